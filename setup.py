@@ -1,0 +1,47 @@
+"""Builds sma_bench for `colcon build` and `pip install .`; package.xml names and versions it."""
+
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+MANIFEST = ElementTree.parse(Path(__file__).resolve().parent / "package.xml").getroot()
+PACKAGE = MANIFEST.findtext("name")
+MAINTAINER = MANIFEST.find("maintainer")
+NODES = ["simulator", "experiment", "recorder", "identification"]
+
+
+def shared_files(*folders):
+    """Data files that keep their folders below share/<package>."""
+    for folder in folders:
+        for directory, _, names in os.walk(folder):
+            files = [os.path.join(directory, name) for name in sorted(names) if name[0] != "."]
+            if files and "__pycache__" not in directory:
+                yield os.path.join("share", PACKAGE, directory), files
+
+
+setup(
+    name=PACKAGE,
+    version=MANIFEST.findtext("version"),
+    description=" ".join(MANIFEST.findtext("description").split()),
+    maintainer=MAINTAINER.text,
+    maintainer_email=MAINTAINER.get("email"),
+    license=MANIFEST.findtext("license"),
+    python_requires=">=3.11",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *shared_files("config", "launch"),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            f"sma-bench = {PACKAGE}.cli:main",
+            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
+        ]
+    },
+)

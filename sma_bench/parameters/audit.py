@@ -1,0 +1,228 @@
+"""Do the numbers of a lab fit each other, and physics? The first suspect of any gap is here."""
+
+import math
+
+from sma_bench.findings import Finding
+from sma_bench.parameters.parameters import Parameters
+
+NITI_DENSITY = 6450.0  # kg/m3
+NITI_RESISTIVITY = (70e-8, 110e-8)  # ohm m, martensite 76 to 80, austenite 82 to 100 microohm cm
+NITI_EXPANSION = (6.6e-6, 11e-6)  # 1/K, martensite, austenite
+GRAVITY = 9.81  # m/s2
+STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
+WIRE_EMISSIVITY = (0.2, 0.9)  # bright to oxidised
+LENGTH_TOLERANCE = 0.10
+CONVECTION_FACTOR = 1.5
+
+
+def audit(parameters: Parameters) -> list[Finding]:
+    """Check a lab's own numbers against each other and against correlations.
+
+    Returns:
+        Findings: "warning" where numbers clash (the text says which and by how much), "info"
+        where a check passed. PAPER_NOTES items 7 to 10 are the warnings on the paper's numbers.
+    """
+    findings = [
+        _lengths(parameters),
+        _resistivity(parameters),
+        _heat_transfer(parameters),
+        _time_constant(parameters),
+        _transition_order(parameters),
+        _thermal_expansion(parameters),
+    ]
+    return findings
+
+
+def wire_length_from_mass(parameters: Parameters) -> float:
+    """Length [m] of NiTi wire (6450 kg/m3) of the given mass and diameter."""
+    return parameters["wire.mass"] / (NITI_DENSITY * _cross_section(parameters))
+
+
+def wire_length_from_area(parameters: Parameters) -> float:
+    """Length [m] of a cylinder of the given lateral area and diameter."""
+    return parameters["wire.surface_area"] / (math.pi * parameters["wire.diameter"])
+
+
+def natural_convection(diameter: float, surface: float, ambient: float) -> float:
+    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air.
+
+    Churchill and Chu (1975), air at film temperature and 1 atm.
+
+    Args:
+        diameter: of the cylinder [m].
+        surface, ambient: temperatures [K], surface above ambient.
+    """
+    film = 0.5 * (surface + ambient)
+    conductivity = 0.0241 * (film / 273.15) ** 0.81
+    viscosity = 1.716e-5 * (film / 273.15) ** 1.5 * (273.15 + 110.4) / (film + 110.4)
+    density = 101325.0 / (287.05 * film)
+    heat_capacity = 1007.0
+    prandtl = viscosity * heat_capacity / conductivity
+    diffusivity = conductivity / (density * heat_capacity)
+    rayleigh = (
+        GRAVITY * (surface - ambient) * diameter**3 / (film * (viscosity / density) * diffusivity)
+    )
+    shape = (1.0 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)
+    nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / shape) ** 2
+    return nusselt * conductivity / diameter
+
+
+def radiation(emissivity: float, surface: float, ambient: float) -> float:
+    """Heat transfer coefficient [W/(m2 K)] of grey radiation to surroundings at `ambient` [K]."""
+    return emissivity * STEFAN_BOLTZMANN * (surface**2 + ambient**2) * (surface + ambient)
+
+
+def still_air_range(parameters: Parameters) -> tuple[float, float]:
+    """Lowest and highest plausible h [W/(m2 K)] of the bare wire in still air.
+
+    From 15 K above ambient to A_f, convection plus radiation of a bright or an oxidised wire.
+    """
+    ambient = parameters["environment.ambient_temperature"]
+    diameter = parameters["wire.diameter"]
+    warm = ambient + 15.0
+    hot = max(parameters["wire.austenite_finish_temperature"], warm + 1.0)
+    low = natural_convection(diameter, warm, ambient) + radiation(WIRE_EMISSIVITY[0], warm, ambient)
+    high = natural_convection(diameter, hot, ambient) + radiation(WIRE_EMISSIVITY[1], hot, ambient)
+    return low, high
+
+
+def _cross_section(parameters: Parameters) -> float:
+    return math.pi * parameters["wire.diameter"] ** 2 / 4.0
+
+
+def _lengths(parameters: Parameters) -> Finding:
+    by_mass = wire_length_from_mass(parameters)
+    by_area = wire_length_from_area(parameters)
+    ratio = by_area / by_mass
+    numbers = {"length_from_mass": by_mass, "length_from_area": by_area, "ratio": ratio}
+    mass, area = parameters["wire.mass"], parameters["wire.surface_area"]
+    text = (
+        f"wire.mass {mass * 1e3:.4g} g is {by_mass:.3f} m of {_wire(parameters)}, "
+        f"wire.surface_area {area * 1e6:.5g} mm2 is {by_area:.3f} m"
+    )
+    if abs(ratio - 1.0) <= LENGTH_TOLERANCE:
+        return Finding("info", "wire length", text + ": they agree", numbers)
+    h = parameters["wire.heat_transfer_coefficient"]
+    numbers["heat_transfer_coefficient_for_length_from_mass"] = h * ratio
+    text += (
+        f": a factor {ratio:.2f} apart; only h times area is measured, so over {by_mass:.3f} m "
+        f"h would be {h * ratio:.0f} W/(m2 K)"
+    )
+    return Finding("warning", "wire length", text, numbers)
+
+
+def _resistivity(parameters: Parameters) -> Finding:
+    section = _cross_section(parameters)
+    by_mass = wire_length_from_mass(parameters)
+    by_area = wire_length_from_area(parameters)
+    resistance = parameters["wire.resistance"]
+    implied = {"mass": resistance * section / by_mass, "area": resistance * section / by_area}
+    numbers = {f"resistivity_from_{name}_length": value for name, value in implied.items()}
+    low, high = NITI_RESISTIVITY
+    verdicts = []
+    for name, length in (("mass", by_mass), ("area", by_area)):
+        fits = low <= implied[name] <= high
+        verdicts.append(
+            f"{implied[name] * 1e8:.0f} microohm cm over the {length:.3f} m of wire.{name}"
+            f" ({'fits' if fits else 'does not fit'})"
+        )
+    text = (
+        f"wire.resistance {resistance:.4g} ohm means {' and '.join(verdicts)}; "
+        f"NiTi has {low * 1e8:.0f} to {high * 1e8:.0f}"
+    )
+    good = all(low <= value <= high for value in implied.values())
+    return Finding("info" if good else "warning", "resistivity", text, numbers)
+
+
+def _heat_transfer(parameters: Parameters) -> Finding:
+    h = parameters["wire.heat_transfer_coefficient"]
+    low, high = still_air_range(parameters)
+    numbers = {"heat_transfer_coefficient": h, "still_air_low": low, "still_air_high": high}
+    text = (
+        f"wire.heat_transfer_coefficient {h:.1f} W/(m2 K) against {low:.0f} to {high:.0f} of "
+        f"natural convection (Churchill-Chu) and radiation for {_wire(parameters)} in still air"
+    )
+    if h > high * CONVECTION_FACTOR:
+        numbers["factor"] = h / high
+        text += (
+            f": {h / high:.1f} times the highest; a temperature read low (an infrared spot wider "
+            "than the wire), moving air, a wire in contact, or too small an area would do that"
+        )
+        return Finding("warning", "heat transfer", text, numbers)
+    if h < low / CONVECTION_FACTOR:
+        numbers["factor"] = h / low
+        text += f": {h / low:.2f} times the lowest; check wire.surface_area and the insulation"
+        return Finding("warning", "heat transfer", text, numbers)
+    return Finding("info", "heat transfer", text + ": plausible", numbers)
+
+
+def _time_constant(parameters: Parameters) -> Finding:
+    heat_capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
+    tau = heat_capacity / (
+        parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
+    )
+    area = math.pi * parameters["wire.diameter"] * wire_length_from_mass(parameters)
+    low, high = still_air_range(parameters)
+    shortest, longest = heat_capacity / (high * area), heat_capacity / (low * area)
+    numbers = {"time_constant": tau, "still_air_low": shortest, "still_air_high": longest}
+    text = (
+        f"m c_p/(h A_c) = {tau:.3g} s against {shortest:.2g} to {longest:.2g} s of "
+        f"{_wire(parameters)} in still air"
+    )
+    if shortest / CONVECTION_FACTOR <= tau <= longest * CONVECTION_FACTOR:
+        return Finding("info", "time constant", text + ": plausible", numbers)
+    factor = shortest / tau if tau < shortest else tau / longest
+    numbers["factor"] = factor
+    faster = "fast" if tau < shortest else "slow"
+    return Finding("warning", "time constant", f"{text}: {factor:.1f} times too {faster}", numbers)
+
+
+def _transition_order(parameters: Parameters) -> Finding:
+    a_s = parameters["wire.austenite_start_temperature"]
+    m_s = parameters["wire.martensite_start_temperature"]
+    a_f = parameters["wire.austenite_finish_temperature"]
+    m_f = parameters["wire.martensite_finish_temperature"]
+    numbers = {"overlap": m_s - a_s}
+    values = f"A_s {a_s:.2f}, A_f {a_f:.2f}, M_s {m_s:.2f}, M_f {m_f:.2f} K"
+    if a_f > a_s > m_s > m_f:
+        return Finding("info", "transition order", f"{values}: A_f > A_s > M_s > M_f", numbers)
+    clashes = []
+    if m_s >= a_s:
+        clashes.append(f"M_s lies {m_s - a_s:.2f} K above A_s")
+    if m_s > a_f:
+        clashes.append(f"M_s lies {m_s - a_f:.2f} K above A_f")
+    if m_f > a_s:
+        clashes.append(f"M_f lies {m_f - a_s:.2f} K above A_s")
+    text = (
+        f"{values}: {', '.join(clashes)}, against A_f > A_s > M_s > M_f; "
+        "accepted, the kinetics stay continuous where the ranges overlap"
+    )
+    return Finding("warning", "transition order", text, numbers)
+
+
+def _thermal_expansion(parameters: Parameters) -> Finding:
+    theta = parameters["wire.thermal_expansion_factor"]
+    soft = NITI_EXPANSION[0] * parameters["wire.martensite_modulus"]
+    stiff = NITI_EXPANSION[1] * parameters["wire.austenite_modulus"]
+    numbers = {"thermal_expansion_factor": theta, "alpha_E_low": soft, "alpha_E_high": stiff}
+    text = (
+        f"wire.thermal_expansion_factor {theta / 1e6:.4g} MPa/K against -{soft / 1e6:.2f} to "
+        f"-{stiff / 1e6:.2f} MPa/K of -alpha E for a clamped wire below A_s"
+    )
+    clashes = []
+    if theta > 0.0:
+        clashes.append("of the other sign (a clamped wire that expands is pushed, not pulled)")
+    size = abs(theta)
+    if size > CONVECTION_FACTOR * stiff:
+        numbers["factor"] = size / stiff
+        clashes.append(f"{size / stiff:.0f} times the largest")
+    elif size < soft / CONVECTION_FACTOR:
+        numbers["factor"] = size / soft
+        clashes.append(f"{size / soft:.2f} times the smallest")
+    if not clashes:
+        return Finding("info", "thermal expansion", text + ": plausible", numbers)
+    return Finding("warning", "thermal expansion", f"{text}: {', '.join(clashes)}", numbers)
+
+
+def _wire(parameters: Parameters) -> str:
+    return f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"

@@ -1,0 +1,150 @@
+"""Each node's own parameters, beside the contract's (table.py)."""
+
+from sma_bench.parameters.parameter import Parameter
+
+_ADC_10_BIT = 1023
+
+COMMAND_RATE = Parameter(
+    "command_rate", "Hz", 20.0,
+    "Rate of voltage_command, and of /clock above real time: one command for each tick.",
+    "choice: ten commands within the default command timeout", 2.0, 500.0, read_only=True,
+)
+
+SIMULATOR = (
+    Parameter(
+        "speed", "1", 1.0,
+        "Simulated seconds per second; above 1 the node publishes /clock and other nodes need "
+        "use_sim_time.",
+        "choice", 1.0, 1000.0, read_only=True,
+    ),
+    Parameter(
+        "seed", "", 1, "Seed of the sensor noise.", "choice", 0, 2**31 - 1, kind="integer",
+        read_only=True,
+    ),
+    Parameter(
+        "lockstep_patience", "s", 5.0,
+        "Wall time that simulated time waits for the next command of an active driver.",
+        "choice: far above the pauses of a loaded machine", 0.01, 60.0, read_only=True,
+    ),
+    COMMAND_RATE,
+    Parameter(
+        "rate.power", "Hz", 100.0, "Rate of <channel>/power.",
+        "assumed: an Uno reads six channels at 10 kHz in all", 1.0, 1000.0, read_only=True,
+    ),
+    Parameter(
+        "rate.temperature", "Hz", 80.0, "Rate of <channel>/temperature.",
+        "Optris Xi 400, 80 Hz", 1.0, 1000.0, read_only=True,
+    ),
+    Parameter(
+        "rate.mechanics", "Hz", 100.0, "Rate of joint_states and of the range sensors.",
+        "assumed: read together with the power channels", 1.0, 1000.0, read_only=True,
+    ),
+    Parameter(
+        "rate.ambient", "Hz", 1.0, "Rate of ambient/temperature.", "choice", 0.1, 100.0,
+        read_only=True,
+    ),
+    Parameter(
+        "sensor.voltage_noise", "V", 0.002, "Standard deviation of the measured voltage.",
+        "assumed: half the least significant bit of a quiet divider", 0.0, 10.0, read_only=True,
+    ),
+    Parameter(
+        "sensor.voltage_resolution", "V", 10.0 / _ADC_10_BIT,
+        "Step of the measured voltage; 0 for none.",
+        "ATmega328: 10 bit over 10 V", 0.0, 10.0, read_only=True,
+    ),
+    Parameter(
+        "sensor.current_noise", "A", 0.019, "Standard deviation of the measured current.",
+        "ACS714 -05B datasheet: 21 mV peak to peak at 185 mV/A, over 6", 0.0, 10.0,
+        read_only=True,
+    ),
+    Parameter(
+        "sensor.current_resolution", "A", 5.0 / _ADC_10_BIT / 0.185,
+        "Step of the measured current; 0 for none.",
+        "ACS714 -05B, 185 mV/A, on 10 bit over 5 V", 0.0, 10.0, read_only=True,
+    ),
+    Parameter(
+        "sensor.temperature_noise", "K", 0.08, "Standard deviation of the measured temperature.",
+        "Optris Xi 400: 80 mK", 0.0, 50.0, read_only=True,
+    ),
+    Parameter(
+        "sensor.temperature_resolution", "K", 0.1,
+        "Step of the measured temperature; 0 for none.",
+        "Optris image format, 0.1 degC", 0.0, 50.0, read_only=True,
+    ),
+    Parameter(
+        "sensor.range_standoff", "m", 0.1,
+        "Distance from each range sensor to the undeflected tip.",
+        "assumed: middle of a 40 to 300 mm triangulation sensor", 0.01, 1.0, read_only=True,
+    ),
+    Parameter(
+        "sensor.range_noise", "m", 1e-4, "Standard deviation of a measured distance.",
+        "assumed: 0.1 % of the distance", 0.0, 0.1, read_only=True,
+    ),
+    Parameter(
+        "sensor.range_resolution", "m", 1e-4, "Step of a measured distance; 0 for none.",
+        "assumed: as its noise", 0.0, 0.1, read_only=True,
+    ),
+    Parameter(
+        "sensor.force_noise", "N", 0.02, "Standard deviation of the measured wire force.",
+        "assumed: 0.05 % of a 50 N load cell", 0.0, 10.0, read_only=True,
+    ),
+)
+
+EXPERIMENT = (
+    Parameter(
+        "protocol", "", "staircase",
+        "Protocol to run: a name in config/protocols or the path of a .yaml file.",
+        "choice", kind="string",
+    ),
+    Parameter(
+        "autostart", "", False, "Start as soon as the bench answers.", "choice", kind="bool",
+        read_only=True,
+    ),
+    COMMAND_RATE,
+    Parameter(
+        "feedback", "", ("power", "temperature"),
+        "Readings that every channel must keep sending, else the experiment aborts.",
+        "choice: both; a rig without a camera has power only", kind="strings", read_only=True,
+    ),
+    Parameter(
+        "feedback_timeout", "s", 1.0, "Age at which a reading is stale.",
+        "choice: five time constants of the wire", 0.05, 60.0, read_only=True,
+    ),
+)
+
+RECORDER = (
+    Parameter(
+        "output", "", "",
+        "Folder of the new bag, which must not exist; empty for record_<date>_<time>.",
+        "choice", kind="string", read_only=True,
+    ),
+)
+
+IDENTIFICATION = (
+    Parameter(
+        "record", "", ("",),
+        "Bags and instrument files to identify from, relative to record_root.",
+        "choice", kind="strings",
+    ),
+    Parameter(
+        "experiments", "", ("",), "Experiments to run (E1, E2, ...); empty for all that apply.",
+        "choice", kind="strings",
+    ),
+    Parameter(
+        "record_root", "", "",
+        "Folder that records must lie in; empty for any place.",
+        "choice", kind="string", read_only=True,
+    ),
+    Parameter(
+        "output_directory", "", "identified",
+        "Folder for identified.yaml and identified.json.",
+        "choice", kind="string",
+    ),
+)
+
+NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
+    "simulator": SIMULATOR,
+    "experiment": EXPERIMENT,
+    "recorder": RECORDER,
+    "identification": IDENTIFICATION,
+}

@@ -1,0 +1,149 @@
+"""An immutable, validated set of the contract's parameters with their uncertainties."""
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from sma_bench.errors import InputError
+from sma_bench.parameters.parameter import Value
+from sma_bench.parameters.table import BY_NAME, TABLE
+
+UNCERTAINTY_PREFIX = "uncertainty."
+SIDES = ("front", "back")
+_CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+_ORDERED_TEMPERATURES = (
+    ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
+    ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
+)
+
+
+def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
+    """One line for a name that is in no table, with the nearest known one."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    hint = f", did you mean {close[0]}?" if close else ""
+    return f"unknown parameter {name}{hint}"
+
+
+class Parameters(Mapping[str, Value]):
+    """Values of all contract parameters in SI units, each with a standard deviation.
+
+    `given` holds the names that were set by someone, as opposed to left at the table's default.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, Any] | None = None,
+        uncertainty: Mapping[str, float] | None = None,
+        where: str = "",
+    ) -> None:
+        """Defaults of the table, overridden by `values` and `uncertainty`.
+
+        Raises:
+            InputError: unknown name, wrong type, out of range or contradicting values; `where`
+                (a file, say) leads the line.
+        """
+        values = dict(values or {})
+        self._where = f"{where}: " if where else ""
+        self._values: dict[str, Value] = {p.name: p.default for p in TABLE}
+        for name, value in values.items():
+            self._require_known(name)
+            self._values[name] = BY_NAME[name].validated(value, where)
+        self._std = self._validated_uncertainty(dict(uncertainty or {}))
+        self.given = frozenset(values)
+        self._check_consistency()
+
+    @classmethod
+    def defaults(cls) -> "Parameters":
+        """The table as it stands."""
+        return cls()
+
+    def __getitem__(self, name: str) -> Any:
+        try:
+            return self._values[name]
+        except KeyError:
+            raise InputError(unknown_parameter_message(name, BY_NAME)) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def std(self, name: str) -> float:
+        """One standard deviation of `name`, absolute, in its unit; the table's when none given.
+
+        Raises:
+            InputError: the parameter is unknown or has no uncertainty (a name, a limit).
+        """
+        self[name]
+        std = self._std.get(name, BY_NAME[name].uncertainty)
+        if std is None:
+            raise InputError(f"{name} has no uncertainty")
+        return std
+
+    @property
+    def given_uncertainty(self) -> dict[str, float]:
+        """Standard deviations that were set by someone."""
+        return dict(self._std)
+
+    def replace(
+        self,
+        values: Mapping[str, Any] | None = None,
+        uncertainty: Mapping[str, float] | None = None,
+        where: str = "",
+    ) -> "Parameters":
+        """A new set with some values and uncertainties replaced; raises as the constructor does."""
+        given = {name: self._values[name] for name in self.given}
+        return Parameters(
+            {**given, **(values or {})}, {**self._std, **(uncertainty or {})}, where
+        )
+
+    def _require_known(self, name: str) -> None:
+        if name not in BY_NAME:
+            raise InputError(self._where + unknown_parameter_message(name, BY_NAME))
+
+    def _validated_uncertainty(self, uncertainty: dict[str, float]) -> dict[str, float]:
+        checked = {}
+        for name, std in uncertainty.items():
+            self._require_known(name)
+            if BY_NAME[name].uncertainty is None:
+                raise InputError(f"{self._where}{UNCERTAINTY_PREFIX}{name}: has no uncertainty")
+            number = isinstance(std, (int, float)) and not isinstance(std, bool)
+            if not number or not 0.0 <= std < float("inf"):
+                unit = BY_NAME[name].unit
+                raise InputError(
+                    f"{self._where}{UNCERTAINTY_PREFIX}{name} is {std!r}, "
+                    f"expected a standard deviation >= 0 in {unit}"
+                )
+            checked[name] = float(std)
+        return checked
+
+    def _check_consistency(self) -> None:
+        for lower, upper in _ORDERED_TEMPERATURES:
+            if self[lower] >= self[upper]:
+                raise InputError(
+                    f"{self._where}{lower} {self[lower]:g} K must lie below "
+                    f"{upper} {self[upper]:g} K"
+                )
+        channels, sides = self["bench.channels"], self["bench.channel_sides"]
+        if not channels:
+            raise InputError(f"{self._where}bench.channels is empty, expected one name or more")
+        for channel in channels:
+            if not _CHANNEL_NAME.match(channel):
+                raise InputError(
+                    f"{self._where}bench.channels: {channel!r} is not a ROS name "
+                    "(a letter, then letters, digits, underscores)"
+                )
+        if len(set(channels)) != len(channels):
+            raise InputError(f"{self._where}bench.channels: {list(channels)} has a name twice")
+        if len(sides) != len(channels):
+            raise InputError(
+                f"{self._where}bench.channel_sides has {len(sides)} entries, "
+                f"expected {len(channels)} as bench.channels"
+            )
+        for side in sides:
+            if side not in SIDES:
+                raise InputError(
+                    f"{self._where}bench.channel_sides: {side!r}, expected front or back"
+                )

@@ -1,0 +1,184 @@
+"""Every parameter of the bench contract, with its number and where the number comes from."""
+
+from sma_bench.parameters.parameter import Parameter
+
+WIRE = (
+    Parameter(
+        "wire.resistance", "ohm", 2.6987,
+        "Electrical resistance of one wire (eq. 3).",
+        "Table I", 0.01, 1000.0, uncertainty=0.03,
+    ),
+    Parameter(
+        "wire.heat_transfer_coefficient", "W/(m2 K)", 403.26,
+        "Heat loss per area and kelvin, referred to wire.surface_area (eq. 4).",
+        "Table I; suspect, see the audit", 1.0, 5000.0, uncertainty=8.0,
+    ),
+    Parameter(
+        "wire.specific_heat", "J/(kg K)", 343.2,
+        "Specific heat of the alloy (eq. 5).",
+        "Table I", 50.0, 2000.0, uncertainty=10.0,
+    ),
+    Parameter(
+        "wire.mass", "kg", 0.091e-3,
+        "Mass of the heated wire.",
+        "Table I", 1e-7, 1e-2, uncertainty=0.5e-6,
+    ),
+    Parameter(
+        "wire.surface_area", "m2", 395.84e-6,
+        "Area of the wire that loses heat.",
+        "Table I; suspect, see the audit", 1e-7, 1e-1, uncertainty=4e-6,
+    ),
+    Parameter(
+        "wire.diameter", "m", 0.3e-3,
+        "Diameter of the wire.",
+        "section II.B", 1e-5, 5e-3, uncertainty=3e-6,
+    ),
+    Parameter(
+        "wire.austenite_start_temperature", "K", 331.81,
+        "A_s, stress free.",
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.1,
+    ),
+    Parameter(
+        "wire.austenite_finish_temperature", "K", 353.61,
+        "A_f, stress free.",
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+    ),
+    Parameter(
+        "wire.martensite_start_temperature", "K", 353.39,
+        "M_s, stress free (above A_s in the paper's own data).",
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+    ),
+    Parameter(
+        "wire.martensite_finish_temperature", "K", 325.09,
+        "M_f, stress free.",
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+    ),
+    Parameter(
+        "wire.martensite_modulus", "Pa", 22.8e9,
+        "E_M, Young's modulus of martensite at 293.15 K (eq. 7).",
+        "Table III", 1e9, 200e9, uncertainty=1.2e9,
+    ),
+    Parameter(
+        "wire.austenite_modulus", "Pa", 55.4e9,
+        "E_A, Young's modulus of austenite at 403.15 K (eq. 7).",
+        "Table III", 1e9, 200e9, uncertainty=2.5e9,
+    ),
+    Parameter(
+        "wire.maximum_recoverable_strain", "1", 0.044,
+        "eps_L, strain recovered on heating (eq. 9).",
+        "section III.B.1, Fig. 8", 1e-4, 0.15, uncertainty=0.002,
+    ),
+    Parameter(
+        "wire.thermal_expansion_factor", "Pa/K", -0.15e6,
+        "Theta_T, stress per kelvin of a clamped wire below A_s (eq. 8).",
+        "assumed: -alpha E_M with alpha = 6.6e-6 1/K of martensite; the printed 23.91 MPa lacks "
+        "1/K and is two orders above alpha E",
+        -50e6, 50e6, uncertainty=0.05e6,
+    ),
+    Parameter(
+        "wire.stress_influence_austenite", "Pa/K", 7.0e6,
+        "C_A, shift of A_s and A_f with stress (eq. 10).",
+        "assumed: middle of 5 to 8 MPa/K measured on NiTi; the paper gives none",
+        0.5e6, 50e6, uncertainty=1.0e6,
+    ),
+    Parameter(
+        "wire.stress_influence_martensite", "Pa/K", 7.0e6,
+        "C_M, shift of M_s and M_f with stress (eq. 11).",
+        "assumed: equal to C_A; the paper gives none",
+        0.5e6, 50e6, uncertainty=1.0e6,
+    ),
+)
+
+ENVIRONMENT = (
+    Parameter(
+        "environment.ambient_temperature", "K", 296.15,
+        "T_inf, temperature of the surrounding air.",
+        "Table I", 230.0, 373.0, uncertainty=0.5,
+    ),
+)
+
+COMPOSITE = (
+    Parameter(
+        "composite.length", "m", 0.12,
+        "l, distance from the clamping to the point where the deflection is measured.",
+        "assumed: a hand-sized specimen; the paper gives no geometry",
+        1e-3, 2.0, uncertainty=0.001,
+    ),
+    Parameter(
+        "composite.thickness", "m", 6e-3,
+        "h_c, thickness of the elastomer matrix.",
+        "assumed: the paper gives no geometry", 1e-4, 0.1, uncertainty=0.2e-3,
+    ),
+    Parameter(
+        "composite.width", "m", 0.03,
+        "w_c, width of the beam.",
+        "assumed: the paper gives no geometry", 1e-3, 0.5, uncertainty=0.5e-3,
+    ),
+    Parameter(
+        "composite.modulus", "Pa", 1.0e6,
+        "E_c, Young's modulus of the elastomer matrix.",
+        "assumed: silicone of Shore A 25 to 35", 1e4, 1e9, uncertainty=0.2e6,
+    ),
+    Parameter(
+        "composite.wire_offset", "m", 3e-3,
+        "a, distance of the wires from the centre line (eq. 12).",
+        "assumed: the wires lie at the faces of the matrix", 1e-4, 0.05, uncertainty=0.2e-3,
+    ),
+    Parameter(
+        "composite.wire_layer_thickness", "m", 0.3e-3,
+        "h, thickness of the active layer (eqs. 14, 16).",
+        "assumed: one wire diameter", 1e-6, 0.01, uncertainty=0.03e-3,
+    ),
+    Parameter(
+        "composite.deflection_per_strain", "m", 0.0,
+        "alpha (eq. 22), deflection per contraction strain; 0 means derived from the geometry.",
+        "corrected eq. (16)", 0.0, 100.0, uncertainty=0.05,
+    ),
+    Parameter(
+        "composite.stress_per_deflection_front", "Pa/m", 0.0,
+        "beta (eq. 23) when bending to the front; 0 means derived from the geometry.",
+        "eq. (23) with the corrected EI", 0.0, 1e13, uncertainty=2e8,
+    ),
+    Parameter(
+        "composite.stress_per_deflection_back", "Pa/m", 0.0,
+        "beta (eq. 23) when bending to the back; 0 means derived from the geometry.",
+        "eq. (23) with the corrected EI", 0.0, 1e13, uncertainty=2e8,
+    ),
+)
+
+BENCH = (
+    Parameter(
+        "bench.channels", "", ("wire",),
+        "Power channels, in the order of voltage_command.",
+        "Fig. 1: one clamped wire", kind="strings", read_only=True,
+    ),
+    Parameter(
+        "bench.channel_sides", "", ("front",),
+        "Side of the beam (front or back) of every channel.",
+        "Fig. 1: one clamped wire", kind="strings", read_only=True,
+    ),
+    Parameter(
+        "bench.maximum_voltage", "V", 10.0,
+        "No command above it is accepted.",
+        "section IV: 0 to 10 V", 0.1, 60.0,
+    ),
+    Parameter(
+        "bench.maximum_current", "A", 3.0,
+        "A larger current through a wire switches the outputs off.",
+        "section IV: 0 to 3 A", 0.01, 30.0,
+    ),
+    Parameter(
+        "bench.maximum_temperature", "K", 423.15,
+        "A hotter wire switches the outputs off.",
+        "assumed: 70 K above A_f, below what silicone and camera window endure",
+        300.0, 700.0,
+    ),
+    Parameter(
+        "bench.command_timeout", "s", 0.5,
+        "Silence of voltage_command after which the outputs go to 0 V.",
+        "assumed: ten periods of a 20 Hz command", 0.02, 5.0,
+    ),
+)
+
+TABLE: tuple[Parameter, ...] = (*WIRE, *ENVIRONMENT, *COMPOSITE, *BENCH)
+BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}

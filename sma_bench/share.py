@@ -1,0 +1,28 @@
+"""Where the package's shared files (config/, launch/) are, however it was installed."""
+
+import os
+import sys
+from pathlib import Path
+
+from sma_bench.errors import InputError
+
+PACKAGE = "sma_bench"
+
+
+def share_directory() -> Path:
+    """Folder that holds config/ and launch/.
+
+    Looked for in this order: the source tree (a checkout, an editable or a symlinked install),
+    every prefix of AMENT_PREFIX_PATH (a colcon install), and sys.prefix (pip install).
+
+    Raises:
+        InputError: no such folder in any of them.
+    """
+    candidates = [Path(__file__).resolve().parents[1]]
+    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    candidates += [Path(prefix) / "share" / PACKAGE for prefix in [*prefixes, sys.prefix]]
+    for candidate in candidates:
+        if (candidate / "package.xml").is_file() and (candidate / "config").is_dir():
+            return candidate
+    looked = ", ".join(str(candidate) for candidate in candidates)
+    raise InputError(f"share folder of {PACKAGE}: config/ not found in {looked}")

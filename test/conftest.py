@@ -1,0 +1,88 @@
+"""What every test may ask for: the shared data, and a ROS domain of its own."""
+
+import fcntl
+import os
+import random
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Before anything imports rclpy. The field checks turn a silent 5e-324 into an exception.
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "sma_bench_test_log"))
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Above 101 the ports of a domain overlap those that Linux hands out to anyone.
+DOMAINS = range(10, 102)
+LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
+SHARED_MEMORY = Path("/dev/shm")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of the measured data that lies beside the checkout."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no measured data beside the checkout ({folder})")
+    return folder
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """ROS_DOMAIN_ID that no other test has, in this run or another one on this machine."""
+    lock, domain = _lock_free_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    try:
+        yield domain
+    finally:
+        _remove_ports(domain)
+        os.close(lock)
+
+
+def _lock_free_domain() -> tuple[int, int]:
+    LOCKS.mkdir(exist_ok=True)
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        lock = os.open(LOCKS / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+        else:
+            return lock, domain
+    raise RuntimeError(f"no free ROS domain: all of {LOCKS} are locked")
+
+
+def _remove_ports(domain: int) -> None:
+    """Shared memory of killed nodes, which the next user of the domain would stumble over."""
+    first = 7400 + 250 * domain
+    for port in range(first, first + 250):
+        for name in (f"fastrtps_port{port}", f"fastrtps_port{port}_el"):
+            (SHARED_MEMORY / name).unlink(missing_ok=True)
+        (SHARED_MEMORY / f"sem.fastrtps_port{port}_mutex").unlink(missing_ok=True)
+
+
+def pytest_sessionfinish() -> None:
+    """Remove the shared memory that killed nodes left: 0.6 MB each."""
+    for held in SHARED_MEMORY.glob("fastrtps_*_el"):
+        segment = held.with_name(held.name.removesuffix("_el"))
+        if "port" not in held.name and _is_abandoned(held):
+            segment.unlink(missing_ok=True)
+            held.unlink(missing_ok=True)
+
+
+def _is_abandoned(held: Path) -> bool:
+    """Living owners keep a shared lock on this file; a newborn one may not have it yet."""
+    try:
+        with held.open() as file:
+            if time.time() - os.fstat(file.fileno()).st_mtime < 60:
+                return False
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,191 @@
+"""./bench sets up its environment once, survives interruption, and fails in short words."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
+SETUP = """from setuptools import setup
+setup(name="sma_bench", version="0", packages=["sma_bench"])
+"""
+ONE_SMALL_PACKAGE = "mdurl==0.1.2\n"
+
+
+def make_house(folder: Path, requirements: str = ONE_SMALL_PACKAGE) -> Path:
+    """A checkout whose setup takes seconds; its commands print their arguments and count them."""
+    (folder / "sma_bench").mkdir(parents=True)
+    for name in ("bench", "requirements-build.txt", "setup.cfg", "pyproject.toml"):
+        shutil.copy2(ROOT / name, folder / name)
+    texts = {
+        "requirements.txt": requirements,
+        "requirements-test.txt": "cycler==0.12.1\n",
+        "setup.py": SETUP,
+        "package.xml": "",
+        "sma_bench/__init__.py": "",
+        "sma_bench/cli.py": COMMAND_LINE,
+        "test/check/units.py": COMMAND_LINE,
+    }
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+def start(house: Path, *arguments: str, python: str = sys.executable) -> subprocess.Popen:
+    # Its own process group, so that a test can end it with everything that it started.
+    return subprocess.Popen(
+        [house / "bench", *arguments],
+        env={**os.environ, "BENCH_PYTHON": python},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def bench(house: Path, *arguments: str, python: str = sys.executable) -> tuple[int, str, str]:
+    process = start(house, *arguments, python=python)
+    out, err = process.communicate()
+    return process.returncode, out, err
+
+
+def environment(house: Path) -> Path:
+    return next(path for path in house.glob(".venv-*") if path.is_dir())
+
+
+def installed(house: Path) -> str:
+    return " ".join(
+        path.name for path in environment(house).glob("lib/*/site-packages/*.dist-info")
+    )
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkout that has been used once."""
+    folder = make_house(tmp_path_factory.mktemp("house with space") / "sma_bench")
+    code, out, err = bench(folder, "first", "use")
+    assert (code, out) == (2, "first use\n"), err
+    assert "setting up .venv-" in err
+    assert "ready in" in err
+    return folder
+
+
+@pytest.mark.slow
+def test_second_use_runs_the_command_at_once(house: Path) -> None:
+    assert bench(house, "audit", "lab file.yaml", "--json") == (
+        3,
+        "audit lab file.yaml --json\n",
+        "",
+    )
+
+
+@pytest.mark.slow
+def test_test_requirements_come_with_the_first_test_command(house: Path) -> None:
+    assert "mdurl" in installed(house)
+    assert "cycler" not in installed(house)
+    code, out, err = bench(house, "check", "units", "one")
+    assert (code, out) == (1, "one\n"), err
+    assert "cycler" in installed(house)
+
+
+@pytest.mark.slow
+def test_changed_setup_py_installs_the_package_again_and_nothing_else(house: Path) -> None:
+    setup = house / "setup.py"
+    setup.write_text(SETUP.replace('version="0"', 'version="1"'))
+    code, _, err = bench(house, "x")
+    assert code == 1
+    assert "sma_bench itself" in err
+    assert "setting up" not in err
+    assert "sma_bench-1.dist-info" in installed(house)
+
+
+@pytest.mark.slow
+def test_interrupted_setup_is_done_again(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "house")
+    process = start(house, "x")
+    for line in process.stderr:
+        if "packages of requirements.txt" in line:
+            break
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    code, out, err = bench(house, "x")
+    assert (code, out) == (1, "x\n"), err
+    assert "setting up .venv-" in err
+
+
+@pytest.mark.slow
+def test_second_of_two_at_once_waits_for_the_first(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "house")
+    first = start(house, "one")
+    while not list(house.glob(".venv-*")):
+        time.sleep(0.01)
+    second = start(house, "two")
+    (out_1, err_1), (out_2, err_2) = first.communicate(), second.communicate()
+    assert (out_1, out_2) == ("one\n", "two\n")
+    assert err_1.startswith("bench: setting up .venv-")
+    assert err_2.endswith("waiting for it\n")
+    assert len(err_2.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_package_that_does_not_exist_is_told_in_short(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "house", "--no-index\nno-such-package-of-sma-bench==1.0\n")
+    code, out, err = bench(house, "x")
+    assert (code, out) == (2, "")
+    assert "1 packages of requirements.txt: failed" in err
+    assert "No matching distribution found for no-such-package-of-sma-bench==1.0" in err
+    assert "Traceback" not in err
+    assert len(err.splitlines()) < 15
+    log = Path(err.rsplit("everything it said: ", 1)[1].strip())
+    assert "no-such-package-of-sma-bench" in log.read_text()
+
+
+def test_help_needs_no_setup(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "house")
+    code, out, err = bench(house)
+    assert (code, err) == (0, "")
+    assert all(command in out for command in ("demo", "test", "perf", "check", "run", "identify"))
+    assert not list(house.glob(".venv-*"))
+
+
+PYTHONS = {
+    "is Python 3.9": "echo 3.9",
+    "does not run": "echo 'pyenv: python3.12: command not found' >&2; exit 127",
+    "has no module venv": "exit 1",
+    "apt install python3.12-venv": "echo 3.12; exit 1",
+}
+
+
+@pytest.mark.parametrize("reason", PYTHONS)
+def test_python_that_cannot_be_used_is_one_line(reason: str, tmp_path: Path) -> None:
+    python = tmp_path / "python3"
+    python.write_text(f"#!/bin/sh\n{PYTHONS[reason]}\n")
+    python.chmod(0o755)
+    code, out, err = bench(make_house(tmp_path / "house"), "demo", python=str(python))
+    assert (code, out) == (2, "")
+    assert reason in err
+    assert len(err.splitlines()) == 1
+
+
+def test_unknown_check_names_those_that_exist(tmp_path: Path) -> None:
+    code, _, err = bench(make_house(tmp_path / "house"), "check", "nonsense")
+    assert code == 2
+    assert "there is units" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "house")
+    (house / f".venv-{sys.version_info[0]}.{sys.version_info[1]}.lock").mkdir()
+    code, _, err = bench(house, "x")
+    assert code == 2
+    assert "cannot set up" in err
+    assert len(err.splitlines()) == 1

@@ -1,0 +1,147 @@
+"""The package installed as users do it, by colcon and by pip, finds its code and its files."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+EXECUTABLES = {"sma-bench", "simulator", "experiment", "recorder", "identification"}
+WHERE = "from sma_bench.share import share_directory; print(share_directory())"
+LOAD = """
+from importlib.metadata import distribution
+for script in distribution("sma_bench").entry_points.select(group="console_scripts"):
+    print(script.name, callable(script.load()))
+"""
+
+pytestmark = pytest.mark.slow
+
+
+def run(*command: str | Path, cwd: Path, **variables: str) -> str:
+    """Output of a command that must succeed."""
+    process = subprocess.run(
+        list(map(str, command)),
+        cwd=cwd,
+        env={**os.environ, **variables},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert process.returncode == 0, process.stdout
+    return process.stdout
+
+
+def copy_checkout(target: Path) -> Path:
+    """What a commit of everything here would hold."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    wanted = ["ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    for name in run("git", *wanted, cwd=ROOT).split("\0"):
+        if name and (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+    return target
+
+
+def files(folder: Path) -> set[str]:
+    """Files of config/ and launch/ below a folder."""
+    found = [path for part in ("config", "launch") for path in (folder / part).rglob("*")]
+    return {
+        str(path.relative_to(folder))
+        for path in found
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
+class Workspace:
+    """A colcon workspace with the package built in it."""
+
+    def __init__(self, folder: Path, linked: bool) -> None:
+        colcon = Path(sys.executable).with_name("colcon")
+        if not colcon.exists():
+            pytest.skip("colcon is not installed")
+        self.folder, self.linked = folder, linked
+        self.source = copy_checkout(folder / "src" / "sma_bench")
+        self.prefix = folder / "install" / "sma_bench"
+        # A sourced workspace has this set; the wheels have no setup.bash that would.
+        self.variables = {"AMENT_PREFIX_PATH": sys.prefix, "COLCON_LOG_LEVEL": "error"}
+        options = ["--symlink-install"] if linked else []
+        run(colcon, "build", *options, cwd=folder, **self.variables)
+
+    def run(self, *command: str | Path) -> str:
+        """Output of a command in a shell that has sourced the workspace."""
+        sourced = '. install/local_setup.bash && exec "$@"'
+        return run("bash", "-c", sourced, "bash", *command, cwd=self.folder, **self.variables)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["plain", "symlink"])
+def workspace(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Workspace:
+    return Workspace(tmp_path_factory.mktemp("workspace"), linked=request.param)
+
+
+def test_ros2_run_finds_every_executable(workspace: Workspace) -> None:
+    folder = workspace.prefix / "lib" / "sma_bench"
+    assert {path.name for path in folder.iterdir() if os.access(path, os.X_OK)} == EXECUTABLES
+
+
+def test_executables_have_something_to_start(workspace: Workspace) -> None:
+    lines = workspace.run(sys.executable, "-c", LOAD).splitlines()
+    assert set(lines) == {f"{name} True" for name in EXECUTABLES}
+
+
+def test_colcon_package_is_in_the_ament_index(workspace: Workspace) -> None:
+    share = workspace.prefix / "share"
+    assert (share / "ament_index" / "resource_index" / "packages" / "sma_bench").is_file()
+    assert (share / "sma_bench" / "package.xml").is_file()
+    code = "import ament_index_python as a; print(a.get_package_share_directory('sma_bench'))"
+    assert workspace.run(sys.executable, "-c", code).strip() == str(share / "sma_bench")
+
+
+def test_colcon_installs_config_and_launch_files(workspace: Workspace) -> None:
+    expected = files(workspace.source)
+    assert any(name.startswith("config/") for name in expected)
+    assert any(name.startswith("launch/") for name in expected)
+    share = workspace.prefix / "share" / "sma_bench"
+    assert files(share) == expected
+    assert {(share / name).is_symlink() for name in expected} == {workspace.linked}
+
+
+def test_installed_command_line_works_from_any_folder(workspace: Workspace) -> None:
+    executable = workspace.prefix / "lib" / "sma_bench" / "sma-bench"
+    assert "wire.resistance" in workspace.run(executable, "parameters")
+
+
+def test_code_and_share_folder_are_those_of_the_workspace(workspace: Workspace) -> None:
+    code = workspace.run(sys.executable, "-c", "import sma_bench as s; print(s.__file__)").strip()
+    share = workspace.run(sys.executable, "-c", WHERE).strip()
+    home = workspace.source if workspace.linked else workspace.prefix
+    assert Path(code).resolve().is_relative_to(home)
+    assert share == str(home if workspace.linked else home / "share" / "sma_bench")
+
+
+def test_pip_installs_command_and_share_folder(tmp_path: Path) -> None:
+    source = copy_checkout(tmp_path / "source")
+    wheels = tmp_path / "wheels"
+    pip = [sys.executable, "-m", "pip"]
+    plainly = ["--quiet", "--no-deps"]
+    run(*pip, "wheel", *plainly, "--no-build-isolation", "-w", wheels, source, cwd=tmp_path)
+    target = tmp_path / "target"
+    run(sys.executable, "-m", "venv", "--without-pip", target, cwd=tmp_path)
+    python = target / "bin" / "python"
+    run(*pip, "--python", python, "install", *plainly, *wheels.iterdir(), cwd=tmp_path)
+    # The dependencies are those of this interpreter; only sma_bench itself is new.
+    borrowed = next(Path(path) for path in sys.path if path.endswith("site-packages"))
+    site_packages = next(target.glob("lib/python*/site-packages"))
+    (site_packages / "borrowed.pth").write_text(f"{borrowed}\n")
+
+    assert "wire.resistance" in run(target / "bin" / "sma-bench", "parameters", cwd=tmp_path)
+    share = target / "share" / "sma_bench"
+    assert run(python, "-c", WHERE, cwd=tmp_path).strip() == str(share)
+    assert files(share) == files(source)

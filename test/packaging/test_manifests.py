@@ -1,0 +1,100 @@
+"""package.xml, setup.py and the requirements say the same, and all that the code imports."""
+
+import ast
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import sma_bench
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# Module, its name at the package index, its rosdep key.
+THIRD_PARTY = {
+    "jinja2": ("jinja2", "python3-jinja2"),
+    "lz4": ("lz4", None),  # comes with rosbags
+    "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "mcap": ("mcap", None),  # no Debian package and no rosdep key
+    "numba": ("numba", "python3-numba"),
+    "numpy": ("numpy", "python3-numpy"),
+    "rich": ("rich", "python3-rich"),
+    "rosbags": ("rosbags", "python3-rosbags-pip"),
+    "ruamel": ("ruamel-yaml", None),  # comes with rosbags
+    "scipy": ("scipy", "python3-scipy"),
+    "serial": ("pyserial", "python3-serial"),
+    "yaml": ("pyyaml", "python3-yaml"),
+    "zstandard": ("zstandard", None),  # comes with mcap and rosbags
+}
+ROS = re.compile(r"rclpy|rosidl_\w+|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
+
+
+def imported() -> set[str]:
+    """Top-level modules that the package and its launch files import, less Python's own."""
+    found = set()
+    for path in [*ROOT.glob("sma_bench/**/*.py"), *ROOT.glob("launch/**/*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.partition(".")[0])
+    return found - sys.stdlib_module_names - {"sma_bench"}
+
+
+def pins(*names: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name in names:
+        found |= re.findall(r"^([\w.-]+)==([\w.]+)", (ROOT / name).read_text(), re.MULTILINE)
+    return found
+
+
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def test_version_is_the_same_everywhere() -> None:
+    assert MANIFEST.findtext("version") == sma_bench.__version__
+
+
+def test_every_import_is_pinned_and_declared() -> None:
+    pinned = pins("requirements.txt")
+    declared = {element.text for element in MANIFEST if element.tag.endswith("depend")}
+    for module in sorted(imported()):
+        if ROS.fullmatch(module):
+            assert module in declared, f"{module} is not in package.xml"
+            continue
+        assert module in THIRD_PARTY, f"{module} is imported but not known here"
+        package, key = THIRD_PARTY[module]
+        assert package in pinned, f"{package} is not in requirements.txt"
+        assert key is None or key in declared, f"{key} is not in package.xml"
+
+
+def test_pins_are_exact() -> None:
+    for path in ROOT.glob("requirements*.txt"):
+        for line in path.read_text().splitlines():
+            requirement = line.partition("#")[0].strip()
+            exact = r'[\w.-]+==[\w.]+(; python_version < "3\.\d+")?'
+            assert not requirement or re.fullmatch(exact, requirement), f"{path.name}: {line}"
+
+
+def test_pinned_packages_fit_together_and_are_complete() -> None:
+    if not Path(sys.prefix).is_relative_to(ROOT):
+        pytest.skip("not in the environment of ./bench")
+    wanted = pins("requirements-build.txt", "requirements.txt", "requirements-test.txt")
+    there = {
+        re.sub(r"[-_.]+", "-", name).lower(): distribution.version
+        for distribution in metadata.distributions(path=[str(p) for p in site_packages()])
+        if (name := distribution.metadata["Name"])
+    }
+    differing = {name: there.get(name) for name in wanted if there.get(name) != wanted[name]}
+    assert set(differing) <= {"backports-zstd"}  # in Python's own library from 3.14 on
+    check = [sys.executable, "-m", "pip", "check"]
+    process = subprocess.run(check, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stdout
+
+
+def site_packages() -> list[Path]:
+    return list(Path(sys.prefix).glob("lib/python*/site-packages"))

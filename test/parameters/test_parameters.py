@@ -1,0 +1,174 @@
+"""Validation of parameters, and ROS parameter files in and out."""
+
+import os
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sma_bench.errors import InputError
+from sma_bench.parameters import TABLE, Parameters, read_parameters, write_parameters
+from sma_bench.parameters.documentation import parameter_page
+
+NUMBERS = [p for p in TABLE if p.kind == "double"]
+
+
+def write(tmp_path, text):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    return path
+
+
+def complaint(call, *args, **kwargs):
+    with pytest.raises(InputError) as caught:
+        call(*args, **kwargs)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_defaults_are_the_papers_table_one():
+    p = Parameters.defaults()
+    table_one = {
+        "wire.resistance": 2.6987, "wire.heat_transfer_coefficient": 403.26,
+        "wire.specific_heat": 343.2, "wire.mass": 0.091e-3, "wire.surface_area": 395.84e-6,
+        "environment.ambient_temperature": 296.15,
+    }
+    assert {name: p[name] for name in table_one} == table_one
+
+
+@pytest.mark.parametrize("parameter", TABLE, ids=lambda p: p.name)
+def test_every_declaration_is_complete_and_holds_its_own_default(parameter):
+    assert parameter.description.endswith(".")
+    assert parameter.provenance
+    assert parameter.validated(parameter.default) == parameter.default
+    if parameter.kind == "double":
+        assert parameter.unit and parameter.low is not None and parameter.high is not None
+
+
+def test_unknown_name_is_refused_with_the_nearest_one():
+    message = complaint(Parameters.defaults().replace, {"wire.resistence": 2.0})
+    assert "unknown parameter wire.resistence, did you mean wire.resistance?" in message
+
+
+def test_celsius_in_a_kelvin_parameter_is_recognised():
+    message = complaint(Parameters, {"environment.ambient_temperature": 23.0})
+    assert "environment.ambient_temperature is 23 K" in message
+    assert "degrees Celsius" in message
+
+
+def test_grams_in_a_kilogram_parameter_are_recognised():
+    assert "wrong unit prefix" in complaint(Parameters, {"wire.mass": 0.091})
+
+
+@pytest.mark.parametrize("value", ["2.7 ohm", None, True, [2.7], {"a": 1}])
+def test_a_value_that_is_no_number_is_refused_with_its_unit(value):
+    assert "expected a number in ohm" in complaint(Parameters, {"wire.resistance": value})
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_a_value_that_is_not_finite_is_refused(value):
+    assert "expected a finite number" in complaint(Parameters, {"wire.resistance": value})
+
+
+def test_a_transition_that_ends_before_it_starts_is_refused():
+    message = complaint(Parameters, {"wire.austenite_start_temperature": 360.0})
+    assert "wire.austenite_start_temperature 360 K must lie below" in message
+
+
+def test_channels_and_sides_must_pair_up():
+    message = complaint(Parameters, {"bench.channels": ["a", "b"]})
+    assert "bench.channel_sides has 1 entries, expected 2" in message
+
+
+def test_uncertainty_falls_back_to_the_table_and_can_be_given():
+    p = Parameters.defaults()
+    assert p.std("wire.resistance") == 0.03
+    assert p.replace(uncertainty={"wire.resistance": 0.001}).std("wire.resistance") == 0.001
+    assert "expected a standard deviation" in complaint(
+        p.replace, uncertainty={"wire.resistance": -1.0}
+    )
+    assert "has no uncertainty" in complaint(p.std, "bench.maximum_voltage")
+
+
+def test_replace_keeps_what_was_given_before():
+    p = Parameters({"wire.mass": 1e-4}).replace({"wire.resistance": 3.0})
+    assert (p["wire.mass"], p["wire.resistance"]) == (1e-4, 3.0)
+    assert p.given == {"wire.mass", "wire.resistance"}
+
+
+@given(st.data())
+def test_a_written_file_reads_back_the_same(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("round") / "p.yaml"
+    chosen = data.draw(st.lists(st.sampled_from(NUMBERS), unique=True, max_size=5))
+    values = {
+        p.name: data.draw(st.floats(p.low, p.high))
+        for p in chosen
+        if not p.name.endswith(("start_temperature", "finish_temperature"))
+    }
+    stds = {name: data.draw(st.floats(0, 10)) for name in values if "bench." not in name}
+    original = Parameters(values, stds)
+    write_parameters(path, original)
+    again = read_parameters(path)
+    assert dict(again) == dict(original)
+    assert again.given_uncertainty == original.given_uncertainty
+
+
+def test_numbers_are_written_as_ros_reads_doubles(tmp_path):
+    path = tmp_path / "p.yaml"
+    write_parameters(path, Parameters({"wire.mass": 1e-4, "bench.maximum_voltage": 8}))
+    body = yaml.safe_load(path.read_text())["/**"]["ros__parameters"]
+    assert body["wire"]["mass"] == 1e-4 and isinstance(body["wire"]["mass"], float)
+    assert isinstance(body["bench"]["maximum_voltage"], float)
+
+
+def test_flat_and_nested_names_are_the_same(tmp_path):
+    nested = write(tmp_path, "/**:\n  ros__parameters:\n    wire:\n      resistance: 3.0\n")
+    assert read_parameters(nested)["wire.resistance"] == 3.0
+    flat = write(tmp_path, "/**:\n  ros__parameters:\n    wire.resistance: 3.0\n")
+    assert read_parameters(flat)["wire.resistance"] == 3.0
+
+
+def test_a_number_without_a_decimal_point_but_an_exponent_is_a_number_as_in_ros(tmp_path):
+    path = write(tmp_path, "/**:\n  ros__parameters:\n    wire.mass: 1e-4\n")
+    assert read_parameters(path)["wire.mass"] == 1e-4
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("simulator:\n  ros__parameters:\n    wire.mass: 1e-4\n", "no '/**: ros__parameters:'"),
+        ("/**:\n  wire.mass: 1e-4\n", "expected a ros__parameters mapping"),
+        ("a: [1\n", "not YAML"),
+        ("just text\n", "expected a ROS parameter file"),
+        ("/**:\n  ros__parameters:\n    wire.resistance: 2.7 ohm\n", "expected a number in ohm"),
+        ("/**:\n  ros__parameters:\n    wirre.resistance: 2.7\n", "unknown parameter"),
+    ],
+)
+def test_a_bad_file_gives_one_line_that_names_it(tmp_path, text, expected):
+    path = write(tmp_path, text)
+    message = complaint(read_parameters, path)
+    assert message.startswith(str(path)) and expected in message
+
+
+def test_a_file_that_is_not_there_or_not_text_gives_one_line(tmp_path):
+    assert "cannot read" in complaint(read_parameters, tmp_path / "none.yaml")
+    binary = tmp_path / "b.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    assert "not a text file" in complaint(read_parameters, binary)
+
+
+def test_a_folder_that_cannot_be_written_leaves_the_good_file_alone(tmp_path):
+    good = tmp_path / "good.yaml"
+    write_parameters(good, Parameters.defaults())
+    before = good.read_text()
+    message = complaint(write_parameters, tmp_path / "none" / "p.yaml", Parameters.defaults())
+    assert "cannot write" in message
+    assert good.read_text() == before
+    assert os.listdir(tmp_path) == ["good.yaml"]
+
+
+def test_the_page_documents_every_parameter():
+    page = parameter_page({})
+    assert [p.name for p in TABLE if f"| `{p.name}` |" not in page] == []

@@ -1,0 +1,204 @@
+"""The rooms of the house: who may import whom, and that ruff and mypy agree with the code."""
+
+import ast
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "sma_bench"
+LONGEST_FILE = 350
+
+# Every room (folder or file of the package) and the rooms that it may import.
+LEAVES = {"errors", "findings"}
+ARROWS = {
+    "errors": set(),
+    "findings": set(),
+    "share": {"errors"},
+    "parameters": LEAVES,
+    "protocols": LEAVES | {"parameters", "share"},
+    "physics": LEAVES | {"parameters"},
+    "records": LEAVES | {"parameters"},
+    "identify": LEAVES | {"records", "physics", "parameters"},
+    "hardware": LEAVES | {"parameters"},
+    "report": LEAVES | {"identify", "records", "physics", "parameters"},
+}
+ABOVE_ALL = {"nodes", "commands", "cli"}  # these use everything, and nothing below uses them
+USES_ROS = "nodes"
+ROS = {"rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py"}
+ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
+
+
+# --- the checker --------------------------------------------------------------------------------
+
+
+def modules(root: Path) -> dict[str, Path]:
+    """Dotted name of every module below root/sma_bench."""
+    found = {}
+    for path in sorted((root / PACKAGE).rglob("*.py")):
+        parts = path.relative_to(root).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
+    """Dotted names that a module imports, anywhere in it, whether absolute or relative."""
+    package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module.split(".") if node.module else []
+            if node.level:
+                base = package[: len(package) - node.level + 1] + base
+            for alias in node.names:
+                full = ".".join([*base, alias.name])
+                yield full if full in known else ".".join(base)
+
+
+def room(name: str) -> str:
+    """`physics` of `sma_bench.physics.heat`; the package itself is the room ''."""
+    return name.partition(".")[2].partition(".")[0]
+
+
+def is_ros(name: str) -> bool:
+    top = name.partition(".")[0]
+    return top in ROS or top.endswith(ROS_ENDINGS)
+
+
+def violations(root: Path, arrows: dict[str, set[str]] = ARROWS) -> list[str]:
+    """Everything below root/sma_bench that breaks the rules of the house, a line each."""
+    known = modules(root)
+    graph: dict[str, set[str]] = {}
+    broken = []
+    for name, path in known.items():
+        here = room(name)
+        if here and here not in arrows and here not in ABOVE_ALL:
+            broken.append(f"{name}: the room {here} is not in the table of arrows")
+            continue
+        graph[name] = set()
+        for target in imports(name, path, known):
+            if is_ros(target) and here != USES_ROS:
+                broken.append(f"{name} imports {target}: only {USES_ROS} knows ROS")
+            if target.partition(".")[0] != PACKAGE:
+                continue
+            graph[name].add(target)
+            there = room(target)
+            free = here in ABOVE_ALL or there in ("", here)
+            if not free and there not in arrows.get(here, set()):
+                broken.append(f"{name} imports {target}: no arrow from {here} to {there}")
+        broken += _shape(name, path)
+    return broken + _circles(graph)
+
+
+def _shape(name: str, path: Path) -> Iterator[str]:
+    length = len(path.read_text().splitlines())
+    if length > LONGEST_FILE:
+        yield f"{name} has {length} lines, more than {LONGEST_FILE}"
+    if path.stem in ("utils", "util", "helpers", "common", "misc"):
+        yield f"{name}: a file is named after what it holds"
+
+
+def _circles(graph: dict[str, set[str]]) -> list[str]:
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return ["circular import: " + " <- ".join(error.args[1])]
+    return []
+
+
+# --- the house ----------------------------------------------------------------------------------
+
+
+def test_rooms_import_only_along_the_arrows() -> None:
+    assert violations(ROOT) == []
+
+
+def test_the_arrows_themselves_run_one_way() -> None:
+    assert _circles(ARROWS) == []
+
+
+def test_bench_fits_in_the_head() -> None:
+    assert len((ROOT / "bench").read_text().splitlines()) <= LONGEST_FILE
+
+
+# --- the checker can fail -----------------------------------------------------------------------
+
+
+BAD_TREES = {
+    "against the arrow": (
+        {"physics/heat.py": "from sma_bench.identify import fit"},
+        "no arrow from physics to identify",
+    ),
+    "against the arrow, relative": (
+        {"physics/heat.py": "from ..records import read_record"},
+        "no arrow from physics to records",
+    ),
+    "against the arrow, inside a function": (
+        {"records/read.py": "def f():\n    import sma_bench.cli"},
+        "no arrow from records to cli",
+    ),
+    "room named by its package": (
+        {"physics/heat.py": "from .. import nodes", "nodes/__init__.py": ""},
+        "no arrow from physics to nodes",
+    ),
+    "ROS below the nodes": (
+        {"hardware/link.py": "def f():\n    from sensor_msgs.msg import Temperature"},
+        "only nodes knows ROS",
+    ),
+    "circle of two modules": (
+        {"physics/a.py": "from .b import y", "physics/b.py": "from . import a"},
+        "circular import",
+    ),
+    "room without a line in the table": ({"attic/box.py": ""}, "not in the table"),
+    "utils": ({"physics/utils.py": ""}, "named after what it holds"),
+    "long file": ({"physics/long.py": "x = 1\n" * 351}, "351 lines"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TREES)
+def test_a_broken_rule_is_found(case: str, tmp_path: Path) -> None:
+    files, expected = BAD_TREES[case]
+    found = violations(make_tree(tmp_path, files))
+    assert len(found) == 1
+    assert expected in found[0]
+
+
+def test_a_tidy_tree_passes(tmp_path: Path) -> None:
+    files = {
+        "__init__.py": "",
+        "errors.py": "class InputError(ValueError): ...",
+        "physics/__init__.py": "from .heat import warm",
+        "physics/heat.py": "import numpy\nfrom ..errors import InputError\nfrom . import phase",
+        "physics/phase.py": "from sma_bench import __version__",
+        "nodes/simulator.py": "import rclpy\nfrom sma_bench.physics import warm",
+        "cli.py": "from sma_bench.nodes import simulator",
+    }
+    assert violations(make_tree(tmp_path, files)) == []
+
+
+def make_tree(root: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        path = root / PACKAGE / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return root
+
+
+# --- the tools ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", [["ruff", "check", "."], ["mypy"]], ids=["ruff", "mypy"])
+def test_tool_finds_nothing(arguments: list[str]) -> None:
+    if importlib.util.find_spec(arguments[0]) is None:
+        pytest.skip(f"{arguments[0]} is not installed")
+    process = subprocess.run(
+        [sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if process.returncode:
+        pytest.fail(process.stdout + process.stderr, pytrace=False)
