@@ -1,0 +1,160 @@
+"""Which storage files make up a bag, and what its metadata.yaml says about them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import yaml
+
+from sma_bench.errors import InputError
+from sma_bench.records import mcap_scan, sqlite_scan
+from sma_bench.records.compression import ZSTD_MAGIC, decompress_file
+from sma_bench.records.harvest import Harvest
+
+METADATA = "metadata.yaml"
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_SCANNERS = {
+    mcap_scan.MAGIC: mcap_scan.scan_mcap,
+    sqlite_scan.MAGIC: sqlite_scan.scan_sqlite,
+}
+_SCANNERS_BY_SUFFIX = {".mcap": mcap_scan.scan_mcap, ".db3": sqlite_scan.scan_sqlite}
+_LARGEST_METADATA = 1 << 24
+
+
+@dataclass
+class BagFiles:
+    """Storage files in order, and the message counts promised by the metadata."""
+
+    files: list[Path]
+    promised: dict[str, int] = field(default_factory=dict)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is meant to be a bag: a folder, or a file with a storage's content or name."""
+    if path.is_dir():
+        return True
+    head = first_bytes(path)
+    return path.name.endswith(_SUFFIXES) or head.startswith((*_SCANNERS, ZSTD_MAGIC))
+
+
+def first_bytes(path: Path) -> bytes:
+    """The first 16 bytes of a file.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(16)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def find_bag_files(path: Path, harvest: Harvest) -> BagFiles:
+    """The storage files of a bag folder or of a bare storage file.
+
+    Raises:
+        InputError: nothing there, not a bag, or no metadata.yaml in the folder.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        if not is_bag(path):
+            raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file")
+        return BagFiles([path])
+    try:
+        present = sorted(p for p in path.iterdir() if p.name.endswith(_SUFFIXES) and p.is_file())
+        exists = (path / METADATA).is_file()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not exists:
+        raise InputError(f"{path}: {_without_metadata(present)}")
+    return _from_metadata(path, present, harvest)
+
+
+def _without_metadata(present: list[Path]) -> str:
+    if not present:
+        return f"not a bag: the folder holds no {METADATA} and no .mcap or .db3 file"
+    return f"no {METADATA} in the folder; its storage file can be opened by itself: {present[0]}"
+
+
+def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFiles:
+    try:
+        information = _load(path / METADATA)["rosbag2_bagfile_information"]
+        names = [PurePath(name).name for name in information["relative_file_paths"]]
+        promised: dict[str, int] = {}
+        for entry in information.get("topics_with_message_count") or ():
+            topic = str(entry["topic_metadata"]["name"])
+            promised[topic] = promised.get(topic, 0) + int(entry["message_count"])
+    except _METADATA_ERRORS:
+        text = "cannot be understood; the storage files found beside it are read"
+        harvest.lost(METADATA, text)
+        return BagFiles(present)
+    files = [path / name for name in names]
+    for missing in (file for file in files if not file.is_file()):
+        text = f"the storage file {missing.name} is missing; the others are read"
+        harvest.lost(missing.name, text)
+    for extra in present:
+        if extra not in files:
+            # A recorder that died right after a split has not listed its newest file.
+            text = f"not listed in {METADATA}; read all the same"
+            harvest.lost(extra.name, text)
+            files.append(extra)
+    return BagFiles([file for file in files if file.is_file()], promised)
+
+
+_METADATA_ERRORS = (
+    OSError,
+    yaml.YAMLError,
+    RecursionError,
+    KeyError,
+    TypeError,
+    ValueError,
+    AttributeError,
+)
+
+
+def _load(file: Path) -> Any:
+    if file.stat().st_size > _LARGEST_METADATA:
+        raise ValueError("too large")
+    return yaml.safe_load(file.read_bytes())
+
+
+def scan_files(files: list[Path], harvest: Harvest) -> None:
+    """Gather the messages of all storage files; what cannot be read becomes a finding."""
+    for file in files:
+        try:
+            with _plain(file, harvest) as plain:
+                _scanner(file, plain)(plain, harvest)
+        except OSError as error:
+            harvest.lost(file.name, f"cannot be read: {error.strerror or error}")
+
+
+@contextmanager
+def _plain(file: Path, harvest: Harvest) -> Iterator[Path]:
+    """The file itself, or a temporary copy without its file compression."""
+    with file.open("rb") as opened:
+        compressed = opened.read(4) == ZSTD_MAGIC or file.name.endswith(".zstd")
+    if not compressed:
+        yield file
+        return
+    with TemporaryDirectory() as folder:
+        plain = Path(folder, file.name.removesuffix(".zstd"))
+        if not decompress_file(file, plain):
+            text = "the zstd compression is broken or cut short; read up to there"
+            harvest.lost(file.name, text)
+        yield plain
+
+
+def _scanner(file: Path, plain: Path) -> Any:
+    """By content; by name where the content's beginning is damaged."""
+    with plain.open("rb") as opened:
+        head = opened.read(16)
+    for magic, scanner in _SCANNERS.items():
+        if head.startswith(magic):
+            return scanner
+    suffix = Path(file.name.removesuffix(".zstd")).suffix
+    return _SCANNERS_BY_SUFFIX.get(suffix, mcap_scan.scan_mcap)

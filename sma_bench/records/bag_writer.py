@@ -1,0 +1,234 @@
+"""Writes a bag message by message so that it can be read whenever the writer dies."""
+
+import errno
+import sqlite3
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import yaml
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rosbags.rosbag2.errors import WriterError
+
+from sma_bench.errors import InputError
+from sma_bench.records.messages import TYPES
+
+STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+
+_FORMAT_VERSION: Literal[9] = 9
+# Half of the second that may be lost, so that a message is on its way to the disk in time even
+# when the next one is late.
+_FLUSH_EVERY = 0.5
+
+
+class BagWriter:
+    """A bag that grows while it is recorded.
+
+    Messages go into chunks; a chunk is closed and handed to the operating system every half
+    second while messages come in, and by `flush`, which a recorder calls from a timer so that the
+    last messages before a silence are safe too. metadata.yaml is there from the start and kept up
+    with every flush. Methods may be called from several threads.
+
+    A killed mcap lacks its index: `read_record` (and `mcap recover`) read it whole. An sqlite3
+    bag is written in one transaction and exists only once closed: not for live recording.
+
+    Raises:
+        InputError: the path exists, cannot be made, or (while writing) the disk is full. What was
+            written until then stays readable.
+    """
+
+    def __init__(self, path: str | Path, storage: str = "mcap", compress: bool = True) -> None:
+        self.path = Path(path)
+        if storage not in STORAGES:
+            raise InputError(f"storage {storage!r}: expected one of {', '.join(STORAGES)}")
+        if self.path.exists():
+            raise InputError(f"{self.path}: exists already, expected a new path for the bag")
+        if storage == "sqlite3" and set(str(self.path)) & set("?#%"):
+            raise InputError(f"{self.path}: sqlite3 cannot write a path with ?, # or % in it")
+        self.count = 0
+        self._connections: dict[str, Connection] = {}
+        self._lock = threading.RLock()
+        self._failure: InputError | None = None
+        self._closed = False
+        self._next_flush = 0.0
+        self._writer = Writer(self.path, version=_FORMAT_VERSION, storage_plugin=STORAGES[storage])
+        self._live = storage == "mcap"
+        if compress and self._live:
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with self._disk():
+            try:
+                self._writer.open()
+            except WriterError as error:
+                raise InputError(f"{self.path}: {error}") from None
+        self.flush()
+
+    def add_topic(self, topic: str, msgtype: str) -> None:
+        """Announce a topic, `sensor_msgs/msg/Temperature` say; again is harmless.
+
+        Raises:
+            InputError: the type is not one of ROS 2 Jazzy, or not the topic's.
+        """
+        with self._lock:
+            known = self._connections.get(topic)
+            if known is not None:
+                if known.msgtype != msgtype:
+                    raise InputError(f"topic {topic}: type {msgtype}, expected {known.msgtype}")
+                return
+            if msgtype not in TYPES.fielddefs:
+                raise InputError(f"topic {topic}: unknown message type {msgtype}")
+            with self._disk():
+                self._connections[topic] = self._writer.add_connection(
+                    topic, msgtype, typestore=TYPES
+                )
+
+    def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append one serialised message, received at `stamp_ns` since the epoch.
+
+        Raises:
+            InputError: unknown topic, or the disk does not take it.
+        """
+        if topic not in self._connections:
+            raise InputError(f"topic {topic}: not announced, expected add_topic first")
+        if stamp_ns < 0:
+            raise InputError(f"topic {topic}: stamp {stamp_ns} ns, expected one after 1970")
+        with self._lock, self._disk():
+            self._writer.write(self._connections[topic], int(stamp_ns), data)
+            self.count += 1
+            if self._live and time.monotonic() >= self._next_flush:
+                self.flush()
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system."""
+        with self._lock, self._disk():
+            storage: Any = self._writer.storage
+            if self._live:
+                if storage.chunk.bio.tell():
+                    storage.close_chunk()
+                storage.bio.flush()
+            self._write_metadata()
+            self._next_flush = time.monotonic() + _FLUSH_EVERY
+
+    def close(self) -> None:
+        """Finish the bag with its index; again is harmless."""
+        with self._lock:
+            if self._closed:
+                return
+            try:
+                if self._failure is None:
+                    with self._disk():
+                        self._writer.close()
+            finally:
+                self._closed = True
+                self._abandon()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            with suppress(InputError):
+                self.close()
+
+    def _disk(self) -> "_DiskErrors":
+        if self._failure is not None:
+            raise self._failure
+        if self._closed:
+            raise InputError(f"{self.path}: closed, expected an open bag to write to")
+        return _DiskErrors(self)
+
+    def fail(self, error: OSError | sqlite3.Error) -> InputError:
+        """Remember why the bag ends here; the error to raise, now and from every later call."""
+        full = isinstance(error, OSError) and error.errno == errno.ENOSPC
+        reason = "the disk is full" if full else getattr(error, "strerror", None) or error
+        self._failure = InputError(
+            f"{self.path}: cannot be written: {reason}; what was written until then can be read"
+        )
+        return self._failure
+
+    def _abandon(self) -> None:
+        """Close a storage file that is still open; a full disk does not take its buffer."""
+        storage: Any = self._writer.storage
+        if storage is not None and self._live:
+            with suppress(OSError):
+                storage.bio.raw.close()
+        with suppress(Exception):
+            self._writer.abort()
+
+    def _write_metadata(self) -> None:
+        target = self.path / "metadata.yaml"
+        beside = self.path / "metadata.yaml.new"
+        beside.write_text(self._metadata(), encoding="utf-8")
+        beside.replace(target)
+
+    def _metadata(self) -> str:
+        writer: Any = self._writer
+        count = sum(writer.counts.values())
+        start = {"nanoseconds_since_epoch": writer.min_timestamp if count else 0}
+        duration = {"nanoseconds": writer.max_timestamp - writer.min_timestamp if count else 0}
+        name = writer.storage.path.name
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": connection.topic,
+                    "type": connection.msgtype,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [],
+                    "type_description_hash": connection.digest,
+                },
+                "message_count": writer.counts[connection.id],
+            }
+            for connection in self._connections.values()
+        ]
+        information = {
+            "version": _FORMAT_VERSION,
+            "storage_identifier": "mcap" if self._live else "sqlite3",
+            "duration": duration,
+            "starting_time": start,
+            "message_count": count,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [name],
+            "files": [
+                {
+                    "path": name,
+                    "starting_time": start,
+                    "duration": duration,
+                    "message_count": count,
+                }
+            ],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
+        return yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+
+
+class _DiskErrors:
+    """Turns what the disk refuses into one line, and stops the writer there."""
+
+    def __init__(self, writer: BagWriter) -> None:
+        self.writer = writer
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, (OSError, sqlite3.Error)):
+            raise self.writer.fail(error) from None

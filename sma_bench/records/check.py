@@ -1,0 +1,232 @@
+"""Can this record be trusted? Order, gaps, clocks, units, saturation, what is absent."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sma_bench.findings import Finding, Severity
+from sma_bench.records.record import FloatArray, Record, Signal
+
+# At 5 % random losses ten in a row do not happen; a stalled driver does.
+_GAP_PERIODS = 10
+_LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2
+_CLOCK_TOLERANCE = 0.1
+_DRIFT_TOLERANCE = 0.05
+_FUTURE_TOLERANCE = 0.01
+_FLAT_SAMPLES = 20
+_ENTRY_SAMPLES = 3
+_ENTRY_FRACTION = 0.01
+
+# Signal -> (lowest, highest believable magnitude in SI, what a value beyond it suggests).
+_BELIEVABLE: dict[str, tuple[float, float, str]] = {
+    "voltage": (-60.0, 60.0, "millivolts?"),
+    "voltage_command": (-60.0, 60.0, "millivolts?"),
+    "current": (-30.0, 30.0, "milliamperes?"),
+    "range": (0.0, 5.0, "millimetres?"),
+    "deflection": (-1.0, 1.0, "millimetres?"),
+    "elongation": (-1.0, 1.0, "millimetres?"),
+    "force": (-5000.0, 5000.0, "millinewtons?"),
+}
+# A wire at rest is at room temperature; 296 on a Celsius topic reads as 569 K.
+_COLDEST_REST_TOO_WARM = 473.15
+_MECHANICS = ("deflection", "elongation", "force", "front.range", "back.range")
+_EVENTS = ("voltage_command",)
+
+
+def check_record(record: Record) -> list[Finding]:
+    """Everything to know before using a record, what the reader noticed included."""
+    found = list(record.findings)
+    for check in (_absent, _order, _missing_values, _rate, _clocks, _units, _saturation):
+        found += check(record)
+    return found
+
+
+def _kind(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def _absent(record: Record) -> Iterator[Finding]:
+    if not record.signals:
+        return
+    for channel in record.channels:
+        for kind in ("voltage", "current", "temperature"):
+            if f"{channel}.{kind}" not in record.signals:
+                yield Finding("info", f"{channel}.{kind}", "absent from the record")
+    if not record.channels:
+        yield Finding("warning", "record", "no channel: neither voltages nor temperatures")
+    if not any(name in record.signals for name in _MECHANICS):
+        yield Finding("info", "record", f"no mechanical signal ({', '.join(_MECHANICS)})")
+
+
+def _order(record: Record) -> Iterator[Finding]:
+    """For records made in memory; a bag's signals are in order when they get here."""
+    for signal in record.signals.values():
+        steps = np.diff(signal.time)
+        backward, repeated = int(np.sum(steps < 0)), int(np.sum(steps == 0))
+        if backward or repeated:
+            text = f"{backward} stamps go backward, {repeated} repeat the one before"
+            numbers = {"backward": float(backward), "duplicates": float(repeated)}
+            yield Finding("warning", signal.name, text, numbers)
+
+
+def _missing_values(record: Record) -> Iterator[Finding]:
+    for signal in record.signals.values():
+        count = int(np.count_nonzero(~np.isfinite(signal.values)))
+        if count:
+            text = f"{count} of {signal.values.size} values are NaN or Inf"
+            yield Finding("warning", signal.name, text, {"count": count})
+
+
+def _rate(record: Record) -> Iterator[Finding]:
+    for signal in record.signals.values():
+        period = signal.period
+        if len(signal) < 10 or signal.name in _EVENTS or not period > 0:
+            continue
+        steps = np.diff(signal.time)
+        gaps = steps > _GAP_PERIODS * period
+        if gaps.any():
+            longest = int(np.argmax(steps))
+            text = (
+                f"{int(gaps.sum())} gaps of more than {_GAP_PERIODS} periods, the longest "
+                f"{steps[longest]:.3g} s at t = {signal.time[longest]:.3f} s"
+            )
+            numbers = {"gaps": float(gaps.sum()), "longest": float(steps[longest])}
+            yield Finding("warning", signal.name, text, numbers)
+        lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
+        fraction = lost / (lost + len(signal))
+        if fraction > _LOSS_TOLD:
+            severity: Severity = "warning" if fraction > _LOSS_WARNED else "info"
+            text = f"about {100 * fraction:.1f} % of the samples are missing at {1 / period:.4g} Hz"
+            yield Finding(severity, signal.name, text, {"fraction": fraction})
+
+
+def _delays(record: Record) -> dict[str, tuple[float, float, float]]:
+    """Receive time minus stamp by topic: median, in the first tenth, in the last tenth."""
+    delays = {}
+    for signal in record.signals.values():
+        if signal.received is None or signal.name in _EVENTS or not len(signal):
+            continue
+        delay = signal.received - signal.time
+        tenth = max(1, len(delay) // 10)
+        parts = (delay, delay[:tenth], delay[-tenth:])
+        median, first, last = (float(np.median(part)) for part in parts)
+        delays[signal.topic or signal.name] = median, first, last
+    return delays
+
+
+def _clocks(record: Record) -> Iterator[Finding]:
+    delays = _delays(record)
+    if not delays:
+        return
+    medians, firsts, lasts = (np.array(column) for column in zip(*delays.values(), strict=True))
+    common, common_drift = float(np.median(medians)), float(np.median(lasts - firsts))
+    if abs(common_drift) > _DRIFT_TOLERANCE:
+        text = f"stamps and receive times drift apart by {common_drift:.3f} s over the record"
+        yield Finding("info", "record", text, {"drift": common_drift})
+    for topic, (median, first, last) in delays.items():
+        drift = last - first - common_drift
+        if abs(median - common) > _CLOCK_TOLERANCE:
+            text = (
+                f"its clock is {median - common:+.3f} s off the other topics' (receive time "
+                f"minus stamp is {median:.3f} s, elsewhere {common:.3f} s)"
+            )
+            yield Finding("warning", topic, text, {"offset": median - common})
+        elif abs(drift) > _DRIFT_TOLERANCE:
+            text = f"its clock drifts by {drift:+.3f} s against the other topics' over the record"
+            yield Finding("warning", topic, text, {"drift": drift})
+        elif -1.0 < median < -_FUTURE_TOLERANCE:
+            text = f"stamps lie {-median:.3f} s after the messages were received"
+            yield Finding("warning", topic, text, {"offset": median})
+
+
+def _units(record: Record) -> Iterator[Finding]:
+    for signal in record.signals.values():
+        kind, finite = _kind(signal.name), signal.values[np.isfinite(signal.values)]
+        if not len(finite):
+            continue
+        low, high = float(finite.min()), float(finite.max())
+        if kind == "temperature":
+            yield from _temperature_sense(signal.name, low, high)
+        elif kind in _BELIEVABLE:
+            least, most, guess = _BELIEVABLE[kind]
+            if low < least or high > most:
+                text = f"{low:.4g} to {high:.4g} {signal.unit} is beyond belief; in {guess}"
+                yield Finding("warning", signal.name, text, {"low": low, "high": high})
+
+
+def _temperature_sense(name: str, low: float, high: float) -> Iterator[Finding]:
+    numbers = {"low": low, "high": high}
+    if low > _COLDEST_REST_TOO_WARM:
+        text = (
+            f"never below {low - 273.15:.1f} degC; the topic seems to carry kelvin, the contract "
+            "(and sensor_msgs/Temperature) says Celsius"
+        )
+        yield Finding("error", name, text, numbers)
+    elif low < 0:
+        text = f"{low - 273.15:.1f} degC lies below absolute zero"
+        yield Finding("error", name, text, numbers)
+
+
+def _saturation(record: Record) -> Iterator[Finding]:
+    driven = any(np.ptp(s.values) > 0.1 for n, s in record.signals.items() if _is_voltage(n, s))
+    for signal in record.signals.values():
+        values = signal.values
+        if _kind(signal.name) in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
+            continue
+        if not np.isfinite(values).all():
+            continue
+        if np.ptp(values) == 0:
+            if driven and _kind(signal.name) != "current" and signal.name != "ambient.temperature":
+                text = f"stays at {values[0]:.6g} {signal.unit} while the voltage changes"
+                yield Finding("warning", signal.name, text, {"value": float(values[0])})
+            continue
+        for extreme, word in ((values.max(), "highest"), (values.min(), "lowest")):
+            clipped = _clipped_samples(record, signal, float(extreme))
+            if clipped:
+                text = f"{clipped} samples are clipped at the {word} value {extreme:.6g}"
+                text += f" {signal.unit}"
+                numbers = {"samples": float(clipped), "value": float(extreme)}
+                yield Finding("warning", signal.name, text, numbers)
+
+
+def _is_voltage(name: str, signal: Signal) -> bool:
+    return _kind(name) == "voltage" and len(signal) > 0
+
+
+def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
+    """Samples in flat stretches at an extreme that the signal ran into at speed.
+
+    A signal that settles slows down before; one that is clipped does not. A current jumps with
+    its voltage, so for it flat means flat while the voltage moves.
+    """
+    values = signal.values
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False]))))
+    span = float(np.ptp(values))
+    total = 0
+    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if stop - start < _FLAT_SAMPLES:
+            continue
+        if _kind(signal.name) == "current":
+            clipped = _voltage_moves(record, signal, start, stop)
+        else:
+            before = values[max(0, start - _ENTRY_SAMPLES) : start]
+            after = values[stop : stop + _ENTRY_SAMPLES]
+            clipped = _approach(before, extreme, span) or _approach(after, extreme, span)
+        total += (stop - start) * clipped
+    return total
+
+
+def _approach(beside: FloatArray, extreme: float, span: float) -> bool:
+    """Whether the signal moves fast just outside a flat stretch."""
+    if len(beside) < _ENTRY_SAMPLES:
+        return False
+    return bool(np.abs(beside - extreme).max() > _ENTRY_FRACTION * span)
+
+
+def _voltage_moves(record: Record, current: Signal, start: int, stop: int) -> bool:
+    voltage = record.get(current.name.removesuffix("current") + "voltage")
+    if voltage is None or not np.any(current.values[start:stop]):
+        return False
+    first, last = current.time[start], current.time[stop - 1]
+    inside = voltage.values[(voltage.time >= first) & (voltage.time <= last)]
+    return len(inside) > 1 and bool(np.ptp(inside) > 0.05 * np.ptp(voltage.values))

@@ -1,0 +1,93 @@
+"""Decompression with a limit on the output and with salvage of broken input."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import zstandard
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+# Small pieces keep the output small (a zstd block makes 128 KiB from 4 bytes) and lose little of
+# what lies before an error.
+_PIECE = 4096
+_LARGEST_MESSAGE = 1 << 26
+
+
+def decompress_zstd(data: bytes, limit: int) -> tuple[bytes, bool]:
+    """Decompress one frame, as far as it goes.
+
+    Returns:
+        The output, at most `limit` bytes and one block, and whether the frame was whole.
+    """
+    decompressor = zstandard.ZstdDecompressor()
+    try:
+        if 0 <= zstandard.frame_content_size(data) <= limit:
+            return decompressor.decompress(data), True
+    except (zstandard.ZstdError, MemoryError):
+        pass
+    stream = decompressor.decompressobj()
+    output, size = [], 0
+    try:
+        for start in range(0, len(data), _PIECE):
+            if size > limit or stream.eof:
+                break
+            output.append(stream.decompress(data[start : start + _PIECE]))
+            size += len(output[-1])
+    except (zstandard.ZstdError, MemoryError):
+        return b"".join(output), False
+    return b"".join(output), stream.eof and size <= limit
+
+
+def decompress_lz4(data: bytes, limit: int) -> tuple[bytes, bool]:
+    """Decompress one lz4 frame, as far as it goes; nothing where lz4 is not installed."""
+    try:
+        import lz4.frame
+    except ImportError:
+        return b"", False
+    stream = lz4.frame.LZ4FrameDecompressor()
+    output, size = [], 0
+    try:
+        for start in range(0, len(data), _PIECE):
+            if size > limit or stream.eof:
+                break
+            output.append(stream.decompress(data[start : start + _PIECE]))
+            size += len(output[-1])
+    except (RuntimeError, MemoryError, EOFError):
+        return b"".join(output), False
+    return b"".join(output), stream.eof and size <= limit
+
+
+def decompress_file(source: Path, target: Path) -> bool:
+    """Decompress a zstd file as far as it goes; False when it is broken or cut short."""
+    decompressor = zstandard.ZstdDecompressor()
+    stream = decompressor.decompressobj()
+    with source.open("rb") as compressed, target.open("wb") as output:
+        try:
+            while piece := compressed.read(_PIECE):
+                while piece:
+                    if stream.eof:
+                        stream = decompressor.decompressobj()
+                    output.write(stream.decompress(piece))
+                    piece = stream.unused_data if stream.eof else b""
+        except (zstandard.ZstdError, MemoryError):
+            return False
+    return stream.eof
+
+
+def decompress_messages(blobs: Sequence[bytes]) -> tuple[list[bytes], int]:
+    """Messages of a bag with per-message compression.
+
+    Returns:
+        The messages, those that cannot be decompressed as empty bytes, and how many those are.
+    """
+    decompressor = zstandard.ZstdDecompressor()
+    messages, broken = [], 0
+    for blob in blobs:
+        try:
+            if zstandard.frame_content_size(blob) > _LARGEST_MESSAGE:
+                raise zstandard.ZstdError("larger than any message")
+            messages.append(decompressor.decompress(blob, max_output_size=_LARGEST_MESSAGE))
+        except (zstandard.ZstdError, MemoryError):
+            messages.append(b"")
+            broken += 1
+    return messages, broken

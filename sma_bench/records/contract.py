@@ -1,0 +1,124 @@
+"""The topics of the bench contract: which path and type carry which meaning."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+
+BATTERY_STATE = "sensor_msgs/msg/BatteryState"
+TEMPERATURE = "sensor_msgs/msg/Temperature"
+RANGE = "sensor_msgs/msg/Range"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMAGE = "sensor_msgs/msg/Image"
+MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
+STRING = "std_msgs/msg/String"
+
+HEADERLESS = frozenset({MULTI_ARRAY, STRING})
+
+ANY_CHANNEL = "*"
+
+# Path elements at the end of a topic's name, and the type expected there.
+CONTRACT: tuple[tuple[tuple[str, ...], str], ...] = (
+    (("voltage_command",), MULTI_ARRAY),
+    ((ANY_CHANNEL, "power"), BATTERY_STATE),
+    ((ANY_CHANNEL, "temperature"), TEMPERATURE),
+    (("front", "range"), RANGE),
+    (("back", "range"), RANGE),
+    (("joint_states",), JOINT_STATE),
+    (("thermal_image",), IMAGE),
+    (("experiment", "marker"), STRING),
+)
+
+# Turned into temperatures by a node of its own: a record lists images and leaves them alone.
+NOT_DECODED = frozenset({IMAGE})
+
+CELSIUS_ZERO = 273.15
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in the contract a topic's name belongs: `wire/power` under `/lab/rig`, say."""
+
+    meaning: str
+    namespace: str
+    type: str
+
+
+def place_of(topic: str) -> Place | None:
+    """The contract's place for a topic's name, None for other traffic."""
+    parts = [part for part in topic.split("/") if part]
+    for suffix, msgtype in CONTRACT:
+        tail = parts[len(parts) - len(suffix) :]
+        if len(tail) == len(suffix) and all(
+            wanted in (ANY_CHANNEL, part) for wanted, part in zip(suffix, tail, strict=True)
+        ):
+            namespace = "/" + "/".join(parts[: len(parts) - len(suffix)])
+            return Place("/".join(tail), namespace, msgtype)
+    return None
+
+
+def is_decoded(topic: str, msgtype: str) -> bool:
+    """Whether messages of this topic become signals."""
+    place = place_of(topic)
+    return place is not None and place.type == msgtype and msgtype not in NOT_DECODED
+
+
+def inside(topic: str, namespace: str | None) -> bool:
+    """Whether a topic lies under a namespace; everything does under None."""
+    return namespace is None or topic.startswith("/" + namespace.strip("/") + "/")
+
+
+def choose_topics(
+    where: str, counts: Mapping[tuple[str, str], int]
+) -> tuple[dict[str, str], list[Finding]]:
+    """Decide which topic carries which meaning.
+
+    Args:
+        where: the bag's name for messages.
+        counts: number of messages by (topic, type).
+
+    Returns:
+        Topic by meaning (`wire/power`), among those of the expected type, and remarks.
+
+    Raises:
+        InputError: two topics carry the same meaning, or one of the bench's topics has another
+            type than the contract's.
+    """
+    chosen: dict[str, str] = {}
+    strangers: list[tuple[str, str, Place]] = []
+    for (topic, msgtype), count in counts.items():
+        place = place_of(topic)
+        if place is None:
+            continue
+        if msgtype != place.type:
+            strangers.append((topic, msgtype, place))
+            continue
+        other = chosen.get(place.meaning)
+        if other is not None and count and counts[other, msgtype]:
+            first, second = sorted((other, topic))
+            raise InputError(
+                f"{where}: both {first} and {second} could be {place.meaning}, expected one; "
+                "choose with a namespace"
+            )
+        if other is None or count:
+            chosen[place.meaning] = topic
+    return chosen, _judge_strangers(where, chosen, strangers)
+
+
+def _judge_strangers(
+    where: str, chosen: Mapping[str, str], strangers: list[tuple[str, str, Place]]
+) -> list[Finding]:
+    """A wrong type is an error inside the bench's own namespace, other traffic elsewhere."""
+    places = [place for topic in chosen.values() if (place := place_of(topic)) is not None]
+    own = {place.namespace for place in places}
+    findings = []
+    for topic, msgtype, place in strangers:
+        if place.meaning not in chosen and (not own or place.namespace in own):
+            raise InputError(
+                f"{where}: topic {topic} has type {msgtype}, expected {place.type} for "
+                f"{place.meaning}"
+            )
+        text = f"type {msgtype} is not the contract's {place.type}; taken for other traffic"
+        findings.append(Finding("info", topic, text))
+    return findings

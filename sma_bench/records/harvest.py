@@ -1,0 +1,62 @@
+"""What is gathered from the storage files of one bag before any message is decoded."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from sma_bench.findings import Finding
+
+
+@dataclass
+class RawTopic:
+    """Serialised messages of one topic in the order of the file.
+
+    `times` (receive times, ns) and `blobs` stay empty for topics that are only counted.
+    """
+
+    name: str
+    type: str
+    wanted: bool
+    count: int = 0
+    times: list[int] = field(default_factory=list)
+    blobs: list[bytes] = field(default_factory=list)
+
+
+@dataclass
+class Harvest:
+    """Topics of all files of a bag, and what could not be read."""
+
+    wanted: Callable[[str, str], bool]
+    topics: dict[tuple[str, str], RawTopic] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    def topic(self, name: str, msgtype: str, encoding: str = "cdr") -> RawTopic:
+        """The topic to append messages to, created when it is new."""
+        key = _printable(name), _printable(normal_type(msgtype))
+        if key not in self.topics:
+            wanted = self.wanted(*key)
+            if wanted and encoding != "cdr":
+                text = f"messages are encoded as {encoding!r}, expected 'cdr'; not decoded"
+                self.findings.append(Finding("error", name, text))
+                wanted = False
+            self.topics[key] = RawTopic(*key, wanted)
+        return self.topics[key]
+
+    @property
+    def count(self) -> int:
+        """Messages found on all topics."""
+        return sum(topic.count for topic in self.topics.values())
+
+    def lost(self, subject: str, text: str, **numbers: float) -> None:
+        """Note that something of the bag could not be read."""
+        self.findings.append(Finding("warning", subject, text, dict(numbers)))
+
+
+def normal_type(msgtype: str) -> str:
+    """`sensor_msgs/Temperature` written as `sensor_msgs/msg/Temperature`."""
+    parts = msgtype.split("/")
+    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else msgtype
+
+
+def _printable(text: str) -> str:
+    """Names end up in one-line messages; a damaged one may hold anything."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

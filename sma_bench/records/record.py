@@ -1,0 +1,107 @@
+"""The record of one experiment: named signals with units, each on its own clock."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One measured or commanded quantity.
+
+    Attributes:
+        name: contract name, for instance `wire.voltage`.
+        unit: SI unit of `values`.
+        time: (n,) s since the start of the record, strictly increasing when read from a bag.
+        values: (n,) or (n, k); a bag's missing values (NaN) are left out, not kept.
+        received: (n,) s, when the recorder got the message, on the same zero; None if unknown.
+        topic: where it came from, empty for a computed signal.
+    """
+
+    name: str
+    unit: str
+    time: FloatArray
+    values: FloatArray
+    received: FloatArray | None = None
+    topic: str = ""
+
+    def __post_init__(self) -> None:
+        if self.time.ndim != 1 or len(self.values) != len(self.time):
+            raise InputError(
+                f"signal {self.name}: values of shape {self.values.shape} on times of shape "
+                f"{self.time.shape}, expected one value for each time"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def period(self) -> float:
+        """Median time between samples in s; NaN for fewer than two samples."""
+        return float(np.median(np.diff(self.time))) if len(self) > 1 else float("nan")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What a bag says about one topic; `signals` names what was made of it."""
+
+    type: str
+    count: int
+    signals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Record:
+    """Everything read from one bag, or simulated in its place.
+
+    Attributes:
+        path: where it was read from.
+        start_ns: nanoseconds since the epoch of t = 0, the first stamp.
+        signals: by name; what was not measured is absent.
+        markers: (time in s, text) of the protocol steps, in order of time.
+        topics: every topic of the bag by name, decoded or not.
+        findings: what the reader noticed: losses, disorder, values left out.
+    """
+
+    path: Path
+    start_ns: int
+    signals: dict[str, Signal]
+    markers: tuple[tuple[float, str], ...] = ()
+    topics: dict[str, Topic] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    def __getitem__(self, name: str) -> Signal:
+        """The signal called `name`.
+
+        Raises:
+            InputError: the record has no such signal.
+        """
+        try:
+            return self.signals[name]
+        except KeyError:
+            held = ", ".join(sorted(self.signals)) or "no signals"
+            raise InputError(f"{self.path}: no signal {name!r}, the record has {held}") from None
+
+    def get(self, name: str) -> Signal | None:
+        """The signal called `name`, or None."""
+        return self.signals.get(name)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the wires with a voltage, current or temperature, in alphabetical order."""
+        split = (name.rpartition(".") for name in self.signals)
+        found = {head for head, _, tail in split if tail in ("voltage", "current", "temperature")}
+        return tuple(sorted(found - {"ambient"}))
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample in s; 0 for a record without signals."""
+        return max((float(s.time[-1]) for s in self.signals.values() if len(s)), default=0.0)

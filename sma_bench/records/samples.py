@@ -1,0 +1,191 @@
+"""Serialised messages of one topic to stamped columns of numbers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.findings import Finding, Severity
+from sma_bench.records import cdr, contract
+from sma_bench.records.compression import ZSTD_MAGIC, decompress_messages
+from sma_bench.records.harvest import RawTopic
+from sma_bench.records.record import FloatArray, IntArray
+
+# A clock that shows less than a day since 1970 is a simulation's.
+_DAY_NS = 86_400 * 10**9
+
+JOINT_SIGNALS: dict[str, dict[str, str]] = {
+    "tip": {"deflection": "position"},
+    "wire": {"elongation": "position", "force": "effort"},
+}
+
+
+@dataclass
+class Samples:
+    """Decoded messages of one topic, in the order of the bag until sorted.
+
+    Attributes:
+        stamp: (n,) ns, header.stamp; the receive time for header-less types.
+        received: (n,) ns.
+        columns: field -> (n,) or (n, k), NaN where not measured.
+        texts: (n,) strings of a String topic.
+    """
+
+    topic: str
+    type: str
+    stamp: IntArray
+    received: IntArray
+    columns: dict[str, FloatArray] = field(default_factory=dict)
+    texts: NDArray[np.object_] | None = None
+    findings: list[Finding] = field(default_factory=list)
+
+    def keep(self, rows: NDArray[np.bool_] | IntArray) -> None:
+        """Reduce to, or reorder by, the given rows."""
+        self.stamp, self.received = self.stamp[rows], self.received[rows]
+        self.columns = {name: values[rows] for name, values in self.columns.items()}
+        if self.texts is not None:
+            self.texts = self.texts[rows]
+
+    def remark(self, severity: Severity, text: str, **numbers: float) -> None:
+        """Add a finding about this topic."""
+        self.findings.append(Finding(severity, self.topic, text, dict(numbers)))
+
+
+def read_samples(raw: RawTopic) -> Samples:
+    """Decode all messages of one topic; those that cannot be are counted in a finding."""
+    blobs = raw.blobs
+    if any(blob.startswith(ZSTD_MAGIC) for blob in blobs[:10]):
+        blobs, _ = decompress_messages(blobs)
+    n = len(blobs)
+    received = np.array(raw.times, dtype=np.int64)
+    samples = Samples(raw.name, raw.type, received.copy(), received)
+    batches = list(cdr.decode(blobs, raw.type))
+    valid = np.zeros(n, dtype=bool)
+    for batch in batches:
+        valid[batch.rows] = True
+    _COLUMNS[raw.type](samples, batches, n)
+    if raw.type not in contract.HEADERLESS:
+        valid &= _take_stamps(samples, batches)
+    _drop(samples, valid, "cannot be decoded and are left out")
+    if raw.type in contract.HEADERLESS:
+        _drop(samples, _usable_commands(samples), "have the wrong length, NaN or Inf; left out")
+    else:
+        _mend_stamps(samples)
+    return samples
+
+
+def sort_by_stamp(samples: Samples) -> None:
+    """Put the messages in order of their stamps, each stamp once, and say what was wrong."""
+    backward = int(np.count_nonzero(np.diff(samples.stamp) < 0))
+    if backward:
+        text = f"{backward} stamps lie before the stamp received earlier; sorted"
+        samples.remark("warning", text, backward=backward)
+        samples.keep(np.argsort(samples.stamp, kind="stable"))
+    repeated = np.diff(samples.stamp) == 0
+    if samples.texts is None and repeated.any():
+        count = int(np.count_nonzero(repeated))
+        text = f"{count} messages repeat the stamp of another; the first one received is kept"
+        samples.remark("warning", text, duplicates=count)
+        samples.keep(np.concatenate(([True], ~repeated)))
+
+
+def _drop(samples: Samples, keep: NDArray[np.bool_], what: str) -> None:
+    dropped = int(np.count_nonzero(~keep))
+    if dropped:
+        text = f"{dropped} of {len(keep)} messages {what}"
+        samples.remark("warning", text, messages=dropped)
+        samples.keep(keep)
+
+
+def _take_stamps(samples: Samples, batches: list[cdr.Batch]) -> NDArray[np.bool_]:
+    """Fill the stamps; which rows have a possible one."""
+    possible = np.zeros(len(samples.stamp), dtype=bool)
+    for batch in batches:
+        seconds = batch.columns["stamp.sec"][:, 0].astype(np.int64)
+        nanoseconds = batch.columns["stamp.nanosec"][:, 0].astype(np.int64)
+        samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
+        possible[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
+    return possible
+
+
+def _mend_stamps(samples: Samples) -> None:
+    """Deal with messages whose header was never stamped."""
+    unset = (samples.stamp == 0) & (samples.received > _DAY_NS)
+    count = int(np.count_nonzero(unset))
+    if not count:
+        return
+    if count == len(unset):
+        text = "header.stamp is never set; the receive time is used in its place"
+        samples.remark("warning", text, messages=count)
+        samples.stamp = samples.received.copy()
+    elif np.median(samples.stamp) > _DAY_NS:
+        _drop(samples, ~unset, "have no header.stamp and are left out")
+
+
+def _usable_commands(samples: Samples) -> NDArray[np.bool_]:
+    """Commands are taken whole or not at all."""
+    usable = np.ones(len(samples.stamp), dtype=bool)
+    for values in samples.columns.values():
+        usable &= np.isfinite(values).all(axis=1)
+    return usable
+
+
+def _scalars(*names: str) -> Callable[[Samples, list[cdr.Batch], int], None]:
+    def take(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+        for name in names:
+            values = np.full(n, np.nan)
+            for batch in batches:
+                values[batch.rows] = batch.columns[name][:, 0]
+            samples.columns[name] = values
+
+    return take
+
+
+def _joints(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+    """Named joints; the order of the names may change from one message to the next."""
+    for joint, fields in JOINT_SIGNALS.items():
+        if not any(joint in batch.texts["name"] for batch in batches):
+            continue
+        for signal, source in fields.items():
+            values = np.full(n, np.nan)
+            for batch in batches:
+                index = _index(batch.texts["name"], joint)
+                if index is not None and index < batch.columns[source].shape[1]:
+                    values[batch.rows] = batch.columns[source][:, index]
+            samples.columns[signal] = values
+
+
+def _index(names: tuple[str, ...], name: str) -> int | None:
+    return names.index(name) if name in names else None
+
+
+def _array(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+    """Rows of the most common length; the others stay NaN."""
+    rows_by_width: dict[int, int] = {}
+    for batch in batches:
+        width = batch.columns["data"].shape[1]
+        rows_by_width[width] = rows_by_width.get(width, 0) + len(batch.rows)
+    width = max(rows_by_width, key=lambda w: (w > 0, rows_by_width[w]), default=0)
+    values = np.full((n, max(width, 1)), np.nan)
+    for batch in batches:
+        if batch.columns["data"].shape[1] == width > 0:
+            values[batch.rows] = batch.columns["data"]
+    samples.columns["data"] = values
+
+
+def _texts(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+    texts = np.full(n, "", dtype=object)
+    for batch in batches:
+        texts[batch.rows] = batch.texts["data"][0]
+    samples.texts = texts
+
+
+_COLUMNS: dict[str, Callable[[Samples, list[cdr.Batch], int], None]] = {
+    contract.BATTERY_STATE: _scalars("voltage", "current"),
+    contract.TEMPERATURE: _scalars("temperature"),
+    contract.RANGE: _scalars("range", "min_range", "max_range"),
+    contract.JOINT_STATE: _joints,
+    contract.MULTI_ARRAY: _array,
+    contract.STRING: _texts,
+}

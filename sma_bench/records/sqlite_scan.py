@@ -1,0 +1,190 @@
+"""Reads the messages of an sqlite3 storage file, past damaged pages."""
+
+import os
+import shutil
+import sqlite3
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from sma_bench.records.harvest import Harvest, RawTopic
+
+MAGIC = b"SQLite format 3\0"
+
+_BATCH = 5000
+_LAST_ROW = 2**62
+_LARGEST_FILE = 2**38
+_MOST_HOLES = 10_000
+_SIDE_FILES = ("-wal", "-journal")
+
+_Row = tuple[object, object, object, object]
+# A damaged schema can make sqlite3 fail to decode its own error message.
+_READ_ERRORS = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
+
+
+def scan_sqlite(path: Path, harvest: Harvest) -> None:
+    """Add the messages of one sqlite3 file to the harvest.
+
+    Raises:
+        OSError: the file cannot be opened.
+    """
+    announced = _announced_size(path)
+    missing = max(0, announced - path.stat().st_size) if announced <= _LARGEST_FILE else 0
+    if missing:
+        text = f"cut short: {missing} of {announced} bytes are missing"
+        harvest.lost(path.name, text, bytes=missing)
+    if missing or any(_size(path.with_name(path.name + suffix)) for suffix in _SIDE_FILES):
+        _scan_copy(path, announced if missing else 0, harvest)
+    else:
+        _scan(f"{path.resolve().as_uri()}?mode=ro&immutable=1", path.name, harvest)
+
+
+def _announced_size(path: Path) -> int:
+    """Size in bytes according to the file's header."""
+    with path.open("rb") as file:
+        head = file.read(100)
+    if len(head) < 100 or not head.startswith(MAGIC):
+        return 0
+    page_size, pages = struct.unpack_from(">H", head, 16)[0], struct.unpack_from(">I", head, 28)[0]
+    return (65536 if page_size == 1 else page_size) * pages
+
+
+def _scan_copy(path: Path, size: int, harvest: Harvest) -> None:
+    """Scan a copy: sqlite recovers the last transactions of a writer that died in it, and accepts
+    a file that is cut short once its missing pages are there, if only as zeros."""
+    with TemporaryDirectory() as folder:
+        copy = Path(folder, "copy.db3")
+        shutil.copyfile(path, copy)
+        if size:
+            os.truncate(copy, size)
+        for suffix in _SIDE_FILES:
+            beside = path.with_name(path.name + suffix)
+            if beside.exists():
+                shutil.copyfile(beside, copy.with_name(copy.name + suffix))
+        _scan(copy.as_uri(), path.name, harvest)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
+
+
+def _scan(uri: str, name: str, harvest: Harvest) -> None:
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as database:
+            database.text_factory = lambda raw: raw.decode(errors="replace")
+            topics = _topics(database, harvest)
+            holes = _Holes()
+            _take_messages(database, topics, holes)
+            _count_others(database, topics)
+    except _READ_ERRORS as error:
+        harvest.lost(name, f"damaged: {error}")
+        return
+    if holes.found:
+        rows = f"about {holes.rows} rows" if holes.rows else "an unknown number of rows"
+        text = f"damaged: {holes.found} places of the message table cannot be read, {rows} are lost"
+        harvest.lost(name, text, places=holes.found, rows=holes.rows)
+
+
+def _topics(database: sqlite3.Connection, harvest: Harvest) -> dict[int, RawTopic]:
+    query = "SELECT id, name, type, serialization_format FROM topics"
+    return {
+        number: harvest.topic(name, msgtype, encoding)
+        for number, name, msgtype, encoding in database.execute(query)
+        if isinstance(number, int) and all(isinstance(x, str) for x in (name, msgtype, encoding))
+    }
+
+
+def _take_messages(
+    database: sqlite3.Connection, topics: dict[int, RawTopic], holes: "_Holes"
+) -> None:
+    wanted = {number: topic for number, topic in topics.items() if topic.wanted}
+    if not wanted:
+        return
+    sinks = {n: (topic.times.append, topic.blobs.append) for n, topic in wanted.items()}
+    for batch in _batches(database, tuple(wanted), holes):
+        for _, number, time, data in batch:
+            if type(data) is bytes and type(time) is int and time >= 0:
+                add_time, add_blob = sinks[number]  # type: ignore[index]
+                add_time(time)
+                add_blob(data)
+    for topic in wanted.values():
+        topic.count = len(topic.blobs)
+
+
+def _count_others(database: sqlite3.Connection, topics: dict[int, RawTopic]) -> None:
+    others = [number for number, topic in topics.items() if not topic.wanted]
+    if not others:
+        return
+    query = f"SELECT topic_id, COUNT(*) FROM messages WHERE {_in(others)} GROUP BY topic_id"
+    try:
+        for number, count in database.execute(query, others):
+            topics[number].count += count
+    except _READ_ERRORS:
+        # Only a count of what nobody reads; the damage shows in the topics that are read.
+        return
+
+
+class _Holes:
+    """Stretches of the message table that cannot be read."""
+
+    def __init__(self) -> None:
+        self.found = 0
+        self.rows = 0
+
+
+def _in(numbers: Sequence[int]) -> str:
+    return f"topic_id IN ({','.join('?' * len(numbers))})"
+
+
+def _batches(
+    database: sqlite3.Connection, numbers: tuple[int, ...], holes: _Holes
+) -> Iterator[list[_Row]]:
+    """Rows (rowid, topic, time, data) in the order of rowid."""
+    query = (
+        "SELECT rowid, topic_id, timestamp, data FROM messages "
+        f"WHERE rowid > ? AND {_in(numbers)} ORDER BY rowid"
+    )
+    last, size = -1, _BATCH
+    while holes.found < _MOST_HOLES:
+        try:
+            cursor = database.execute(query, (last, *numbers))
+            while batch := cursor.fetchmany(size):
+                last = batch[-1][0]
+                yield batch
+            return
+        except _READ_ERRORS:
+            if size > 1:
+                # Again, one row at a time, to get at those just before the damage.
+                size = 1
+                continue
+        beyond = _beyond_hole(database, last)
+        holes.found += 1
+        if beyond is None:
+            holes.rows = 0 if holes.found == 1 else holes.rows
+            return
+        holes.rows += beyond - last
+        last, size = beyond, _BATCH
+
+
+def _beyond_hole(database: sqlite3.Connection, last: int) -> int | None:
+    """A row number close after the damage from which rows can be read again."""
+    step = 1
+    while not _readable(database, last + step):
+        step *= 2
+        if last + step > _LAST_ROW:
+            return None
+    low, high = step // 2, step
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if _readable(database, last + middle) else (middle, high)
+    return last + high
+
+
+def _readable(database: sqlite3.Connection, row: int) -> bool:
+    query = "SELECT data FROM messages WHERE rowid > ? ORDER BY rowid LIMIT 1"
+    try:
+        return database.execute(query, (row,)).fetchone() is not None
+    except _READ_ERRORS:
+        return False

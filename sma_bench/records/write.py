@@ -1,0 +1,98 @@
+"""Writes signals as a bag of the contract."""
+
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.messages import Stream, marker_stream, streams_of
+from sma_bench.records.record import Record, Signal
+
+_SignalSource = Record | Mapping[str, Signal] | Iterable[Signal]
+
+
+def write_record(
+    path: str | Path,
+    source: _SignalSource,
+    namespace: str = "bench",
+    storage: str = "mcap",
+    start_ns: int | None = None,
+    markers: Iterable[tuple[float, str]] = (),
+) -> None:
+    """Write a record, or signals, as a bag; the bag appears whole or not at all.
+
+    Signals that share a message type and place (voltage and current of a wire) share messages;
+    where their times differ the other one is NaN, that is not measured. Voltage, current and range
+    are 32-bit on the wire: about 7 digits.
+
+    Args:
+        path: new folder.
+        source: a Record, or Signals (by name or just a sequence).
+        namespace: of the topics, without slashes at the ends.
+        storage: "mcap" or "sqlite3".
+        start_ns: epoch time of t = 0 in ns; the record's own, else 0.
+        markers: (time in s, text), added to the record's own.
+
+    Raises:
+        InputError: the path exists or cannot be written, a signal has no place in the contract or
+            times that cannot be stamped.
+    """
+    path = Path(path)
+    signals, start, texts = _unpack(source, start_ns, markers)
+    prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
+    streams = [*streams_of(signals, prefix, start)]
+    if texts:
+        streams.append(marker_stream(texts, prefix, start))
+    if not streams:
+        raise InputError(f"{path}: no signals to write, expected at least one")
+    with _beside(path) as temporary, BagWriter(temporary, storage) as writer:
+        _write_streams(writer, streams)
+
+
+def _unpack(
+    source: _SignalSource, start_ns: int | None, markers: Iterable[tuple[float, str]]
+) -> tuple[dict[str, Signal], int, list[tuple[float, str]]]:
+    texts = [*markers]
+    if isinstance(source, Record):
+        start = source.start_ns if start_ns is None else start_ns
+        return dict(source.signals), start, [*source.markers, *texts]
+    given = source.values() if isinstance(source, Mapping) else source
+    return {signal.name: signal for signal in given}, start_ns or 0, texts
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A path to write to that becomes `path` when all went well."""
+    if path.exists():
+        raise InputError(f"{path}: exists already, expected a new path for the bag")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        yield folder / path.name
+        if path.exists():
+            raise InputError(f"{path}: exists already, expected a new path for the bag")
+        (folder / path.name).rename(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write_streams(writer: BagWriter, streams: list[Stream]) -> None:
+    for stream in streams:
+        writer.add_topic(stream.topic, stream.type)
+    received = np.concatenate([stream.received for stream in streams])
+    owner = np.repeat(np.arange(len(streams)), [len(stream.blobs) for stream in streams])
+    index = np.concatenate([np.arange(len(stream.blobs)) for stream in streams])
+    order = np.argsort(received, kind="stable")
+    rows = zip(owner[order].tolist(), index[order].tolist(), received[order].tolist(), strict=True)
+    for which, row, stamp in rows:
+        writer.write(streams[which].topic, stamp, streams[which].blobs[row])

@@ -1,0 +1,168 @@
+"""What is wrong with a record is said with its numbers; what is right is not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sma_bench.records import Record, Signal, check_record, read_record
+from sma_bench.records.write import write_record
+
+CLOCK = np.arange(2000) * 0.01
+TRIANGLE = 3 * np.abs((CLOCK / 10) % 2 - 1)
+
+
+def settling(rise=60.0, start=296.0):
+    """A wire warming up and cooling down again."""
+    warm = start + rise * (1 - np.exp(-CLOCK / 1.5))
+    cold = start + rise * np.exp(-(CLOCK - 10) / 1.5)
+    return np.round(np.where(CLOCK < 10, warm, cold), 1)
+
+
+def record(**signals):
+    units = {"voltage": "V", "current": "A", "temperature": "K", "range": "m", "force": "N"}
+    made = {}
+    for name, values in signals.items():
+        name = name.replace("_", ".", 1)
+        time, values = values if isinstance(values, tuple) else (CLOCK, values)
+        made[name] = Signal(name, units.get(name.split(".")[-1], "m"), time, values, time + 0.003)
+    return Record(Path("bag"), 0, made)
+
+
+def found(record, severity="warning"):
+    return {f.subject: f.text for f in check_record(record) if f.severity == severity}
+
+
+def test_an_orderly_record_has_no_warnings():
+    noise = np.random.default_rng(0).normal(size=len(CLOCK)) * 1e-3
+    orderly = record(
+        wire_voltage=TRIANGLE + noise,
+        wire_current=TRIANGLE / 2.7 + noise,
+        wire_temperature=settling(),
+        deflection=1e-2 * TRIANGLE + noise * 1e-3,
+    )
+    assert found(orderly) == {} and found(orderly, "error") == {}
+
+
+@pytest.mark.parametrize(
+    "name", ["wire/staircase", "wire/ramp", "composite/triangle", "composite/step"]
+)
+def test_good_foreign_records_have_no_warnings(shared_data, name):
+    foreign = read_record(shared_data / "foreign" / name)
+    assert found(foreign) == {} and found(foreign, "error") == {}
+
+
+def test_five_percent_of_losses_are_told_and_no_gap_is_seen(shared_data):
+    wire = read_record(shared_data / "foreign/wire/staircase")
+    losses = {f.subject: f.numbers["fraction"] for f in check_record(wire) if f.numbers}
+    assert losses == pytest.approx(
+        {"wire.voltage": 0.05, "wire.current": 0.05, "wire.temperature": 0.05}, abs=0.005
+    )
+
+
+def test_gap_is_reported_with_its_length_and_place():
+    keep = (CLOCK < 5) | (CLOCK > 8)
+    gappy = record(wire_voltage=(CLOCK[keep], TRIANGLE[keep]))
+    assert found(gappy)["wire.voltage"] == (
+        "1 gaps of more than 10 periods, the longest 3.02 s at t = 4.990 s"
+    )
+
+
+def test_half_the_samples_missing_is_a_warning():
+    keep = np.random.default_rng(0).random(len(CLOCK)) < 0.7
+    lossy = record(wire_voltage=(CLOCK[keep], TRIANGLE[keep]))
+    assert "30" in found(lossy)["wire.voltage"] and "missing" in found(lossy)["wire.voltage"]
+
+
+def test_backward_and_repeated_stamps_of_a_record_made_in_memory():
+    time = CLOCK.copy()
+    time[5], time[100] = time[3], time[99]
+    assert found(record(force=(time, TRIANGLE)))["force"] == (
+        "1 stamps go backward, 1 repeat the one before"
+    )
+
+
+def test_clock_offset_of_one_topic_is_measured():
+    odd = record(wire_voltage=TRIANGLE, wire_temperature=settling(), deflection=TRIANGLE / 100)
+    late = odd["wire.temperature"]
+    odd.signals["wire.temperature"] = Signal(
+        late.name, "K", CLOCK, late.values, CLOCK + 2.503, "/bench/wire/temperature"
+    )
+    finding = next(f for f in check_record(odd) if f.subject == "/bench/wire/temperature")
+    assert finding.numbers["offset"] == pytest.approx(2.5)
+
+
+def test_clock_drift_of_one_topic_is_measured():
+    odd = record(wire_voltage=TRIANGLE, wire_temperature=settling(), deflection=TRIANGLE / 100)
+    values = odd["deflection"].values
+    odd.signals["deflection"] = Signal("deflection", "m", CLOCK, values, CLOCK * 1.005 + 0.003)
+    finding = next(f for f in check_record(odd) if f.subject == "deflection")
+    assert finding.numbers["drift"] == pytest.approx(0.09, abs=0.005)
+
+
+def test_stamps_in_the_recorders_future_are_reported():
+    odd = record(wire_voltage=TRIANGLE)
+    odd.signals["wire.voltage"] = Signal("wire.voltage", "V", CLOCK, TRIANGLE, CLOCK - 0.05)
+    assert "0.050 s after the messages were received" in found(odd)["wire.voltage"]
+
+
+def test_kelvin_on_a_celsius_topic_is_an_error(tmp_path):
+    kelvin = Signal("wire.temperature", "K", CLOCK, settling() + 273.15)
+    write_record(tmp_path / "bag", [kelvin])
+    errors = found(read_record(tmp_path / "bag"), "error")
+    assert "seems to carry kelvin" in errors["wire.temperature"]
+
+
+def test_temperature_below_absolute_zero_is_an_error():
+    assert (
+        "absolute zero"
+        in found(record(wire_temperature=settling(start=-5)), "error")["wire.temperature"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("wire_voltage", TRIANGLE * 1e3),
+        ("wire_current", TRIANGLE * 1e3),
+        ("deflection", TRIANGLE * 10),
+        ("front_range", TRIANGLE * 30),
+    ],
+)
+def test_values_beyond_belief_suggest_a_unit(name, values):
+    assert "beyond belief" in found(record(**{name: values}))[name.replace("_", ".")]
+
+
+def test_clipped_temperature_is_found_and_a_settled_one_is_not():
+    clipped = np.minimum(settling(), 330.0)
+    text = found(record(wire_voltage=TRIANGLE, wire_temperature=clipped))["wire.temperature"]
+    assert "clipped at the highest value 330 K" in text
+    assert found(record(wire_voltage=TRIANGLE, wire_temperature=settling())) == {}
+
+
+def test_current_limit_of_the_supply_is_found_and_a_plateau_is_not():
+    limited = np.minimum(TRIANGLE, 2.0)
+    text = found(record(wire_voltage=TRIANGLE, wire_current=limited))["wire.current"]
+    assert "clipped at the highest value 2 A" in text
+    plateau = np.where(CLOCK < 10, 2.0, 0.0)
+    assert found(record(wire_voltage=plateau, wire_current=plateau / 2)) == {}
+
+
+def test_dead_sensor_is_found_only_while_something_happens():
+    flat = np.full(len(CLOCK), 296.0)
+    text = found(record(wire_voltage=TRIANGLE, wire_temperature=flat))["wire.temperature"]
+    assert text == "stays at 296 K while the voltage changes"
+    assert found(record(wire_voltage=TRIANGLE * 0, wire_temperature=flat)) == {}
+
+
+def test_what_is_absent_is_told():
+    told = found(record(wire_voltage=TRIANGLE), "info")
+    assert told["wire.current"] == told["wire.temperature"] == "absent from the record"
+    assert told["record"].startswith("no mechanical signal")
+    assert "no channel" in found(record(deflection=TRIANGLE / 100))["record"]
+
+
+def test_nan_and_inf_of_a_record_made_in_memory_are_counted():
+    values = TRIANGLE.copy()
+    values[:7], values[9] = np.nan, np.inf
+    assert found(record(force=values))["force"] == "8 of 2000 values are NaN or Inf"

@@ -1,0 +1,271 @@
+"""Signals survive a bag; a bag is there whole or not at all."""
+
+import os
+import signal as signals
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader
+
+from sma_bench.errors import InputError
+from sma_bench.records import Record, Signal, read_record
+from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.write import write_record
+
+NAMES = {
+    "wire.voltage": ("V", np.float32),
+    "wire.current": ("A", np.float32),
+    "wire.temperature": ("K", None),
+    "ambient.temperature": ("K", None),
+    "front.range": ("m", np.float32),
+    "deflection": ("m", None),
+    "elongation": ("m", None),
+    "force": ("N", None),
+}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def ramp_signal(name="wire.voltage", n=50, period=0.02):
+    time = np.arange(n) * period
+    return Signal(name, NAMES[name][0], time, 1 + time)
+
+
+@st.composite
+def a_signal(draw, name):
+    unit, kind = NAMES[name]
+    stamps = draw(st.lists(st.integers(0, 10**12), min_size=1, max_size=20, unique=True))
+    times = np.sort(np.array(stamps)) / 1e9
+    values = np.array(draw(st.lists(st.floats(-1e3, 1e3), min_size=20, max_size=20)))[: len(times)]
+    return Signal(name, unit, times, values.astype(kind).astype(float) if kind else values)
+
+
+@settings(max_examples=25, deadline=None)
+@given(data=st.data(), storage=st.sampled_from(["mcap", "sqlite3"]))
+def test_any_signals_come_back_as_they_were(tmp_path_factory, data, storage):
+    names = data.draw(st.lists(st.sampled_from(sorted(NAMES)), min_size=1, unique=True))
+    given_signals = [data.draw(a_signal(name)) for name in names]
+    bag = tmp_path_factory.mktemp("round") / "bag"
+    write_record(bag, given_signals, storage=storage, start_ns=10**18)
+    record = read_record(bag)
+    assert set(record.signals) == set(names)
+    first = min(s.time[0] for s in given_signals)
+    assert record.start_ns == 10**18 + round(first * 1e9)
+    for signal in given_signals:
+        back = record[signal.name]
+        assert back.unit == signal.unit
+        np.testing.assert_allclose(back.time, signal.time - first, rtol=0, atol=2e-9)
+        np.testing.assert_allclose(back.values, signal.values, rtol=1e-12, atol=1e-12)
+
+
+def test_record_round_trip_keeps_receive_times_markers_and_commands(tmp_path):
+    time = np.arange(100) * 0.01
+    record = Record(
+        tmp_path,
+        10**18,
+        {
+            "wire.temperature": Signal("wire.temperature", "K", time, 300 + time, time + 0.02),
+            "voltage_command": Signal("voltage_command", "V", time, np.column_stack([time, -time])),
+        },
+        markers=((0.1, "up"), (0.5, "down")),
+    )
+    write_record(tmp_path / "bag", record, namespace="/lab/rig/")
+    back = read_record(tmp_path / "bag")
+    assert back.markers == ((0.1, "up"), (0.5, "down"))
+    assert back.start_ns == record.start_ns
+    assert back["wire.temperature"].topic == "/lab/rig/wire/temperature"
+    np.testing.assert_allclose(back["wire.temperature"].received, time + 0.02, atol=1e-9)
+    np.testing.assert_allclose(back["voltage_command"].values, np.column_stack([time, -time]))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_rosbags_reads_what_was_written(tmp_path, messages, storage):
+    write_record(tmp_path / "bag", [ramp_signal(), ramp_signal("force")], storage=storage)
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == 100
+        for connection, _, data in reader.messages(reader.connections):
+            message = messages.types.deserialize_cdr(data, connection.msgtype)
+            if connection.topic == "/bench/wire/power":
+                assert message.location == "wire" and np.isnan(message.current)
+            else:
+                assert message.name == ["wire"] and np.isnan(message.position[0])
+
+
+def test_existing_path_is_refused_and_untouched(tmp_path):
+    bag = tmp_path / "bag"
+    bag.write_text("precious")
+    with pytest.raises(InputError, match="exists already"):
+        write_record(bag, [ramp_signal()])
+    with pytest.raises(InputError, match="exists already"):
+        BagWriter(bag)
+    assert bag.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("signal", "text"),
+    [
+        (Signal("wire.colour", "", np.zeros(1), np.zeros(1)), "no topic of the contract"),
+        (Signal("left.range", "m", np.zeros(1), np.zeros(1)), "no topic of the contract"),
+        (Signal("force", "N", np.array([-5.0]), np.zeros(1)), "cannot be stamped"),
+        (Signal("force", "N", np.array([1e12]), np.zeros(1)), "cannot be stamped"),
+        (Signal("force", "N", np.array([np.nan]), np.zeros(1)), "not finite"),
+        (Signal("force", "N", np.zeros(1), np.zeros((1, 2))), r"expected \(n,\)"),
+    ],
+)
+def test_signals_that_fit_no_message_are_refused_and_leave_nothing(tmp_path, signal, text):
+    with pytest.raises(InputError, match=text):
+        write_record(tmp_path / "bag", [ramp_signal(), signal])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_signals_and_unknown_storage_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no signals"):
+        write_record(tmp_path / "bag", [])
+    with pytest.raises(InputError, match="expected one of mcap, sqlite3"):
+        write_record(tmp_path / "bag", [ramp_signal()], storage="rosbag1")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_folder_is_one_line(tmp_path):
+    in_the_way = tmp_path / "file"
+    in_the_way.write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_record(in_the_way / "bag", [ramp_signal()])
+    with pytest.raises(InputError, match="cannot be written"):
+        BagWriter(in_the_way / "bag")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_read_only_folder_is_one_line(tmp_path):
+    tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    with pytest.raises(InputError, match="cannot be written: Permission denied"):
+        write_record(tmp_path / "bag", [ramp_signal()])
+
+
+def test_writer_is_readable_after_every_flush(tmp_path, messages):
+    with BagWriter(tmp_path / "bag") as writer:
+        assert (tmp_path / "bag/metadata.yaml").exists()
+        writer.add_topic("/bench/wire/temperature", "sensor_msgs/msg/Temperature")
+        for k in range(3):
+            message = messages.temperature(messages.start + k, 20.0 + k)
+            stamp = messages.start + k
+            writer.write("/bench/wire/temperature", stamp, messages.serialise(message))
+            writer.flush()
+            assert len(read_record(tmp_path / "bag")["wire.temperature"]) == k + 1
+    assert read_record(tmp_path / "bag").findings == ()
+    with pytest.raises(InputError, match="closed"):
+        writer.write("/bench/wire/temperature", 1, b"")
+
+
+def test_writer_refuses_unknown_topics_and_types(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        with pytest.raises(InputError, match="/a: not announced"):
+            writer.write("/a", 1, b"")
+        with pytest.raises(InputError, match="unknown message type lab_msgs/msg/Colour"):
+            writer.add_topic("/a", "lab_msgs/msg/Colour")
+        writer.add_topic("/a", "std_msgs/msg/String")
+        writer.add_topic("/a", "std_msgs/msg/String")
+        with pytest.raises(InputError, match="expected std_msgs/msg/String"):
+            writer.add_topic("/a", "std_msgs/msg/Float64")
+        with pytest.raises(InputError, match="expected one after 1970"):
+            writer.write("/a", -1, b"")
+
+
+RECORDER = """
+import sys, time
+from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.messages import TYPES
+from sma_bench.records import contract
+kind = contract.STRING
+writer = BagWriter(sys.argv[1])
+writer.add_topic("/bench/experiment/marker", kind)
+count = 0
+while True:
+    message = TYPES.types[kind](data=str(count))
+    writer.write("/bench/experiment/marker", time.time_ns(), TYPES.serialize_cdr(message, kind))
+    print(count, time.monotonic(), flush=True)
+    count += 1
+    time.sleep(0.002)
+"""
+
+
+@pytest.mark.parametrize("seconds", [0.3, 1.4])
+def test_killed_recorder_loses_at_most_its_last_second(tmp_path, seconds):
+    process = subprocess.Popen(
+        [sys.executable, "-c", RECORDER, str(tmp_path / "bag")],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdout is not None
+    lines = [process.stdout.readline()]
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        lines.append(process.stdout.readline())
+    process.send_signal(signals.SIGKILL)
+    lines += process.stdout.readlines()
+    process.wait()
+    written = [(int(n), float(t)) for n, t in (line.split() for line in lines if line.count(" "))]
+    died = written[-1][1]
+    safe = [number for number, at in written if at < died - 1.0]
+    try:
+        record = read_record(tmp_path / "bag")
+    except InputError:
+        assert not safe
+        return
+    found = [int(text) for _, text in record.markers]
+    assert found == list(range(len(found)))
+    assert len(found) >= len(safe)
+    if seconds > 1:
+        assert safe
+
+
+FILLER = """
+import resource, sys
+from sma_bench.errors import InputError
+from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.messages import TYPES
+from sma_bench.records import contract
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+kind = contract.STRING
+writer = BagWriter(sys.argv[1], compress=False)
+writer.add_topic("/bench/experiment/marker", kind)
+errors = []
+for count in range(4000):
+    message = TYPES.serialize_cdr(TYPES.types[kind](data=f"{count:0100}"), kind)
+    try:
+        writer.write("/bench/experiment/marker", 10**18 + count * 10**6, message)
+        if count % 100 == 99:
+            writer.flush()
+    except InputError as error:
+        errors.append(str(error))
+try:
+    writer.close()
+except InputError as error:
+    errors.append(str(error))
+print(len(errors), errors[0])
+"""
+
+
+def test_full_disk_is_one_clear_line_and_what_was_written_stays_readable(tmp_path):
+    """A limit on the size of files stands in for the disk."""
+    bag = tmp_path / "bag"
+    run = subprocess.run(
+        [sys.executable, "-c", FILLER, str(bag)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=True,
+    )
+    count, _, text = run.stdout.strip().partition(" ")
+    assert int(count) > 1000
+    assert text.startswith(f"{bag}: cannot be written: ") and "\n" not in text
+    found = [int(text) for _, text in read_record(bag).markers]
+    assert found == list(range(len(found)))
+    assert 1500 < len(found) < 2300
