@@ -1,0 +1,140 @@
+"""Bending of the composite: eqs. (12) to (17), (22), (23), corrected, and as printed.
+
+The active layer's modulus in EI and in the curvature is the martensite's: both describe the
+specimen as it lies at rest, and are constants of the model while E(xi) of eq. (7) is not.
+"""
+
+import math
+from dataclasses import dataclass
+
+from sma_bench.parameters import Parameters
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Two-layer beam: the elastomer matrix (passive) and the sheet of wires (active).
+
+    Attributes:
+        length: l [m], from the clamping to the point of measurement.
+        width: w_c [m].
+        thickness, modulus: h_c [m] and E_c [Pa] of the matrix.
+        layer_thickness, layer_modulus: h [m] and E [Pa] of the active layer.
+        offset: a [m], wires to centre line.
+        wire_section: A [m2], cross-section of one wire.
+    """
+
+    length: float
+    width: float
+    thickness: float
+    modulus: float
+    layer_thickness: float
+    layer_modulus: float
+    offset: float
+    wire_section: float
+
+    @classmethod
+    def of(cls, parameters: Parameters) -> "Beam":
+        """The beam of a parameter set, martensite in its active layer."""
+        return cls(
+            length=parameters["composite.length"],
+            width=parameters["composite.width"],
+            thickness=parameters["composite.thickness"],
+            modulus=parameters["composite.modulus"],
+            layer_thickness=parameters["composite.wire_layer_thickness"],
+            layer_modulus=parameters["wire.martensite_modulus"],
+            offset=parameters["composite.wire_offset"],
+            wire_section=wire_section(parameters),
+        )
+
+
+def wire_section(parameters: Parameters) -> float:
+    """Cross-section [m2] of one wire."""
+    return math.pi * float(parameters["wire.diameter"]) ** 2 / 4.0
+
+
+def moment(force: float, beam: Beam) -> float:
+    """Bending moment M [N m] of the wires' force P [N], eq. (12)."""
+    return force * beam.offset
+
+
+def bending_stiffness(beam: Beam) -> float:
+    """EI [N m2] of eq. (14), corrected.
+
+    The two-layer beam about its neutral axis: the width multiplies every term, the whole of
+    12 (E_c h_c + E h) divides them; the dimensions of the printed form disagree.
+    """
+    numerator = beam.width * _stiffness_terms(beam, 1.0)
+    return numerator / (12.0 * (_matrix_membrane(beam) + _layer_membrane(beam)))
+
+
+def bending_stiffness_as_printed(beam: Beam) -> float:
+    """EI as printed below eq. (14): the width at the first term only, 12 at E_c h_c only."""
+    return _stiffness_terms(beam, beam.width) / (
+        12.0 * _matrix_membrane(beam) + _layer_membrane(beam)
+    )
+
+
+def curvature(strain: float, beam: Beam) -> float:
+    """Curvature kappa = d phi/dx [1/m] from the strain of the active layer, eq. (16)."""
+    m = beam.layer_modulus / beam.modulus
+    t = beam.layer_thickness / beam.thickness
+    denominator = 1.0 + m**2 * t**4 + m * t * (4.0 + 6.0 * t + 4.0 * t**2)
+    return 6.0 * strain / beam.thickness * m * t * (1.0 + t) / denominator
+
+
+def deflection(strain: float, beam: Beam) -> float:
+    """Deflection [m] at l, eq. (17) corrected: eq. (16) integrated twice gives kappa l^2/2."""
+    return 0.5 * beam.length**2 * curvature(strain, beam)
+
+
+def deflection_as_printed(strain: float, beam: Beam) -> float:
+    """Deflection [m] as eq. (17) is printed, twice the integral of eq. (16)."""
+    return beam.length**2 * curvature(strain, beam)
+
+
+def deflection_per_strain(beam: Beam) -> float:
+    """alpha [m] of eq. (22), corrected: l^2 kappa/(2 eps)."""
+    return deflection(1.0, beam)
+
+
+def stress_per_deflection(beam: Beam) -> float:
+    """beta [Pa/m] of eq. (23) with the corrected EI: 2 EI/(a A l^2).
+
+    The stress is summed over the wires of a side: P = A sum(sigma) in eqs. (12), (13).
+    """
+    return (
+        2.0 * bending_stiffness(beam) / (beam.offset * beam.wire_section * beam.length**2)
+    )
+
+
+def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
+    """alpha [m], beta of the front and of the back [Pa/m].
+
+    A given value (above 0) is used as it is, otherwise the geometry gives it.
+    """
+    beam = Beam.of(parameters)
+    derived = {
+        "composite.deflection_per_strain": deflection_per_strain(beam),
+        "composite.stress_per_deflection_front": stress_per_deflection(beam),
+        "composite.stress_per_deflection_back": stress_per_deflection(beam),
+    }
+    alpha, front, back = (parameters[name] or value for name, value in derived.items())
+    return alpha, front, back
+
+
+def _matrix_membrane(beam: Beam) -> float:
+    return beam.modulus * beam.thickness
+
+
+def _layer_membrane(beam: Beam) -> float:
+    return beam.layer_modulus * beam.layer_thickness
+
+
+def _stiffness_terms(beam: Beam, factor: float) -> float:
+    passive, active = beam.thickness, beam.layer_thickness
+    mixed = 4.0 * passive**2 + 6.0 * passive * active + 4.0 * active**2
+    return (
+        factor * beam.modulus**2 * passive**4
+        + _matrix_membrane(beam) * _layer_membrane(beam) * mixed
+        + beam.layer_modulus**2 * active**4
+    )

@@ -1,0 +1,135 @@
+"""Heat of one wire: eqs. (1) to (5), the exact response to a held voltage, the energy balance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sma_bench.parameters import Parameters
+
+Array = NDArray[np.float64]
+
+
+def temperature_rate(
+    temperature: ArrayLike,
+    voltage: ArrayLike,
+    parameters: Parameters,
+    martensite_rate: ArrayLike = 0.0,
+    latent_heat: float = 0.0,
+) -> Array:
+    """dT/dt [K/s], eq. (1); eq. (2) without latent heat.
+
+    Args:
+        temperature: T [K], any shape.
+        voltage: V [V], broadcast against it.
+        martensite_rate: dxi/dt [1/s].
+        latent_heat: heat of transformation [J/kg], positive.
+    """
+    heat_capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
+    convected = heat_loss(parameters) * (
+        np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
+    )
+    heating = np.square(voltage) / parameters["wire.resistance"]
+    latent = parameters["wire.mass"] * latent_heat * np.asarray(martensite_rate, float)
+    return np.asarray((heating - convected + latent) / heat_capacity)
+
+
+def current(voltage: ArrayLike, resistance: float) -> Array:
+    """Current [A] through a wire of `resistance` [ohm] at `voltage` [V], eq. (3)."""
+    return np.asarray(voltage, float) / resistance
+
+
+def heat_transfer_coefficient(
+    voltage: ArrayLike, temperature: ArrayLike, parameters: Parameters
+) -> Array:
+    """h [W/(m2 K)] from a steady voltage [V] and temperature [K], eq. (4)."""
+    rise = np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
+    return np.asarray(
+        np.square(voltage)
+        / (parameters["wire.resistance"] * parameters["wire.surface_area"] * rise)
+    )
+
+
+def heating_per_mass(
+    temperature: ArrayLike, voltage: ArrayLike, parameters: Parameters
+) -> Array:
+    """f(T, V) [W/kg] of eq. (5): c_p dT/dt below A_s."""
+    return parameters["wire.specific_heat"] * temperature_rate(temperature, voltage, parameters)
+
+
+def heat_loss(parameters: Parameters) -> float:
+    """h A_c [W/K]."""
+    return float(
+        parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
+    )
+
+
+def time_constant(parameters: Parameters) -> float:
+    """m c_p/(h A_c) [s]."""
+    capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
+    return float(capacity / heat_loss(parameters))
+
+
+def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
+    """T [K] that a held voltage [V] leads to, eq. (4) solved for T."""
+    rise = np.square(voltage) / (parameters["wire.resistance"] * heat_loss(parameters))
+    return np.asarray(parameters["environment.ambient_temperature"] + rise)
+
+
+def held_voltage_response(
+    start: ArrayLike, voltage: ArrayLike, elapsed: ArrayLike, parameters: Parameters
+) -> Array:
+    """T [K] after `elapsed` [s] at a held voltage [V] from `start` [K]: eq. (2) solved."""
+    steady = steady_temperature(voltage, parameters)
+    decay = np.exp(-np.asarray(elapsed, float) / time_constant(parameters))
+    return np.asarray(steady + (np.asarray(start, float) - steady) * decay)
+
+
+@dataclass(frozen=True)
+class EnergyBalance:
+    """Energies of every step and wire [J], each of shape (n - 1, w).
+
+    electrical = stored + convected + latent + imbalance.
+    """
+
+    electrical: Array
+    stored: Array
+    convected: Array
+    latent: Array
+
+    @property
+    def imbalance(self) -> Array:
+        """What the balance leaves over [J]; rounding only, if eq. (1) was solved."""
+        return self.electrical - self.stored - self.convected - self.latent
+
+
+def energy_balance(
+    parameters: Parameters,
+    time: Array,
+    voltage: Array,
+    temperature: Array,
+    martensite_fraction: Array,
+    latent_heat: float = 0.0,
+) -> EnergyBalance:
+    """Energy balance of eq. (1) over every step, exact for held voltage and transformation rate.
+
+    Convection is integrated in closed form from the temperature at the start of the step, so the
+    balance closes only if the temperature at its end is right.
+
+    Args:
+        time: (n,) s; voltage: (n, w) V, held from each sample to the next.
+        temperature: (n, w) K; martensite_fraction: (n, w).
+        latent_heat: J/kg, as it was simulated with.
+    """
+    mass, tau = parameters["wire.mass"], time_constant(parameters)
+    loss = heat_loss(parameters)
+    step = np.diff(time)[:, np.newaxis]
+    electrical = np.square(voltage[:-1]) / parameters["wire.resistance"] * step
+    stored = mass * parameters["wire.specific_heat"] * np.diff(temperature, axis=0)
+    latent = -mass * latent_heat * np.diff(martensite_fraction, axis=0)
+    rise = temperature[:-1] - parameters["environment.ambient_temperature"]
+    steady_rise = (electrical - latent) / (step * loss)
+    convected = loss * (
+        steady_rise * step - (rise - steady_rise) * tau * np.expm1(-step / tau)
+    )
+    return EnergyBalance(electrical, stored, convected, latent)

@@ -1,0 +1,104 @@
+"""Phase of one wire: eqs. (10), (11), and the contract's kinetics of incomplete loops.
+
+The rule, between reversals of the temperature. The two ramps of the contract are
+
+    f = cos^2[pi/2 (T - A_s - sigma/C_A)/(A_f - A_s)],   1 below and 0 above its range,
+    g = sin^2[pi/2 (T - M_f - sigma/C_M)/(M_s - M_f)],   0 below and 1 above its range,
+
+and xi_r, f_r, g_r are xi, f, g at the last reversal, at the stress of that moment:
+
+    T rising:   xi     = max[xi_r f/f_r,       min(1 - g/g_r, f)]
+    T falling:  1 - xi = max[(1 - xi_r) g/g_r, min(1 - f/f_r, g)]
+
+The first terms are the contract's. The second ones matter only when stress moves a range
+against the direction of the temperature (a rising wire whose g falls below g_r), so in any
+history at constant stress they are inactive, whatever the order of the ranges. They keep
+the fraction going continuously to 1 below both ranges and to 0 above both. The second line is
+the first with the phases and the ramps exchanged.
+
+Three details keep it continuous in every case. xi stays within [0, 1]. Above A_f, where f_r = 0,
+some martensite can be left if M_s lies higher still: then f/f_r is replaced by (1 - g)/(1 - g_r),
+the cooling curve traced back; mirrored below M_f. Where M_s (with stress) lies above A_f,
+eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooling.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sma_bench.parameters import Parameters
+
+Array = NDArray[np.float64]
+
+
+def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
+    """f(T, sigma): 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq. (10) between.
+
+    Args:
+        temperature: T [K]; stress: sigma [Pa]; broadcast against each other.
+    """
+    start = parameters["wire.austenite_start_temperature"]
+    finish = parameters["wire.austenite_finish_temperature"]
+    shift = np.asarray(stress, float) / parameters["wire.stress_influence_austenite"]
+    return _ramp((finish - np.asarray(temperature, float) + shift) / (finish - start))
+
+
+def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
+    """g(T, sigma): 0 below M_f + sigma/C_M, 1 above M_s + sigma/C_M, 1 - eq. (11) between.
+
+    Args:
+        temperature: T [K]; stress: sigma [Pa]; broadcast against each other.
+    """
+    start = parameters["wire.martensite_start_temperature"]
+    finish = parameters["wire.martensite_finish_temperature"]
+    shift = np.asarray(stress, float) / parameters["wire.stress_influence_martensite"]
+    return _ramp((np.asarray(temperature, float) - shift - finish) / (start - finish))
+
+
+def heated_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
+    """Martensite fraction on heating from martensite, eq. (10)."""
+    return austenite_ramp(temperature, stress, parameters)
+
+
+def cooled_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
+    """Martensite fraction on cooling from austenite, eq. (11)."""
+    return 1.0 - martensite_ramp(temperature, stress, parameters)
+
+
+def fraction_since_reversal(
+    rising: bool,
+    fraction_reversed: float,
+    ramps_reversed: tuple[float, float],
+    ramps: tuple[float, float],
+) -> float:
+    """Martensite fraction from the state at the last reversal: the rule of this module.
+
+    Args:
+        rising: the temperature rises since the reversal.
+        fraction_reversed: xi_r.
+        ramps_reversed, ramps: (f, g) at the reversal and now.
+    """
+    f, g = ramps
+    f_reversed, g_reversed = ramps_reversed
+    if rising:
+        return _left(fraction_reversed, f, f_reversed, g, g_reversed)
+    return 1.0 - _left(1.0 - fraction_reversed, g, g_reversed, f, f_reversed)
+
+
+def _left(
+    phase: float, own: float, own_reversed: float, other: float, other_reversed: float
+) -> float:
+    """What is left of the phase that vanishes, given its own ramp and the other's."""
+    if own_reversed > 0.0:
+        left = phase * own / own_reversed
+    elif phase > 0.0 and other_reversed < 1.0:
+        left = phase * (1.0 - other) / (1.0 - other_reversed)
+    else:
+        left = 0.0
+    if other < other_reversed:
+        left = max(left, min(1.0 - other / other_reversed, own))
+    return min(left, 1.0)
+
+
+def _ramp(position: Array) -> Array:
+    # sin^2 keeps relative precision near 0, which (1 - cos)/2 loses: ratios of ramps are taken.
+    return np.square(np.sin(0.5 * np.pi * np.clip(position, 0.0, 1.0)))

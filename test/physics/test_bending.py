@@ -1,0 +1,120 @@
+"""Bending: the corrected equations against first principles, the printed ones beside them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+from sma_bench.parameters import Parameters
+from sma_bench.physics import bending
+from sma_bench.physics.bending import Beam
+
+BEAM = Beam(
+    length=0.12, width=0.03, thickness=6e-3, modulus=1.2e6,
+    layer_thickness=0.4e-3, layer_modulus=22.8e9, offset=3e-3, wire_section=7e-8,
+)
+
+
+def integrated_stiffness(beam: Beam) -> float:
+    """EI of the two layers about their neutral axis, by quadrature."""
+    points, weights = np.polynomial.legendre.leggauss(8)
+
+    def integral(function):
+        total = 0.0
+        layers = ((0.0, beam.thickness, beam.modulus),
+                  (beam.thickness, beam.layer_thickness, beam.layer_modulus))
+        for base, height, modulus in layers:
+            y = base + 0.5 * height * (points + 1.0)
+            total += modulus * beam.width * 0.5 * height * np.sum(weights * function(y))
+        return total
+
+    neutral = integral(lambda y: y) / integral(np.ones_like)
+    return integral(lambda y: (y - neutral) ** 2)
+
+
+@pytest.mark.parametrize("modulus", [1e5, 1.2e6, 1e9, 22.8e9])
+@pytest.mark.parametrize("layer_thickness", [1e-6, 0.4e-3, 6e-3])
+def test_stiffness_is_the_integral_over_both_layers(modulus, layer_thickness):
+    beam = replace(BEAM, modulus=modulus, layer_thickness=layer_thickness)
+    assert bending.bending_stiffness(beam) == pytest.approx(integrated_stiffness(beam), rel=1e-12)
+
+
+def test_stiffness_without_active_layer_is_that_of_the_matrix():
+    beam = replace(BEAM, layer_thickness=0.0)
+    assert bending.bending_stiffness(beam) == pytest.approx(1.2e6 * 0.03 * 6e-3**3 / 12.0)
+
+
+def test_printed_stiffness_is_not_the_integral():
+    printed = bending.bending_stiffness_as_printed(BEAM)
+    # The width is missing at the leading term, 12 at E h: by hand from the printed line.
+    numerator = 0.03 * 1.2e6**2 * 6e-3**4 + 1.2e6 * 22.8e9 * 6e-3 * 0.4e-3 * (
+        4 * 6e-3**2 + 6 * 6e-3 * 0.4e-3 + 4 * 0.4e-3**2
+    ) + 0.4e-3**4 * 22.8e9**2
+    assert printed == pytest.approx(numerator / (12 * 1.2e6 * 6e-3 + 22.8e9 * 0.4e-3))
+    assert printed / integrated_stiffness(BEAM) > 100.0
+
+
+def test_printed_stiffness_depends_on_the_unit_of_length():
+    """The dimensions disagree: in millimetres it is another beam, the corrected one is not."""
+    def in_millimetres(beam):
+        return replace(
+            beam, width=beam.width * 1e3, thickness=beam.thickness * 1e3,
+            layer_thickness=beam.layer_thickness * 1e3, modulus=beam.modulus * 1e-6,
+            layer_modulus=beam.layer_modulus * 1e-6,
+        )
+    ratio = 1e6  # N mm2 in a N m2
+    corrected = bending.bending_stiffness(in_millimetres(BEAM)) / bending.bending_stiffness(BEAM)
+    printed = bending.bending_stiffness_as_printed(
+        in_millimetres(BEAM)
+    ) / bending.bending_stiffness_as_printed(BEAM)
+    assert corrected == pytest.approx(ratio)
+    assert abs(printed / ratio - 1.0) > 0.5
+
+
+def test_curvature_is_that_of_a_layer_which_shrinks_on_its_matrix():
+    """Equilibrium of forces and moments of the two layers, solved without eq. (16)."""
+    strain, b = 0.01, BEAM
+    stiff = np.array([b.modulus * b.thickness, b.layer_modulus * b.layer_thickness])
+    height = np.array([b.thickness, b.layer_thickness])
+    centre = np.array([0.5 * b.thickness, b.thickness + 0.5 * b.layer_thickness])
+    # Unknown: strain at y = 0 and curvature; the layer carries E (eps + kappa y - strain).
+    matrix = np.array([
+        [stiff.sum(), (stiff * centre).sum()],
+        [(stiff * centre).sum(), (stiff * (centre**2 + height**2 / 12.0)).sum()],
+    ])
+    load = np.array([stiff[1] * strain, stiff[1] * strain * centre[1]])
+    _, kappa = np.linalg.solve(matrix, load)
+    assert bending.curvature(strain, BEAM) == pytest.approx(kappa, rel=1e-9)
+
+
+def test_deflection_is_the_curvature_integrated_twice():
+    x = np.linspace(0.0, BEAM.length, 20001)
+    slope = bending.curvature(0.01, BEAM) * x
+    assert bending.deflection(0.01, BEAM) == pytest.approx(trapezoid(slope, x))
+    assert bending.deflection_as_printed(0.01, BEAM) == 2.0 * bending.deflection(0.01, BEAM)
+
+
+def test_thin_active_layer_bends_nothing():
+    thin = replace(BEAM, layer_thickness=1e-12)
+    ratio = BEAM.layer_modulus * 1e-12 / (BEAM.modulus * BEAM.thickness)
+    assert bending.curvature(0.01, thin) == pytest.approx(6.0 * 0.01 / 6e-3 * ratio, rel=1e-4)
+
+
+def test_coefficients_carry_force_to_curvature():
+    alpha, front, back = bending.bending_coefficients(Parameters.defaults())
+    beam = Beam.of(Parameters.defaults())
+    deflection, force = 0.01, 0.01 * front * beam.wire_section
+    kappa = bending.moment(force, beam) / bending.bending_stiffness(beam)
+    assert 0.5 * beam.length**2 * kappa == pytest.approx(deflection)
+    assert bending.deflection(deflection / alpha, beam) == pytest.approx(deflection)
+    assert front == back
+
+
+def test_given_coefficients_override_the_geometry():
+    given = Parameters.defaults().replace(
+        {"composite.deflection_per_strain": 0.7, "composite.stress_per_deflection_back": 3e9}
+    )
+    alpha, front, back = bending.bending_coefficients(given)
+    assert (alpha, back) == (0.7, 3e9)
+    assert front == bending.bending_coefficients(Parameters.defaults())[1]

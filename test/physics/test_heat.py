@@ -1,0 +1,94 @@
+"""Heat: the equations, the closed-form responses, the energy balance."""
+
+import numpy as np
+import pytest
+
+from sma_bench.parameters import Parameters
+from sma_bench.physics import heat, simulate
+
+
+def test_steady_temperature_inverts_the_heat_transfer_coefficient(wire_rig):
+    voltage = np.array([0.5, 2.0, 6.25])
+    temperature = heat.steady_temperature(voltage, wire_rig)
+    assert heat.temperature_rate(temperature, voltage, wire_rig) == pytest.approx(0.0, abs=1e-10)
+    assert heat.heat_transfer_coefficient(voltage, temperature, wire_rig) == pytest.approx(403.26)
+    # 6.25^2/(2.6987 * 403.26 * 395.84e-6) = 90.677 K
+    assert temperature[-1] - 296.15 == pytest.approx(90.677, abs=1e-3)
+
+
+def test_paper_numbers_give_a_time_constant_of_a_fifth_of_a_second(wire_rig):
+    assert heat.time_constant(wire_rig) == pytest.approx(0.19565, abs=1e-5)
+
+
+def test_heating_per_mass_is_specific_heat_times_rate(wire_rig):
+    f = heat.heating_per_mass(300.0, 2.7, wire_rig)
+    power = 2.7**2 / 2.6987 - 403.26 * 395.84e-6 * (300.0 - 296.15)
+    assert f == pytest.approx(power / 0.091e-3)
+
+
+def test_step_response_is_the_exponential(wire_rig):
+    time = np.linspace(0.0, 2.0, 41)
+    run = simulate(wire_rig, time, np.full((41, 1), 5.0))
+    closed = heat.held_voltage_response(296.15, 5.0, time, wire_rig)
+    assert run.temperature[:, 0] == pytest.approx(closed, rel=1e-13)
+
+
+@pytest.mark.parametrize("period", [0.003, 0.17, 4.0])
+def test_temperature_does_not_depend_on_the_sampling_of_a_held_voltage(wire_rig, period):
+    time = np.arange(0.0, 24.0001, period)
+    voltage = np.where(time < 12.0, 4.0, 1.0)[:, np.newaxis]
+    run = simulate(wire_rig, time, voltage)
+    change = time[np.argmax(time >= 12.0)]
+    hot = heat.held_voltage_response(296.15, 4.0, change, wire_rig)
+    end = heat.held_voltage_response(hot, 1.0, time[-1] - change, wire_rig)
+    assert run.temperature[-1, 0] == pytest.approx(float(end), rel=1e-12)
+
+
+def test_sampled_sine_of_heating_follows_the_closed_form(wire_rig):
+    # Heating power p0 (1 + cos wt): first-order low-pass of known gain and phase.
+    omega, tau = 2.0, heat.time_constant(wire_rig)
+    time = np.arange(0.0, 12.0, 1e-4)
+    mid = time + 0.5e-4
+    voltage = np.sqrt(9.0 * (1.0 + np.cos(omega * mid)))[:, np.newaxis]
+    run = simulate(wire_rig, time, voltage)
+    rise = float(heat.steady_temperature(3.0, wire_rig)) - 296.15
+    late = time > 20 * tau
+    gain, lag = 1.0 / np.hypot(1.0, omega * tau), np.arctan(omega * tau)
+    closed = 296.15 + rise * (1.0 + gain * np.cos(omega * time[late] - lag))
+    assert run.temperature[late, 0] == pytest.approx(closed, abs=1e-6)
+
+
+@pytest.mark.parametrize("latent_heat", [0.0, 12e3])
+def test_energy_balance_closes_in_every_step(wire_rig, composite_rig, latent_heat):
+    rng = np.random.default_rng(5)
+    time = np.cumsum(rng.uniform(0.01, 0.4, 2000))
+    for rig in (wire_rig, composite_rig):
+        voltage = rng.uniform(0.0, 6.5, (2000, len(rig["bench.channels"])))
+        run = simulate(rig, time, voltage, latent_heat=latent_heat)
+        balance = run.energy_balance()
+        scale = np.abs(balance.stored).max()
+        assert np.abs(balance.imbalance).max() < 1e-11 * scale
+        assert (np.ptp(balance.latent) > 0.01 * scale) == (latent_heat > 0.0)
+
+
+def test_energy_balance_notices_a_wrong_temperature(wire_rig):
+    time = np.arange(0.0, 5.0, 0.1)
+    run = simulate(wire_rig, time, np.full((time.size, 1), 4.0))
+    wrong = run.temperature + 1e-3 * np.sin(time)[:, np.newaxis]
+    balance = heat.energy_balance(
+        wire_rig, time, run.voltage, wrong, run.martensite_fraction
+    )
+    assert np.abs(balance.imbalance).max() > 1e-7
+
+
+def test_latent_heat_delays_the_transformation_both_ways():
+    free = Parameters.defaults().replace({"wire.maximum_recoverable_strain": 1e-4})
+    time = np.arange(0.0, 8.0, 0.001)
+    voltage = np.where(time < 4.0, 6.25, 0.0)[:, np.newaxis]
+    plain = simulate(free, time, voltage)
+    delayed = simulate(free, time, voltage, latent_heat=15e3)
+    up, down = time < 4.0, time >= 4.0
+    assert np.all(delayed.temperature[up] <= plain.temperature[up] + 1e-6)
+    assert np.all(delayed.temperature[down] >= plain.temperature[down] - 1e-6)
+    # 15 kJ/kg over 343.2 J/(kg K) is 43.7 K of rise that the transformation takes.
+    assert np.max(plain.temperature - delayed.temperature) > 15.0

@@ -1,0 +1,201 @@
+"""Phase: eqs. (10), (11) and the rule between reversals, over random histories."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sma_bench.parameters import Parameters
+from sma_bench.physics import phase, stress
+
+DEFAULTS = Parameters.defaults()
+
+# Start, width and influence of either range: overlapping, nested and swapped ranges among them.
+alloys = st.builds(
+    lambda a_s, a_width, m_f, m_width, c_a, c_m: DEFAULTS.replace({
+        "wire.austenite_start_temperature": a_s,
+        "wire.austenite_finish_temperature": a_s + a_width,
+        "wire.martensite_finish_temperature": m_f,
+        "wire.martensite_start_temperature": m_f + m_width,
+        "wire.stress_influence_austenite": c_a,
+        "wire.stress_influence_martensite": c_m,
+    }),
+    st.floats(315, 345), st.floats(2, 40), st.floats(305, 345), st.floats(2, 40),
+    st.floats(4e6, 15e6), st.floats(4e6, 15e6),
+)
+second_cycle = st.sampled_from([
+    DEFAULTS,
+    DEFAULTS.replace({"wire.stress_influence_austenite": 13.8e6,
+                      "wire.stress_influence_martensite": 8e6}),
+    DEFAULTS.replace({"wire.stress_influence_austenite": 7.3e6,
+                      "wire.stress_influence_martensite": 8e6}),
+])
+temperatures = st.lists(st.floats(290.0, 420.0), min_size=1, max_size=12)
+stresses = st.floats(-200e6, 500e6)
+
+
+class Wire:
+    """Follows the rule along a path of temperature and stress."""
+
+    def __init__(self, parameters, kelvin=290.0, sigma=0.0):
+        self.parameters, self.rising, self.xi = parameters, True, 1.0
+        self.kelvin, self.sigma = kelvin, sigma
+        self.xi = float(phase.austenite_ramp(kelvin, sigma, parameters))
+        self.reverse()
+
+    def ramps(self, kelvin, sigma):
+        return (
+            float(phase.austenite_ramp(kelvin, sigma, self.parameters)),
+            float(phase.martensite_ramp(kelvin, sigma, self.parameters)),
+        )
+
+    def reverse(self):
+        self.xi_reversed, self.ramps_reversed = self.xi, self.ramps(self.kelvin, self.sigma)
+
+    def at(self, kelvin, sigma):
+        return phase.fraction_since_reversal(
+            self.rising, self.xi_reversed, self.ramps_reversed, self.ramps(kelvin, sigma)
+        )
+
+    def go(self, kelvin, sigma, steps=60):
+        """Straight to a temperature and stress; the fractions on the way, the first included."""
+        if kelvin != self.kelvin and (kelvin > self.kelvin) != self.rising:
+            self.rising = kelvin > self.kelvin
+            self.reverse()
+        way = zip(
+            np.linspace(self.kelvin, kelvin, steps), np.linspace(self.sigma, sigma, steps),
+            strict=True,
+        )
+        path = np.array([self.at(*point) for point in way])
+        self.kelvin, self.sigma, self.xi = kelvin, sigma, path[-1]
+        return path
+
+
+@pytest.mark.parametrize("sigma", [0.0, 120e6])
+@pytest.mark.parametrize("influence", [4e6, 7e6, 13.8e6])
+def test_full_loop_is_equations_10_and_11(sigma, influence):
+    alloy = DEFAULTS.replace({"wire.stress_influence_austenite": influence})
+    wire = Wire(alloy, 280.0, sigma)
+    heated, cooled = wire.go(450.0, sigma, 1000), wire.go(280.0, sigma, 1000)
+    kelvin = np.linspace(280.0, 450.0, 1000)
+    assert heated == pytest.approx(_printed(kelvin, 331.81, 353.61, sigma / influence), abs=1e-12)
+    assert cooled[::-1] == pytest.approx(
+        _printed(kelvin, 325.09, 353.39, sigma / 7e6), abs=1e-12
+    )
+    assert phase.heated_fraction(kelvin, sigma, alloy) == pytest.approx(heated, abs=1e-12)
+    assert phase.cooled_fraction(kelvin, sigma, alloy) == pytest.approx(cooled[::-1], abs=1e-12)
+
+
+def _printed(kelvin, low, high, shift):
+    inside = np.clip(kelvin - shift, low, high)
+    return 0.5 + 0.5 * np.cos(np.pi / (high - low) * (inside - low))
+
+
+def test_partial_loop_is_that_of_liang_and_rogers_where_the_ranges_do_not_overlap():
+    alloy = DEFAULTS.replace({"wire.martensite_start_temperature": 325.0,
+                              "wire.martensite_finish_temperature": 310.0})
+    wire = Wire(alloy)
+    wire.go(343.0, 0.0)
+    half = wire.xi
+    cooled = wire.go(317.0, 0.0)
+    # Their cooling: xi = (1 - xi_A)/2 cos[a_M (T - M_f)] + (1 + xi_A)/2, xi_A before cooling.
+    there = 0.5 * (1 - half) * np.cos(np.pi / 15.0 * (317.0 - 310.0)) + 0.5 * (1 + half)
+    assert cooled[-1] == pytest.approx(there, abs=1e-12)
+    kept = wire.xi
+    reheated = wire.go(340.0, 0.0)
+    # Their heating: xi = xi_M/2 {cos[a_A (T - A_s)] + 1}.
+    back = 0.5 * kept * (np.cos(np.pi / 21.8 * (340.0 - 331.81)) + 1)
+    assert reheated[-1] == pytest.approx(back, abs=1e-12)
+
+
+@settings(deadline=None)
+@given(st.one_of(alloys, second_cycle), temperatures, stresses)
+def test_at_constant_stress_every_branch_is_monotone_continuous_and_the_contract(
+    alloy, path, sigma
+):
+    wire = Wire(alloy, 285.0, sigma)
+    for kelvin in path:
+        before = wire.xi
+        branch = wire.go(kelvin, sigma)
+        assert branch[0] == pytest.approx(before, abs=1e-12)
+        assert np.all((branch >= 0.0) & (branch <= 1.0))
+        rise = np.diff(branch) * (-1.0 if wire.rising else 1.0)
+        assert np.all(rise >= -1e-12)
+        f_r, g_r = wire.ramps_reversed
+        f, g = wire.ramps(kelvin, sigma)
+        if wire.rising and f_r > 0.0:
+            assert wire.xi == pytest.approx(wire.xi_reversed * f / f_r, abs=1e-12)
+        if not wire.rising and g_r > 0.0:
+            assert 1 - wire.xi == pytest.approx((1 - wire.xi_reversed) * g / g_r, abs=1e-12)
+
+
+@settings(deadline=None)
+@given(st.one_of(alloys, second_cycle), st.lists(st.tuples(st.floats(290, 420), stresses),
+                                                 min_size=1, max_size=12))
+def test_with_moving_stress_it_is_continuous_and_ends_where_both_ranges_end(alloy, path):
+    wire = Wire(alloy, 250.0)
+    for kelvin, sigma in path:
+        before = wire.xi
+        branch = wire.go(kelvin, sigma)
+        assert branch[0] == pytest.approx(before, abs=1e-12)
+        assert np.all((branch >= 0.0) & (branch <= 1.0))
+        f, g = wire.ramps(kelvin, sigma)
+        if f == 0.0 and g == 1.0:
+            assert wire.xi == pytest.approx(0.0, abs=1e-12)
+        if f == 1.0 and g == 0.0:
+            assert wire.xi == pytest.approx(1.0, abs=1e-12)
+
+
+@settings(deadline=None)
+@given(st.one_of(alloys, second_cycle), st.lists(st.tuples(st.floats(290, 420), stresses),
+                                                 min_size=2, max_size=6))
+def test_with_moving_stress_no_branch_jumps(alloy, path):
+    """Ever finer samples of the steepest place: a step halves with the distance, a jump stays."""
+    wire = Wire(alloy, 250.0)
+    for kelvin, sigma in path[:-1]:
+        wire.go(kelvin, sigma)
+    start = (wire.kelvin, wire.sigma)
+    end = path[-1]
+    branch = wire.go(*end, steps=200)
+    k = int(np.argmax(np.abs(np.diff(branch))))
+
+    def point(share):
+        return wire.at(start[0] + share * (end[0] - start[0]),
+                       start[1] + share * (end[1] - start[1]))
+
+    low, high = k / 199, (k + 1) / 199
+    for _ in range(45):
+        middle = 0.5 * (low + high)
+        left, right = abs(point(middle) - point(low)), abs(point(high) - point(middle))
+        low, high = (low, middle) if left > right else (middle, high)
+    assert abs(point(high) - point(low)) < 1e-4
+
+
+def test_stress_that_pulls_a_warming_wire_below_its_martensite_range_turns_it_all():
+    alloy = DEFAULTS.replace({"wire.martensite_start_temperature": 330.0,
+                              "wire.martensite_finish_temperature": 320.0})
+    wire = Wire(alloy)
+    wire.go(400.0, 0.0)
+    wire.go(331.0, 0.0)
+    branch = wire.go(331.5, 100e6, 400)  # M_f at 334.3 K, f = 1 all the while
+    assert branch[0] == 0.0
+    assert branch[-1] == 1.0
+    assert np.all(np.diff(branch) >= 0.0)
+    assert np.max(np.diff(branch)) < 0.05
+
+
+def test_rule_exchanges_phases_and_ramps():
+    heated = phase.fraction_since_reversal(True, 0.4, (0.7, 0.5), (0.3, 0.4))
+    cooled = phase.fraction_since_reversal(False, 0.6, (0.5, 0.7), (0.4, 0.3))
+    assert heated == pytest.approx(max(0.4 * 0.3 / 0.7, min(1 - 0.4 / 0.5, 0.3)))
+    assert cooled == pytest.approx(1.0 - heated)
+
+
+def test_stress_is_the_constitutive_law_from_rest():
+    assert stress.stress(296.15, 1.0, 0.0, DEFAULTS) == 0.0
+    # eq. (6) by hand: E = 39.1 GPa, Omega = -0.044 E, xi - xi_0 = -0.5, T - T_0 = 40 K.
+    by_hand = -39.1e9 * 0.01 - 0.15e6 * 40.0 + 0.044 * 39.1e9 * 0.5
+    assert stress.stress(336.15, 0.5, 0.01, DEFAULTS) == pytest.approx(by_hand)
+    assert stress.modulus(0.5, DEFAULTS) == pytest.approx(39.1e9)
+    assert stress.transformation_coefficient(0.5, DEFAULTS) == pytest.approx(-0.044 * 39.1e9)
+    assert stress.clamped_stress(316.15, DEFAULTS) == pytest.approx(-3.0e6)

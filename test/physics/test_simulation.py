@@ -1,0 +1,365 @@
+"""The compiled simulation: equations satisfied at every sample, boundaries, chaining, input."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+from sma_bench.physics import (
+    Bench,
+    Boundary,
+    bending_coefficients,
+    heat,
+    initial_state,
+    phase,
+    simulate,
+    stress,
+)
+
+COMPOSITE = Parameters.defaults().replace({
+    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+    "bench.channel_sides": ("front", "front", "back", "back"),
+    "composite.deflection_per_strain": 1.0,
+    "composite.stress_per_deflection_front": 5.0e9,
+    "composite.stress_per_deflection_back": 4.0e9,
+})
+
+# Every order of the ranges, differing influences, stiff and soft composites.
+rigs = st.builds(
+    lambda a_s, a_width, m_f, m_width, c_a, c_m, beta, theta: {
+        "wire.austenite_start_temperature": a_s,
+        "wire.austenite_finish_temperature": a_s + a_width,
+        "wire.martensite_finish_temperature": m_f,
+        "wire.martensite_start_temperature": m_f + m_width,
+        "wire.stress_influence_austenite": c_a,
+        "wire.stress_influence_martensite": c_m,
+        "composite.stress_per_deflection_front": beta,
+        "composite.stress_per_deflection_back": 0.6 * beta,
+        "wire.thermal_expansion_factor": theta,
+    },
+    st.floats(320, 345), st.floats(3, 40), st.floats(305, 335), st.floats(3, 40),
+    st.floats(4e6, 15e6), st.floats(4e6, 15e6), st.floats(5e8, 2e11), st.floats(-0.5e6, 0.3e6),
+)
+SECOND_CYCLE = {"wire.stress_influence_austenite": 13.8e6,
+                "wire.stress_influence_martensite": 8e6}
+
+
+def random_voltage(seed, samples, wires, period):
+    rng = np.random.default_rng(seed)
+    time = np.arange(samples) * period
+    held = np.repeat(rng.uniform(0.0, 6.8, (samples // 5 + 1, wires)), 5, axis=0)[:samples]
+    held[rng.random(samples) < 0.1] = 0.0
+    return time, held
+
+
+def rule_errors(run):
+    """Distance of every sample from the rule of phase.py, reversals followed from the outside."""
+    p = run.parameters
+    f = phase.austenite_ramp(run.temperature, run.stress, p)
+    g = phase.martensite_ramp(run.temperature, run.stress, p)
+    trend = np.sign(heat.steady_temperature(run.voltage, p) - run.temperature)
+    errors = np.zeros_like(run.temperature)
+    for i in range(run.temperature.shape[1]):
+        rising, xi_r, ramps_r = True, 1.0, (f[0, i], g[0, i])
+        for k in range(1, len(run.time)):
+            if trend[k - 1, i] and (trend[k - 1, i] > 0) != rising:
+                rising = not rising
+                xi_r, ramps_r = run.martensite_fraction[k - 1, i], (f[k - 1, i], g[k - 1, i])
+            there = phase.fraction_since_reversal(rising, xi_r, ramps_r, (f[k, i], g[k, i]))
+            errors[k, i] = abs(run.martensite_fraction[k, i] - there)
+    return errors
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
+       st.sampled_from([0.005, 0.05, 0.5]))
+def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, period):
+    rig = COMPOSITE.replace(numbers)
+    time, voltage = random_voltage(seed, 120, 4, period)
+    run = simulate(rig, time, voltage)
+    per_wire = run.contraction[:, [0, 0, 1, 1]]
+    sigma = stress.stress(run.temperature, run.martensite_fraction, per_wire, rig)
+    assert np.abs(run.stress - sigma).max() < 1.0
+    alpha, front, back = bending_coefficients(rig)
+    pulled = run.stress.reshape(-1, 2, 2).sum(axis=2)
+    assert np.abs(pulled - run.contraction * alpha * np.array([front, back])).max() < 10.0
+    assert run.deflection == pytest.approx(alpha * (run.contraction[:, 0] - run.contraction[:, 1]))
+    assert rule_errors(run).max() < 1e-9
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
+       st.floats(0.0, 400e6), st.sampled_from([0.005, 0.05, 0.5]))
+def test_at_held_stress_the_fraction_is_monotone_between_reversals(numbers, seed, sigma, period):
+    rig = Parameters.defaults().replace(numbers)
+    time, voltage = random_voltage(seed, 150, 1, period)
+    run = simulate(rig, time, voltage, boundary=Boundary.held_stress(sigma))
+    assert run.stress == pytest.approx(np.full_like(run.stress, sigma), abs=1.0)
+    change = np.diff(run.martensite_fraction, axis=0) * np.sign(np.diff(run.temperature, axis=0))
+    assert change.max() < 1e-9
+    assert run.martensite_fraction.min() >= 0.0
+    assert run.martensite_fraction.max() <= 1.0
+    assert rule_errors(run).max() < 1e-9
+
+
+@pytest.mark.parametrize("sigma", [0.0, 150e6])
+def test_full_loop_at_held_stress_is_equations_10_and_11(wire_rig, sigma):
+    rig = wire_rig.replace(SECOND_CYCLE)
+    time = np.arange(0.0, 60.0, 0.01)
+    voltage = 7.5 * np.sin(np.pi * time / 60.0)
+    run = simulate(rig, time, voltage, boundary=Boundary.held_stress(sigma))
+    temperature, xi = run.temperature[:, 0], run.martensite_fraction[:, 0]
+    top = int(np.argmax(temperature))
+    heated, cooled = slice(0, top + 1), slice(top, None)
+    assert xi[top] == 0.0
+    assert xi[heated] == pytest.approx(
+        phase.heated_fraction(temperature[heated], sigma, rig), abs=1e-10
+    )
+    assert xi[cooled] == pytest.approx(
+        phase.cooled_fraction(temperature[cooled], sigma, rig), abs=1e-10
+    )
+    assert xi[-1] == 1.0
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 149), st.booleans())
+def test_two_halves_are_one_run_to_the_last_bit(seed, split, latent):
+    latent_heat = 9e3 if latent else 0.0
+    time, voltage = random_voltage(seed, 150, 4, 0.07)
+    whole = simulate(COMPOSITE, time, voltage, latent_heat=latent_heat)
+    first = simulate(COMPOSITE, time[:split + 1], voltage[:split + 1], latent_heat=latent_heat)
+    second = simulate(COMPOSITE, time[split:], voltage[split:], initial=first.final,
+                      latent_heat=latent_heat)
+    for name in ("temperature", "martensite_fraction", "stress", "contraction", "deflection"):
+        pieces = [getattr(first, name)[:-1], getattr(second, name)]
+        assert np.array_equal(np.concatenate(pieces), getattr(whole, name)), name
+
+
+def test_live_bench_is_the_simulation_to_the_last_bit():
+    rng = np.random.default_rng(11)
+    voltage = rng.uniform(0.0, 6.0, (200, 4))
+    time = np.arange(200) * 0.125  # exact in binary, so that differences of time are the step
+    run = simulate(COMPOSITE, time, voltage)
+    bench = Bench(COMPOSITE)
+    for k in range(199):
+        bench.advance(voltage[k], 0.125)
+        assert np.array_equal(bench.temperature, run.temperature[k + 1])
+        assert np.array_equal(bench.martensite_fraction, run.martensite_fraction[k + 1])
+        assert np.array_equal(bench.stress, run.stress[k + 1])
+        assert np.array_equal(bench.contraction, run.contraction[k + 1])
+    assert bench.deflection == pytest.approx(run.deflection[-1], rel=1e-14)
+    assert bench.force == pytest.approx(run.force[-1])
+
+
+def test_bench_at_rest_pulls_and_bends_nothing():
+    bench = Bench(COMPOSITE)
+    assert np.all(bench.stress == 0.0)
+    assert np.all(bench.martensite_fraction == 1.0)
+    assert np.all(bench.temperature == 296.15)
+    assert bench.deflection == 0.0
+    bench.advance([0.0] * 4, 3600.0)
+    assert np.all(bench.stress == 0.0)
+    assert bench.deflection == 0.0
+
+
+def test_front_wires_bend_to_the_front_and_return_to_zero():
+    time = np.arange(0.0, 20.0, 0.01)
+    on = (time < 5.0)[:, np.newaxis]
+    run = simulate(COMPOSITE, time, 6.3 * on * np.array([1.0, 1.0, 0.0, 0.0]))
+    other = simulate(COMPOSITE, time, 6.3 * on * np.array([0.0, 0.0, 1.0, 1.0]))
+    assert run.deflection.max() > 0.01
+    assert run.deflection.min() > -1e-3  # the cold wire expands first
+    assert other.deflection.min() < -0.01
+    assert run.deflection[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_clamped_wire_pulls_with_the_force_of_its_stress(wire_rig):
+    time = np.arange(0.0, 4.0, 0.01)
+    run = simulate(wire_rig, time, np.full((time.size, 1), 6.0))
+    assert np.all(run.contraction == 0.0)
+    assert np.all(run.deflection == 0.0)
+    assert run.stress.max() > 100e6
+    assert run.force == pytest.approx(run.stress * np.pi * 0.15e-3**2)
+    assert run.current == pytest.approx(np.full((time.size, 1), 6.0 / 2.6987))
+
+
+@pytest.mark.parametrize("sides", [
+    ("front",), ("back",), ("front", "front", "front"), ("back", "front", "back"),
+    ("front", "back") * 6,
+])
+def test_any_number_of_wires_in_any_order_of_sides(sides):
+    rig = COMPOSITE.replace({
+        "bench.channels": tuple(f"w{i}" for i in range(len(sides))), "bench.channel_sides": sides,
+    })
+    time, voltage = random_voltage(3, 300, len(sides), 0.05)
+    run = simulate(rig, time, voltage, boundary=Boundary.bending(rig))
+    assert run.temperature.shape == (300, len(sides))
+    # Each side is on its own, so it moves as a rig that has that side only.
+    expected = np.zeros(300)
+    for side in set(sides):
+        members = [i for i, name in enumerate(sides) if name == side]
+        alone = rig.replace({
+            "bench.channels": tuple(f"w{i}" for i in members),
+            "bench.channel_sides": (side,) * len(members),
+        })
+        part = simulate(alone, time, voltage[:, members], boundary=Boundary.bending(alone))
+        assert np.array_equal(part.stress, run.stress[:, members])
+        expected += part.deflection
+    assert run.deflection == pytest.approx(expected, abs=1e-15)
+
+
+def test_prescribed_contraction_relieves_the_wire(wire_rig):
+    time = np.arange(0.0, 4.0, 0.01)
+    voltage = np.full((time.size, 1), 6.5)
+    clamped = simulate(wire_rig, time, voltage)
+    shorter = simulate(wire_rig, time, voltage, boundary=Boundary.clamped(0.005))
+    assert shorter.stress[-1, 0] < clamped.stress[-1, 0]
+    assert shorter.martensite_fraction[-1, 0] < clamped.martensite_fraction[-1, 0]
+
+
+def test_heating_at_held_stress_recovers_the_strain(wire_rig):
+    time = np.arange(0.0, 6.0, 0.01)
+    run = simulate(wire_rig, time, np.full((time.size, 1), 7.0),
+                   boundary=Boundary.held_stress(13e6))
+    # All austenite: e = eps_L - (sigma - Theta_T (T - T_inf))/E_A.
+    rise = run.temperature[-1, 0] - 296.15
+    expected = 0.044 - (13e6 + 0.15e6 * rise) / 55.4e9
+    assert run.contraction[-1, 0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_initial_state_starts_where_it_says(wire_rig):
+    start = initial_state(wire_rig, temperature=345.0, martensite_fraction=0.4,
+                          boundary=Boundary.held_stress(50e6))
+    run = simulate(wire_rig, [0.0, 1e-9], np.zeros((2, 1)), initial=start,
+                   boundary=Boundary.held_stress(50e6))
+    assert run.temperature[:, 0] == pytest.approx([345.0, 345.0])
+    assert run.martensite_fraction[:, 0] == pytest.approx([0.4, 0.4], abs=1e-6)
+    assert run.stress[:, 0] == pytest.approx([50e6, 50e6])
+
+
+def test_noise_on_the_voltage_does_not_stop_the_solver():
+    rng = np.random.default_rng(2)
+    time = np.arange(0.0, 60.0, 0.01)
+    clean = 6.5 * np.abs(np.sin(time / 7.0))[:, np.newaxis] * np.array([1.0, 0.7, 0.4, 0.9])
+    run = simulate(COMPOSITE, time, clean + rng.normal(0.0, 0.05, clean.shape))
+    assert np.all(np.isfinite(run.deflection))
+    assert rule_errors(run).max() < 1e-9
+
+
+ONE = np.zeros((3, 1))
+
+
+@pytest.mark.parametrize(("time", "voltage", "said"), [
+    ([0.0, 1.0, 1.0], ONE, "time goes from 1.0 to 1.0 s at sample 2"),
+    ([0.0, 2.0, 1.0], ONE, "time goes from 2.0 to 1.0 s at sample 2"),
+    ([0.0, np.nan, 1.0], ONE, "time of sample 1 is nan"),
+    ([0.0, 1.0, 2.0], [[0.0], [np.nan], [0.0]], "voltage of sample 1"),
+    ([0.0, 1.0, 2.0], [[0.0], [np.inf], [0.0]], "voltage of sample 1"),
+    ([0.0, 1.0, 2.0], np.zeros((3, 2)), "voltage has shape (3, 2), expected (3, 1)"),
+    ([0.0, 1.0], ONE, "voltage has shape (3, 1), expected (2, 1)"),
+    ([], np.zeros((0, 1)), "time has shape (0,)"),
+    ([[0.0, 1.0]], ONE, "time has shape (1, 2)"),
+])
+def test_bad_samples_are_refused_in_one_line(wire_rig, time, voltage, said):
+    with pytest.raises(InputError) as error:
+        simulate(wire_rig, time, voltage)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("voltage", "dt", "said"), [
+    ([1.0, 2.0], 0.1, "voltage has shape (2,), expected (1,)"),
+    ([np.nan], 0.1, "voltage is [nan]"),
+    ([1.0], 0.0, "dt is 0.0 s"),
+    ([1.0], float("nan"), "dt is nan s"),
+])
+def test_bad_live_steps_are_refused_and_change_nothing(wire_rig, voltage, dt, said):
+    bench = Bench(wire_rig)
+    bench.advance([3.0], 0.1)
+    before = bench.temperature.copy()
+    with pytest.raises(InputError, match=said.replace("(", r"\(").replace(")", r"\)")
+                       .replace("[", r"\[")):
+        bench.advance(voltage, dt)
+    assert np.array_equal(bench.temperature, before)
+
+
+@pytest.mark.parametrize(("state", "said"), [
+    ({"temperature": 450.0, "martensite_fraction": 0.5}, "expected 0 above A_f"),
+    ({"temperature": 290.0, "martensite_fraction": 0.5}, "expected 1 below M_f"),
+    ({"temperature": [300.0, 310.0]}, "temperature has shape (2,)"),
+    ({"martensite_fraction": 1.2}, "expected 0 to 1"),
+    ({"temperature": float("nan")}, "expected finite"),
+    ({"temperature": -1.0}, "expected above 0 K"),
+])
+def test_impossible_initial_states_are_refused(wire_rig, state, said):
+    with pytest.raises(InputError) as error:
+        initial_state(wire_rig, **state, boundary=Boundary.held_stress(0.0))
+    assert said in str(error.value)
+
+
+def test_state_of_another_rig_is_refused(wire_rig):
+    with pytest.raises(InputError, match="4 wires on 2 sides, expected 1 on 1"):
+        Bench(wire_rig, initial=initial_state(COMPOSITE))
+
+
+def test_ambient_above_the_austenite_range_is_refused(wire_rig):
+    hot = wire_rig.replace({"environment.ambient_temperature": 372.0})
+    with pytest.raises(InputError, match="expected 0 above A_f"):
+        simulate(hot, [0.0, 1.0], ONE[:2])
+
+
+@pytest.mark.parametrize(("boundary", "said"), [
+    (Boundary(stiffness=(1.0, 2.0, 3.0)), "stiffness has shape"),
+    (Boundary.held_stress(float("nan")), "load is nan"),
+])
+def test_bad_boundaries_are_refused(wire_rig, boundary, said):
+    with pytest.raises(InputError, match=said):
+        simulate(wire_rig, [0.0, 1.0], ONE[:2], boundary=boundary)
+
+
+WITHOUT_NUMBA = """
+import sys, warnings
+import numpy as np
+sys.modules["numba"] = None
+from sma_bench.parameters import Parameters
+from sma_bench.physics import simulate
+rig = Parameters.defaults().replace({
+    "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")})
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    for _ in range(2):
+        time = np.arange(400) * 0.05
+        waves = 7.0 * np.abs(np.sin(np.outer(time, [0.5, 0.7, 1.1])))
+        run = simulate(rig, time, waves, latent_heat=8e3)
+print(len([w for w in caught if "numba" in str(w.message)]))
+np.save(sys.argv[1], np.hstack([run.temperature, run.martensite_fraction, run.stress / 1e9,
+                                run.contraction]))
+"""
+
+
+def test_without_numba_the_same_code_gives_the_same_and_says_so_once(tmp_path):
+    file = tmp_path / "plain.npy"
+    plain = subprocess.run([sys.executable, "-c", WITHOUT_NUMBA, str(file)], check=True,
+                           capture_output=True, text=True, timeout=300)
+    assert plain.stdout.strip() == "1"
+    rig = Parameters.defaults().replace({
+        "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")})
+    time = np.arange(400) * 0.05
+    waves = 7.0 * np.abs(np.sin(np.outer(time, [0.5, 0.7, 1.1])))
+    run = simulate(rig, time, waves, latent_heat=8e3)
+    compiled = np.hstack([run.temperature, run.martensite_fraction, run.stress / 1e9,
+                          run.contraction])
+    assert np.ptp(run.martensite_fraction) > 0.9
+    assert np.load(file) == pytest.approx(compiled, rel=1e-11, abs=1e-11)
+
+
+def test_physics_is_imported_without_numba():
+    """Commands that simulate nothing are spared the import, most of a second."""
+    code = "import sys, sma_bench.physics; print('numba' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert told.stdout.strip() == "False"
