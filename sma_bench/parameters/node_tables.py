@@ -142,9 +142,57 @@ IDENTIFICATION = (
     ),
 )
 
+_RUN = tuple(p for p in EXPERIMENT if p.name != "protocol")
+
+_CONTROL = (
+    Parameter(
+        "delay", "s", 0.05,
+        "Time from a reading to the voltage that answers it, beyond half a command period.",
+        "simulator: one period of the default command_rate", 0.0, 10.0,
+    ),
+    Parameter(
+        "closed_loop_time", "s", 0.0,
+        "Time constant of the closed loop; 0 for half the wire's, or the delay if longer.",
+        "SIMC rule", 0.0, 100.0,
+    ),
+    Parameter(
+        "maximum_power", "W", 0.0,
+        "Highest power of one wire; 0 for what bench.maximum_voltage and _current allow.",
+        "choice", 0.0, 1000.0,
+    ),
+    Parameter(
+        "power_rate", "W/s", 0.0, "Fastest change of a wire's power; 0 for no limit.",
+        "choice", 0.0, 1e6,
+    ),
+)
+
+TEMPERATURE_CONTROLLER = (
+    Parameter(
+        "reference", "", "temperature_staircase",
+        "Wire temperatures to follow: a name in config/references or the path of a .yaml file; "
+        "empty for the topic ~/reference (degC, one a channel).",
+        "experiment E8", kind="string",
+    ),
+    *_RUN,
+    *_CONTROL,
+)
+
+DEFLECTION_CONTROLLER = (
+    Parameter(
+        "reference", "", "deflection_triangle",
+        "Deflection to follow: a name in config/references or the path of a .yaml file; empty "
+        "for the topic ~/reference (m).",
+        "experiment E12", kind="string",
+    ),
+    *_RUN,
+    *_CONTROL,
+)
+
 NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
     "simulator": SIMULATOR,
     "experiment": EXPERIMENT,
     "recorder": RECORDER,
     "identification": IDENTIFICATION,
+    "temperature_controller": TEMPERATURE_CONTROLLER,
+    "deflection_controller": DEFLECTION_CONTROLLER,
 }

@@ -1,0 +1,1 @@
+"""What stands between a command and a hot wire: safety rules and instruments, without ROS."""

@@ -1,0 +1,218 @@
+"""Rules that keep a heated wire safe. No ROS, no clock of its own: time comes in as seconds.
+
+Every rule answers with a reason, one line for people, or "" when all is well. What acts on them
+(a node, a bridge, a firmware emulation) puts the outputs to 0 V.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from sma_bench.parameters import Parameters
+
+CELSIUS_ZERO = 273.15
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a bench allows: V, A, K, and s of silence."""
+
+    maximum_voltage: float
+    maximum_current: float
+    maximum_temperature: float
+    command_timeout: float
+
+    @classmethod
+    def from_parameters(cls, parameters: Parameters) -> "Limits":
+        """The limits among the contract's parameters."""
+        return cls(
+            maximum_voltage=parameters["bench.maximum_voltage"],
+            maximum_current=parameters["bench.maximum_current"],
+            maximum_temperature=parameters["bench.maximum_temperature"],
+            command_timeout=parameters["bench.command_timeout"],
+        )
+
+
+def command_fault(command: Sequence[float], channels: int, limits: Limits) -> str:
+    """Why a voltage command (V, one per channel) cannot be accepted, or ""."""
+    if len(command) != channels:
+        return f"voltage_command has {len(command)} values, expected {channels}"
+    for value in command:
+        if not math.isfinite(value):
+            return f"voltage_command has {value}, expected finite volts"
+        if not 0.0 <= value <= limits.maximum_voltage:
+            return (
+                f"voltage_command has {value:g} V, expected 0 to {limits.maximum_voltage:g} V"
+            )
+    return ""
+
+
+def temperature_fault(channel: str, temperature: float, limits: Limits) -> str:
+    """Over-temperature of a wire at `temperature` K, or ""; NaN is no reading and no fault."""
+    if temperature > limits.maximum_temperature:
+        return (
+            f"over-temperature: {channel} at {temperature - CELSIUS_ZERO:.1f} degC, limit "
+            f"{limits.maximum_temperature - CELSIUS_ZERO:.1f} degC"
+        )
+    return ""
+
+
+def current_fault(channel: str, current: float, limits: Limits) -> str:
+    """Over-current of a wire carrying `current` A, or ""; NaN is no reading and no fault."""
+    if abs(current) > limits.maximum_current:
+        return (
+            f"over-current: {channel} at {current:.2f} A, limit {limits.maximum_current:g} A"
+        )
+    return ""
+
+
+class Watchdog:
+    """Notices silence. There is no way to switch it off."""
+
+    def __init__(self, timeout: float) -> None:
+        """Expired from the start, and again `timeout` s after every `feed`.
+
+        Raises:
+            ValueError: the timeout is not positive and finite.
+        """
+        if not 0.0 < timeout < math.inf:
+            raise ValueError(f"watchdog timeout is {timeout} s, expected positive and finite")
+        self.timeout = timeout
+        self._fed: float | None = None
+
+    def feed(self, now: float) -> None:
+        """Something was heard at `now` s."""
+        self._fed = now
+
+    def expired(self, now: float) -> bool:
+        """True when nothing was heard within the timeout before `now` s."""
+        # A clock that went back (a restarted simulation) proves nothing about the silence.
+        return self._fed is None or not 0.0 <= now - self._fed <= self.timeout
+
+    def silence(self, now: float) -> float:
+        """Seconds since something was heard; infinite when nothing ever was."""
+        return math.inf if self._fed is None else now - self._fed
+
+
+class CommandGate:
+    """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V."""
+
+    def __init__(self, channels: int, limits: Limits) -> None:
+        self._limits = limits
+        self._watchdog = Watchdog(limits.command_timeout)
+        self._zero = (0.0,) * channels
+        self._outputs = self._zero
+        self._live = False
+        self.accepted = 0
+        self.rejected = 0
+        self.timeouts = 0
+        self.last_rejection = ""
+
+    def command(self, values: Sequence[float], now: float) -> str:
+        """Take a command at `now` s; the reason when it is rejected and changes nothing."""
+        reason = command_fault(values, len(self._zero), self._limits)
+        if reason:
+            self.rejected += 1
+            self.last_rejection = reason
+            return reason
+        self._watchdog.feed(now)
+        self._outputs = tuple(float(value) for value in values)
+        self._live = True
+        self.accepted += 1
+        return ""
+
+    def outputs(self, now: float) -> tuple[float, ...]:
+        """Volts of every channel at `now` s."""
+        if self._live and self._watchdog.expired(now):
+            self._live = False
+            self._outputs = self._zero
+            self.timeouts += 1
+        return self._outputs
+
+
+class Freshness:
+    """Age of one reading. Only a new acquisition stamp counts: a frozen driver is stale too."""
+
+    def __init__(self, subject: str, timeout: float) -> None:
+        self._subject = subject
+        self._watchdog = Watchdog(timeout)
+        self._stamp = math.nan
+
+    def seen(self, stamp: float, now: float) -> None:
+        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared)."""
+        if stamp != self._stamp:
+            self._stamp = stamp
+            self._watchdog.feed(now)
+
+    def fault(self, now: float) -> str:
+        """Why the reading cannot be trusted at `now` s, or ""."""
+        if not self._watchdog.expired(now):
+            return ""
+        silence = self._watchdog.silence(now)
+        if silence == math.inf:
+            return f"no feedback: {self._subject} was never received"
+        return (
+            f"stale feedback: nothing new from {self._subject} for {silence:.2f} s, limit "
+            f"{self._watchdog.timeout:g} s"
+        )
+
+
+class Interlock:
+    """Latched stop: the first reason stays until someone resets it."""
+
+    def __init__(self) -> None:
+        self.reason = ""
+
+    @property
+    def tripped(self) -> bool:
+        """True from the first trip to the reset."""
+        return bool(self.reason)
+
+    def trip(self, reason: str) -> None:
+        """Latch `reason`; "" and later reasons change nothing."""
+        self.reason = self.reason or reason
+
+    def reset(self) -> None:
+        """Forget the reason."""
+        self.reason = ""
+
+
+class Guard:
+    """Watches every channel's readings and knows why an experiment must not go on."""
+
+    def __init__(
+        self, channels: Iterable[str], feedback: Iterable[str], timeout: float
+    ) -> None:
+        """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s."""
+        self._fresh = {
+            f"{channel}/{kind}": Freshness(f"{channel}/{kind}", timeout)
+            for channel in channels
+            for kind in feedback
+        }
+        self._readings: dict[str, str] = {}
+
+    def temperature(
+        self, channel: str, kelvin: float, stamp: float, now: float, limits: Limits
+    ) -> None:
+        """Note a temperature in K; NaN is not a reading and makes nothing fresh."""
+        if not math.isnan(kelvin):
+            self._note(f"{channel}/temperature", stamp, now)
+        self._readings[f"{channel}/temperature"] = temperature_fault(channel, kelvin, limits)
+
+    def power(
+        self, channel: str, volt: float, ampere: float, stamp: float, now: float, limits: Limits
+    ) -> None:
+        """Note voltage in V and current in A; both NaN is not a reading."""
+        if not (math.isnan(volt) and math.isnan(ampere)):
+            self._note(f"{channel}/power", stamp, now)
+        self._readings[f"{channel}/power"] = current_fault(channel, ampere, limits)
+
+    def fault(self, now: float) -> str:
+        """First reason not to drive the wires at `now` s, or ""."""
+        faults = [reason for reason in self._readings.values() if reason]
+        faults += [fault for fresh in self._fresh.values() if (fault := fresh.fault(now))]
+        return faults[0] if faults else ""
+
+    def _note(self, topic: str, stamp: float, now: float) -> None:
+        if topic in self._fresh:
+            self._fresh[topic].seen(stamp, now)

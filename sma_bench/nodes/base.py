@@ -1,0 +1,240 @@
+"""What every node of the package shares: parameters from the tables, and a clean end."""
+
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+
+try:
+    # A quarter of the CPU time of SingleThreadedExecutor; not in the first releases of Jazzy.
+    from rclpy.experimental import EventsExecutor as OneThreadExecutor
+except ImportError:
+    from rclpy.executors import SingleThreadedExecutor as OneThreadExecutor
+
+from sma_bench.errors import InputError
+from sma_bench.nodes.arguments import check_arguments
+from sma_bench.parameters import TABLE, Parameter, Parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
+from sma_bench.parameters.yaml_file import split_names
+
+# Seconds of readings, for a recorder that is kept from running, and simulations faster than life.
+MEASURED = QoSProfile(depth=2000)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+# Signals arrive at Python only between two waits of the executor.
+_SIGNAL_LATENCY = 0.1
+
+_RANGES = {"double": FloatingPointRange, "integer": IntegerRange}
+_RANGE_FIELDS = {"double": "floating_point_range", "integer": "integer_range"}
+
+
+class BenchNode(Node):
+    """Node with the contract's parameters (`parameters`) and its own ones (`settings`).
+
+    Both are validated as a whole whenever one changes; a change that cannot be is refused with
+    the reason.
+    """
+
+    frozen = False
+    """True where nothing may change while the node runs."""
+    with_uncertainty = False
+    """True where the node has use for the `uncertainty.` parameters."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.failure: InputError | None = None
+        self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
+        self._contract = {parameter.name: parameter for parameter in self._contract_table()}
+        for parameter in (*self._contract.values(), *self._own.values()):
+            self._declare(parameter)
+        self._load({})
+        self.add_on_set_parameters_callback(self._check_change)
+        self.add_post_set_parameters_callback(lambda _: self._load({}))
+
+    def fail(self, error: InputError) -> None:
+        """End the node after this callback, with the error's line and status 2.
+
+        Raising would do so too, but executors print a traceback on the way.
+        """
+        self.failure = self.failure or error
+
+    def check_settings(self, settings: dict[str, Any]) -> None:
+        """Refuse a change of the node's own parameters by raising InputError."""
+
+    def drain(self, spin: Callable[[], None]) -> None:
+        """Take what has arrived already before the end; `spin` runs one waiting callback."""
+
+    def close(self) -> None:
+        """Put everything in a safe state; the context is still valid."""
+
+    def _contract_table(self) -> list[Parameter]:
+        table = list(TABLE)
+        if self.with_uncertainty:
+            table += [_uncertainty_of(p) for p in TABLE if p.uncertainty is not None]
+        return table
+
+    def _declare(self, parameter: Parameter) -> None:
+        default = parameter.default
+        value = list(default) if isinstance(default, tuple) else default
+        try:
+            self.declare_parameter(parameter.name, value, self._descriptor(parameter))
+        except ParameterException as error:
+            raise InputError(" ".join(str(error).split())) from None
+
+    def _descriptor(self, parameter: Parameter) -> ParameterDescriptor:
+        unit = f" [{parameter.unit}]" if parameter.unit else ""
+        descriptor = ParameterDescriptor(
+            description=f"{parameter.description}{unit} Source: {parameter.provenance}.",
+            read_only=self.frozen or parameter.read_only,
+        )
+        if parameter.low is not None and parameter.high is not None:
+            bounds = _RANGES[parameter.kind](
+                from_value=parameter.low, to_value=parameter.high
+            )
+            setattr(descriptor, _RANGE_FIELDS[parameter.kind], [bounds])
+        return descriptor
+
+    def _load(self, changed: dict[str, Any]) -> None:
+        self.settings, self.parameters = self._validated(changed)
+
+    def _validated(self, changed: dict[str, Any]) -> tuple[dict[str, Any], Parameters]:
+        """Own and contract parameters with `changed` applied; InputError when they cannot be."""
+        settings = {
+            name: parameter.validated(self._current(name, changed))
+            for name, parameter in self._own.items()
+        }
+        contract = {name: self._current(name, changed) for name in self._contract}
+        # Names left at their default stay "not given", as when read from a file.
+        given = {
+            name: value
+            for name, value in contract.items()
+            if _plain(value) != _plain(self._contract[name].default)
+        }
+        return settings, Parameters(*split_names(given))
+
+    def _current(self, name: str, changed: dict[str, Any]) -> Any:
+        return changed[name] if name in changed else self.get_parameter(name).value
+
+    def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
+        changed = {
+            change.name: change.value
+            for change in changes
+            if change.name in self._own or change.name in self._contract
+        }
+        try:
+            settings, _ = self._validated(changed)
+            if any(name in self._own for name in changed):
+                self.check_settings(settings)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def run_node(
+    name: str,
+    factory: Callable[[], BenchNode],
+    argv: Sequence[str] | None = None,
+    executor_type: Callable[[], Executor] = OneThreadExecutor,
+) -> int:
+    """Run a node until SIGINT, SIGTERM or the end of its ROS context.
+
+    The signals are handled here and not by rclpy, whose handler invalidates the context before a
+    node can send its last message.
+
+    Returns:
+        0 at a clean end, 2 after bad input, of which one line goes to standard error.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        check_arguments(name, arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except InputError as error:
+        return _refuse(name, error)
+    except rclpy.exceptions.InvalidROSArgsError as error:
+        return _refuse(name, error)
+    node: BenchNode | None = None
+    try:
+        with _Signals() as signals:
+            node = factory()
+            _spin(node, executor_type(), signals)
+    except InputError as error:
+        return _refuse(name, error)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        _end(node)
+    return 0
+
+
+class _Signals:
+    """SIGINT and SIGTERM as a flag, for the time of a `with`."""
+
+    def __init__(self) -> None:
+        self.received = False
+
+    def __enter__(self) -> "_Signals":
+        self._before = {
+            number: signal.signal(number, self._receive)
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _receive(self, _number: int, _frame: FrameType | None) -> None:
+        self.received = True
+
+
+def _spin(node: BenchNode, executor: Executor, signals: _Signals) -> None:
+    executor.add_node(node)
+    try:
+        while rclpy.ok() and not signals.received and node.failure is None:
+            # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
+            executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
+    finally:
+        if rclpy.ok():
+            node.drain(lambda: executor.spin_once(timeout_sec=0.0))
+            node.close()
+        executor.shutdown(timeout_sec=1.0)
+    if node.failure is not None:
+        raise node.failure
+
+
+def _end(node: BenchNode | None) -> None:
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def _refuse(name: str, error: Exception) -> int:
+    print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    return 2
+
+
+def _uncertainty_of(parameter: Parameter) -> Parameter:
+    return Parameter(
+        UNCERTAINTY_PREFIX + parameter.name, parameter.unit, parameter.uncertainty or 0.0,
+        f"Standard deviation of {parameter.name}.", "table", 0.0, 1e15,
+    )
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, (list, tuple)) else value

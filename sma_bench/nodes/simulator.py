@@ -1,0 +1,130 @@
+"""Stands in for the bench: same topics, types, rates and sensor noise as the hardware."""
+
+import time
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64MultiArray
+
+from sma_bench.hardware.lockstep import REAL_TIME, Lockstep
+from sma_bench.hardware.safety import CommandGate, Limits
+from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.nodes.bench_topics import BenchTopics
+from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
+
+# A bench in real time answers a command within 10 ms, the period of its power readings.
+_REAL_TIME_SLICE = 0.01
+_SHORTEST_TICK = 0.002
+# Slices in one callback, so that commands and services get their turn.
+_SLICES_AT_ONCE = 8
+_CLOCK_REPEAT = 0.05
+
+
+class Simulator(BenchNode):
+    """Simulated time runs in slices; commands are applied between two of them."""
+
+    frozen = True
+
+    def __init__(self) -> None:
+        super().__init__("simulator")
+        limits = Limits.from_parameters(self.parameters)
+        speed = self.settings["speed"]
+        self._fast = speed > REAL_TIME
+        slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
+        self._slice = round(slice_length * NANOSECONDS)
+        self._now = 0
+        self._bench = VirtualBench(self.parameters, self.settings)
+        self._epoch = time.time_ns()
+        self._gate = CommandGate(len(self._bench.channels), limits)
+        self._lockstep = Lockstep(
+            slice_length, speed, limits.command_timeout, self.settings["lockstep_patience"]
+        )
+        self._topics = BenchTopics(self, self._bench.channels, self._bench.composite)
+        self._clock_sent = 0.0
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self._fast else None
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_subscription(
+            Float64MultiArray, "voltage_command", self._command, QoSProfile(depth=50)
+        )
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        tick = max(slice_length / speed, _SHORTEST_TICK)
+        self.create_timer(tick, self._tick, clock=steady)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        self._reported = (0, self._topics.counts())
+
+    def _command(self, message: Float64MultiArray) -> None:
+        now = self._now / NANOSECONDS
+        reason = self._gate.command(message.data, now)
+        if reason:
+            self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
+            return
+        self._lockstep.commanded(now)
+        if self._fast:
+            self._tick()
+
+    def _tick(self) -> None:
+        for _ in range(_SLICES_AT_ONCE):
+            if not self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic()):
+                break
+            self._run_slice()
+        # /clock is best effort at its readers: a lost one must not stop the lockstep.
+        if self._fast and time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
+            self._publish_clock()
+
+    def _run_slice(self) -> None:
+        voltage = self._gate.outputs(self._now / NANOSECONDS)
+        until = self._now + self._slice
+        for reading in self._bench.advance(voltage, until):
+            self._topics.publish(reading, self._epoch)
+        self._now = until
+        if self._fast:
+            self._publish_clock()
+
+    def _publish_clock(self) -> None:
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(self._epoch + self._now, NANOSECONDS)
+        self._clock_publisher.publish(message)
+        self._clock_sent = time.monotonic()
+
+    def _diagnose(self) -> None:
+        before, counts_before = self._reported
+        counts = self._topics.counts()
+        self._reported = (self._now, counts)
+        elapsed = max(self._now - before, 1) / NANOSECONDS
+        values = {
+            "accepted_commands": self._gate.accepted,
+            "rejected_commands": self._gate.rejected,
+            "command_timeouts": self._gate.timeouts,
+            "last_rejection": self._gate.last_rejection,
+            "simulated_seconds": f"{self._now / NANOSECONDS:.3f}",
+            "outputs": " ".join(f"{v:g}" for v in self._gate.outputs(self._now / NANOSECONDS)),
+        }
+        for kind, count in counts.items():
+            values[f"{kind}_rate"] = f"{(count - counts_before[kind]) / elapsed:.1f}"
+        self._diagnostics.publish(self._diagnostic_array(values))
+
+    def _diagnostic_array(self, values: dict[str, object]) -> DiagnosticArray:
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if self._gate.rejected else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: bench",
+            message=self._gate.last_rejection or "running",
+            hardware_id="simulated bench",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(self._epoch + self._now, NANOSECONDS)
+        return message
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_node("simulator", Simulator, argv)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,149 @@
+"""Safety rules: what is refused, what trips, and what stays tripped."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sma_bench.hardware.safety import (
+    CommandGate,
+    Freshness,
+    Guard,
+    Interlock,
+    Limits,
+    Watchdog,
+    command_fault,
+    current_fault,
+    temperature_fault,
+)
+from sma_bench.parameters import Parameters
+
+LIMITS = Limits.from_parameters(Parameters.defaults())
+
+
+def test_limits_are_those_of_the_contract():
+    assert Limits(10.0, 3.0, 423.15, 0.5) == LIMITS
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        ([], "has 0 values, expected 2"),
+        ([1.0], "has 1 values, expected 2"),
+        ([1.0, math.nan], "has nan"),
+        ([math.inf, 1.0], "has inf"),
+        ([1.0, -0.1], "has -0.1 V, expected 0 to 10 V"),
+        ([10.1, 1.0], "has 10.1 V, expected 0 to 10 V"),
+    ],
+)
+def test_a_bad_command_has_a_reason(command, reason):
+    assert reason in command_fault(command, 2, LIMITS)
+
+
+@given(st.lists(st.floats(), max_size=4))
+def test_an_accepted_command_is_always_as_long_and_as_large_as_the_bench_allows(command):
+    if not command_fault(command, 2, LIMITS):
+        assert len(command) == 2
+        assert all(0.0 <= v <= 10.0 for v in command)
+
+
+def test_limits_are_inclusive_and_nan_is_no_reading():
+    assert temperature_fault("wire", 423.15, LIMITS) == ""
+    assert "wire at 150.1 degC, limit 150.0 degC" in temperature_fault("wire", 423.25, LIMITS)
+    assert temperature_fault("wire", math.nan, LIMITS) == ""
+    assert current_fault("wire", 3.0, LIMITS) == current_fault("wire", math.nan, LIMITS) == ""
+    assert "over-current: wire at -3.10 A" in current_fault("wire", -3.1, LIMITS)
+
+
+@pytest.mark.parametrize("timeout", [0.0, -1.0, math.inf, math.nan])
+def test_a_watchdog_cannot_be_switched_off(timeout):
+    with pytest.raises(ValueError, match="positive and finite"):
+        Watchdog(timeout)
+
+
+def test_a_watchdog_is_expired_until_fed_and_when_its_clock_goes_back():
+    watchdog = Watchdog(0.5)
+    assert watchdog.expired(0.0)
+    watchdog.feed(10.0)
+    assert not watchdog.expired(10.5)
+    assert watchdog.expired(10.51)
+    assert watchdog.expired(9.9)
+    assert watchdog.expired(math.nan)
+
+
+def test_gate_keeps_the_outputs_on_a_bad_command_and_zeroes_them_on_silence():
+    gate = CommandGate(2, LIMITS)
+    assert gate.outputs(0.0) == (0.0, 0.0)
+    assert gate.command([1.0, 2.0], 1.0) == ""
+    assert "nan" in gate.command([math.nan, 2.0], 1.2)
+    assert gate.outputs(1.5) == (1.0, 2.0)
+    assert gate.outputs(1.51) == (0.0, 0.0)
+    assert gate.outputs(9.0) == (0.0, 0.0)
+    assert (gate.accepted, gate.rejected, gate.timeouts) == (1, 1, 1)
+
+
+def test_bad_commands_do_not_feed_the_watchdog():
+    gate = CommandGate(1, LIMITS)
+    gate.command([3.0], 0.0)
+    for k in range(1, 20):
+        gate.command([math.nan], 0.1 * k)
+    assert gate.outputs(0.6) == (0.0,)
+
+
+def test_the_same_reading_again_is_not_fresh():
+    fresh = Freshness("wire/power", 1.0)
+    assert "never received" in fresh.fault(0.0)
+    fresh.seen(stamp=5.0, now=100.0)
+    fresh.seen(stamp=5.0, now=100.9)
+    assert fresh.fault(101.0) == ""
+    assert "nothing new from wire/power for 1.10 s, limit 1 s" in fresh.fault(101.1)
+    fresh.seen(stamp=1.0, now=101.2)  # a restarted clock
+    assert fresh.fault(101.3) == ""
+
+
+def test_the_first_reason_stays_until_the_reset():
+    interlock = Interlock()
+    interlock.trip("")
+    assert not interlock.tripped
+    interlock.trip("hot")
+    interlock.trip("stale")
+    assert interlock.reason == "hot"
+    interlock.reset()
+    assert not interlock.tripped
+
+
+def guard(feedback=("power", "temperature")):
+    made = Guard(["a", "b"], feedback, 1.0)
+    for channel in ("a", "b"):
+        made.power(channel, 1.0, 0.5, stamp=1.0, now=1.0, limits=LIMITS)
+        made.temperature(channel, 300.0, stamp=1.0, now=1.0, limits=LIMITS)
+    return made
+
+
+def test_guard_is_content_with_fresh_cool_wires_and_names_the_one_that_is_not():
+    assert guard().fault(1.5) == ""
+    hot = guard()
+    hot.temperature("b", 430.0, stamp=1.1, now=1.1, limits=LIMITS)
+    assert hot.fault(1.5).startswith("over-temperature: b")
+    loaded = guard()
+    loaded.power("a", 9.0, 3.3, stamp=1.1, now=1.1, limits=LIMITS)
+    assert loaded.fault(1.5).startswith("over-current: a")
+
+
+def test_guard_takes_a_nan_reading_for_none_at_all():
+    blind = guard()
+    for k in range(30):
+        now = 1.0 + 0.1 * k
+        for channel in ("a", "b"):
+            blind.power(channel, 1.0, math.nan, stamp=now, now=now, limits=LIMITS)
+            blind.temperature(channel, math.nan, stamp=now, now=now, limits=LIMITS)
+    assert blind.fault(3.95).startswith("stale feedback: nothing new from a/temperature")
+
+
+def test_guard_without_a_camera_demands_power_only_but_heeds_a_temperature_that_comes():
+    made = Guard(["a"], ["power"], 1.0)
+    made.power("a", 1.0, 0.5, stamp=1.0, now=1.0, limits=LIMITS)
+    assert made.fault(1.5) == ""
+    made.temperature("a", 500.0, stamp=1.0, now=1.0, limits=LIMITS)
+    assert "over-temperature" in made.fault(1.5)

@@ -1,0 +1,146 @@
+"""Nodes as processes, and a node of the test's own that talks to them."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter as RosParameter  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from sma_bench.nodes.base import LATCHED  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMESPACE = "/bench"
+PATIENCE = 30.0
+SETTLING = 0.3
+
+
+class RunningNode:
+    """A node of the package in a process, its output in a file."""
+
+    def __init__(self, name: str, arguments: list[str], log: Path, **options: Any) -> None:
+        self.log = log
+        with log.open("wb") as stream:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", f"sma_bench.nodes.{name}", *arguments],
+                stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
+            )
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Send a signal and return the exit status."""
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE)
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text()
+
+
+class TestBench:
+    """The test's node, and the processes that it started."""
+
+    __test__ = False
+
+    def __init__(self, folder: Path) -> None:
+        rclpy.init(args=[])
+        self.node = rclpy.create_node("test", namespace=NAMESPACE)
+        self._folder = folder
+        self._processes: list[RunningNode] = []
+        self._clients: dict[str, Any] = {}
+
+    def start(
+        self, name: str, *files: str, options: dict[str, Any] | None = None, **parameters: Any
+    ) -> RunningNode:
+        """Start a node; `__` in a parameter's name stands for a dot."""
+        arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
+        for file in files:
+            arguments += ["--params-file", str(file)]
+        for key, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            arguments += ["-p", f"{key.replace('__', '.')}:={text}"]
+        log = self._folder / f"{name}_{len(self._processes)}.log"
+        process = RunningNode(name, arguments, log, **(options or {}))
+        self._processes.append(process)
+        return process
+
+    def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> Any:
+        """Spin until the condition holds, and return it."""
+        end = time.monotonic() + patience
+        while not (value := condition()):
+            if time.monotonic() > end:
+                logs = "\n".join(f"{p.log.name}: {p.output}" for p in self._processes)
+                pytest.fail(f"not within {patience} s; logs:\n{logs}")
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+        return value
+
+    def listen(self, topic: str, kind: type, qos: QoSProfile | int = 1000) -> list[Any]:
+        """Messages of a topic, growing while the test spins."""
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
+    def talk(self, topic: str, kind: type) -> Any:
+        """A publisher that has its reader."""
+        publisher = self.node.create_publisher(kind, topic, 100)
+        self.until(publisher.get_subscription_count)
+        return publisher
+
+    def latched(self, topic: str, kind: type) -> list[Any]:
+        return self.listen(topic, kind, LATCHED)
+
+    def trigger(self, service: str) -> Trigger.Response:
+        return self._call(Trigger, service, Trigger.Request())
+
+    def trigger_later(self, service: str) -> Any:
+        """The future of a call that takes its time."""
+        return self._client(Trigger, service).call_async(Trigger.Request())
+
+    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+        """Result of setting one parameter: successful, reason."""
+        message = RosParameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        return self._call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+    def _call(self, kind: type, service: str, request: Any) -> Any:
+        client = self._client(kind, service)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def _client(self, kind: type, service: str) -> Any:
+        """A client that the server knows too. Of that a client sees nothing: an answer to a
+        client that the server has not matched yet is lost with a warning."""
+        if service not in self._clients:
+            client = self._clients[service] = self.node.create_client(kind, service)
+            self.until(client.service_is_ready)
+            matched = time.monotonic() + SETTLING
+            self.until(lambda: time.monotonic() > matched)
+        return self._clients[service]
+
+    def close(self) -> None:
+        for process in self._processes:
+            if process.process.poll() is None:
+                process.process.kill()
+                process.process.wait()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def bench(ros_domain: int, tmp_path: Path) -> Iterator[TestBench]:
+    """A bench in a ROS domain of its own."""
+    made = TestBench(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()

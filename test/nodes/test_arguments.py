@@ -1,0 +1,101 @@
+"""What a node's command line may bring, checked before ROS starts."""
+
+import logging
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from sma_bench.errors import InputError  # noqa: E402
+from sma_bench.nodes.arguments import check_arguments  # noqa: E402
+
+
+def arguments(tmp_path, text):
+    path = tmp_path / "rig.yaml"
+    path.write_text("/**:\n  ros__parameters:\n" + text)
+    return ["--ros-args", "--params-file", str(path)]
+
+
+BAD = {
+    "wire.resistence: 2.0": "unknown parameter wire.resistence, did you mean wire.resistance?",
+    "uncertainty.wire.resistence: 2.0": "unknown parameter uncertainty.wire.resistence",
+    "sensor.current_niose: 0.1": "did you mean sensor.current_noise?",
+    "wire.resistance: 3": "wire.resistance is the integer 3, ROS expects 3.0",
+    "wire.resistance: high": "wire.resistance is 'high', expected a number in ohm",
+    "wire.diameter: 0.3": "times 0.001 it would fit: wrong unit prefix?",
+    "environment.ambient_temperature: 23.0": "degrees Celsius?",
+    "wire.resistance: .nan": "expected a finite number",
+    "bench.channels: [a, b]": "bench.channel_sides has 1 entries, expected 2",
+    "speed: 0.1": "speed is 0.1",
+    "seed: 1.5": "seed is 1.5, expected a whole number",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_a_slip_in_a_parameter_file_is_one_line_with_the_file(tmp_path, text):
+    with pytest.raises(InputError) as error:
+        check_arguments("simulator", arguments(tmp_path, f"    {text}\n"))
+    line = str(error.value)
+    assert BAD[text] in line and "rig.yaml" in line and "\n" not in line
+
+
+def test_foreign_names_are_warned_of_and_those_of_other_nodes_are_not(tmp_path, caplog):
+    text = "    use_sim_time: true\n    protocol: ramp\n    gain: 2\n    wyre: 1\n"
+    with caplog.at_level(logging.WARNING):
+        check_arguments("simulator", arguments(tmp_path, text))
+    warned = [record.getMessage() for record in caplog.records]
+    assert len(warned) == 2
+    assert "gain is not a parameter of this package" in warned[0]
+
+
+def test_a_node_sees_its_own_section_and_later_sources_win(tmp_path):
+    text = "    wire.resistance: 2.0\n/**/experiment:\n  ros__parameters: {speeed: 1}\n"
+    check_arguments("simulator", arguments(tmp_path, text))
+    with pytest.raises(InputError, match="wire.resistance is -1"):
+        check_arguments(
+            "simulator", [*arguments(tmp_path, text), "-p", "wire.resistance:=-1.0"]
+        )
+    with pytest.raises(InputError, match="unknown parameter bench.chanels"):
+        check_arguments("simulator", ["--ros-args", "-p", "bench.chanels:=[a]"])
+
+
+def test_values_that_fit_only_together_may_come_from_two_sources(tmp_path):
+    two = arguments(tmp_path, "    bench: {channels: [a, b], channel_sides: [front, back]}\n")
+    check_arguments("simulator", [*two, "-p", "bench.channel_sides:=[back, front]"])
+
+
+def test_arguments_outside_ros_args_are_not_ours():
+    check_arguments("simulator", ["-p", "wire.resistence:=1.0"])
+    check_arguments("simulator", ["--ros-args", "--", "-p", "wire.resistence:=1.0"])
+
+
+def run(name, *arguments):
+    return subprocess.run(
+        [sys.executable, "-m", f"sma_bench.nodes.{name}", *arguments],
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+
+
+def test_a_node_refuses_a_bad_file_with_one_line_and_status_2(tmp_path, ros_domain):
+    done = run("simulator", *arguments(tmp_path, "    wire.resistence: 2.0\n"))
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and "did you mean wire.resistance?" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "expected"),
+    [
+        ("experiment", ["-p", "protocol:=stairs"], "protocol stairs: not one of"),
+        ("experiment", ["-p", "feedback:=[smell]"], "feedback: 'smell', expected power or"),
+        ("recorder", ["--params-file", "none.yaml"], "none.yaml: cannot read"),
+        ("simulator", ["-p", "speed"], "-p speed: expected name:=value"),
+    ],
+)
+def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(
+    name, given, expected, ros_domain
+):
+    done = run(name, "--ros-args", *given)
+    assert done.returncode == 2
+    assert expected in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,212 @@
+"""The experiment as a process: it follows the protocol, and leaves the wire cold."""
+
+import math
+import signal
+import time
+
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import BatteryState, Temperature
+from std_msgs.msg import Float64MultiArray, String
+
+SHORT = {
+    "name": "short",
+    "steps": [
+        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 2.0},
+        {"kind": "ramp", "name": "heat", "start": 2.0, "stop": 4.0, "duration": 2.0},
+        {"kind": "rest", "name": "cool", "duration": 1.0},
+    ],
+}
+LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
+
+
+@pytest.fixture
+def protocol(tmp_path):
+    def write(document):
+        path = tmp_path / f"{document['name']}.yaml"
+        path.write_text(yaml.safe_dump(document))
+        return str(path)
+
+    return write
+
+
+class FakeBench:
+    """Readings of a wire, as the test wants them, every 20 ms while the test spins."""
+
+    def __init__(self, bench):
+        self.celsius = 25.0
+        self.ampere = 0.1
+        self.frozen = False
+        self._node = bench.node
+        self._power = bench.node.create_publisher(BatteryState, "wire/power", 10)
+        self._temperature = bench.node.create_publisher(Temperature, "wire/temperature", 10)
+        self._stamp = self._node.get_clock().now().to_msg()
+        self.commands = bench.listen("voltage_command", Float64MultiArray)
+        self.states = bench.latched("experiment/state", String)
+        bench.node.create_timer(0.02, self._publish)
+
+    @property
+    def state(self):
+        return self.states[-1].data if self.states else ""
+
+    def last(self, n):
+        return [list(m.data) for m in self.commands[-n:]]
+
+    def _publish(self):
+        if not self.frozen:
+            self._stamp = self._node.get_clock().now().to_msg()
+        power = BatteryState(voltage=1.0, current=float(self.ampere))
+        power.header.stamp = self._stamp
+        self._power.publish(power)
+        temperature = Temperature(temperature=float(self.celsius))
+        temperature.header.stamp = self._stamp
+        self._temperature.publish(temperature)
+
+
+@pytest.fixture
+def running(bench, protocol):
+    """A fake bench and an experiment that drives it with 3 V."""
+    fake = FakeBench(bench)
+    node = bench.start(
+        "experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=0.5
+    )
+    bench.until(lambda: fake.state == "running: long")
+    bench.until(lambda: fake.commands and fake.commands[-1].data[0] == 3.0)
+    return fake, node
+
+
+def until_zero(bench, fake):
+    seen = len(fake.commands)
+    bench.until(lambda: len(fake.commands) > seen + 5)
+    assert fake.last(3) == [[0.0]] * 3
+
+
+def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
+    markers = bench.listen("experiment/marker", String)
+    states = bench.latched("experiment/state", String)
+    commands = bench.listen("voltage_command", Float64MultiArray)
+    bench.start("simulator", speed=50.0)
+    node = bench.start(
+        "experiment", protocol=protocol(SHORT), use_sim_time=True
+    )
+    bench.until(lambda: states and states[-1].data == "idle")
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: states[-1].data == "done: short")
+    bench.until(lambda: len(markers) == 4)
+    assert [m.data for m in markers] == ["short/warm", "short/heat", "short/cool", "short/done"]
+    sent = [m.data[0] for m in commands]
+    assert sent[0] == 0.0
+    sent = sent[sent.index(2.0):]
+    assert sent[:40] == [2.0] * 40
+    assert sent[40:80] == pytest.approx([2.0 + 0.05 * k for k in range(40)], abs=1e-6)
+    assert sent[80:100] == [0.0] * 20
+    assert node.end() == 0
+
+
+def test_readings_of_a_protocol_are_the_same_at_any_speed_and_after_any_wait(bench, protocol):
+    path = protocol(SHORT)
+    slow, fast = (readings(bench, path, speed) for speed in (15.0, 150.0))
+    assert len(slow) == 400
+    assert slow == fast
+
+
+def readings(bench, path, speed):
+    """Voltage and current of the four seconds in which SHORT drives the wire."""
+    power = bench.listen("wire/power", BatteryState)
+    states = bench.latched("experiment/state", String)
+    nodes = [
+        bench.start("simulator", speed=speed),
+        bench.start("experiment", protocol=path, use_sim_time=True),
+    ]
+    bench.until(lambda: power and states)
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: states and states[-1].data == "done: short")
+    found = [(m.voltage, m.current) for m in power]
+    for node in nodes:
+        node.end()
+    first = next(k for k, (volt, _) in enumerate(found) if volt > 1.0)
+    return found[first : first + 400]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_a_signal_ends_the_node_cleanly_with_zero_volts_as_its_last_word(bench, running, number):
+    fake, node = running
+    assert node.end(number) == 0
+    bench.until(lambda: fake.last(1) == [[0.0]])
+    bench.until(lambda: fake.state == "aborted: the node was ended")
+    assert "Traceback" not in node.output
+
+
+def test_over_temperature_aborts_stays_at_zero_and_is_latched(bench, running):
+    fake, _ = running
+    fake.celsius = 160.0
+    bench.until(lambda: fake.state.startswith("aborted: over-temperature: wire at 160.0 degC"))
+    until_zero(bench, fake)
+    fake.celsius = 25.0
+    refused = bench.trigger("experiment/start")
+    assert not refused.success and "reset first" in refused.message
+    assert bench.trigger("experiment/reset").success
+    assert bench.trigger("experiment/start").success
+
+
+def test_over_current_aborts(bench, running):
+    fake, _ = running
+    fake.ampere = 3.5
+    bench.until(lambda: fake.state.startswith("aborted: over-current: wire at 3.50 A, limit 3 A"))
+    until_zero(bench, fake)
+
+
+@pytest.mark.parametrize("fault", ["same reading again and again", "temperature is NaN"])
+def test_feedback_that_brings_nothing_new_aborts(bench, running, fault):
+    fake, _ = running
+    if "NaN" in fault:
+        fake.celsius = math.nan
+    else:
+        fake.frozen = True
+    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from wire/"))
+    until_zero(bench, fake)
+
+
+def test_stop_is_latched_until_reset_and_a_running_protocol_is_not_reset(bench, running):
+    fake, _ = running
+    assert not bench.trigger("experiment/reset").success
+    assert not bench.trigger("experiment/start").success
+    assert bench.trigger("experiment/stop").success
+    bench.until(lambda: fake.state == "aborted: stopped on request")
+    until_zero(bench, fake)
+    assert bench.trigger("experiment/reset").message == "idle"
+
+
+def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(
+    bench, protocol
+):
+    bench.listen("voltage_command", Float64MultiArray)
+    bench.start("experiment")
+    answer = bench.trigger("experiment/start")
+    assert not answer.success and "no feedback: wire/power was never received" in answer.message
+    result = bench.set_parameter("experiment", "protocol", "stairs")
+    assert not result.successful and "not one of" in result.reason
+    hot = protocol({"name": "hot", "steps": [{"kind": "hold", "level": 12.0, "duration": 1.0}]})
+    result = bench.set_parameter("experiment", "protocol", hot)
+    assert not result.successful and "level is 12 V, expected 0 to 10 V" in result.reason
+    result = bench.set_parameter("experiment", "wire.austenite_start_temperature", 400.0)
+    assert not result.successful and "must lie below" in result.reason
+
+
+def test_bench_goes_to_zero_by_itself_when_the_experiment_is_killed(bench, protocol):
+    power = bench.listen("wire/power", BatteryState)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    bench.start("simulator")
+    node = bench.start("experiment", protocol=protocol(LONG), autostart=True)
+    bench.until(lambda: power and power[-1].voltage > 2.9)
+    node.end(signal.SIGKILL)
+    killed = time.monotonic()
+    bench.until(lambda: power[-1].voltage < 0.1)
+    assert time.monotonic() - killed < 10.0
+    bench.until(lambda: counted(diagnostics, "command_timeouts") == 1)
+
+
+def counted(diagnostics, key):
+    values = diagnostics[-1].status[0].values if diagnostics else []
+    return next((int(item.value) for item in values if item.key == key), None)

@@ -1,0 +1,129 @@
+"""The identification service as a process: an answer, files, and a node that stays responsive."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from std_msgs.msg import String
+
+from sma_bench.errors import InputError
+from sma_bench.nodes.identification_job import Job, records_inside
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.physics import simulate
+from sma_bench.protocols import parse_protocol
+from sma_bench.records.write import write_record
+
+RATE = 50.0
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A short staircase on the wire of Table I."""
+    parameters = Parameters.defaults()
+    stairs = {"kind": "staircase", "start": 0.0, "stop": 5.0, "increment": 0.5, "dwell": 30.0}
+    time, voltage = parse_protocol({"steps": [stairs]}, parameters).sample(1.0 / RATE)
+    result = simulate(parameters, time, voltage)
+    noise = np.random.default_rng(1).normal(size=(3, time.size))
+    signals = {
+        "wire.voltage": (time, voltage[:, 0] + 0.002 * noise[2]),
+        "wire.current": (time, result.current[:, 0] + 0.02 * noise[0]),
+        "wire.temperature": (time, result.temperature[:, 0] + 0.08 * noise[1]),
+    }
+    path = tmp_path_factory.mktemp("records") / "stairs"
+    write(path, signals)
+    return path
+
+
+def write(path, signals):
+    from sma_bench.records import Signal
+
+    units = {"voltage": "V", "current": "A", "temperature": "K"}
+    write_record(
+        path,
+        [
+            Signal(name, units[name.split(".")[1]], time, values, None, "")
+            for name, (time, values) in signals.items()
+        ],
+    )
+
+
+def processor_seconds(node):
+    stat = Path(f"/proc/{node.process.pid}/stat").read_text()
+    fields = stat.rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / 100.0
+
+
+def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_meanwhile(
+    bench, bag, tmp_path
+):
+    results = bench.latched("identification/result", String)
+    states = bench.latched("identification/state", String)
+    out = tmp_path / "out"
+    node = bench.start(
+        "identification", record_root=bag.parent, record=f"[{bag.name}]", output_directory=out
+    )
+    first = bench.trigger_later("identification/identify")
+    bench.until(lambda: states and states[-1].data == "busy")
+    before = processor_seconds(node)
+    second = bench.trigger("identification/identify")
+    assert not second.success and second.message.startswith("busy")
+    # The request at work keeps what it was asked; this is for the next one.
+    assert bench.set_parameter("identification", "output_directory", "/proc/nowhere").successful
+    bench.until(first.done)
+    assert processor_seconds(node) - before < 1.0
+    answer = first.result()
+    assert answer.success, answer.message
+    found = json.loads(answer.message)["parameters"]
+    resistance = found["wire.resistance"]
+    assert abs(resistance["value"] - 2.6987) < 3.0 * resistance["std"]
+    bench.until(lambda: results)
+    assert results[-1].data == answer.message == (out / "identified.json").read_text()
+    saved = read_parameters(out / "identified.yaml")
+    assert saved["wire.resistance"] == pytest.approx(resistance["value"])
+    assert saved.std("wire.resistance") == pytest.approx(resistance["std"])
+    bad = bench.trigger("identification/identify")
+    assert not bad.success and "/proc/nowhere" in bad.message and "\n" not in bad.message
+    assert node.end() == 0
+
+
+def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
+    bench, bag, tmp_path
+):
+    node = bench.start("identification", record_root=bag.parent, output_directory=tmp_path)
+    answer = bench.trigger("identification/identify")
+    assert not answer.success and answer.message.startswith("record: is empty")
+    bench.set_parameter("identification", "record", ["no_such_bag"])
+    answer = bench.trigger("identification/identify")
+    assert not answer.success and "no_such_bag" in answer.message and "\n" not in answer.message
+    bench.set_parameter("identification", "record", ["../../etc"])
+    answer = bench.trigger("identification/identify")
+    assert not answer.success and "lies outside record_root" in answer.message
+    bench.set_parameter("identification", "record", [bag.name])
+    states = bench.latched("identification/state", String)
+    bench.trigger_later("identification/identify")
+    bench.until(lambda: states and states[-1].data == "busy")
+    assert node.end() == 0
+    assert "Traceback" not in node.output
+
+
+def test_records_are_found_below_the_root_and_links_out_of_it_are_refused(tmp_path):
+    root, outside = tmp_path / "root", tmp_path / "outside"
+    root.mkdir()
+    outside.mkdir()
+    (root / "link").symlink_to(outside)
+    assert records_inside(str(root), ["a"]) == [str(root / "a")]
+    assert records_inside("", ["/anywhere/a"]) == ["/anywhere/a"]
+    for record in ("link", "../outside", str(outside)):
+        with pytest.raises(InputError, match="lies outside record_root"):
+            records_inside(str(root), [record])
+
+
+def test_a_job_carries_what_was_given_and_not_the_defaults():
+    settings = {p.name: p.default for p in NODE_TABLES["identification"]}
+    settings["record"] = ("a", "")
+    parameters = Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
+    job = Job.from_settings(settings, parameters)
+    assert (job.records, job.experiments) == (["a"], [])
+    assert (job.values, job.uncertainty) == ({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})

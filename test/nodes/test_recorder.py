@@ -1,0 +1,129 @@
+"""The recorder as a process: everything of its bench, readable whenever it dies."""
+
+import json
+import resource
+import signal
+
+import pytest
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import BatteryState, Temperature
+from std_msgs.msg import Float64MultiArray, String
+
+from sma_bench.records import read_record
+
+BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def recording(bench, folder, *topics, **options):
+    """A running recorder that has subscribed to the topics."""
+    states = bench.latched("recorder/state", String)
+    node = bench.start("recorder", output=folder, **options)
+
+    def counts():
+        return json.loads(states[-1].data)["messages"] if states else {}
+
+    bench.until(lambda: set(topics) <= set(counts()))
+    return node, counts
+
+
+def temperature(k):
+    message = Temperature(temperature=20.0 + k)
+    message.header.stamp.sec = 1000 + k
+    return message
+
+
+def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, tmp_path):
+    reliable = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
+    hasty = bench.node.create_publisher(BatteryState, "wire/power", BEST_EFFORT)
+    other = bench.node.create_publisher(Temperature, "/elsewhere/wire/temperature", 10)
+    chatter = bench.node.create_publisher(String, "chatter", 10)
+    node, counts = recording(
+        bench, tmp_path / "bag", "/bench/wire/temperature", "/bench/wire/power"
+    )
+    bench.until(lambda: reliable.get_subscription_count() and hasty.get_subscription_count())
+    for k in range(200):
+        reliable.publish(temperature(k))
+        other.publish(temperature(k))
+        chatter.publish(String(data="x"))
+    power = BatteryState(voltage=2.0)
+    power.header.stamp.sec = 1000
+    hasty.publish(power)
+    bench.until(lambda: counts() == {"/bench/wire/temperature": 200, "/bench/wire/power": 1})
+    assert node.end(signal.SIGTERM) == 0
+    record = read_record(tmp_path / "bag")
+    assert record["wire.temperature"].values == pytest.approx([293.15 + k for k in range(200)])
+    assert record["wire.voltage"].values == pytest.approx([2.0])
+    assert not [f for f in record.findings if f.severity != "info"]
+
+
+def test_what_was_sent_before_the_end_is_written_though_it_still_waits(bench, tmp_path):
+    burst = 3000
+    publisher = bench.node.create_publisher(Temperature, "wire/temperature", burst)
+    node, _ = recording(bench, tmp_path / "bag", "/bench/wire/temperature")
+    bench.until(publisher.get_subscription_count)
+    node.process.send_signal(signal.SIGSTOP)
+    for k in range(burst):
+        publisher.publish(temperature(k))
+    node.process.send_signal(signal.SIGCONT)
+    assert publisher.wait_for_all_acked(Duration(seconds=5.0))
+    assert node.end(signal.SIGINT) == 0
+    assert len(read_record(tmp_path / "bag")["wire.temperature"]) == burst
+
+
+def test_a_recorder_killed_without_warning_leaves_a_readable_bag(bench, tmp_path):
+    publisher = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
+    node, counts = recording(bench, tmp_path / "bag", "/bench/wire/temperature")
+    bench.until(publisher.get_subscription_count)
+    for k in range(100):
+        publisher.publish(temperature(k))
+    # The count comes with the flush of every second.
+    bench.until(lambda: counts()["/bench/wire/temperature"] == 100)
+    node.end(signal.SIGKILL)
+    record = read_record(tmp_path / "bag")
+    assert len(record["wire.temperature"].values) == 100
+
+
+def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_path):
+    publisher = bench.node.create_publisher(Float64MultiArray, "voltage_command", 1000)
+
+    def small_disk():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+
+    # Fast DDS's shared memory are files too, larger than this disk.
+    environment = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+    states = bench.latched("recorder/state", String)
+    node = start_with(bench, environment, small_disk, tmp_path / "bag")
+    bench.until(publisher.get_subscription_count)
+    published = 0
+    while node.process.poll() is None:
+        for _ in range(20):
+            published += 1
+            publisher.publish(Float64MultiArray(data=[float(published * 37 % 101)] * 40))
+        bench.until(lambda: True)
+        assert published < 200_000
+    assert node.process.returncode == 2
+    lines = [line for line in node.output.splitlines() if "recorder: " in line]
+    assert "cannot be written: File too large" in lines[-1]
+    assert "Traceback" not in node.output
+    bench.until(lambda: json.loads(states[-1].data)["state"] == "failed")
+    assert len(read_record(tmp_path / "bag")["voltage_command"].time) > 100
+
+
+def start_with(bench, environment, preexec, output):
+    import os
+
+    options = {"env": {**os.environ, **environment}, "preexec_fn": preexec}
+    return bench.start("recorder", options=options, output=output)
+
+
+def test_an_output_that_exists_is_refused(bench, tmp_path):
+    node = bench.start("recorder", output=tmp_path)
+    assert node.process.wait(30) == 2
+    assert f"{tmp_path}: exists already" in node.output and "Traceback" not in node.output
+
+
+def test_an_output_that_cannot_be_written_is_refused(bench):
+    node = bench.start("recorder", output="/proc/bag")
+    assert node.process.wait(30) == 2
+    assert "/proc/bag" in node.output and "Traceback" not in node.output

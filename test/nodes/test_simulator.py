@@ -1,0 +1,137 @@
+"""The simulator as a process: the contract's topics, its care with commands, and its clock."""
+
+import math
+import signal
+import time
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
+from std_msgs.msg import Float64MultiArray
+
+COMPOSITE = "config/composite_rig.yaml"
+SLICE = 0.05
+
+
+def volts(*values):
+    return Float64MultiArray(data=[float(v) for v in values])
+
+
+def counter(diagnostics, key):
+    """Newest number under a key of the simulator's diagnostics, None before the first."""
+    for array in reversed(diagnostics):
+        for item in array.status[0].values:
+            if item.key == key:
+                return float(item.value)
+    return None
+
+
+def test_wire_rig_speaks_the_contract_in_celsius_and_stamps(bench):
+    power = bench.listen("wire/power", BatteryState)
+    temperature = bench.listen("wire/temperature", Temperature)
+    joints = bench.listen("joint_states", JointState)
+    ambient = bench.listen("ambient/temperature", Temperature)
+    bench.start("simulator")
+    bench.until(lambda: ambient and len(power) > 100 and len(temperature) > 80 and joints)
+    assert power[0].location == "wire" and math.isnan(power[0].percentage)
+    assert abs(power[0].current) < 0.15
+    assert temperature[0].temperature == pytest.approx(23.0, abs=0.5)
+    assert ambient[0].temperature == pytest.approx(23.0, abs=0.5)
+    assert joints[0].name == ["wire"] and joints[0].position[0] == 0.0
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in power]
+    assert {b - a for a, b in zip(stamps, stamps[1:], strict=False)} == {10_000_000}
+    assert abs(stamps[-1] / 1e9 - time.time()) < 5.0
+
+
+def test_composite_rig_bends_to_the_front_when_the_front_is_driven(bench):
+    front = bench.listen("front/range", Range)
+    back = bench.listen("back/range", Range)
+    joints = bench.listen("joint_states", JointState)
+    power = {c: bench.listen(f"{c}/power", BatteryState) for c in ("front_1", "back_2")}
+    bench.start("simulator", COMPOSITE, speed=20.0)
+    command = bench.talk("voltage_command", Float64MultiArray)
+
+    def driven():
+        command.publish(volts(6, 6, 0, 0))
+        return joints and joints[-1].position[0] > 0.005
+
+    bench.until(driven)
+    bench.until(lambda: front and back)
+    assert joints[-1].name == ["tip"]
+    assert front[-1].range < front[0].range < back[-1].range
+    assert front[0].radiation_type == Range.INFRARED
+    assert power["front_1"][-1].voltage == pytest.approx(6.0, abs=0.02)
+    assert power["back_2"][-1].voltage == pytest.approx(0.0, abs=0.02)
+
+
+def test_bad_commands_are_counted_and_leave_the_outputs_unchanged(bench):
+    power = bench.listen("wire/power", BatteryState)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    bench.start("simulator", bench__command_timeout=5.0)
+    command = bench.talk("voltage_command", Float64MultiArray)
+    command.publish(volts(2.0))
+    bench.until(lambda: power and power[-1].voltage > 1.9)
+    for bad in (volts(math.nan), volts(math.inf), volts(), volts(1, 2), volts(11), volts(-1)):
+        command.publish(bad)
+    bench.until(lambda: counter(diagnostics, "rejected_commands") == 6)
+    assert counter(diagnostics, "accepted_commands") == 1
+    assert power[-1].voltage == pytest.approx(2.0, abs=0.02)
+
+
+def test_silence_puts_the_outputs_to_zero(bench):
+    power = bench.listen("wire/power", BatteryState)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    node = bench.start("simulator", bench__command_timeout=0.3)
+    command = bench.talk("voltage_command", Float64MultiArray)
+    command.publish(volts(3.0))
+    bench.until(lambda: power and power[-1].voltage > 2.9)
+    bench.until(lambda: power[-1].voltage < 0.1)
+    bench.until(lambda: counter(diagnostics, "command_timeouts") == 1)
+    driven = [m for m in power if m.voltage > 1.0]
+    assert len(driven) == pytest.approx(0.3 * 100, abs=3)
+    assert node.end(signal.SIGTERM) == 0
+
+
+def test_simulated_time_takes_one_step_for_every_command_however_slow_the_driver(bench):
+    clocks = bench.listen("/clock", Clock, 1)
+    node = bench.start("simulator", speed=1000.0)
+    command = bench.talk("voltage_command", Float64MultiArray)
+
+    def now():
+        return clocks[-1].clock.sec + clocks[-1].clock.nanosec * 1e-9
+
+    bench.until(lambda: clocks)
+    command.publish(volts(1.0))
+    wait_for_standstill(bench, now)
+    begin = now()
+    for _ in range(20):
+        before = now()
+        time.sleep(0.01)  # the load of the machine
+        command.publish(volts(1.0))
+        bench.until(lambda: now() > before)  # noqa: B023
+    wait_for_standstill(bench, now)
+    assert now() - begin == pytest.approx(20 * SLICE, abs=1e-6)
+    assert node.end() == 0
+
+
+def wait_for_standstill(bench, now):
+    """The clock is repeated while it stands: three times the same value."""
+    seen = []
+
+    def still():
+        seen.append(now())
+        return len(seen) > 30 and len(set(seen[-30:])) == 1
+
+    bench.until(still)
+
+
+def test_simulated_time_goes_on_without_a_driver_that_left_and_its_silence_times_out(bench):
+    power = bench.listen("wire/power", BatteryState)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    bench.start("simulator", speed=10.0, lockstep_patience=0.2)
+    command = bench.talk("voltage_command", Float64MultiArray)
+    command.publish(volts(3.0))
+    bench.until(lambda: counter(diagnostics, "command_timeouts") == 1)
+    bench.until(lambda: power[-1].voltage < 0.1)
+    assert len([m for m in power if m.voltage > 1.0]) == pytest.approx(0.5 * 100, abs=6)

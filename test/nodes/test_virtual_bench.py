@@ -1,0 +1,95 @@
+"""The bench in software, without ROS: its rates, its instruments, its physics."""
+
+import numpy as np
+import pytest
+
+from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.physics import simulate
+
+SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
+PERFECT = SETTINGS | {
+    name: 0.0 for name in SETTINGS if name.endswith(("_noise", "_resolution"))
+}
+WIRE = Parameters.defaults()
+COMPOSITE = WIRE.replace(
+    {
+        "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+        "bench.channel_sides": ("front", "front", "back", "back"),
+    }
+)
+
+
+def run(bench, voltage, seconds, slice_length=0.05):
+    """Readings by kind of `seconds` in slices, as the node runs them."""
+    found = {kind: [] for kind in ("power", "temperature", "mechanics", "ambient")}
+    for k in range(1, round(seconds / slice_length) + 1):
+        for reading in bench.advance(voltage, round(k * slice_length * NANOSECONDS)):
+            found[reading.kind].append(reading)
+    return found
+
+
+def test_every_instrument_keeps_its_own_rate_over_slices_of_any_length():
+    for slice_length in (0.01, 0.05, 0.13):
+        found = run(VirtualBench(WIRE, SETTINGS), (1.0,), 13.0, slice_length)
+        times = {kind: np.array([r.time for r in readings]) for kind, readings in found.items()}
+        assert set(np.diff(times["power"])) == {10_000_000}
+        assert set(np.diff(times["temperature"])) == {12_500_000}
+        assert [len(times[kind]) for kind in times] == [1300, 1040, 1300, 13]
+
+
+def test_perfect_instruments_read_the_physics():
+    readings = run(VirtualBench(WIRE, PERFECT), (5.0,), 2.0)
+    time = np.array([r.time for r in readings["temperature"]]) / NANOSECONDS
+    truth = simulate(WIRE, time, np.full((time.size, 1), 5.0))
+    celsius = np.array([r.values[0] for r in readings["temperature"]])
+    assert celsius + 273.15 == pytest.approx(truth.temperature[:, 0], abs=1e-9)
+    assert readings["power"][7].values == [(5.0, 5.0 / 2.6987)]
+
+
+def test_a_clamped_wire_pulls_when_it_transforms_and_keeps_its_length():
+    readings = run(VirtualBench(WIRE, PERFECT), (6.0,), 3.0)["mechanics"]
+    elongation, force = np.array([r.values for r in readings]).T
+    assert not elongation.any()
+    assert force[-1] > 5.0
+
+
+def test_range_sensors_see_the_tip_from_both_sides():
+    readings = run(VirtualBench(COMPOSITE, PERFECT), (0.0, 0.0, 5.0, 5.0), 3.0)["mechanics"]
+    front, back = np.array([r.values for r in readings]).T
+    assert front + back == pytest.approx(np.full(front.size, 0.2))
+    assert front[-1] > 0.101  # bent to the back
+
+
+def test_readings_of_a_pulse_do_not_depend_on_the_wait_before_it_and_pulses_differ():
+    pulses = []
+    for wait in (1.0, 7.5):
+        bench = VirtualBench(WIRE, SETTINGS)
+        run(bench, (0.0,), wait)
+        begin = round(wait / 0.05)
+        for length in (begin, begin + 400):
+            found = [
+                reading.values
+                for k in range(length + 1, length + 41)
+                for voltage in [(2.0,)]
+                for reading in bench.advance(voltage, k * 50_000_000)
+                if reading.kind != "ambient"
+            ]
+            pulses.append(found)
+            list(bench.advance((0.0,), (begin + 400) * 50_000_000))
+    first, second, first_late, second_late = pulses
+    assert first == first_late
+    assert second == second_late
+    assert first != second
+
+
+def test_noise_and_steps_are_those_of_the_hardware():
+    readings = run(VirtualBench(WIRE, SETTINGS), (3.0,), 40.0)
+    volt, ampere = np.array([r.values[0] for r in readings["power"]]).T
+    lsb = 10.0 / 1023
+    assert np.allclose(volt / lsb, np.round(volt / lsb))
+    assert np.std(ampere) == pytest.approx(np.hypot(0.019, 0.0264 / np.sqrt(12)), rel=0.1)
+    celsius = np.array([r.values[0] for r in readings["temperature"][800:]])
+    assert np.std(celsius) == pytest.approx(np.hypot(0.08, 0.1 / np.sqrt(12)), rel=0.1)
+    assert np.allclose(celsius * 10, np.round(celsius * 10))
