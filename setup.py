@@ -9,7 +9,14 @@ from setuptools import find_packages, setup
 MANIFEST = ElementTree.parse(Path(__file__).resolve().parent / "package.xml").getroot()
 PACKAGE = MANIFEST.findtext("name")
 MAINTAINER = MANIFEST.find("maintainer")
-NODES = ["simulator", "experiment", "recorder", "identification"]
+NODES = [
+    "simulator",
+    "experiment",
+    "recorder",
+    "identification",
+    "temperature_controller",
+    "deflection_controller",
+]
 
 
 def shared_files(*folders):

@@ -1,0 +1,249 @@
+"""The controllers as processes: they track on the simulator, and leave the wires cold."""
+
+import signal
+
+import numpy as np
+import pytest
+import yaml
+from sensor_msgs.msg import BatteryState, JointState, Temperature
+from std_msgs.msg import Float64, Float64MultiArray, String
+
+from sma_bench.share import share_directory
+
+COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
+# Few readings: the test has to keep up with them.
+FAST = {
+    "speed": 100.0, "rate__power": 20.0, "rate__temperature": 40.0, "rate__mechanics": 40.0
+}
+
+
+@pytest.fixture
+def reference(tmp_path):
+    def write(**document):
+        path = tmp_path / f"{document['name']}.yaml"
+        path.write_text(yaml.safe_dump(document))
+        return str(path)
+
+    return write
+
+
+class FakeBench:
+    """Readings of the bench, as the test wants them, every 20 ms while the test spins."""
+
+    def __init__(self, bench, controller, channels=("wire",)):
+        self.celsius, self.position = 25.0, 0.0
+        self.silent = set()
+        self._channels = len(channels)
+        self.commands = bench.listen("voltage_command", Float64MultiArray)
+        self.states = bench.latched(f"{controller}/state", String)
+        self._node = bench.node
+        self._publishers = [
+            ("power", bench.node.create_publisher(BatteryState, f"{c}/power", 10), self._power)
+            for c in channels
+        ] + [
+            ("temperature", bench.node.create_publisher(Temperature, f"{c}/temperature", 10),
+             self._temperature)
+            for c in channels
+        ] + [("joints", bench.node.create_publisher(JointState, "joint_states", 10), self._tip)]
+        bench.node.create_timer(0.02, self._publish)
+
+    @property
+    def state(self):
+        return self.states[-1].data if self.states else ""
+
+    @property
+    def volts(self):
+        return list(self.commands[-1].data) if self.commands else [0.0] * self._channels
+
+    def _power(self):
+        return BatteryState(voltage=1.0, current=0.1)
+
+    def _temperature(self):
+        return Temperature(temperature=float(self.celsius))
+
+    def _tip(self):
+        return JointState(name=["tip"], position=[float(self.position)])
+
+    def _publish(self):
+        for kind, publisher, make in self._publishers:
+            if kind not in self.silent:
+                message = make()
+                message.header.stamp = self._node.get_clock().now().to_msg()
+                publisher.publish(message)
+
+
+def until_zero(bench, fake):
+    seen = len(fake.commands)
+    bench.until(lambda: len(fake.commands) > seen + 5)
+    assert [list(m.data) for m in fake.commands[-3:]] == [[0.0] * len(fake.volts)] * 3
+
+
+def stamps(messages):
+    return np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in messages])
+
+
+def run_to_the_end(bench, controller, name):
+    states = bench.latched(f"{controller}/state", String)
+    bench.until(lambda: states and states[-1].data == "idle")
+    bench.until(lambda: bench.trigger(f"{controller}/start").success)
+    bench.until(lambda: states[-1].data == f"done: {name}")
+
+
+def short_staircase(reference):
+    return reference(
+        name="short", unit="K",
+        steps=[{"kind": "staircase", "name": "up", "start": 308.15, "stop": 328.15,
+                "increment": 10.0, "dwell": 4.0}],
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "levels", "dwell"),
+    [
+        ("short", np.arange(308.15, 329.0, 10.0), 4.0),
+        pytest.param(
+            "temperature_staircase",
+            np.array([*np.arange(303.15, 329.0, 5.0), *np.arange(323.15, 303.0, -5.0)]), 10.0,
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_staircase_of_e8_runs_closed_loop_on_the_simulator(bench, reference, name, levels, dwell):
+    celsius = bench.listen("wire/temperature", Temperature)
+    force = bench.listen("joint_states", JointState)
+    markers = bench.listen("experiment/marker", String)
+    setpoints = bench.listen("temperature_controller/setpoint", Float64MultiArray)
+    bench.start("simulator", **FAST)
+    followed = short_staircase(reference) if name == "short" else name
+    node = bench.start("temperature_controller", use_sim_time=True, reference=followed)
+    run_to_the_end(bench, "temperature_controller", name)
+    bench.until(lambda: markers[-1].data == f"{name}/done")
+    assert [m.data for m in markers[:2]] == [f"{name}/up {level:g} K" for level in levels[:2]]
+    warm = next(m for m in celsius if m.temperature > 27.0)
+    begin = stamps([warm])[0]
+    end = begin + dwell * len(levels)
+    bench.until(lambda: min(*stamps(celsius[-1:]), *stamps(force[-1:])) > end)
+    assert node.end() == 0
+    time, kelvin = stamps(celsius), np.array([m.temperature + 273.15 for m in celsius])
+    held, newtons = [], []
+    loads = stamps(force)
+    for k, level in enumerate(levels):
+        settled = (begin + dwell * (k + 0.3), begin + dwell * (k + 0.95))
+        part = kelvin[(time > settled[0]) & (time < settled[1])]
+        assert part.mean() == pytest.approx(level, abs=0.1)
+        held.append(part.mean())
+        chosen = (loads > settled[0]) & (loads < settled[1])
+        newtons.append(np.mean([m.effort[0] for m, c in zip(force, chosen, strict=True) if c]))
+    assert kelvin.max() < 330.0  # A_s lies at 331.81 K
+    section = np.pi * 0.3e-3**2 / 4.0
+    assert np.polyfit(held, np.array(newtons) / section, 1)[0] == pytest.approx(-0.15e6, rel=0.1)
+    assert max(m.data[0] for m in setpoints) == pytest.approx(55.0)
+
+
+def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, reference):
+    triangle = reference(
+        name="short", unit="m",
+        steps=[
+            {"kind": "triangle", "name": "front", "peak": 0.03, "rise": 3.0, "fall": 3.0},
+            {"kind": "rest", "duration": 2.0},
+            {"kind": "triangle", "name": "back", "peak": -0.03, "rise": 3.0, "fall": 3.0},
+        ],
+    )
+    tip = bench.listen("joint_states", JointState, 5000)
+    volts = bench.listen("voltage_command", Float64MultiArray)
+    # The controller knows the wires less well than it thinks.
+    off = {"wire__heat_transfer_coefficient": 411.0, "wire__austenite_start_temperature": 332.9}
+    bench.start("simulator", COMPOSITE_RIG, **FAST, **off)
+    bench.start("deflection_controller", COMPOSITE_RIG, use_sim_time=True, reference=triangle)
+    run_to_the_end(bench, "deflection_controller", "short")
+    peak = stamps([max(tip, key=lambda m: m.position[0])])[0]
+    bench.until(lambda: stamps(tip[-1:])[0] > peak + 11.0)
+    time, metres = stamps(tip), np.array([m.position[0] for m in tip])
+    wanted = np.interp(
+        time - peak + 3.0, [0.0, 3.0, 6.0, 8.0, 11.0, 14.0], [0.0, 0.03, 0.0, 0.0, -0.03, 0.0]
+    )
+    part = (time > peak - 3.0) & (time < peak + 10.5)
+    assert np.sqrt(np.mean((metres - wanted)[part] ** 2)) < 1e-3
+    assert metres.max() == pytest.approx(0.03, abs=1e-3)
+    assert metres.min() == pytest.approx(-0.03, abs=1e-3)
+    sent = np.array([m.data for m in volts])
+    assert not np.any((sent[:, 0] > 0.0) & (sent[:, 2] > 0.0))
+    np.testing.assert_array_equal(sent[:, 0], sent[:, 1])
+
+
+def test_temperatures_come_from_a_topic_in_celsius_and_bad_ones_are_refused(bench):
+    fake = FakeBench(bench, "temperature_controller")
+    node = bench.start("temperature_controller", reference="''", autostart=True)
+    bench.until(lambda: fake.state == "running: topic")
+    topic = bench.talk("temperature_controller/reference", Float64MultiArray)
+    bench.until(lambda: fake.volts == [0.0])
+    topic.publish(Float64MultiArray(data=[40.0]))
+    bench.until(lambda: fake.volts[0] > 3.0)
+    for bad in ([200.0], [40.0, 40.0], [float("nan")]):
+        topic.publish(Float64MultiArray(data=bad))
+    bench.until(lambda: "rejected: reference has 473.15 K" in node.output)
+    fake.celsius = 45.0
+    bench.until(lambda: fake.volts == [0.0])
+    fake.celsius = 38.0
+    bench.until(lambda: fake.volts[0] > 0.5)
+    assert node.end(signal.SIGTERM) == 0
+    bench.until(lambda: fake.volts == [0.0])
+    assert "Traceback" not in node.output
+
+
+def test_controller_obeys_the_safety_rules_of_the_experiment(bench):
+    fake = FakeBench(bench, "temperature_controller")
+    bench.start(
+        "temperature_controller", reference="''", autostart=True, feedback_timeout=0.5
+    )
+    bench.until(lambda: fake.state == "running: topic")
+    topic = bench.talk("temperature_controller/reference", Float64MultiArray)
+    topic.publish(Float64MultiArray(data=[50.0]))
+    bench.until(lambda: fake.volts[0] > 1.0)
+    fake.celsius = 160.0
+    bench.until(lambda: fake.state.startswith("aborted: over-temperature: wire at 160.0 degC"))
+    until_zero(bench, fake)
+    refused = bench.trigger("temperature_controller/start")
+    assert not refused.success and "reset first" in refused.message
+    fake.celsius = 25.0
+    assert bench.trigger("temperature_controller/reset").success
+    assert bench.trigger("temperature_controller/start").success
+    # The reference of the run that was aborted is forgotten.
+    bench.until(lambda: fake.state == "running: topic")
+    until_zero(bench, fake)
+    fake.silent.add("temperature")
+    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from wire/"))
+    assert bench.trigger("temperature_controller/stop").success
+
+
+def test_deflection_controller_stops_when_the_deflection_stops_coming(bench):
+    channels = ("front_1", "front_2", "back_1", "back_2")
+    fake = FakeBench(bench, "deflection_controller", channels)
+    bench.start(
+        "deflection_controller", COMPOSITE_RIG, reference="''", autostart=True,
+        feedback_timeout=0.5,
+    )
+    bench.until(lambda: fake.state == "running: topic")
+    topic = bench.talk("deflection_controller/reference", Float64)
+    topic.publish(Float64(data=-0.02))
+    bench.until(lambda: fake.volts[2] > 3.0)
+    assert fake.volts[:2] == [0.0, 0.0]
+    fake.silent.add("joints")
+    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from joint"))
+    until_zero(bench, fake)
+
+
+def test_reference_out_of_reach_is_refused_with_its_step(bench, reference):
+    hot = reference(
+        name="hot", unit="K", steps=[{"kind": "hold", "level": 420.0, "duration": 1.0}]
+    )
+    node = bench.start("temperature_controller")
+    result = bench.set_parameter("temperature_controller", "reference", hot)
+    assert not result.successful
+    assert "hot: hold: reference has 420 K, expected above 0 and at most 413.15" in result.reason
+    result = bench.set_parameter("temperature_controller", "reference", "deflection_triangle")
+    assert not result.successful and "unit is 'm', expected K" in result.reason
+    assert node.end() == 0
+    clamped = bench.start("deflection_controller")
+    assert clamped.process.wait(30.0) == 2
+    assert "clamped" in clamped.output
