@@ -7,13 +7,20 @@ import numpy as np
 
 from sma_bench.records.check import check_record
 from sma_bench.records.dsc import DscRecord
-from sma_bench.records.record import Record, Signal
+from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.open import AnyRecord
+from sma_bench.records.record import Signal
+from sma_bench.records.tensile import TensileRecord
 
 
-def describe(record: Record | DscRecord) -> dict[str, Any]:
+def describe(record: AnyRecord) -> dict[str, Any]:
     """Everything `sma-bench info` shows, as JSON-able data in SI units."""
     if isinstance(record, DscRecord):
         return _describe_dsc(record)
+    if isinstance(record, IsobaricRecord):
+        return _describe_isobaric(record)
+    if isinstance(record, TensileRecord):
+        return _describe_tensile(record)
     seconds = record.start_ns / 1e9
     return {
         "kind": "bag",
@@ -76,5 +83,40 @@ def _describe_dsc(record: DscRecord) -> dict[str, Any]:
             }
             for segment in record.segments
         ],
+        "findings": [finding.to_json() for finding in record.findings],
+    }
+
+
+def _describe_isobaric(record: IsobaricRecord) -> dict[str, Any]:
+    branches = [(cycle, branch) for cycle in record.cycles for branch in cycle.branches]
+    return {
+        "kind": "isobaric",
+        "path": str(record.path),
+        "stress": record.stress,
+        "strain_unit": record.strain_unit,
+        "branches": [
+            {
+                "cycle": cycle.number,
+                "kind": branch.direction,
+                "samples": len(branch.temperature),
+                "from": float(branch.temperature[0]),
+                "to": float(branch.temperature[-1]),
+                "strain_from": float(branch.strain[0]),
+                "strain_to": float(branch.strain[-1]),
+            }
+            for cycle, branch in branches
+        ],
+        "findings": [finding.to_json() for finding in record.findings],
+    }
+
+
+def _describe_tensile(record: TensileRecord) -> dict[str, Any]:
+    return {
+        "kind": "tensile",
+        "path": str(record.path),
+        "temperature": record.temperature,
+        "samples": len(record.strain),
+        "largest_strain": float(record.strain.max()),
+        "largest_stress": float(record.stress.max()),
         "findings": [finding.to_json() for finding in record.findings],
     }

@@ -1,15 +1,28 @@
 """Opens a record whatever it is: a bag or an instrument's file."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from sma_bench.errors import InputError
 from sma_bench.records.bag import read_record
 from sma_bench.records.bag_files import is_bag
 from sma_bench.records.dsc import DscRecord, is_dsc, read_dsc
+from sma_bench.records.dsc_ta import is_ta_dsc, read_ta_dsc
+from sma_bench.records.isobaric import IsobaricRecord, is_isobaric, read_isobaric
 from sma_bench.records.record import Record
+from sma_bench.records.tensile import TensileRecord, is_tensile, read_tensile
+
+AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
+
+_INSTRUMENTS: tuple[tuple[Callable[[Path], bool], Callable[[Path], AnyRecord]], ...] = (
+    (is_dsc, read_dsc),
+    (is_ta_dsc, read_ta_dsc),
+    (is_isobaric, read_isobaric),
+    (is_tensile, read_tensile),
+)
 
 
-def open_record(path: str | Path, namespace: str | None = None) -> Record | DscRecord:
+def open_record(path: str | Path, namespace: str | None = None) -> AnyRecord:
     """Read a bag or an instrument file; which one is decided by its content.
 
     Raises:
@@ -20,9 +33,10 @@ def open_record(path: str | Path, namespace: str | None = None) -> Record | DscR
         raise InputError(f"{path}: no such file or folder")
     if is_bag(path):
         return read_record(path, namespace)
-    if is_dsc(path):
-        return read_dsc(path)
+    for recognises, read in _INSTRUMENTS:
+        if recognises(path):
+            return read(path)
     raise InputError(
-        f"{path}: neither a bag (folder, .mcap, .db3) nor an instrument file known here "
-        "(PerkinElmer Pyris DSC text export)"
+        f"{path}: neither a bag (folder, .mcap, .db3) nor an instrument file known here (DSC "
+        "export of PerkinElmer or TA, isobaric test, tensile test)"
     )

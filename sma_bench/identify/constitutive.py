@@ -1,0 +1,253 @@
+"""E9: joint fit of the full constitutive law to strain, temperature and stress of all tests."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.identify import constitutive_findings as remarks
+from sma_bench.identify.constitutive_fit import LawFit, fit_law
+from sma_bench.identify.constitutive_law import REFERENCE_STRESS, Law, make_loops
+from sma_bench.identify.constitutive_starts import unknowns_of
+from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.records.isobaric import STRONGEST, IsobaricRecord
+
+NAME = "E9"
+TITLE = "E9 joint fit of the constitutive law (eqs. 6 to 11)"
+TOLERANCE = 0.05
+TEMPERATURES = {
+    "A_s": "wire.austenite_start_temperature",
+    "A_f": "wire.austenite_finish_temperature",
+    "M_s": "wire.martensite_start_temperature",
+    "M_f": "wire.martensite_finish_temperature",
+}
+INFLUENCES = {
+    # C: (parameter, slope of the contract's law, slopes of the extended law)
+    "C_A": ("wire.stress_influence_austenite", ("slope_A",), ("slope_A_s", "slope_A_f")),
+    "C_M": ("wire.stress_influence_martensite", ("slope_M",), ("slope_M_s", "slope_M_f")),
+}
+UNITS = {
+    "A_s": "K", "A_f": "K", "M_s": "K", "M_f": "K", "eps_L": "1", "H_min": "1", "dH": "1",
+    "k": "1/(100 MPa)", "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K",
+    "fading": "1e-3/K", "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2",
+}
+_SLOPE_UNIT = "K/(100 MPa)"
+_SIGNIFICANT = 2.0
+
+
+def fit_constitutive(
+    records: Sequence[IsobaricRecord],
+    parameters: Parameters | None = None,
+    *,
+    law: Law | Literal["auto"] = "auto",
+) -> Experiment:
+    """Fit the law to isobaric tests of one material, all stresses and cycles at once.
+
+    Args:
+        records: isobaric tests.
+        parameters: E_A and E_M with their uncertainties (isobaric tests cannot tell them from
+            eps_L), and C_A, C_M in case all tests are at one stress; the table's when None.
+        law: "contract" (constant eps_L), "extended" (see constitutive_law), or "auto": the
+            contract's where its rms is below 5 % of the recovered strain at every stress, else
+            the extended one, with both errors in the findings.
+
+    Returns:
+        Estimates of the contract's parameters; `details` with every fitted number and the fit
+        error per stress, as rms over the strain recovered at that stress; `curves`
+        `<record, cycle>/temperature`, `/strain`, `/model` and `correlation` (p, p) in the order
+        of the details whose names begin with the law's.
+
+    Raises:
+        InputError: no records, or too few points.
+    """
+    parameters = parameters or Parameters.defaults()
+    if not records:
+        raise InputError("constitutive fit: no records")
+    loops = make_loops(records)
+    laws: tuple[Law, ...] = ("contract", "extended") if law == "auto" else (law,)
+    fits: list[LawFit] = []
+    for candidate in laws:
+        unknowns, fixed = unknowns_of(loops, candidate, parameters)
+        fits.append(fit_law(loops, candidate, unknowns, fixed, parameters))
+        if worst_error(fits[-1]) < TOLERANCE:
+            break
+    chosen = fits[-1]
+    findings = [finding for record in records for finding in record.findings]
+    findings.extend(remarks.about_fits(fits, TOLERANCE))
+    findings.extend(remarks.about_numbers(chosen))
+    cycles = _cycle_by_cycle(chosen, records, parameters, findings)
+    details = {**_details(fits), **cycles}
+    return Experiment(
+        name=NAME,
+        title=TITLE,
+        estimates=_estimates(chosen, parameters, findings),
+        findings=tuple(findings),
+        curves=_curves(chosen),
+        source="; ".join(str(record.path) for record in records),
+        details=details,
+    )
+
+
+def errors_by_stress(fit: LawFit) -> dict[float, float]:
+    """Root mean square residual over the recovered strain, by stress in Pa."""
+    return remarks.errors_by_stress(fit)
+
+
+def worst_error(fit: LawFit) -> float:
+    """The largest of the errors by stress."""
+    return max(errors_by_stress(fit).values())
+
+
+def _estimates(
+    fit: LawFit, parameters: Parameters, findings: list[Finding]
+) -> dict[str, Estimate]:
+    if max(f.loop.stress for f in fit.loops) > STRONGEST:
+        text = "the stress is not believable: the numbers are given in the details only"
+        findings.append(Finding("warning", "constitutive law", text))
+        return {}
+    n = sum(len(f.residual) for f in fit.loops)
+    method = f"joint fit of {len(fit.loops)} loops, {fit.law} law"
+    found = {
+        parameter: Estimate(fit[name], fit.error({name: 1.0}), "K", method, n)
+        for name, parameter in TEMPERATURES.items()
+        if name in fit.names
+    }
+    for label, (parameter, common, own) in INFLUENCES.items():
+        slopes = common if fit.law == "contract" else own
+        if not set(slopes) <= set(fit.names):
+            if set(slopes) & set(fit.fixed):
+                _add_shift_error(found, fit, label, parameters)
+            continue
+        weights = {name: 1.0 / len(slopes) for name in slopes}
+        # The secant from zero to the largest stress: with a bend there is no one slope.
+        weights[f"bend_{label[-1]}"] = max(f.loop.stress for f in fit.loops) / REFERENCE_STRESS
+        slope = sum(w * fit.all().get(name, 0.0) for name, w in weights.items())
+        std = fit.error(weights)
+        if slope <= _SIGNIFICANT * std:
+            findings.append(remarks.no_influence(label, slope, std))
+            continue
+        value = REFERENCE_STRESS / slope
+        found[parameter] = Estimate(value, value * std / slope, "Pa/K", method, n)
+    if not fit.loops[0].loop.is_relative:
+        found.update(_strain_estimate(fit, method, n))
+        found.update(_expansion_estimate(fit, parameters, method, n, findings))
+    return {name: e for name, e in found.items() if _is_in_range(name, e, findings)}
+
+
+def _add_shift_error(
+    found: dict[str, Estimate], fit: LawFit, label: str, parameters: Parameters
+) -> None:
+    """One stress: the error of the given C enters the stress-free temperatures."""
+    parameter = INFLUENCES[label][0]
+    stress = float(np.mean([f.loop.stress for f in fit.loops]))
+    shift_std = stress * parameters.std(parameter) / parameters[parameter] ** 2
+    for name in ("A_s", "A_f") if label == "C_A" else ("M_s", "M_f"):
+        e = found[TEMPERATURES[name]]
+        method = f"{e.method}, referred to zero stress with the given {label}"
+        found[TEMPERATURES[name]] = Estimate(
+            e.value, math.hypot(e.std, shift_std), e.unit, method, e.n
+        )
+
+
+def _strain_estimate(fit: LawFit, method: str, n: int) -> dict[str, Estimate]:
+    name = "wire.maximum_recoverable_strain"
+    if "eps_L" in fit.names:
+        return {name: Estimate(fit["eps_L"], fit.error({"eps_L": 1.0}), "1", method, n)}
+    s = max(f.loop.stress for f in fit.loops) / REFERENCE_STRESS
+    grown = 1.0 - math.exp(-fit["k"] * s)
+    weights = {"H_min": 1.0, "dH": grown, "k": fit["dH"] * s * (1.0 - grown)}
+    value = fit["H_min"] + fit["dH"] * grown
+    where = f"{method}, at the largest stress {s * REFERENCE_STRESS / 1e6:.0f} MPa"
+    return {name: Estimate(value, fit.error(weights), "1", where, n)}
+
+
+def _expansion_estimate(
+    fit: LawFit, parameters: Parameters, method: str, n: int, findings: list[Finding]
+) -> dict[str, Estimate]:
+    """Theta_T; of the extended law -alpha_M E_M, as it is below A_s."""
+    name = "wire.thermal_expansion_factor"
+    if fit.law == "contract":
+        value, std = fit["Theta_T"] * 1e6, fit.error({"Theta_T": 1.0}) * 1e6
+    else:
+        modulus = parameters["wire.martensite_modulus"]
+        value = -fit["alpha_M"] * 1e-6 * modulus
+        own = fit.error({"alpha_M": 1.0}) * 1e-6 * modulus
+        std = math.hypot(
+            own, value * parameters.std("wire.martensite_modulus") / modulus
+        )
+        method = f"{method}, -alpha_M E_M"
+    is_told = fit.law == "contract" or abs(value) > _SIGNIFICANT * std
+    if not (is_told and remarks.is_plausible_expansion(value, std)):
+        findings.append(remarks.implausible_expansion(value, std))
+        return {}
+    return {name: Estimate(value, std, "Pa/K", method, n)}
+
+
+def _is_in_range(name: str, estimate: Estimate, findings: list[Finding]) -> bool:
+    low, high = BY_NAME[name].low, BY_NAME[name].high
+    if (low is None or estimate.value >= low) and (high is None or estimate.value <= high):
+        return True
+    findings.append(remarks.out_of_range(name, estimate))
+    return False
+
+
+def _details(fits: Sequence[LawFit]) -> dict[str, Estimate]:
+    details = {}
+    for fit in fits:
+        n = sum(len(f.residual) for f in fit.loops)
+        for i, name in enumerate(fit.names):
+            details[f"{fit.law}: {name}"] = Estimate(
+                float(fit.values[i]), float(fit.std[i]), UNITS.get(name, _SLOPE_UNIT),
+                "joint fit", n,
+            )
+        for stress, error in errors_by_stress(fit).items():
+            here = [f for f in fit.loops if f.loop.stress == stress]
+            count = sum(len(f.residual) for f in here)
+            details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = Estimate(
+                error, error / math.sqrt(2.0 * count), "1", "rms over recovered strain", count
+            )
+    return details
+
+
+def _cycle_by_cycle(
+    fit: LawFit,
+    records: Sequence[IsobaricRecord],
+    parameters: Parameters,
+    findings: list[Finding],
+) -> dict[str, Estimate]:
+    """Where cycles of one record do not fit one set of numbers, each gets its own."""
+    details: dict[str, Estimate] = {}
+    for record in records:
+        mine = [f for f in fit.loops if f.loop.label.startswith(f"{record.name}, cycle ")]
+        joint = float(np.sqrt(np.mean([f.rms**2 for f in mine])))
+        if len(mine) < 3 or joint < TOLERANCE:
+            continue
+        errors = []
+        for f in mine:
+            unknowns, fixed = unknowns_of([f.loop], "extended", parameters)
+            own = fit_law([f.loop], "extended", unknowns, fixed, parameters)
+            errors.append(own.loops[0].rms)
+            n = len(f.residual)
+            for name in (*TEMPERATURES, "eps_L"):
+                details[f"{f.loop.label}: {name}"] = Estimate(
+                    own[name], own.error({name: 1.0}), UNITS[name], "fit of this cycle alone", n
+                )
+            details[f"{f.loop.label}: fit error"] = Estimate(
+                errors[-1], errors[-1] / math.sqrt(2.0 * n), "1", "rms over recovered strain", n
+            )
+        findings.append(remarks.cycles_differ(record.name, joint, errors))
+    return details
+
+
+def _curves(fit: LawFit) -> dict[str, Array]:
+    curves = {"correlation": fit.correlation}
+    for f in fit.loops:
+        curves[f"{f.loop.label}/temperature"] = f.loop.temperature
+        curves[f"{f.loop.label}/strain"] = f.loop.strain
+        curves[f"{f.loop.label}/model"] = f.model
+    return curves

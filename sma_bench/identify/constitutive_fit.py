@@ -1,0 +1,238 @@
+"""Least squares of the constitutive law over all loops at once: bounds, starts, errors."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from sma_bench.errors import InputError
+from sma_bench.identify.constitutive_law import (
+    Elastic,
+    Law,
+    Loop,
+    elastic,
+    strain_of,
+    without_free_parts,
+)
+from sma_bench.identify.estimate import Array
+from sma_bench.identify.noise import autocorrelation, inflation
+from sma_bench.parameters import Parameters
+
+STARTS = 5
+_SEED = 7
+_AT_BOUND = 1e-3
+_SMALLEST_STRESS_RANGE = 5e6
+Residuals = Callable[..., Array]
+_MODULI = ("wire.austenite_modulus", "wire.martensite_modulus")
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One fitted number: its name, where the search starts, its bounds and a typical size."""
+
+    name: str
+    start: float
+    low: float
+    high: float
+    size: float
+
+
+@dataclass(frozen=True)
+class LoopFit:
+    """How one loop is met.
+
+    `model`, `residual` (n,) strain; `irrecoverable` the strain left after the loop.
+    """
+
+    loop: Loop
+    model: Array
+    residual: Array
+    irrecoverable: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square residual over the recovered strain."""
+        return float(np.sqrt(np.mean(self.residual**2))) / self.loop.recovered
+
+    @property
+    def largest(self) -> float:
+        """Largest residual over the recovered strain."""
+        return float(np.max(np.abs(self.residual))) / self.loop.recovered
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """The fitted law.
+
+    Attributes:
+        names, values, std: of the unknowns, (p,); K, strain, 1e-6/K, MPa/K (Theta_T), and per
+            100 MPa (slopes in K, k).
+        correlation: (p, p).
+        at_bound: names of those that a bound stopped.
+        fixed: values that the data cannot give and that were taken from the parameters.
+        loops: one a cycle.
+        starts_agreeing: how many starts of all ended at the same minimum.
+    """
+
+    law: Law
+    names: tuple[str, ...]
+    values: Array
+    std: Array
+    covariance: Array
+    at_bound: tuple[str, ...]
+    fixed: dict[str, float]
+    loops: tuple[LoopFit, ...]
+    starts_agreeing: int
+
+    @property
+    def correlation(self) -> Array:
+        """(p, p) correlations of the errors."""
+        return self.covariance / np.outer(self.std, self.std)
+
+    def __getitem__(self, name: str) -> float:
+        return self.all()[name]
+
+    def all(self) -> dict[str, float]:
+        """Fitted and fixed numbers by name."""
+        return {**self.fixed, **dict(zip(self.names, self.values.tolist(), strict=True))}
+
+    def error(self, weights: Mapping[str, float]) -> float:
+        """Standard error of a linear combination of the unknowns."""
+        w = np.array([weights.get(name, 0.0) for name in self.names])
+        return float(np.sqrt(w @ self.covariance @ w))
+
+
+def fit_law(
+    loops: Sequence[Loop],
+    law: Law,
+    unknowns: Sequence[Unknown],
+    fixed: Mapping[str, float],
+    parameters: Parameters,
+) -> LawFit:
+    """Fit one law to all loops, each loop's residual counted in units of the strain it recovers.
+
+    Standard errors hold the scatter in every loop with its autocorrelation (a misfit of the law
+    is no white noise), and the uncertainty of E_A and E_M, which the data do not give.
+
+    Raises:
+        InputError: fewer points than unknowns.
+    """
+    given = elastic(parameters)
+    total = sum(len(loop.strain) for loop in loops)
+    if total <= 2 * len(unknowns):
+        raise InputError(f"{total} points for {len(unknowns)} unknowns of the {law} law")
+    names = tuple(u.name for u in unknowns)
+    low, high = np.array([u.low for u in unknowns]), np.array([u.high for u in unknowns])
+    size = np.array([u.size for u in unknowns])
+
+    def residuals(x: Array, stiffness: Elastic = given) -> Array:
+        p = {**fixed, **dict(zip(names, x, strict=True))}
+        return np.concatenate([_misfit(law, p, loop, stiffness) / loop.recovered for loop in loops])
+
+    solutions = [
+        least_squares(residuals, start, bounds=(low, high), x_scale=size, max_nfev=300)
+        for start in _starts(unknowns)
+    ]
+    best = min(solutions, key=lambda s: s.cost)
+    agreeing = sum(bool(s.cost < 1.02 * best.cost + 1e-15) for s in solutions)
+    x = best.x
+    jacobian = _jacobian(residuals, x, size, low, high)
+    fits = _loop_fits(law, {**fixed, **dict(zip(names, x, strict=True))}, loops, given)
+    covariance = _covariance(jacobian, fits, len(names))
+    covariance += _from_moduli(residuals, x, jacobian, parameters)
+    near = np.minimum(x - low, high - x) < _AT_BOUND * (high - low)
+    return LawFit(
+        law=law,
+        names=names,
+        values=x,
+        std=np.sqrt(np.maximum(np.diag(covariance), 1e-300)),
+        covariance=covariance,
+        at_bound=tuple(name for name, is_near in zip(names, near, strict=True) if is_near),
+        fixed=dict(fixed),
+        loops=tuple(fits),
+        starts_agreeing=agreeing,
+    )
+
+
+def has_several_stresses(loops: Sequence[Loop]) -> bool:
+    """Whether slopes against stress can be told."""
+    return float(np.ptp([loop.stress for loop in loops])) >= _SMALLEST_STRESS_RANGE
+
+
+def _misfit(law: Law, p: Mapping[str, float], loop: Loop, given: Elastic) -> Array:
+    strain, columns = strain_of(law, p, loop, given)
+    return without_free_parts(loop.strain - strain, columns)[0]
+
+
+def _starts(unknowns: Sequence[Unknown]) -> list[Array]:
+    rng = np.random.default_rng(_SEED)
+    first = np.array([u.start for u in unknowns])
+    size = np.array([u.size for u in unknowns])
+    low, high = np.array([u.low for u in unknowns]), np.array([u.high for u in unknowns])
+    margin = 1e-6 * (high - low)
+    starts = [first] + [first + size * rng.standard_normal(len(first)) for _ in range(STARTS - 1)]
+    return [np.clip(start, low + margin, high - margin) for start in starts]
+
+
+def _jacobian(residuals: Residuals, x: Array, size: Array, low: Array, high: Array) -> Array:
+    columns = []
+    for i in range(len(x)):
+        step = 1e-3 * size[i]
+        up, down = x.copy(), x.copy()
+        up[i], down[i] = min(x[i] + step, high[i]), max(x[i] - step, low[i])
+        columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
+    return np.column_stack(columns)
+
+
+def _covariance(jacobian: Array, fits: Sequence[LoopFit], count: int) -> Array:
+    """Sandwich: each loop with its own scatter, all with one autocorrelation."""
+    bread = np.linalg.pinv(jacobian.T @ jacobian)
+    pieces = []
+    for fit in fits:
+        ends = np.cumsum([len(path.strain) for path in fit.loop.paths])[:-1]
+        pieces.extend(np.split(fit.residual / fit.loop.recovered, ends))
+    colour = inflation(autocorrelation(pieces))
+    total = sum(len(fit.residual) for fit in fits)
+    meat = np.zeros_like(bread)
+    first = 0
+    for fit in fits:
+        rows = jacobian[first : first + len(fit.residual)]
+        first += len(fit.residual)
+        variance = float(np.mean((fit.residual / fit.loop.recovered) ** 2))
+        meat += variance * colour * total / (total - count - 2 * len(fits)) * (rows.T @ rows)
+    return np.asarray(bread @ meat @ bread)
+
+
+def _from_moduli(
+    residuals: Residuals, x: Array, jacobian: Array, parameters: Parameters
+) -> Array:
+    """What the uncertainty of E_A and E_M adds to the covariance."""
+    bread = np.linalg.pinv(jacobian.T @ jacobian)
+    added = np.zeros_like(bread)
+    at_best = residuals(x)
+    for name in _MODULI:
+        step = 1e-3 * parameters[name]
+        shifted = elastic(parameters.replace({name: parameters[name] + step}))
+        slope = -bread @ jacobian.T @ ((residuals(x, shifted) - at_best) / step)
+        added += np.outer(slope, slope) * parameters.std(name) ** 2
+    return added
+
+
+def _loop_fits(
+    law: Law, p: Mapping[str, float], loops: Sequence[Loop], given: Elastic
+) -> list[LoopFit]:
+    fits = []
+    for loop in loops:
+        strain, columns = strain_of(law, p, loop, given)
+        residual, weights = without_free_parts(loop.strain - strain, columns)
+        last = float(weights[1] * columns[-1, 1]) if columns.shape[1] > 1 else 0.0
+        fits.append(
+            LoopFit(
+                loop=loop,
+                model=loop.strain - residual,
+                residual=residual,
+                irrecoverable=last,
+            )
+        )
+    return fits

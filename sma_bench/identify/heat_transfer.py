@@ -1,0 +1,241 @@
+"""E2, heat transfer coefficient: steady temperature over voltage (eq. 4, Fig. 3)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.identify.estimate import Array, Estimate, Experiment, Mask
+from sma_bench.identify.plateaus import AVERAGE, SETTLE, Means, means, same_level
+from sma_bench.identify.signals import Staircase, has_samples, samples
+from sma_bench.identify.straight_line import LinearFit, fit_linear
+from sma_bench.parameters import Parameters
+from sma_bench.records import Record
+
+PARAMETER = "wire.heat_transfer_coefficient"
+GAIN = "thermal_gain"
+AMBIENT = "environment.ambient_temperature"
+_SIGNIFICANT = 3.0
+_SIGNIFICANT_DRIFT = 4.0
+_LARGE_DRIFT = 0.01
+_SMALLEST_DRIFT = 0.1
+_LARGE_BEND = 0.02
+_ITERATIONS = 3
+
+
+@dataclass(frozen=True)
+class _Points:
+    voltage: Means
+    temperature: Means
+    shared: Array
+
+    @property
+    def square(self) -> Array:
+        """V^2 of each plateau; the samples' own scatter heats too, but by less than 1e-5."""
+        return self.voltage.value**2
+
+    def covariance(self, gain: float) -> Array:
+        """(p, p) of T - gain V^2 in K^2: effective variance, converters' share at equal levels."""
+        sensitivity = 2.0 * gain * self.voltage.value
+        noise = self.temperature.noise**2 + (sensitivity * self.voltage.noise) ** 2
+        hidden = np.outer(sensitivity, sensitivity) * self.voltage.hidden**2 * self.shared
+        return np.diag(noise + self.temperature.hidden**2) + hidden
+
+    def fit(self, temperature: Array) -> LinearFit:
+        """Straight line of temperature (p,) in K over V^2: (T_inf, 1/(R h A_c))."""
+        design = np.column_stack([np.ones(len(self.square)), self.square])
+        gain = float(np.polyfit(self.square, temperature, 1)[0])
+        for _ in range(_ITERATIONS):
+            fit = fit_linear(design, temperature, self.covariance(gain))
+            gain = float(fit.beta[1])
+        return fit
+
+
+@dataclass(frozen=True)
+class _Heating:
+    """Heating (p,) in V^2 as if R were constant, its covariance (p, p), and its name."""
+
+    value: Array
+    covariance: Array
+    what: str
+
+
+def identify_heat_transfer(
+    record: Record,
+    staircase: Staircase,
+    parameters: Parameters,
+    resistance: Estimate,
+    current_offset: float = 0.0,
+    settle: float = SETTLE,
+    average: float = AVERAGE,
+) -> Experiment:
+    """Heat transfer coefficient and ambient temperature from a voltage staircase.
+
+    Fits T = T_inf + V^2/(R h A_c) with free T_inf. The area is taken as exact: h scales with 1/A_c,
+    and only the product h A_c enters the heat equation. `details` holds the thermal gain
+    1/(R h A_c) in K/V^2, which depends on neither R nor A_c.
+
+    Args:
+        record: holds `<channel>.voltage` in V and `<channel>.temperature` in K.
+        staircase: the plateaus.
+        parameters: wire.surface_area and, to compare with, environment.ambient_temperature.
+        resistance: R with its error, from E1 or from the parameters.
+        current_offset: A, what the current sensor reads at zero (from E1); used where no plateau
+            at 0 V shows it.
+        settle, average: s, what is skipped and what is averaged of each plateau.
+
+    Raises:
+        InputError: no temperature, or one that does not follow the voltage.
+    """
+    bounds, findings = staircase.windows(settle, average)
+    channel = staircase.channel
+    v = means(*samples(record, f"{channel}.voltage"), bounds, f"{channel}.voltage")
+    t = means(*samples(record, f"{channel}.temperature"), bounds, f"{channel}.temperature")
+    points = _Points(v, t, same_level(v.value, staircase.tolerance))
+    fit = points.fit(t.value)
+    if fit.beta[1] * np.ptp(points.square) < 10.0 * float(np.median(t.noise)):
+        raise InputError(
+            f"{record.path}: {channel}.temperature rises by {np.ptp(t.value):.2g} K over "
+            f"{np.ptp(v.value):.3g} V, expected it to follow the voltage"
+        )
+    gain, gain_std = float(fit.beta[1]), float(fit.std[1])
+    ambient, ambient_std = float(fit.beta[0]), float(fit.std[0])
+    remarks = list(findings)
+
+    moving = _moving(points)
+    if moving.any():
+        moved = points.fit(t.value + np.where(moving, t.drift, 0.0))
+        gain_std = math.hypot(gain_std, float(moved.beta[1]) - gain)
+        ambient_std = math.hypot(ambient_std, float(moved.beta[0]) - ambient)
+        remarks.append(_moving_finding(points, moving))
+    heating = _heating(
+        record, channel, points, bounds, resistance, current_offset, staircase.tolerance
+    )
+    spread, finding = _bend(points, heating, gain)
+    if finding is not None:
+        remarks.append(finding)
+        gain_std = math.hypot(gain_std, gain * spread / math.sqrt(12.0))
+    remarks.extend(_ambient_findings(record, parameters, ambient, ambient_std))
+
+    n = len(bounds)
+    # Nobody calibrates a camera's zero better than to its own step.
+    ambient_std = math.hypot(ambient_std, t.step / math.sqrt(12.0))
+    thermal_gain = Estimate(gain, gain_std, "K/V2", "steady temperature over squared voltage", n)
+    estimates = {
+        PARAMETER: coefficient(thermal_gain, resistance, parameters),
+        AMBIENT: Estimate(ambient, ambient_std, "K", "steady temperature at zero voltage", n),
+    }
+    line = np.linspace(0.0, float(v.value.max()), 100)
+    curves = {
+        "voltage": v.value,
+        "temperature": t.value,
+        "heating": np.array([p.direction == "up" for p in staircase.plateaus], dtype=np.float64),
+        "line_voltage": line,
+        "line_temperature": ambient + gain * line**2,
+    }
+    return Experiment(
+        "E2", "Heat transfer coefficient", estimates, tuple(remarks), curves,
+        staircase.source(record), {GAIN: thermal_gain},
+    )
+
+
+def coefficient(gain: Estimate, resistance: Estimate, parameters: Parameters) -> Estimate:
+    """h = 1/(gain R A_c) from a thermal gain in K/V^2; the errors of gain and R are independent."""
+    area = parameters["wire.surface_area"]
+    value = 1.0 / (gain.value * resistance.value * area)
+    return Estimate(
+        value, value * math.hypot(gain.relative_std, resistance.relative_std), "W/(m2 K)",
+        f"{gain.method}, A_c = {area * 1e6:.2f} mm2 taken as exact", gain.n,
+    )
+
+
+def _moving(points: _Points) -> Mask:
+    """(p,) plateaus whose temperature still changed while it was averaged."""
+    t = points.temperature
+    limit = max(_SMALLEST_DRIFT, _LARGE_DRIFT * float(np.ptp(t.value)))
+    return (np.abs(t.drift) > _SIGNIFICANT_DRIFT * t.drift_std) & (np.abs(t.drift) > limit)
+
+
+def _moving_finding(points: _Points, moving: Mask) -> Finding:
+    worst = int(np.argmax(np.where(moving, np.abs(points.temperature.drift), 0.0)))
+    drift = float(points.temperature.drift[worst])
+    text = (
+        f"{int(moving.sum())} of {len(moving)} plateaus had not settled: the temperature moved by "
+        f"{drift:+.2f} K while it was averaged at {points.voltage.value[worst]:.2f} V"
+    )
+    return Finding(
+        "warning", PARAMETER, text, {"plateaus": float(moving.sum()), "largest_drift": drift}
+    )
+
+
+def _heating(
+    record: Record,
+    channel: str,
+    points: _Points,
+    bounds: Array,
+    resistance: Estimate,
+    current_offset: float,
+    tolerance: float,
+) -> _Heating:
+    """V^2, or R times the electrical power where there is a current, so that R may vary."""
+    if not has_samples(record, f"{channel}.current"):
+        return _Heating(points.square, np.zeros((len(bounds), len(bounds))), "squared voltage")
+    current = means(*samples(record, f"{channel}.current"), bounds, f"{channel}.current")
+    scale = resistance.value * points.voltage.value
+    undriven = np.abs(points.voltage.value) < tolerance
+    if undriven.any():
+        # Better than the line's intercept, which is off where the line is not straight.
+        current_offset = float(np.mean(current.value[undriven]))
+        common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
+    else:
+        common = float(np.median(current.noise))
+    covariance = np.diag((scale * current.noise) ** 2) + np.outer(scale, scale) * common**2
+    return _Heating(scale * (current.value - current_offset), covariance, "electrical power")
+
+
+def _bend(points: _Points, heating: _Heating, gain: float) -> tuple[float, Finding | None]:
+    """Relative change of the slope of T over heating across the range, and its remark."""
+    x = heating.value / float(np.max(heating.value))
+    covariance = points.covariance(gain) + gain**2 * heating.covariance
+    design = np.column_stack([np.ones(len(x)), x, x * (x - 1.0)])
+    fit = fit_linear(design, points.temperature.value, covariance)
+    slope = float(fit.beta[1])
+    change, error = 2.0 * float(fit.beta[2]) / slope, 2.0 * float(fit.std[2]) / slope
+    if abs(change) < _SIGNIFICANT * error or abs(change) < _LARGE_BEND:
+        return 0.0, None
+    # h at a plateau is the inverse slope of the chord from ambient: 1 - change/2 at its coldest.
+    growth = -0.5 * change
+    text = (
+        f"steady temperature over {heating.what} is not a straight line: the coefficient "
+        f"{'rises' if growth > 0.0 else 'falls'} by {100.0 * abs(growth):.1f} +- "
+        f"{50.0 * error:.1f} % from the coldest to the hottest plateau"
+    )
+    return abs(change), Finding(
+        "warning", PARAMETER, text, {"growth": growth, "growth_std": 0.5 * error}
+    )
+
+
+def _ambient_findings(
+    record: Record, parameters: Parameters, ambient: float, std: float
+) -> list[Finding]:
+    known: list[tuple[str, float, float]] = []
+    if AMBIENT in parameters.given:
+        known.append(("stated", parameters[AMBIENT], parameters.std(AMBIENT)))
+    if has_samples(record, "ambient.temperature"):
+        _, measured = samples(record, "ambient.temperature")
+        scatter = max(float(np.std(measured)), parameters.std(AMBIENT))
+        known.append(("measured", float(np.mean(measured)), scatter))
+    findings = []
+    for how, value, error in known:
+        difference = ambient - value
+        far = abs(difference) > _SIGNIFICANT * math.hypot(std, error)
+        text = (
+            f"the wire's own temperature without heating is {ambient:.2f} K, the {how} ambient "
+            f"{value:.2f} K: {difference:+.2f} K"
+        )
+        findings.append(
+            Finding("warning" if far else "info", AMBIENT, text, {"difference": difference})
+        )
+    return findings

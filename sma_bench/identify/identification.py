@@ -1,0 +1,245 @@
+"""From records to parameters: finds out what each record holds and runs the experiments."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.identify import composite, load_frame
+from sma_bench.identify.constitutive import fit_constitutive
+from sma_bench.identify.estimate import Estimate, Experiment
+from sma_bench.identify.heating_rates import identify_heating_rates
+from sma_bench.identify.isobaric import identify_isobaric
+from sma_bench.identify.plateaus import FEWEST_LEVELS
+from sma_bench.identify.run import Run
+from sma_bench.identify.signals import Drive
+from sma_bench.identify.tensile import identify_tensile
+from sma_bench.identify.thermal_expansion import identify_thermal_expansion
+from sma_bench.identify.thermal_experiments import (
+    find_all_drives,
+    run_heat_transfer,
+    run_resistance,
+    run_specific_heat,
+)
+from sma_bench.identify.transition_temperatures import identify_transition_temperatures
+from sma_bench.parameters import Parameters
+from sma_bench.records import DscRecord, Record
+from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.open import AnyRecord
+from sma_bench.records.tensile import TensileRecord
+
+NEEDS = {
+    "E1": f"E1 a staircase of {FEWEST_LEVELS} voltages or more with current",
+    "E2": f"E2 a staircase of {FEWEST_LEVELS} voltages or more with temperature",
+    "E3": "E3 a voltage ramp below A_s with temperature",
+    "E5": "E5 a DSC file",
+    "E6": "E6 isobaric test files (temperature, strain, stress)",
+    "E7": "E7 tensile test files (strain, stress)",
+    "E8": "E8 a clamped wire with temperature plateaus below A_s and force",
+    "E9": "E9 voltage of one wire with its elongation under held loads, or isobaric test files",
+    "E10": "E10 voltages of all channels with the deflection or ranges",
+}
+EXPERIMENTS = tuple(NEEDS)
+_FAR_APART = 4.0
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything the records gave.
+
+    `estimates` by parameter name, `parameters` the given ones with these put in, both ready for a
+    parameter file; `experiments` one each record and channel, with curves; `notes` what could not
+    be identified and why, and what the reader of the records remarked.
+    """
+
+    parameters: Parameters
+    estimates: dict[str, Estimate]
+    experiments: tuple[Experiment, ...]
+    notes: tuple[Finding, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Everything a careful reader should know before using the numbers."""
+        found = [(note, "") for note in self.notes]
+        found += [(f, f"{e.name} ") for e in self.experiments for f in e.findings]
+        lines = [
+            f"{where}{finding.subject}: {finding.text}"
+            for finding, where in found
+            if finding.severity != "info"
+        ]
+        return tuple(dict.fromkeys(lines))
+
+    def to_json(self) -> dict[str, Any]:
+        """The result file of the contract, section 5."""
+        return {
+            "parameters": {name: e.to_json() for name, e in self.estimates.items()},
+            "experiments": [experiment.to_json() for experiment in self.experiments],
+            "warnings": list(self.warnings),
+        }
+
+
+def identify(
+    records: Sequence[AnyRecord],
+    parameters: Parameters,
+    experiments: Iterable[str] | None = None,
+) -> Identification:
+    """Identify what the records allow.
+
+    Staircases give E1 and E2, ramps E3, DSC files E5, isobaric test files E6, tensile ones E7, the
+    force of a clamped wire E8, load frames that hold loads E9, the composite E10 (which takes the
+    load frame's bags along: the same alloy). Several records are combined: the resistance of one
+    bag serves the ramps of another.
+
+    Args:
+        records: bags and instrument files, already read.
+        parameters: what is known beforehand (mass, area, A_s, ...).
+        experiments: names out of EXPERIMENTS; all that the records hold when None, but E9 on
+            clamped wires and isobaric files, which takes a minute, only when named.
+
+    Raises:
+        InputError: unknown experiment, one that was asked for but cannot be done, or nothing at
+            all to identify; the line lists what was found and what is missing.
+    """
+    wanted = frozenset(EXPERIMENTS if experiments is None else experiments)
+    unknown = sorted(wanted - set(EXPERIMENTS))
+    if unknown:
+        raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
+    if not records:
+        raise InputError("no record to identify from")
+    run = Run(parameters, wanted, asked=experiments is not None)
+    bags = [r for r in records if isinstance(r, Record)]
+    run.notes.extend(f for record in bags for f in record.findings)
+    whole = _whole_model(run, bags)
+    # A composite's wires are told by the whole model alone: their staircases bend it.
+    drives = find_all_drives(run, [r for r in bags if not (whole and composite.bends(r))])
+    run_resistance(run, drives)
+    run_heat_transfer(run, drives)
+    run_specific_heat(run, drives)
+    _instruments(run, records)
+    _thermal_expansion(run, bags)
+    _take_sharper(run, whole)
+    _report_missing(run, records, drives)
+    return Identification(
+        run.improved(), run.estimates, tuple(run.experiments), tuple(run.notes)
+    )
+
+
+def _whole_model(run: Run, bags: Sequence[Record]) -> Experiment | None:
+    """E10 where a record shows a deflection, else E9 where one shows a load frame."""
+    bent = [record for record in bags if composite.bends(record)]
+    framed = [record for record in bags if load_frame.holds_frame(record)]
+    name = composite.NAME if bent else load_frame.NAME
+    if not (bent or framed) or name not in run.wanted:
+        return None
+    loaded = any(load_frame.holds_loads(record) for record in framed)
+    if bent or loaded:
+        framed = [
+            r for r in framed if load_frame.holds_loads(r) or load_frame.stays_cold(r, run.given)
+        ]
+    if not (bent or run.asked or loaded):
+        text = "the force of a clamped wire is there: --experiment E9 fits the whole model to it"
+        run.notes.append(Finding("info", name, text))
+        return None
+    try:
+        if bent:
+            experiment = composite.identify_composite([*framed, *bent], run.given)
+        else:
+            experiment = load_frame.identify_load_frame(framed, run.given)
+    except InputError as error:
+        run.fail(name, str(error))
+        return None
+    run.experiments.append(experiment)
+    return experiment
+
+
+def _instruments(run: Run, records: Sequence[AnyRecord]) -> None:
+    """E5, E6, E7 and E9 on instrument files, each on all files of its kind together."""
+    dsc = [r for r in records if isinstance(r, DscRecord)]
+    isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
+    tensile = [r for r in records if isinstance(r, TensileRecord)]
+    if len(dsc) == 1:
+        _try(run, "E5", lambda: identify_transition_temperatures(dsc[0]))
+    elif dsc:
+        _try(run, "E5", lambda: identify_heating_rates(dsc))
+    if isobaric:
+        _try(run, "E6", lambda: identify_isobaric(isobaric, run.improved()))
+    if tensile:
+        _try(run, "E7", lambda: identify_tensile(tensile, run.improved()))
+    if isobaric and run.asked:
+        _try(run, "E9", lambda: fit_constitutive(isobaric, run.improved()))
+
+
+def _thermal_expansion(run: Run, bags: Sequence[Record]) -> None:
+    """E8 on the clamped wires among the bags; the whole model tells it better where it ran."""
+    clamped = [record for record in bags if load_frame.is_clamped_wire(record)]
+    if clamped and not run.of(load_frame.NAME):
+        channel = clamped[0].channels[0]
+        _try(
+            run, "E8", lambda: identify_thermal_expansion(
+                clamped, run.improved(), temperature=f"{channel}.temperature"
+            )
+        )
+
+
+def _try(run: Run, name: str, experiment: Callable[[], Experiment]) -> None:
+    if name not in run.wanted:
+        return
+    try:
+        run.experiments.append(experiment())
+    except InputError as error:
+        run.fail(name, str(error))
+    run.join(name)
+
+
+def _take_sharper(run: Run, whole: Experiment | None) -> None:
+    """Of what an experiment of its own and the whole model both tell, the sharper number counts.
+
+    They may rest on the same samples, so they are not averaged.
+    """
+    for name, estimate in (whole.estimates if whole else {}).items():
+        other = run.estimates.get(name)
+        if other is not None:
+            apart = (estimate.value - other.value) / math.hypot(estimate.std, other.std)
+            if abs(apart) > _FAR_APART:
+                text = f"the whole model says {estimate.value:.6g} +- {estimate.std:.2g} " + (
+                    f"{estimate.unit}, {apart:+.1f} standard errors from {other.value:.6g} +- "
+                    f"{other.std:.2g} ({other.method})"
+                )
+                run.notes.append(Finding("warning", name, text, {"deviations": apart}))
+        if other is None or estimate.std < other.std:
+            run.estimates[name] = estimate
+
+
+def _report_missing(
+    run: Run, records: Sequence[AnyRecord], drives: Sequence[tuple[Record, Drive]]
+) -> None:
+    """A note for each experiment without a result; an error if that leaves nothing."""
+    missing = run.missing(EXPERIMENTS)
+    if not run.experiments or (run.asked and missing):
+        raise InputError(_nothing(run, records, drives, missing))
+    for name in missing:
+        reasons = list(dict.fromkeys(run.reasons.get(name, [])))
+        if reasons:
+            text = f"not identified ({'; '.join(reasons)}); needed: {NEEDS[name]}"
+            run.notes.append(Finding("warning", name, text))
+
+
+def _nothing(
+    run: Run,
+    records: Sequence[AnyRecord],
+    drives: Sequence[tuple[Record, Drive]],
+    missing: Sequence[str],
+) -> str:
+    where = ", ".join(str(r.path) for r in records)
+    reasons = list(dict.fromkeys(r for n in missing for r in run.reasons.get(n, [])))
+    # What was found says more than a reason for each experiment that repeats it.
+    found = [f"{record.path}: {drive.describe()}" for record, drive in drives]
+    if not drives:
+        held = sorted({s for r in records if isinstance(r, Record) for s in r.signals})
+        found = [f"signals {', '.join(held) or 'none'}"] if not reasons else []
+    shown = "; ".join(dict.fromkeys(found + reasons))
+    needs = "; ".join(NEEDS[name] for name in missing)
+    what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
+    return f"{where}: {what}: found {shown}; needed: {needs}"

@@ -1,0 +1,168 @@
+"""E6 to E9 on the wire rig with a load frame: constitutive parameters from its bags.
+
+Isobaric heating and cooling at several held loads tells eps_L, the transition temperatures, C_A,
+C_M and both moduli; a staircase of the clamped wire below A_s tells Theta_T. The wire is heated by
+its own current, so the thermal parameters come along.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.identify.estimate import Estimate, Experiment
+from sma_bench.identify.isobaric import identify_isobaric
+from sma_bench.identify.load_frame_drive import has_load_frame, is_clamped, wire_length
+from sma_bench.identify.rig_record import rig_record
+from sma_bench.identify.signals import has_samples, samples
+from sma_bench.identify.whole_model import fit_experiment
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import NITI_DENSITY
+from sma_bench.physics.bending import wire_section
+from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.record import Record
+from sma_bench.records.thermal_cycles import find_cycles
+
+NAME = "E9"
+TITLE = "Constitutive parameters from the load frame"
+_SHORTEST_TEST = 10.0
+_FAR = 4.0
+_SMALLEST_RANGE = 5.0
+
+
+def identify_load_frame(records: Sequence[Record], parameters: Parameters) -> Experiment:
+    """Thermal and constitutive parameters of one wire.
+
+    The whole model is simulated on the measured voltage under the loads that were held, or
+    between the clamps, and held to elongation or force, temperature and current (see
+    `identify_composite`). The tangents of E6 on the same loops stand beside it in `details`
+    ("tangent.<parameter>").
+
+    Args:
+        records: bags of one wire with `elongation`, `force` or both.
+        parameters: the lab's values with their uncertainties; mass and diameter tell the wire's
+            length (NiTi, 6450 kg/m3), for which the contract has no parameter.
+
+    Raises:
+        InputError: no load frame in any record, no voltage, or neither held loads nor clamps.
+    """
+    rigs = [rig_record(record, parameters) for record in records]
+    if not any(rig.holds for rig in rigs):
+        where = ", ".join(str(record.path) for record in records) or "no records"
+        raise InputError(
+            f"{where}: no load frame, expected joint_states wire with position or effort"
+        )
+    fitted = fit_experiment(NAME, TITLE, rigs, parameters)
+    beside, remarks = _tangents(records, parameters, fitted)
+    return replace(
+        fitted,
+        details={**fitted.details, **beside},
+        findings=(*fitted.findings, about_length(parameters), *remarks),
+    )
+
+
+def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
+    """The loops of a load-frame bag as isobaric tests, one a held load.
+
+    Strain is elongation over the wire's length, stress is force over its section.
+
+    Raises:
+        InputError: no voltage, temperature or elongation.
+    """
+    rig = rig_record(record, parameters)
+    time, elongation = samples(record, "elongation")
+    kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
+    tests: list[IsobaricRecord] = []
+    for hold in rig.holds:
+        start, stop = rig.grid[hold.first], rig.grid[hold.last - 1]
+        inside = (time >= start) & (time <= stop)
+        if hold.clamped or stop - start < _SHORTEST_TEST:
+            continue
+        if np.ptp(kelvin[inside]) < _SMALLEST_RANGE:
+            continue
+        stress = hold.value / wire_section(parameters)
+        name = f"{record.path.name} {stress / 1e6:.0f} MPa"
+        cycles, remarks = find_cycles(
+            kelvin[inside], elongation[inside] / wire_length(parameters),
+            np.full(int(inside.sum()), stress), name,
+        )
+        tests.append(
+            IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks))
+        )
+    return tuple(tests)
+
+
+def about_length(parameters: Parameters) -> Finding:
+    """Where the gauge length comes from."""
+    length = wire_length(parameters)
+    text = (
+        f"wire length {length * 1e3:.2f} mm from mass and diameter at {NITI_DENSITY:g} kg/m3, "
+        "taken as the gauge length: strains scale with its inverse, stresses with that of the "
+        "section"
+    )
+    return Finding("info", "wire length", text, {"length": length})
+
+
+def holds_frame(record: Record) -> bool:
+    """Whether a record can be used by `identify_load_frame`."""
+    channels = record.channels
+    return (
+        len(channels) == 1 and has_load_frame(record)
+        and has_samples(record, f"{channels[0]}.voltage")
+    )
+
+
+def holds_loads(record: Record) -> bool:
+    """Whether the frame lets the wire move: loads are held, not the clamps."""
+    return not is_clamped(record)
+
+
+def is_clamped_wire(record: Record) -> bool:
+    """Whether one wire was clamped while its force and temperature were measured."""
+    if len(record.channels) != 1 or not is_clamped(record):
+        return False
+    names = ("force", f"{record.channels[0]}.temperature")
+    return all(has_samples(record, name) for name in names)
+
+
+def stays_cold(record: Record, parameters: Parameters) -> bool:
+    """Whether the wire stays below A_s.
+
+    A clamped wire that is heated above it pulls with stresses that no real wire bears: what its
+    force says of the transformation is better not mixed with held loads.
+    """
+    name = f"{record.channels[0]}.temperature"
+    limit = float(parameters["wire.austenite_start_temperature"])
+    return has_samples(record, name) and bool(
+        np.percentile(samples(record, name)[1], 99.0) < limit
+    )
+
+
+def _tangents(
+    records: Sequence[Record], parameters: Parameters, fitted: Experiment
+) -> tuple[dict[str, Estimate], list[Finding]]:
+    tests: list[IsobaricRecord] = []
+    for record in records:
+        if not is_clamped(record):
+            tests += isobaric_tests(record, parameters)
+    if not tests:
+        return {}, []
+    try:
+        drawn = identify_isobaric(tests, parameters, temperatures="cosine")
+    except InputError as error:
+        return {}, [Finding("warning", "tangents", str(error))]
+    remarks = []
+    for name, estimate in drawn.estimates.items():
+        other = fitted.estimates.get(name)
+        if other is None:
+            continue
+        apart = (estimate.value - other.value) / np.hypot(estimate.std, other.std)
+        if abs(apart) > _FAR:
+            text = (
+                f"tangents give {estimate.value:.5g} +- {estimate.std:.2g} {estimate.unit}, "
+                f"{apart:+.1f} standard errors from the fit: the loops are not the model's cosines"
+            )
+            remarks.append(Finding("warning", name, text, {"deviations": float(apart)}))
+    return {f"tangent.{name}": e for name, e in drawn.estimates.items()}, remarks

@@ -1,0 +1,89 @@
+"""Windows around voltage ramps in which the wire stays below A_s."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from sma_bench.findings import Finding
+from sma_bench.identify.heat_fit import Window
+from sma_bench.identify.segments import Segment
+from sma_bench.identify.signals import Drive, samples
+from sma_bench.records import Record
+
+BEFORE = 3.0
+AFTER = 12.0
+FEWEST_SAMPLES = 30
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A window, the number of samples cut off its end as too hot, and its highest temperature."""
+
+    window: Window
+    excluded: int
+    highest: float
+
+
+def cut_windows(record: Record, drive: Drive, limit: float) -> list[Cut]:
+    """Windows around the ramps of one channel, each up to where it becomes too hot."""
+    voltage_time, voltage = samples(record, f"{drive.channel}.voltage")
+    time, temperature = samples(record, f"{drive.channel}.temperature")
+    jumps = [before for before, _ in drive.segments.edges]
+    edges = np.asarray(np.searchsorted(voltage_time, jumps), dtype=np.intp)
+    found = []
+    for start, stop in _spans(drive.segments.ramps):
+        inside = (time >= start) & (time <= stop)
+        t, y = time[inside], temperature[inside]
+        if len(t) < FEWEST_SAMPLES:
+            continue
+        smooth = median_filter(y, 5, mode="nearest")
+        hot = np.flatnonzero(smooth > limit)
+        # Once above A_s the latent heat of both ways is in the curve until the wire is cold.
+        kept = int(hot[0]) if len(hot) else len(t)
+        stop = float(t[kept - 1]) if kept else start
+        first = max(int(np.searchsorted(voltage_time, start)) - 1, 0)
+        last = int(np.searchsorted(voltage_time, stop)) + 2
+        own = edges[(edges >= first) & (edges + 1 < min(last, len(voltage_time)))] - first
+        window = Window(
+            voltage_time[first:last], voltage[first:last], t[:kept], y[:kept], own
+        )
+        found.append(Cut(window, len(t) - kept, float(smooth.max())))
+    return found
+
+
+def choose_windows(
+    cuts: Sequence[Sequence[Cut]], limit: float, subject: str
+) -> tuple[list[Window], list[Finding]]:
+    """Ramps that stay cold; the cold beginnings of hot ones where there are no others."""
+    every = [cut for of_drive in cuts for cut in of_drive]
+    hot = [cut for cut in every if cut.excluded]
+    cold = [cut for cut in every if not cut.excluded]
+    usable = [c.window for c in (cold or hot) if len(c.window.temperature) >= FEWEST_SAMPLES]
+    if not hot:
+        return usable, []
+    highest = max(cut.highest for cut in hot)
+    excluded = sum(cut.excluded for cut in hot)
+    text = (
+        f"the temperature reaches {highest:.1f} K, above A_s = {limit:.1f} K, where eq. (5) does "
+        "not hold: "
+    )
+    if cold:
+        text += f"{len(hot)} of {len(every)} ramps are left out"
+    else:
+        text += f"{excluded} samples from there to the end of each ramp are left out"
+    numbers = {"ramps": float(len(hot)), "excluded": float(excluded), "highest": highest}
+    return usable, [Finding("info" if cold else "warning", subject, text, numbers)]
+
+
+def _spans(ramps: Sequence[Segment]) -> list[tuple[float, float]]:
+    """Start and stop in s of the stretch around each ramp; stretches do not overlap."""
+    spans = []
+    for k, ramp in enumerate(ramps):
+        earliest = ramps[k - 1].stop if k else -math.inf
+        latest = ramps[k + 1].start if k + 1 < len(ramps) else math.inf
+        latest = max(latest - BEFORE, ramp.stop)
+        spans.append((max(ramp.start - BEFORE, earliest), min(ramp.stop + AFTER, latest)))
+    return spans

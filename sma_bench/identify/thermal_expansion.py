@@ -1,0 +1,236 @@
+"""E8: thermal expansion factor from a clamped temperature staircase below A_s (eq. 8, Fig. 10).
+
+sigma - sigma_0 = Theta_T (T - T_0). A wire that expands between clamps loses tension, so Theta_T
+is negative and its size is alpha E; the wire must be tight enough to stay so.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.plateaus import means
+from sma_bench.identify.signals import samples
+from sma_bench.identify.straight_line import fit_linear
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
+from sma_bench.records.record import Record
+
+NAME = "E8"
+TITLE = "E8 thermal expansion factor (eq. 8, Fig. 10)"
+PARAMETER = "wire.thermal_expansion_factor"
+SHORTEST_PLATEAU = 5.0  # s
+STEADY = 0.3  # K over a window
+WINDOW = 2.0  # s
+FEWEST_LEVELS = 3
+_SAME_LEVEL = 1.0  # K
+_TAIL = 0.6
+_SLACK = 5.0
+
+
+@dataclass(frozen=True)
+class _Plateaus:
+    """Points (p,): temperature K and stress Pa with their errors; samples behind them."""
+
+    temperature: Array
+    temperature_std: Array
+    stress: Array
+    stress_std: Array
+    n: int
+
+
+def identify_thermal_expansion(
+    records: Record | Sequence[Record],
+    parameters: Parameters | None = None,
+    *,
+    temperature: str = "wire.temperature",
+    force: str = "force",
+) -> Experiment:
+    """Evaluate clamped staircases of temperature.
+
+    Args:
+        records: with a wire temperature (K) and the tensile force (N).
+        parameters: diameter (area), A_s and C_A (above which the wire transforms), moduli (check).
+        temperature, force: names of the signals.
+
+    Returns:
+        Estimate of Theta_T; `curves` `temperature`, `stress`, `used` (1 or 0), `line`.
+
+    Raises:
+        InputError: a signal is absent, or fewer than three temperatures remain below A_s.
+    """
+    parameters = parameters or Parameters.defaults()
+    records = [records] if isinstance(records, Record) else list(records)
+    if not records:
+        raise InputError("thermal expansion: no records")
+    findings: list[Finding] = []
+    all_points, used, groups = [], [], []
+    for index, record in enumerate(records):
+        points = _points(record, temperature, force, parameters)
+        all_points.append(points)
+        used.append(_usable(record, points, parameters, findings))
+        groups.append(np.full(len(points.temperature), index))
+    chosen = np.concatenate(used)
+    t, t_std, stress, stress_std = (
+        np.concatenate([getattr(p, name) for p in all_points])
+        for name in ("temperature", "temperature_std", "stress", "stress_std")
+    )
+    group = np.concatenate(groups)
+    levels = 1 + int(np.sum(np.diff(np.sort(t[chosen])) > _SAME_LEVEL)) if chosen.any() else 0
+    if levels < FEWEST_LEVELS:
+        raise InputError(
+            f"{records[0].path}: {levels} temperatures held steady below A_s with the wire tight, "
+            f"expected {FEWEST_LEVELS} or more"
+        )
+    slope, std, misfit, line = _line(t, t_std, stress, stress_std, group, chosen)
+    # The area behind stress has an error of its own, common to all points.
+    std = math.hypot(
+        std, 2.0 * slope * parameters.std("wire.diameter") / parameters["wire.diameter"]
+    )
+    findings.extend(check_size(slope, std, parameters))
+    findings.extend(_about_misfit(misfit))
+    estimate = Estimate(
+        slope, std, "Pa/K",
+        f"line through {int(chosen.sum())} plateaus at {levels} temperatures below A_s",
+        sum(p.n for p in all_points),
+    )
+    return Experiment(
+        name=NAME, title=TITLE, estimates={PARAMETER: estimate}, findings=tuple(findings),
+        curves={
+            "temperature": t, "stress": stress, "used": chosen.astype(np.float64), "line": line,
+        },
+        source="; ".join(str(record.path) for record in records),
+    )
+
+
+def check_size(value: float, std: float, parameters: Parameters) -> list[Finding]:
+    """Sign and size of Theta_T (Pa/K) against -alpha E of a clamped wire below A_s."""
+    soft = NITI_EXPANSION[0] * parameters["wire.martensite_modulus"]
+    stiff = NITI_EXPANSION[1] * parameters["wire.austenite_modulus"]
+    numbers = {"value": value, "alpha_E_low": soft, "alpha_E_high": stiff}
+    expected = f"-{soft / 1e6:.2f} to -{stiff / 1e6:.2f} MPa/K of -alpha E"
+    text = f"Theta_T = {value / 1e6:.3g} +- {std / 1e6:.2g} MPa/K against {expected}"
+    faults = []
+    if value > 2.0 * std:
+        faults.append(
+            "of the other sign: a clamped wire that expands loses tension; the clamps move, the "
+            "sign of force is turned round, or the wire transforms"
+        )
+    if abs(value) - 2.0 * std > CONVECTION_FACTOR * stiff:
+        faults.append(
+            f"{abs(value) / stiff:.0f} times the largest: transformation stress, or the unit is "
+            "not Pa/K"
+        )
+    if abs(value) + 2.0 * std < soft / CONVECTION_FACTOR:
+        faults.append("too small: slack, or soft clamps and load cell")
+    if faults:
+        return [Finding("warning", "Theta_T", f"{text}: {'; '.join(faults)}", numbers)]
+    return [Finding("info", "Theta_T", f"{text}: plausible", numbers)]
+
+
+def steady_windows(time: Array, temperature: Array) -> Array:
+    """(p, 2) s: the later parts of the stretches in which temperature holds still.
+
+    Args:
+        time: (n,) s, increasing; temperature: (n,) K.
+    """
+    period = float(np.median(np.diff(time)))
+    half = max(int(round(0.5 * WINDOW / period)), 2)
+    if len(time) < 4 * half:
+        return np.empty((0, 2))
+    smooth = np.convolve(temperature, np.ones(half) / half, mode="valid")
+    change = np.abs(smooth[half:] - smooth[:-half])
+    centre = time[half : half + len(change)]
+    # Noise of two means of `half` samples sets the limit where it is larger.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(temperature, 2)))) / math.sqrt(6.0)
+    steady = change < max(STEADY, 5.0 * noise * math.sqrt(2.0 / half))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]]).astype(int)))
+    spans = [(centre[a], centre[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    long = [(a, b) for a, b in spans if b - a >= SHORTEST_PLATEAU]
+    return np.array([(b - _TAIL * (b - a), b) for a, b in long]).reshape(-1, 2)
+
+
+def _points(record: Record, temperature: str, force: str, parameters: Parameters) -> _Plateaus:
+    time, kelvin = samples(record, temperature)
+    force_time, newton = samples(record, force)
+    windows = steady_windows(time, kelvin)
+    inside = (windows[:, 0] >= force_time[0]) & (windows[:, 1] <= force_time[-1])
+    windows = windows[inside]
+    if not len(windows):
+        raise InputError(
+            f"{record.path}: {temperature} never holds still for {SHORTEST_PLATEAU:g} s, expected "
+            "a staircase"
+        )
+    area = 0.25 * math.pi * parameters["wire.diameter"] ** 2
+    t = means(time, kelvin, windows, temperature)
+    f = means(force_time, newton, windows, force)
+    return _Plateaus(
+        t.value, np.hypot(t.noise, t.hidden), f.value / area,
+        np.hypot(f.noise, f.hidden) / area, int(np.sum(f.n)),
+    )
+
+
+def _usable(
+    record: Record, points: _Plateaus, parameters: Parameters, findings: list[Finding]
+) -> Array:
+    """Which plateaus lie below A_s (with the stress's shift) with the wire tight."""
+    start = parameters["wire.austenite_start_temperature"]
+    # A transforming wire pulls itself up: only the stress before A_s may shift the limit.
+    cold = points.stress[points.temperature < start]
+    shift = max(float(cold.min()), 0.0) if len(cold) else 0.0
+    limit = start + shift / parameters["wire.stress_influence_austenite"]
+    limit -= 2.0 * parameters.std("wire.austenite_start_temperature")
+    below = points.temperature < limit
+    if not below.all():
+        hot = points.temperature[~below]
+        text = (
+            f"{record.path}: {len(hot)} plateaus at {hot.min():.1f} to {hot.max():.1f} K lie above "
+            f"A_s (two standard errors below it, with stress: {limit:.1f} K) and are left "
+            "out: the wire transforms there"
+        )
+        findings.append(Finding("warning", "Theta_T", text, {"count": float(len(hot))}))
+    scale = max(float(np.max(np.abs(points.stress))) * 0.02, _SLACK * points.stress_std.max())
+    tight = points.stress > scale
+    # Once slack, the wire tells nothing; all plateaus below zero force mean another zero or sign.
+    if tight.any() and not tight[below].all():
+        text = (
+            f"{record.path}: {int(np.sum(~tight & below))} plateaus with no tension left are left "
+            "out: the wire was slack, clamp it under more load"
+        )
+        findings.append(Finding("warning", "slack", text))
+        below = below & tight
+    return np.asarray(below)
+
+
+def _line(
+    t: Array, t_std: Array, stress: Array, stress_std: Array, group: Array, chosen: Array
+) -> tuple[float, float, float, Array]:
+    """Slope and its error, misfit, and the fitted stress at every point; one zero a record."""
+    kinds = np.unique(group[chosen])
+    centre = float(t[chosen].mean())
+
+    def design(of: Array) -> Array:
+        columns = [(group[of] == k).astype(np.float64) for k in kinds]
+        return np.column_stack([*columns, t[of] - centre])
+
+    slope = 0.0
+    for _ in range(3):
+        variance = stress_std[chosen] ** 2 + (slope * t_std[chosen]) ** 2
+        floor = (1e-6 * float(np.ptp(stress[chosen])) + 1.0) ** 2
+        fit = fit_linear(design(chosen), stress[chosen], np.diag(variance + floor))
+        slope = float(fit.beta[-1])
+    return slope, float(fit.std[-1]), fit.misfit, design(np.ones(len(t), dtype=bool)) @ fit.beta
+
+
+def _about_misfit(misfit: float) -> list[Finding]:
+    if misfit < 9.0:
+        return []
+    text = (
+        f"the plateaus scatter {math.sqrt(misfit):.1f} times more about the line than their noise: "
+        "creeping clamps, drifting force, or R-phase; the error is enlarged accordingly"
+    )
+    return [Finding("warning", "Theta_T", text, {"misfit": misfit})]

@@ -1,0 +1,213 @@
+"""Identification of the composite rig from its own records (E10, E12)."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.identify import identify
+from sma_bench.identify.composite import identify_composite
+from sma_bench.identify.output_error import fit_bench
+from sma_bench.identify.prior import BENDING, HEAT, MATERIAL
+from sma_bench.identify.rig_record import rig_record
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.physics import simulate
+from sma_bench.records import Record, Signal, read_record
+
+FRONT = "composite.stress_per_deflection_front"
+BACK = "composite.stress_per_deflection_back"
+ALPHA = "composite.deflection_per_strain"
+CHANNELS = ("front_1", "back_1")
+
+
+def only(record, *endings):
+    """The record without all signals but these."""
+    kept = {n: s for n, s in record.signals.items() if n.endswith(endings)}
+    return replace(record, signals=kept)
+
+
+@pytest.fixture(scope="module")
+def foreign(shared_data):
+    """Records written by another program, the lab's nominal parameters, and the truth."""
+    folder = shared_data / "foreign" / "composite"
+    records = [read_record(folder / name) for name in ("triangle", "step")]
+    truth = json.loads((folder / "truth.json").read_text())
+    return records, read_parameters(folder / "nominal.yaml"), truth
+
+
+@pytest.mark.parametrize(
+    "signals",
+    [("voltage", "current", "temperature", "deflection"), ("voltage", "deflection")],
+    ids=["all signals", "voltages and deflection only"],
+)
+@pytest.mark.parametrize("which", [(0,), (1,), (0, 1)], ids=["triangle", "step", "both"])
+def test_foreign_records_give_back_the_truth_within_the_stated_errors(foreign, signals, which):
+    records, nominal, truth = foreign
+    rigs = [rig_record(only(records[i], *signals), nominal) for i in which]
+    fit = fit_bench(rigs, nominal, (*HEAT, *MATERIAL, *BENDING))
+    assert len(fit.prior.names) == 19
+    true = np.array([truth[name] for name in fit.prior.names])
+    z = (fit.values - true) / fit.std
+    worst = fit.prior.names[int(np.argmax(np.abs(z)))]
+    assert np.max(np.abs(z)) < 3.0, worst
+    apart = fit.x - fit.prior.x_of(true)
+    # 0.1 % of chi-square with 19 degrees of freedom lies above 43.8.
+    assert apart @ np.linalg.solve(fit.covariance, apart) < 43.8
+    assert fit.released == ()
+
+
+def test_deflection_alone_says_which_parameters_it_cannot_tell(foreign):
+    records, nominal, _ = foreign
+    found = identify_composite([only(records[0], "voltage", "deflection")], nominal)
+    untold = next(f for f in found.findings if f.subject == "priors").text
+    assert "wire.resistance" in untold
+    assert "composite.stress_per_deflection_front" not in untold
+    assert "the prior" in found.estimates["wire.resistance"].method
+    assert found.estimates["wire.resistance"].std > 0.8 * nominal.std("wire.resistance")
+    assert found.estimates[FRONT].std < 0.7 * nominal.std(FRONT)
+    products = [f.text for f in found.findings if "product" in f.text]
+    assert len(products) == 2
+
+
+def test_products_are_known_better_than_their_factors(foreign):
+    records, nominal, truth = foreign
+    found = identify_composite(records, nominal)
+    capacity = found.details["heat_capacity"]
+    true = truth["wire.mass"] * truth["wire.specific_heat"]
+    assert abs(capacity.value - true) < 3.0 * capacity.std
+    loss = found.details["heat_loss"]
+    assert abs(loss.value / (truth["wire.heat_transfer_coefficient"] * 1.885e-4) - 1.0) < 1e-3
+    assert loss.relative_std < 0.2 * found.estimates["wire.surface_area"].relative_std
+
+
+def test_identify_uses_the_whole_model_on_composite_bags(foreign):
+    records, nominal, _ = foreign
+    result = identify(records, nominal)
+    assert {e.name for e in result.experiments} == {"E10"}
+    assert result.parameters[ALPHA] == pytest.approx(result.estimates[ALPHA].value)
+    assert result.parameters.std(FRONT) == pytest.approx(result.estimates[FRONT].std)
+
+
+# --- records made here --------------------------------------------------------------------------
+
+
+def bench(**changes):
+    values = {
+        "bench.channels": CHANNELS,
+        "bench.channel_sides": ("front", "back"),
+        "wire.heat_transfer_coefficient": 110.0,
+        "wire.surface_area": 188.5e-6,
+        "wire.martensite_start_temperature": 330.0,
+        "wire.martensite_finish_temperature": 314.0,
+        ALPHA: 1.0,
+        FRONT: 4e9,
+        BACK: 4e9,
+    }
+    exact = dict.fromkeys(("wire.mass", "wire.surface_area"), 0.0)
+    return Parameters({**values, **changes}, exact)
+
+
+def record_of(truth, noise=2e-5, rho=0.0, seed=0, drift=0.0):
+    """40 s of front, 40 s of back; deflection with coloured noise, temperatures and currents."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0.0, 80.0, 0.02)
+    pulse = np.interp(time % 40.0, [2.0, 14.0, 26.0], [0.0, 2.6, 0.0])
+    voltage = np.column_stack([pulse * (time < 40.0), pulse * (time >= 40.0)])
+    course = simulate(truth, time, voltage)
+    white = random.standard_normal(len(time)) * noise * np.sqrt(1.0 - rho**2)
+    coloured = np.empty(len(time))
+    last = 0.0
+    for k, step in enumerate(white):
+        last = rho * last + step
+        coloured[k] = last
+    shift = drift * np.sin(2.0 * np.pi * time / 25.0)
+    signals = {"deflection": Signal("deflection", "m", time, course.deflection + coloured + shift)}
+    for i, channel in enumerate(CHANNELS):
+        kelvin = course.temperature[:, i] + 0.1 * random.standard_normal(len(time))
+        ampere = course.current[:, i] + 0.01 * random.standard_normal(len(time))
+        signals[f"{channel}.voltage"] = Signal(f"{channel}.voltage", "V", time, voltage[:, i])
+        signals[f"{channel}.temperature"] = Signal(f"{channel}.temperature", "K", time, kelvin)
+        signals[f"{channel}.current"] = Signal(f"{channel}.current", "A", time, ampere)
+    return Record("made here", 0, signals)
+
+
+def test_front_and_back_may_differ():
+    truth = bench(**{BACK: 5.6e9})
+    known = bench().replace({}, {FRONT: 1e9, BACK: 1e9})
+    found = identify_composite([record_of(truth)], known)
+    front, back = found.estimates[FRONT], found.estimates[BACK]
+    assert abs(front.value - 4e9) < 3.0 * front.std
+    assert abs(back.value - 5.6e9) < 3.0 * back.std
+    assert back.value - front.value > 5.0 * front.std
+
+
+def test_bending_coefficients_that_nobody_gave_start_from_the_geometry():
+    truth = bench(**{ALPHA: 0.9, FRONT: 2.8e9, BACK: 3.0e9})
+    known = bench(**{ALPHA: 0.0, FRONT: 0.0, BACK: 0.0})
+    found = identify_composite([record_of(truth)], known)
+    for name in BENDING:
+        estimate = found.estimates[name]
+        assert abs(estimate.value - truth[name]) < 3.0 * estimate.std
+
+
+def test_range_sensors_stand_in_for_the_tip():
+    record = record_of(bench())
+    tip = record["deflection"]
+    signals = {n: s for n, s in record.signals.items() if n != "deflection"}
+    for side, sign in (("front", -1.0), ("back", 1.0)):
+        name = f"{side}.range"
+        signals[name] = Signal(name, "m", tip.time, 0.1 + sign * tip.values)
+    first = identify_composite([record], bench()).estimates[FRONT]
+    second = identify_composite([replace(record, signals=signals)], bench()).estimates[FRONT]
+    assert second.value == pytest.approx(first.value, abs=0.2 * first.std)
+
+
+@pytest.mark.slow
+def test_errors_stay_true_under_coloured_noise():
+    """Taken as white, noise with rho = 0.95 would make the errors six times too small."""
+    truth = bench()
+    known = truth.replace({}, {ALPHA: 0.1, FRONT: 5e8, BACK: 5e8})
+    deviations = []
+    for seed in range(12):
+        record = record_of(truth, noise=1e-4, rho=0.95, seed=seed)
+        estimates = identify_composite([record], known).estimates
+        deviations += [(estimates[n].value - truth[n]) / estimates[n].std for n in BENDING]
+    assert np.sqrt(np.mean(np.square(deviations))) < 1.5
+
+
+def test_a_prior_that_the_record_contradicts_is_reported_and_gives_way():
+    known = bench().replace({"wire.resistance": 3.0}, {"wire.resistance": 0.01})
+    found = identify_composite([record_of(bench())], known)
+    estimate = found.estimates["wire.resistance"]
+    assert abs(estimate.value - 2.6987) < 3.0 * estimate.std
+    warning = next(f for f in found.findings if f.subject == "wire.resistance")
+    assert warning.severity == "warning"
+    assert warning.numbers["deviations"] == pytest.approx(-30.1, abs=0.5)
+
+
+def test_an_effect_that_the_model_lacks_is_seen_in_the_residual():
+    clean = identify_composite([record_of(bench())], bench())
+    assert not any("times the noise" in f.text for f in clean.findings)
+    drifting = identify_composite([record_of(bench(), drift=3e-4)], bench())
+    warning = next(f for f in drifting.findings if "times the noise" in f.text)
+    assert warning.subject == "deflection"
+    assert warning.numbers["ratio"] > 2.0
+
+
+def test_exact_parameters_are_not_estimated():
+    found = identify_composite([record_of(bench())], bench())
+    assert "wire.mass" not in found.estimates
+    assert "wire.specific_heat" in found.estimates
+
+
+@pytest.mark.parametrize(
+    ("drop", "message"),
+    [("back_1.voltage", "no voltage of channel back_1"), ("deflection", "no deflection")],
+)
+def test_what_is_absent_is_named(drop, message):
+    record = record_of(bench())
+    signals = {n: s for n, s in record.signals.items() if n != drop}
+    with pytest.raises(InputError, match=message):
+        identify_composite([replace(record, signals=signals)], bench())

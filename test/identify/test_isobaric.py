@@ -1,0 +1,213 @@
+"""E6: tangents, repeats, and the stress-temperature diagram."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.identify.isobaric import identify_isobaric
+from sma_bench.identify.strain_tangents import strain_tangents
+from sma_bench.parameters import Parameters
+from sma_bench.physics.phase import cooled_fraction, heated_fraction
+from sma_bench.physics.stress import modulus
+from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
+from sma_bench.records.thermal_cycles import Branch, Cycle
+
+TRUTH = Parameters.defaults().replace(
+    {
+        "wire.austenite_start_temperature": 350.65,
+        "wire.austenite_finish_temperature": 361.35,
+        "wire.martensite_start_temperature": 340.0,
+        "wire.martensite_finish_temperature": 325.0,
+        "wire.maximum_recoverable_strain": 0.044,
+        "wire.stress_influence_austenite": 7.5e6,
+        "wire.stress_influence_martensite": 6.0e6,
+        "wire.martensite_modulus": 22.8e9,
+        "wire.austenite_modulus": 55.4e9,
+    }
+)
+A_S, A_F = 350.65, 361.35
+TANGENT_SHARE = 0.5 - 1.0 / np.pi  # of the range, by which a cosine's tangents lie further in
+
+
+def isobaric(
+    stress: float, parameters: Parameters = TRUTH, *, noise: float = 2e-5, seed: int = 1,
+    shift: float = 0.0, directions: tuple[str, ...] = ("heating", "cooling"), cycles: int = 1,
+    span: tuple[float, float] = (293.15, 413.15), points: int = 600,
+) -> IsobaricRecord:
+    """A test on a material that obeys the contract, at one stress (Pa)."""
+    rng = np.random.default_rng(seed)
+    theta, ambient = parameters["wire.thermal_expansion_factor"], 296.15
+    made = []
+    for number in range(1, cycles + 1):
+        branches = []
+        for direction in directions:
+            t = np.linspace(*span, points)
+            fraction = heated_fraction if direction == "heating" else cooled_fraction
+            xi = fraction(t - shift, stress, parameters)
+            strain = (stress - theta * (t - ambient)) / modulus(xi, parameters)
+            strain = strain - parameters["wire.maximum_recoverable_strain"] * (1.0 - xi)
+            strain = 0.05 + strain + noise * rng.standard_normal(points)
+            order = slice(None) if direction == "heating" else slice(None, None, -1)
+            branches.append(
+                Branch(direction, t[order], strain[order], np.full(points, stress))  # type: ignore[arg-type]
+            )
+        made.append(Cycle(number, tuple(branches)))
+    return IsobaricRecord(Path(f"{stress / 1e6:.0f} MPa.txt"), f"s/{stress / 1e6:.0f} MPa {seed}",
+                          stress, "1", tuple(made))
+
+
+def test_tangents_of_a_trapezoid_meet_at_its_corners() -> None:
+    t = np.linspace(300.0, 400.0, 400)
+    strain = np.interp(t, [300.0, 340.0, 352.0, 400.0], [0.0404, 0.04, 0.001, 0.0015])
+    found = strain_tangents(Branch("heating", t, strain, np.full(400, 1e8)))
+    assert found.start[0] == pytest.approx(340.0, abs=0.1)
+    assert found.finish[0] == pytest.approx(352.0, abs=0.1)
+    assert found.step[0] == pytest.approx(0.039, rel=0.02)
+    assert found.start[1] < 0.5
+
+
+def test_cosine_ends_undo_the_tangents_of_a_cosine() -> None:
+    (cycle,) = isobaric(0.0, noise=0.0).cycles
+    found = strain_tangents(cycle.branches[0])
+    inward = TANGENT_SHARE * (A_F - A_S)
+    assert found.start[0] == pytest.approx(A_S + inward, abs=0.3)
+    start, finish = found.cosine_ends()
+    assert start[0] == pytest.approx(A_S, abs=0.5)
+    assert finish[0] == pytest.approx(A_F, abs=0.5)
+
+
+def test_upfr_repeats_give_mean_and_deviation_of_the_paper() -> None:
+    shifts = np.array([-1.06, 0.0, 1.06])
+    tests = [
+        isobaric(13e6, seed=k, shift=float(s), directions=("heating",))
+        for k, s in enumerate(shifts)
+    ]
+    experiment = identify_isobaric(tests, TRUTH, temperatures="cosine")
+    a_s = experiment.estimates["wire.austenite_start_temperature"]
+    assert a_s.value == pytest.approx(A_S, abs=0.4)
+    assert a_s.std == pytest.approx(1.06, abs=0.25)
+    eps = experiment.estimates["wire.maximum_recoverable_strain"]
+    assert eps.value == pytest.approx(0.044, rel=0.01)
+    assert "wire.martensite_start_temperature" not in experiment.estimates
+    assert any("no cooling branch" in f.text for f in experiment.findings)
+    assert any("referred to zero stress by -1.73 K" in f.text for f in experiment.findings)
+
+
+def test_several_stresses_give_influences_and_stress_free_temperatures() -> None:
+    tests = [isobaric(s, seed=k) for k, s in enumerate((20e6, 80e6, 150e6, 200e6))]
+    experiment = identify_isobaric(tests, TRUTH, temperatures="cosine")
+    expected = {
+        "wire.austenite_start_temperature": 0.6, "wire.austenite_finish_temperature": 0.6,
+        "wire.martensite_start_temperature": 0.6, "wire.martensite_finish_temperature": 0.6,
+        "wire.stress_influence_austenite": 0.15e6, "wire.stress_influence_martensite": 0.15e6,
+        "wire.maximum_recoverable_strain": 0.0005,
+    }
+    assert set(experiment.estimates) == set(expected)
+    for name, tolerance in expected.items():
+        assert experiment.estimates[name].value == pytest.approx(TRUTH[name], abs=tolerance), name
+        assert experiment.estimates[name].std > 0.0
+    assert len(experiment.curves["diagram/A_s/stress"]) == 4
+    assert not [f for f in experiment.findings if f.severity == "warning"]
+
+
+def test_tangents_are_the_default_and_both_are_in_the_details() -> None:
+    experiment = identify_isobaric([isobaric(100e6)], TRUTH)
+    tangent = experiment.details["A_s (tangent) at 100 MPa"].value
+    cosine = experiment.details["A_s (cosine) at 100 MPa"].value
+    assert tangent - cosine == pytest.approx(TANGENT_SHARE * (A_F - A_S), abs=0.3)
+    a_s = experiment.estimates["wire.austenite_start_temperature"]
+    assert a_s.value == pytest.approx(tangent - 100.0 / 7.5, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth() -> None:
+    names = [
+        "wire.austenite_start_temperature", "wire.martensite_finish_temperature",
+        "wire.stress_influence_austenite", "wire.stress_influence_martensite",
+    ]
+    inside = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        truth = TRUTH.replace(
+            {
+                "wire.austenite_start_temperature": float(rng.uniform(340.0, 350.0)),
+                "wire.austenite_finish_temperature": float(rng.uniform(358.0, 370.0)),
+                "wire.stress_influence_austenite": float(rng.uniform(5e6, 10e6)),
+                "wire.stress_influence_martensite": float(rng.uniform(5e6, 10e6)),
+            }
+        )
+        tests = [
+            isobaric(s, truth, seed=100 * seed + k, noise=1e-4)
+            for k, s in enumerate((20e6, 70e6, 120e6))
+        ]
+        estimates = identify_isobaric(tests, truth, temperatures="cosine").estimates
+        inside += [
+            abs(estimates[n].value - truth[n]) < 1.96 * estimates[n].std for n in names
+        ]
+    assert np.mean(inside) >= 0.88
+
+
+def test_branch_turned_round_early_is_a_bound_and_says_so() -> None:
+    short = isobaric(100e6, span=(345.0, 413.15))
+    experiment = identify_isobaric([short], TRUTH)
+    assert any(f.subject == "M_f" and "is a bound" in f.text for f in experiment.findings)
+
+
+def test_flat_strain_is_refused() -> None:
+    t = np.linspace(300.0, 400.0, 300)
+    strain = 1e-5 * np.random.default_rng(1).standard_normal(300)
+    flat = IsobaricRecord(
+        Path("flat.txt"), "flat", 1e7, "1",
+        (Cycle(1, (Branch("heating", t, strain, np.full(300, 1e7)),)),),
+    )
+    with pytest.raises(InputError, match="no branch shows a transformation"):
+        identify_isobaric([flat], TRUTH)
+
+
+def sample(shared_data: Path, number: int) -> list[IsobaricRecord]:
+    folder = shared_data / "sma_react" / "input" / f"cal_sample_{number}"
+    return [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
+
+
+def test_nitihf_tangents_and_influences(shared_data: Path) -> None:
+    experiment = identify_isobaric(sample(shared_data, 2))
+    details = experiment.details
+    # Read off the plotted curves by hand, to 3 K.
+    by_hand = {
+        "A_s (tangent) at 100 MPa": 481.0, "A_f (tangent) at 100 MPa": 489.5,
+        "M_s (tangent) at 300 MPa": 483.0, "M_f (tangent) at 300 MPa": 461.0,
+        "A_s (tangent) at 400 MPa": 501.0, "A_f (tangent) at 400 MPa": 528.0,
+    }
+    for name, kelvin in by_hand.items():
+        assert details[name].value == pytest.approx(kelvin, abs=3.0), name
+    assert details["recovered strain at 400 MPa"].value == pytest.approx(0.029, rel=0.05)
+    assert experiment.estimates["wire.stress_influence_austenite"].value == pytest.approx(
+        11.5e6, rel=0.15
+    )
+    assert any("grows with stress" in f.text for f in experiment.findings)
+    assert any("widens with stress" in f.text for f in experiment.findings)
+
+
+def test_nitico_tangents_and_influences(shared_data: Path) -> None:
+    experiment = identify_isobaric(sample(shared_data, 1))
+    details = experiment.details
+    assert details["A_f (tangent) at 200 MPa"].value == pytest.approx(282.5, abs=2.0)
+    assert details["M_s (tangent) at 50 MPa"].value == pytest.approx(237.0, abs=2.0)
+    assert experiment.estimates["wire.stress_influence_martensite"].value == pytest.approx(
+        6.0e6, rel=0.15
+    )
+    assert any(f.subject == "M_f" and "7 MPa" in f.text for f in experiment.findings)
+
+
+def test_seven_cycles_drift_and_are_not_called_repeats(shared_data: Path) -> None:
+    path = shared_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
+    experiment = identify_isobaric([read_isobaric(path)])
+    drift = [f for f in experiment.findings if "still trains" in f.text]
+    assert {f.subject for f in drift} >= {"A_s", "M_s"}
+    assert experiment.estimates == {}
+    last = experiment.details["A_s, preprocessor_samples/isobaric_7cycle, cycle 7, heating"]
+    assert last.value == pytest.approx(286.0, abs=3.0)
+    strain = experiment.details["recovered strain at 2401 MPa"]
+    assert strain.unit == "relative"

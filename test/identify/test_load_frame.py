@@ -1,0 +1,101 @@
+"""Constitutive parameters from bags of the wire rig with a load frame."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
+from sma_bench.parameters.audit import wire_length_from_mass
+from sma_bench.records import Record, Signal
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
+
+from simulated_lab.drawn_bench import draw_bench  # noqa: E402
+from simulated_lab.experiments import LOADS, clamped, isobaric  # noqa: E402
+
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def lab():
+    """A bench drawn at random with its isobaric and its clamped record."""
+    bench = draw_bench(np.random.default_rng(SEED))
+    records = {
+        experiment.__name__: Record(
+            Path(experiment.__name__), 0, {s.name: s for s in experiment(bench.truth, SEED)}
+        )
+        for experiment in (isobaric, clamped)
+    }
+    return bench, records
+
+
+def test_held_loads_and_clamps_give_back_every_parameter_of_the_wire(lab):
+    bench, records = lab
+    found = identify_load_frame(list(records.values()), bench.known)
+    names = [n for n in found.estimates if n.startswith(("wire.", "environment."))]
+    assert len(names) == 14
+    z = {
+        n: (found.estimates[n].value - bench.truth[n]) / found.estimates[n].std for n in names
+    }
+    assert max(map(abs, z.values())) < 4.0, z
+    assert np.sqrt(np.mean(np.square(list(z.values())))) < 1.8, z
+    for name in names:
+        assert found.estimates[name].std < 0.1 * bench.known.std(name)
+    length = next(f for f in found.findings if f.subject == "wire length")
+    assert length.numbers["length"] == pytest.approx(wire_length_from_mass(bench.truth))
+
+
+def test_clamped_staircase_alone_tells_the_thermal_expansion_factor(lab):
+    bench, records = lab
+    found = identify_load_frame([records["clamped"]], bench.known)
+    estimate = found.estimates["wire.thermal_expansion_factor"]
+    true = bench.truth["wire.thermal_expansion_factor"]
+    assert abs(estimate.value - true) < 3.0 * estimate.std
+    assert estimate.std < 0.02 * abs(true)
+    untold = next(f for f in found.findings if f.subject == "priors").text
+    assert "wire.maximum_recoverable_strain" in untold
+
+
+def test_each_held_load_becomes_an_isobaric_test(lab):
+    bench, records = lab
+    tests = isobaric_tests(records["isobaric"], bench.truth)
+    assert [t.stress for t in tests] == pytest.approx(LOADS, rel=0.01)
+    for test in tests:
+        cycle = test.cycles[0]
+        assert {b.direction for b in cycle.branches} == {"heating", "cooling"}
+        # What is recovered against a load is less elastic strain in the stiffer austenite, too.
+        softer = 1.0 / bench.truth["wire.martensite_modulus"]
+        softer -= 1.0 / bench.truth["wire.austenite_modulus"]
+        expected = bench.truth["wire.maximum_recoverable_strain"] + test.stress * softer
+        assert np.ptp(cycle.branches[0].strain) == pytest.approx(expected, rel=0.05)
+
+
+def test_tangents_stand_beside_the_fit(lab):
+    bench, records = lab
+    found = identify_load_frame([records["isobaric"]], bench.known)
+    name = "wire.austenite_start_temperature"
+    tangent = found.details[f"tangent.{name}"]
+    assert abs(tangent.value - found.estimates[name].value) < 3.0
+
+
+def test_a_force_that_is_neither_held_nor_clamped_is_refused(lab):
+    bench, records = lab
+    record = records["isobaric"]
+    force = record["force"]
+    wandering = 5.0 + 3.0 * np.sin(force.time / 7.0) + 0.02 * np.cos(90.0 * force.time)
+    signals = {**record.signals, "force": Signal("force", "N", force.time, wandering)}
+    with pytest.raises(InputError, match="expected held loads or a clamped wire"):
+        identify_load_frame([replace(record, signals=signals)], bench.known)
+
+
+def test_a_record_without_load_frame_is_refused(lab):
+    bench, records = lab
+    signals = {
+        n: s for n, s in records["clamped"].signals.items() if n not in ("force", "elongation")
+    }
+    with pytest.raises(InputError, match="no load frame"):
+        identify_load_frame([replace(records["clamped"], signals=signals)], bench.known)

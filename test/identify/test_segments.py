@@ -1,0 +1,110 @@
+"""Plateaus and ramps from the voltage alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sma_bench.errors import InputError
+from sma_bench.identify.segments import find_segments, protocol_spans
+
+STEP = 10.0 / 1023.0
+
+
+def measured(rng, time, voltage, noise=0.003):
+    return np.round((voltage + rng.normal(0.0, noise, len(time))) / STEP) * STEP
+
+
+def test_staircase_of_the_paper_has_26_levels_up_and_25_plateaus_down(staircase):
+    voltage = staircase()["wire.voltage"]
+    found = find_segments(voltage.time, voltage.values)
+    assert len(found.plateaus) == 51
+    assert found.ramps == ()
+    assert found.levels() == 26
+    assert [p.direction for p in found.plateaus] == ["up"] * 26 + ["down"] * 25
+    assert found.plateaus[10].level == pytest.approx(2.5, abs=0.005)
+    assert all(abs(p.duration - 30.0) < 0.5 for p in found.plateaus)
+
+
+@pytest.mark.parametrize("scale", [1.0, 26 * STEP / 0.25])
+@pytest.mark.parametrize("noise", [0.0, 0.0005])
+def test_quiet_supply_shows_the_same_plateaus(scale, noise):
+    time = np.arange(0.0, 30.0 * 26, 0.05)
+    level = scale * 0.25 * np.minimum((time / 30.0 + 1e-9).astype(int), 25)
+    found = find_segments(time, measured(np.random.default_rng(3), time, level, noise))
+    assert (len(found.plateaus), len(found.ramps)) == (26, 0)
+
+
+def test_ramp_ends_and_the_jump_behind_it_are_found_to_a_few_samples(ramp):
+    voltage = ramp()["wire.voltage"]
+    found = find_segments(voltage.time, voltage.values)
+    assert len(found.ramps) == 4
+    for k, segment in enumerate(found.ramps):
+        assert segment.start == pytest.approx(4.0 + 19.0 * k, abs=0.15)
+        assert segment.stop == pytest.approx(11.0 + 19.0 * k, abs=0.05)
+        assert segment.slope == pytest.approx(2.7 / 7.0, rel=0.01)
+    assert [e[0] for e in found.edges] == pytest.approx([11.0, 30.0, 49.0, 68.0], abs=0.05)
+
+
+@pytest.mark.parametrize("rate", [50.0, 20.0, 10.0, 5.0])
+def test_ramp_commanded_in_small_steps_is_still_one_ramp(rate):
+    time = np.arange(0.0, 40.0, 0.01)
+    held = np.floor(time * rate) / rate
+    voltage = np.interp(held, [4.0, 11.0, 11.0001], [0.0, 2.7, 0.0])
+    found = find_segments(time, measured(np.random.default_rng(1), time, voltage))
+    assert [s.kind for s in found.items] == ["plateau", "ramp", "plateau"]
+
+
+def test_triangle_has_ramps_in_both_directions_and_no_plateau():
+    time = np.arange(0.0, 600.0, 0.05)
+    voltage = np.interp(time % 200.0, [0.0, 100.0, 200.0], [0.0, 6.0, 0.0])
+    found = find_segments(time, measured(np.random.default_rng(2), time, voltage))
+    assert [s.direction for s in found.ramps] == ["up", "down"] * 3
+    assert found.plateaus == ()
+
+
+def test_single_wild_sample_makes_no_segment():
+    time = np.arange(0.0, 60.0, 0.05)
+    voltage = np.full(len(time), 2.0)
+    voltage[700] = 9.0
+    found = find_segments(time, voltage)
+    assert [s.kind for s in found.items] == ["plateau"]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    levels=st.lists(st.integers(0, 24), min_size=2, max_size=12),
+    dwell=st.floats(3.0, 40.0),
+    rate=st.sampled_from([10.0, 20.0, 100.0]),
+    seed=st.integers(0, 1000),
+)
+def test_any_steps_come_back_as_plateaus_at_their_levels(levels, dwell, rate, seed):
+    levels = [a for a, b in zip(levels, [*levels[1:], -1], strict=True) if a != b]
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, dwell * len(levels), 1.0 / rate)
+    time = time[rng.random(len(time)) > 0.05]
+    truth = np.array(levels)[np.minimum((time / dwell).astype(int), len(levels) - 1)] * 0.25
+    found = find_segments(time, measured(rng, time, truth))
+    assert [s.kind for s in found.items] == ["plateau"] * len(levels)
+    assert [p.level for p in found.plateaus] == pytest.approx(
+        [0.25 * level for level in levels], abs=STEP
+    )
+
+
+@pytest.mark.parametrize("n", [0, 5, 19])
+def test_too_few_samples_are_an_error_that_counts_them(n):
+    with pytest.raises(InputError, match=f"{n} samples, expected 20"):
+        find_segments(np.arange(float(n)), np.zeros(n))
+
+
+def test_values_that_are_not_finite_are_an_error():
+    voltage = np.zeros(100)
+    voltage[3] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        find_segments(np.arange(100.0), voltage)
+
+
+def test_markers_divide_a_record_by_protocol():
+    markers = [(1.0, "staircase/up 0"), (31.0, "staircase/up 1"), (90.0, "ramp/heat")]
+    assert protocol_spans(markers, 120.0) == (("staircase", 1.0, 90.0), ("ramp", 90.0, 120.0))
+    assert protocol_spans([], 120.0) == (("", -np.inf, np.inf),)

@@ -1,0 +1,142 @@
+"""E3 on synthetic ramps: right numbers, honest errors, wrong models noticed."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from sma_bench.errors import InputError
+from sma_bench.identify import identify
+from sma_bench.identify.heat_response import course_from_samples, temperature_rise
+from sma_bench.parameters import Parameters
+
+R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
+KNOWN = Parameters.defaults().replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4})
+
+
+def found_cp(*records, parameters=KNOWN):
+    found = identify(records, parameters, ["E3"])
+    return found, found.estimates[CP]
+
+
+def remarks(found):
+    return [f.text for e in found.experiments for f in e.findings]
+
+
+@pytest.mark.parametrize("tau", [0.01, 0.2, 3.0])
+def test_response_to_sampled_voltage_is_that_of_an_independent_solver(tau):
+    rng = np.random.default_rng(1)
+    time = np.sort(rng.uniform(0.0, 15.0, 300))
+    voltage = np.interp(time, [0.0, 3.0, 8.0, 8.001], [0.0, 0.5, 2.7, 0.0])
+    edges = np.flatnonzero(np.diff(voltage) < -1.0)
+    moments = time[edges] + 0.3 * np.diff(time)[edges]
+    course = course_from_samples(time, voltage, edges, moments)
+
+    def rate(t, x):
+        k = max(np.searchsorted(course.start, t, side="right") - 1, 0)
+        v = course.voltage[k] + course.slope[k] * (t - course.start[k])
+        return (-x + 2.2 * v**2) / tau
+
+    at = np.linspace(time[0], time[-1], 200)
+    solved = solve_ivp(rate, (at[0], at[-1]), [1.5], "LSODA", at, max_step=0.01, rtol=1e-8)
+    assert temperature_rise(course, 2.2, tau, 1.5, at) == pytest.approx(solved.y[0], abs=2e-5)
+
+
+def test_specific_heat_comes_back_within_two_errors_of_less_than_one_percent(ramp):
+    found, cp = found_cp(ramp(seed=2))
+    assert abs(cp.value - 350.0) < 2.0 * cp.std
+    assert cp.std < 0.01 * cp.value
+    assert found.warnings == ()
+
+
+def test_errors_at_20_hz_are_as_true_as_at_100_hz(ramp, sensors):
+    estimates = [found_cp(ramp(sensors=sensors(), seed=seed))[1] for seed in range(12)]
+    errors = np.array([(cp.value - 350.0) / cp.std for cp in estimates])
+    assert np.sum(np.abs(errors) < 2.0) >= 10
+    assert np.sqrt(np.mean(errors**2)) < 1.5
+    assert max(cp.std for cp in estimates) < 3.0
+
+
+def test_wire_in_still_air_with_a_time_constant_of_seconds_works_alike(ramp, wire):
+    known = KNOWN.replace({H: 60.0}, {H: 0.1})
+    _, cp = found_cp(ramp(wire(coefficient=60.0), top=1.2, seed=1), parameters=known)
+    assert abs(cp.value - 350.0) < 2.0 * cp.std < 8.0
+
+
+def test_error_includes_those_of_resistance_and_coefficient(ramp):
+    # Without a cooling curve c_p leans on h: an uncertain h must show.
+    _, sure = found_cp(ramp())
+    unsure = KNOWN.replace(uncertainty={R: 0.03, H: 8.0})
+    _, cp = found_cp(ramp(), parameters=unsure)
+    assert cp.std > sure.std
+    assert abs(cp.value - 350.0) < 2.0 * cp.std
+
+
+def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit(ramp):
+    found, cp = found_cp(ramp(seed=5))
+    paper = found.experiments[0].details["differentiator"]
+    assert abs(paper.value - 350.0) > 10.0 * abs(cp.value - 350.0)
+    assert "biased by noise" in paper.method
+    curves = found.experiments[0].curves
+    assert len(curves["force"]) == len(curves["rate"]) == paper.n
+    assert len(curves["temperature"]) == len(curves["model"]) == len(curves["voltage"])
+
+
+@pytest.mark.parametrize("delay", [-0.004, 0.02])
+def test_offset_between_the_clocks_is_told_from_thermal_inertia(ramp, sensors, delay):
+    found, cp = found_cp(ramp(sensors=sensors(100.0, 80.0, delay=delay), seed=1))
+    told = found.experiments[0].details["delay"]
+    assert abs(told.value - delay) < 2.5 * told.std < 0.004
+    assert abs(cp.value - 350.0) < 2.0 * cp.std
+    assert any("pass for thermal inertia" in text for text in remarks(found))
+
+
+@pytest.mark.parametrize("lag", [0.01, 0.03, 0.1])
+def test_camera_that_lags_puts_the_specific_heat_in_doubt(ramp, lag):
+    found, cp = found_cp(ramp(lag=lag, seed=3))
+    assert abs(cp.value - 350.0) < 2.5 * max(cp.std, 0.02 * cp.value)
+    assert any("pass for thermal inertia" in text for text in remarks(found))
+
+
+def test_without_a_jump_the_clock_offset_stays_in_the_error(ramp):
+    found, cp = found_cp(ramp(rest=0.0, repeat=1))
+    assert any("cannot be told from thermal inertia" in text for text in remarks(found))
+    assert cp.std > 0.03 * cp.value
+
+
+def test_temperature_above_austenite_start_is_noticed_and_left_out(ramp):
+    found, cp = found_cp(ramp(top=4.2))
+    (warning,) = [w for w in found.warnings if "above A_s" in w]
+    assert "A_s = 331.8 K" in warning
+    model = found.experiments[0].curves["temperature"]
+    assert np.nanmax(model) < 331.81 + 0.5
+    assert abs(cp.value - 350.0) < 2.0 * cp.std
+
+
+def test_hot_ramps_are_left_out_where_there_are_cold_ones(ramp):
+    found, cp = found_cp(ramp(), ramp(top=4.2, seed=1))
+    _, cold = found_cp(ramp())
+    assert cp.n == cold.n
+    assert any("4 of 8 ramps are left out" in text for text in remarks(found))
+
+
+def test_ramps_that_contradict_the_known_heat_loss_are_noticed(ramp, wire):
+    found, cp = found_cp(ramp(wire(coefficient=380.0)))
+    assert any("ask for a steady rise +7." in w for w in found.warnings)
+    assert abs(cp.value - 350.0) < 2.0 * cp.std
+
+
+def test_second_thermal_mass_is_noticed_in_the_residuals(ramp):
+    found, _ = found_cp(ramp(lag=0.1))
+    assert any("does not follow eq. (2)" in w for w in found.warnings)
+
+
+def test_ramps_alone_give_specific_heat_and_coefficient_together(ramp):
+    found, cp = found_cp(ramp(), parameters=Parameters.defaults().replace({R: 2.75}, {R: 0.001}))
+    h = found.estimates[H]
+    assert abs(h.value - 410.0) < 2.5 * h.std < 8.0
+    assert abs(cp.value - 350.0) < 2.5 * cp.std < 8.0
+
+
+def test_ramp_that_does_not_warm_the_wire_is_an_error(ramp):
+    with pytest.raises(InputError, match="temperature rises by .* expected 10 times"):
+        found_cp(ramp(top=0.2))

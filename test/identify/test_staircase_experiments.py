@@ -1,0 +1,140 @@
+"""E1 and E2 on synthetic staircases: right numbers, and wrong models noticed."""
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.identify import identify
+from sma_bench.parameters import Parameters
+
+R, H, T0 = "wire.resistance", "wire.heat_transfer_coefficient", "environment.ambient_temperature"
+PARAMETERS = Parameters.defaults()
+
+
+def result(*records, experiments=("E1", "E2")):
+    return identify(records, PARAMETERS, experiments)
+
+
+def about(found, subject, words):
+    """Texts of the warnings on a subject that hold all the words."""
+    return [w for w in found.warnings if subject in w and all(word in w for word in words)]
+
+
+def test_resistance_coefficient_and_ambient_come_back_within_two_errors(staircase, wire, sensors):
+    found = result(staircase(sensors=sensors(offset=0.03), seed=3))
+    for name, truth in ((R, 2.75), (H, 410.0), (T0, 297.3)):
+        estimate = found.estimates[name]
+        assert abs(estimate.value - truth) < 2.0 * estimate.std
+        assert estimate.std < 0.01 * truth
+    assert found.warnings == ()
+    details = found.experiments[0].details
+    assert details["heating"].n == 26
+    assert details["cooling"].n == 25
+    assert details["heating"].value == pytest.approx(2.75, abs=3 * details["heating"].std)
+
+
+def test_offset_of_the_current_sensor_is_found_and_does_no_harm(staircase, sensors):
+    found = result(staircase(sensors=sensors(offset=0.08), seed=4))
+    (offset,) = [f for e in found.experiments for f in e.findings if f.subject == "current"]
+    assert offset.numbers["offset"] == pytest.approx(0.08, abs=3 * offset.numbers["offset_std"])
+    assert found.estimates[R].value == pytest.approx(2.75, abs=0.003)
+
+
+def test_small_difference_between_directions_is_in_the_error_without_alarm(staircase):
+    found = result(staircase(cooling_resistance=2.746), experiments=["E1"])
+    assert about(found, R, ["heating", "cooling"]) == []
+    assert abs(found.estimates[R].value - 2.748) < 2.0 * found.estimates[R].std
+
+
+def test_resistance_that_differs_between_heating_and_cooling_is_noticed(staircase):
+    found = result(staircase(cooling_resistance=2.70), experiments=["E1"])
+    (warning,) = about(found, R, ["heating", "cooling", "depends on the phase"])
+    share = float(warning.split("(")[1].split(" %")[0])
+    assert share == pytest.approx(100.0 * 0.05 / 2.75, abs=0.15)
+    estimate = found.estimates[R]
+    assert estimate.value == pytest.approx(2.75, abs=0.002)
+    assert "heating slope" in estimate.method
+    assert estimate.std > 0.02
+
+
+@pytest.mark.parametrize("change", [-0.25, -0.05, 0.1])
+def test_resistance_that_changes_with_the_phase_is_noticed_as_a_bend(staircase, wire, change):
+    found = result(staircase(wire(resistance_change=change)))
+    assert about(found, R, ["not a straight line"])
+    # The heating is judged by measured power: h itself is constant here.
+    assert about(found, H, ["not a straight line"]) == []
+    assert abs(found.estimates[H].value - 410.0) < 2.0 * found.estimates[H].std
+
+
+@pytest.mark.parametrize("bend", [5e-4, 2e-3])
+def test_coefficient_that_rises_with_temperature_is_noticed(staircase, wire, bend):
+    found = result(staircase(wire(bend=bend)))
+    (warning,) = about(found, H, ["not a straight line", "rises"])
+    assert found.estimates[H].value > 410.0
+    assert found.estimates[H].std > 5.0
+    assert about(found, R, ["straight"]) == []
+
+
+def test_plateau_that_never_settles_is_reported(staircase, wire):
+    found = result(staircase(wire(mass=8e-3)))
+    (warning,) = about(found, H, ["plateaus had not settled"])
+    assert abs(found.estimates[H].value - 410.0) < 2.0 * found.estimates[H].std
+
+
+def test_settled_plateaus_are_not_reported(staircase):
+    assert about(result(staircase(seed=8)), H, ["settled"]) == []
+
+
+def test_short_plateaus_shrink_the_windows_and_say_so(staircase):
+    found = result(staircase(dwell=6.0))
+    assert any("shrink in proportion" in f.text for e in found.experiments for f in e.findings)
+    assert abs(found.estimates[R].value - 2.75) < 2.5 * found.estimates[R].std
+
+
+def test_slow_noise_of_the_camera_widens_the_errors(staircase, sensors):
+    white = result(staircase(seed=1)).experiments[1].details["thermal_gain"]
+    slow = result(staircase(sensors=sensors(colour_time=0.5, camera_noise=0.3), seed=1))
+    assert slow.experiments[1].details["thermal_gain"].std > 3.0 * white.std
+
+
+def test_two_staircases_join_into_a_smaller_error_but_not_below_the_sensors_scale(staircase):
+    one = result(staircase(seed=1)).estimates[R]
+    both = result(staircase(seed=1), staircase(seed=2)).estimates[R]
+    assert both.n == 2 * one.n
+    assert 1.4e-4 * 2.75 < both.std < one.std
+
+
+def test_ambient_that_contradicts_the_stated_one_is_noticed(staircase):
+    given = PARAMETERS.replace({T0: 300.0}, {T0: 0.3})
+    found = identify([staircase()], given, ["E2"])
+    assert about(found, T0, ["stated ambient 300.00 K"])
+
+
+def test_markers_keep_two_protocols_of_one_bag_apart(staircase):
+    plain = result(staircase()).experiments[0]
+    marks = tuple((30.0 * k + 0.1, f"staircase/step {k}") for k in range(51))
+    marked = result(staircase(markers=((0.0, "warm up/rest"), *marks))).experiments[0]
+    assert "protocol staircase" in marked.source
+    assert marked.estimates[R].n == plain.estimates[R].n - 1
+
+
+def test_curves_for_figures_2_and_3_are_there_and_stay_out_of_the_result_file(staircase):
+    found = result(staircase())
+    e1, e2 = found.experiments
+    assert len(e1.curves["voltage"]) == len(e1.curves["current"]) == 51
+    assert np.ptp(e2.curves["temperature"]) > 50.0
+    assert "curves" not in found.to_json()["experiments"][0]
+
+
+def test_temperature_that_ignores_the_voltage_is_an_error(staircase):
+    record = staircase()
+    record["wire.temperature"].values[:] = 297.0
+    with pytest.raises(InputError, match="expected it to follow the voltage"):
+        result(record, experiments=["E2"])
+
+
+def test_current_that_ignores_the_voltage_is_an_error(staircase):
+    record = staircase()
+    record["wire.current"].values[:] = 0.1
+    with pytest.raises(InputError, match="expected it to follow the voltage"):
+        result(record, experiments=["E1"])

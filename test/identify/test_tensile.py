@@ -1,0 +1,159 @@
+"""E7 on synthetic curves with known moduli."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.identify.tensile import identify_tensile
+from sma_bench.identify.tensile_curve import read_curve
+from sma_bench.records.tensile import TensileRecord
+
+E_M, E_A = 22.8e9, 55.4e9
+COLD, HOT = 293.15, 403.15
+
+
+def loading(
+    knots: list[tuple[float, float]], points: int, noise: float, seed: int, toe: float = 0.0,
+    rounding: float = 0.0006,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A smooth curve through knots (strain, stress) with slack before it and noisy force."""
+    rng = np.random.default_rng(seed)
+    strain = np.linspace(0.0, knots[-1][0] + toe, points)
+    at = np.maximum(strain - toe, 0.0)
+    fine = np.linspace(0.0, knots[-1][0], 20001)
+    stress = np.interp(fine, *zip(*knots, strict=True))
+    # Rounded corners, as real curves have.
+    width = int(rounding / (fine[1] - fine[0]))
+    padded = np.pad(stress, width, mode="reflect", reflect_type="odd")
+    stress = np.convolve(padded, np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
+    return strain, np.interp(at, fine, stress) + noise * rng.standard_normal(points)
+
+
+def martensite(
+    seed: int = 1, modulus: float = E_M, initial: float = E_M, noise: float = 0.5e6,
+    toe: float = 0.002, detwin: float = 130e6, end: float = 0.06, points: int = 1500,
+) -> TensileRecord:
+    first = detwin / initial
+    last = detwin + 0.6e9 * (0.04 - first)
+    knots = [(0.0, 0.0), (first, detwin), (0.04, last), (end, last + modulus * (end - 0.04))]
+    strain, stress = loading(knots, points, noise, seed, toe)
+    return TensileRecord(Path(f"cold_{seed}.csv"), strain, stress, COLD)
+
+
+def austenite(seed: int = 1, noise: float = 0.5e6, toe: float = 0.001) -> TensileRecord:
+    plateau = 500e6
+    knots = [(0.0, 0.0), (plateau / E_A, plateau), (0.06, plateau + 1e9 * (0.06 - plateau / E_A))]
+    strain, stress = loading(knots, 1500, noise, seed, toe)
+    return TensileRecord(Path(f"hot_{seed}.csv"), strain, stress, HOT)
+
+
+def test_rounded_corners_and_yielding_leave_the_modulus() -> None:
+    last = 130e6 + 0.6e9 * 0.034
+    knots = [(0.0, 0.0), (0.006, 130e6), (0.04, last), (0.06, last + 0.02 * E_M),
+             (0.08, last + 0.02 * E_M + 0.02 * 6e9)]
+    strain, stress = loading(knots, 2000, 0.5e6, 3, toe=0.002, rounding=0.003)
+    reading = read_curve(TensileRecord(Path("round.csv"), strain, stress, COLD))
+    assert reading.after is not None
+    assert reading.after.modulus == pytest.approx(E_M, rel=0.02)
+    assert reading.after.strain[1] < 0.062
+
+
+def test_moduli_of_table_three_come_back_with_repeats() -> None:
+    records = [martensite(seed) for seed in range(3)] + [austenite(seed) for seed in range(3)]
+    experiment = identify_tensile(records)
+    e_m = experiment.estimates["wire.martensite_modulus"]
+    e_a = experiment.estimates["wire.austenite_modulus"]
+    assert e_m.value == pytest.approx(E_M, rel=0.01)
+    assert e_a.value == pytest.approx(E_A, rel=0.01)
+    assert 0.0 < e_m.std < 0.02 * E_M
+    assert "mean and deviation of 3 tests" in e_m.method
+
+
+def test_deviation_of_repeats_is_that_of_the_specimens() -> None:
+    moduli = [21.6e9, 22.8e9, 24.0e9]
+    records = [martensite(seed, modulus=m, initial=m) for seed, m in enumerate(moduli)]
+    estimate = identify_tensile(records).estimates["wire.martensite_modulus"]
+    assert estimate.std == pytest.approx(1.2e9, rel=0.1)
+
+
+def test_detwinning_plateau_is_found_and_excluded() -> None:
+    reading = read_curve(martensite())
+    assert reading.plateau is not None
+    begin, end, stress = reading.plateau
+    assert begin == pytest.approx(0.002 + 130e6 / E_M, abs=0.001)
+    assert end == pytest.approx(0.042, abs=0.001)
+    assert stress == pytest.approx(140e6, rel=0.03)
+    assert reading.after is not None
+    assert reading.after.strain[0] > 0.042
+
+
+def test_toe_is_found_and_excluded() -> None:
+    reading = read_curve(austenite(toe=0.004))
+    assert reading.toe == pytest.approx(0.004, abs=3e-4)
+    assert reading.initial.strain[0] > 0.004
+    assert reading.initial.modulus == pytest.approx(E_A, rel=0.01)
+
+
+def test_slope_before_the_plateau_is_reported_where_it_differs() -> None:
+    experiment = identify_tensile([martensite(initial=35e9)])
+    assert experiment.estimates["wire.martensite_modulus"].value == pytest.approx(E_M, rel=0.02)
+    before = experiment.details["E_M before the plateau"]
+    assert before.value == pytest.approx(35e9, rel=0.05)
+    assert any("before the detwinning plateau" in f.text for f in experiment.findings)
+
+
+def test_plateau_stress_of_austenite_is_given() -> None:
+    details = identify_tensile([austenite(s) for s in range(3)]).details
+    assert details["austenite plateau stress"].value == pytest.approx(525e6, rel=0.02)
+
+
+def test_test_that_ends_on_the_plateau_says_so() -> None:
+    record = martensite(end=0.0405)
+    cut = record.strain < 0.03
+    short = TensileRecord(record.path, record.strain[cut], record.stress[cut], COLD)
+    experiment = identify_tensile([short])
+    assert any("ends on the detwinning plateau" in f.text for f in experiment.findings)
+    estimate = experiment.estimates["wire.martensite_modulus"]
+    assert estimate.value == pytest.approx(E_M, rel=0.03)
+
+
+def test_unloading_slope_is_measured() -> None:
+    record = martensite()
+    top, strain = record.stress.max(), record.strain[-1]
+    down = np.linspace(0.0, top / 30e9, 300)
+    both = TensileRecord(
+        record.path, np.concatenate([record.strain, strain - down]),
+        np.concatenate([record.stress, top - 30e9 * down]), COLD,
+    )
+    experiment = identify_tensile([both])
+    assert experiment.details["E_M on unloading"].value == pytest.approx(30e9, rel=0.01)
+    assert experiment.estimates["wire.martensite_modulus"].value == pytest.approx(E_M, rel=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.1e6, 1e6, 3e6])
+def test_intervals_cover_the_truth(noise: float) -> None:
+    inside = []
+    for seed in range(40):
+        modulus = float(np.random.default_rng(seed).uniform(18e9, 35e9))
+        record = martensite(seed + 100, modulus=modulus, initial=modulus, noise=noise, points=800)
+        estimate = identify_tensile([record]).estimates["wire.martensite_modulus"]
+        inside.append(abs(estimate.value - modulus) < 1.96 * estimate.std)
+        assert estimate.value == pytest.approx(modulus, rel=0.05)
+    assert np.mean(inside) > 0.85
+
+
+def test_phase_between_the_ranges_must_be_given() -> None:
+    record = martensite()
+    lukewarm = TensileRecord(record.path, record.strain, record.stress, 340.0)
+    with pytest.raises(InputError, match="between M_f 325.1 K and A_f"):
+        identify_tensile([lukewarm])
+    experiment = identify_tensile([lukewarm], phases={record.path.name: "martensite"})
+    assert "wire.martensite_modulus" in experiment.estimates
+
+
+def test_absurd_modulus_is_remarked() -> None:
+    record = austenite()
+    soft = TensileRecord(record.path, record.strain, record.stress / 100.0, HOT)
+    assert any("crosshead travel" in f.text for f in identify_tensile([soft]).findings)

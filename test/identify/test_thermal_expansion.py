@@ -1,0 +1,145 @@
+"""E8 on synthetic clamped staircases with a known factor."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.identify.thermal_expansion import (
+    check_size,
+    identify_thermal_expansion,
+    steady_windows,
+)
+from sma_bench.parameters import Parameters
+from sma_bench.records.record import Record, Signal
+
+NAME = "wire.thermal_expansion_factor"
+THETA = -0.18e6
+DIAMETER = 0.3e-3
+AREA = math.pi * DIAMETER**2 / 4.0
+
+
+def staircase(levels: list[float], hold: float = 30.0, period: float = 0.05) -> tuple:
+    """Time and temperature of a PI-controlled staircase: exponential approach, overshoot."""
+    time = np.arange(0.0, hold * len(levels), period)
+    temperature = np.empty_like(time)
+    before = levels[0]
+    for k, level in enumerate(levels):
+        part = (time >= k * hold) & (time < (k + 1) * hold)
+        s = time[part] - k * hold
+        temperature[part] = level + (before - level) * np.exp(-s / 2.0) * np.cos(s / 2.5)
+        before = level
+    return time, temperature
+
+
+def record(
+    levels: list[float] | None = None, theta: float = THETA, preload: float = 60e6,
+    seed: int = 1, force_noise: float = 0.02, temperature_noise: float = 0.2,
+    transform_above: float = math.inf,
+) -> Record:
+    up = list(np.linspace(298.15, 325.15, 7))
+    levels = levels or up + up[::-1]
+    rng = np.random.default_rng(seed)
+    time, temperature = staircase(levels)
+    stress = preload + theta * (temperature - levels[0])
+    stress = stress + 10e6 * np.maximum(temperature - transform_above, 0.0)
+    force = np.maximum(stress, 0.0) * AREA + force_noise * rng.standard_normal(len(time))
+    measured = temperature + temperature_noise * rng.standard_normal(len(time))
+    force_time = time + 0.013
+    return Record(
+        path=Path("clamped"), start_ns=0,
+        signals={
+            "force": Signal("force", "N", force_time, force),
+            "wire.temperature": Signal("wire.temperature", "K", time, measured),
+        },
+    )
+
+
+def test_factor_comes_back_and_is_judged_plausible() -> None:
+    experiment = identify_thermal_expansion(record())
+    estimate = experiment.estimates[NAME]
+    assert estimate.value == pytest.approx(THETA, rel=0.03)
+    assert estimate.std < 0.1 * abs(THETA)
+    assert estimate.unit == "Pa/K"
+    assert [f.severity for f in experiment.findings if f.subject == "Theta_T"] == ["info"]
+
+
+def test_intervals_cover_the_truth() -> None:
+    exact = Parameters.defaults().replace(uncertainty={"wire.diameter": 0.0})
+    scores = []
+    for seed in range(60):
+        theta = float(np.random.default_rng(seed).uniform(-0.6e6, -0.1e6))
+        estimate = identify_thermal_expansion(record(theta=theta, seed=seed), exact).estimates[NAME]
+        scores.append((estimate.value - theta) / estimate.std)
+    assert 0.88 <= np.mean(np.abs(scores) < 1.96) <= 1.0
+    assert 0.6 < np.std(scores) < 1.4
+
+
+def test_uncertain_diameter_enters_the_error() -> None:
+    sure = Parameters.defaults().replace(uncertainty={"wire.diameter": 0.0})
+    unsure = Parameters.defaults().replace(uncertainty={"wire.diameter": 15e-6})
+    stds = [identify_thermal_expansion(record(), p).estimates[NAME].std for p in (sure, unsure)]
+    assert stds[1] == pytest.approx(math.hypot(stds[0], 0.1 * abs(THETA)), rel=0.05)
+
+
+def test_plateaus_above_the_austenite_start_are_left_out_and_said() -> None:
+    levels = list(np.arange(298.15, 365.0, 5.0))
+    hot = record(levels=levels, preload=30e6, transform_above=336.1)
+    experiment = identify_thermal_expansion(hot)
+    assert experiment.estimates[NAME].value == pytest.approx(THETA, rel=0.1)
+    assert any("left out: the wire transforms" in f.text for f in experiment.findings)
+    assert experiment.curves["used"].sum() < len(levels)
+
+
+def test_slack_wire_is_left_out_and_said() -> None:
+    experiment = identify_thermal_expansion(record(theta=-0.6e6, preload=10e6))
+    assert any("slack" in f.text for f in experiment.findings)
+    assert experiment.estimates[NAME].value == pytest.approx(-0.6e6, rel=0.05)
+
+
+def test_other_sign_is_remarked() -> None:
+    findings = identify_thermal_expansion(record(theta=+0.18e6)).findings
+    assert any(f.severity == "warning" and "other sign" in f.text for f in findings)
+
+
+def test_paper_value_is_two_orders_too_large_and_of_the_other_sign() -> None:
+    (finding,) = check_size(23.91e6, 0.1e6, Parameters.defaults())
+    assert finding.severity == "warning"
+    assert "other sign" in finding.text
+    assert "39 times the largest" in finding.text
+
+
+def test_soft_clamps_give_a_value_that_is_remarked_as_too_small() -> None:
+    findings = identify_thermal_expansion(record(theta=-0.03e6, force_noise=0.002)).findings
+    assert any("too small" in f.text for f in findings)
+
+
+def test_record_without_force_is_refused_by_name() -> None:
+    whole = record()
+    bare = Record(whole.path, 0, {"wire.temperature": whole["wire.temperature"]})
+    with pytest.raises(InputError, match="no signal force"):
+        identify_thermal_expansion(bare)
+
+
+def test_ramp_without_plateaus_is_refused() -> None:
+    time = np.arange(0.0, 200.0, 0.05)
+    ramp = Record(
+        Path("ramp"), 0,
+        {
+            "force": Signal("force", "N", time, 4.0 - 0.01 * time),
+            "wire.temperature": Signal("wire.temperature", "K", time, 298.0 + 0.5 * time),
+        },
+    )
+    with pytest.raises(InputError, match="never holds still"):
+        identify_thermal_expansion(ramp)
+
+
+def test_windows_begin_after_the_overshoot() -> None:
+    time, temperature = staircase([300.0, 310.0, 320.0])
+    windows = steady_windows(time, temperature)
+    assert len(windows) == 3
+    for (start, stop), level in zip(windows, (300.0, 310.0, 320.0), strict=True):
+        inside = (time >= start) & (time <= stop)
+        assert np.abs(temperature[inside] - level).max() < 0.05
