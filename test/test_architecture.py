@@ -25,7 +25,10 @@ ARROWS = {
     "physics": LEAVES | {"parameters"},
     "records": LEAVES | {"parameters"},
     "identify": LEAVES | {"records", "physics", "parameters"},
+    "control": LEAVES | {"parameters", "physics"},
     "hardware": LEAVES | {"parameters"},
+    "synthetic": LEAVES
+    | {"records", "physics", "parameters", "protocols", "control", "hardware"},
     "report": LEAVES | {"identify", "records", "physics", "parameters"},
 }
 ABOVE_ALL = {"nodes", "commands", "cli"}  # these use everything, and nothing below uses them

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from sma_bench.parameters.node_tables import NODE_TABLES
+
 ROOT = Path(__file__).resolve().parents[2]
-EXECUTABLES = {"sma-bench", "simulator", "experiment", "recorder", "identification"}
+EXECUTABLES = {"sma-bench", *NODE_TABLES}
 WHERE = "from sma_bench.share import share_directory; print(share_directory())"
 LOAD = """
 from importlib.metadata import distribution

@@ -1,6 +1,7 @@
 """Validation of parameters, and ROS parameter files in and out."""
 
 import os
+from pathlib import Path
 
 import pytest
 import yaml
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters, read_parameters, write_parameters
 from sma_bench.parameters.documentation import parameter_page
+from sma_bench.parameters.node_tables import NODE_TABLES
 
 NUMBERS = [p for p in TABLE if p.kind == "double"]
 
@@ -172,3 +174,10 @@ def test_a_folder_that_cannot_be_written_leaves_the_good_file_alone(tmp_path):
 def test_the_page_documents_every_parameter():
     page = parameter_page({})
     assert [p.name for p in TABLE if f"| `{p.name}` |" not in page] == []
+
+
+def test_the_committed_page_is_the_one_the_tables_generate():
+    page = Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
+    assert page.read_text() == parameter_page(NODE_TABLES), (
+        "run: ./bench parameters --markdown > docs/parameters.md"
+    )

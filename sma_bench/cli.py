@@ -1,0 +1,76 @@
+"""The command line `sma-bench`."""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from sma_bench import __version__
+from sma_bench.errors import InputError
+
+COMMANDS = {
+    "info": "what a record holds and whether it can be trusted",
+    "identify": "parameters of Table I from bags and instrument files",
+    "audit": "do a lab's own numbers fit each other, and physics?",
+    "parameters": "every parameter with unit, default, range and source",
+    "simulate": "the paper's model on a protocol or on the voltages of a bag",
+    "paper": "the paper's figures, tables and errata redrawn from data",
+    "run": "run a node: sma-bench run NODE [--ros-args ...]",
+    "demo": "simulated bench, bag, identification, figures, in one go",
+}
+
+_EXAMPLES = """examples:
+  sma-bench info my_bag
+  sma-bench identify my_bag --params lab.yaml --out identified.yaml
+  sma-bench audit lab.yaml
+  sma-bench run simulator --ros-args -r __ns:=/bench --params-file config/wire_rig.yaml
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; 0 on success, 2 on bad input with one line on standard error."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(arguments)
+    except InputError as error:
+        print(f"sma-bench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("sma-bench: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of a pipe (head, less) has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments or arguments[0] not in COMMANDS:
+        _top_parser().parse_args(arguments)
+        return 0
+    name, *rest = arguments
+    module = importlib.import_module(f"sma_bench.commands.{name}")
+    parser = argparse.ArgumentParser(prog=f"sma-bench {name}", description=COMMANDS[name])
+    if name == "run":
+        return module.run(rest)
+    module.add_arguments(parser)
+    return module.run(parser.parse_args(rest))
+
+
+def _top_parser() -> argparse.ArgumentParser:
+    width = max(map(len, COMMANDS))
+    lines = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
+    parser = argparse.ArgumentParser(
+        prog="sma-bench",
+        usage="sma-bench COMMAND [options]",
+        description=f"Test bench for shape-memory-alloy actuators.\n\ncommands:\n{lines}",
+        epilog=_EXAMPLES + "\nsma-bench COMMAND --help shows the options of a command.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"sma-bench {__version__}")
+    parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,31 @@
+"""sma-bench audit: do the numbers of a lab fit each other, and physics?"""
+
+import argparse
+
+from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.errors import InputError
+from sma_bench.parameters import audit
+
+DESCRIPTION = "check a lab's own numbers against each other and against correlations"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("file", nargs="?", metavar="P.yaml", help="ROS 2 parameter file")
+    add_parameter_options(parser)
+    parser.add_argument("--json", metavar="FILE", help="write the findings as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print every finding; exit code 0 (a clash is a result, not an error)."""
+    if args.file and args.params:
+        raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")
+    args.params = args.params or args.file
+    findings = audit(parameters_from_options(args))
+    if args.json:
+        write_json(args.json, {"findings": [finding.to_json() for finding in findings]})
+    print_findings(findings)
+    clashes = sum(finding.severity != "info" for finding in findings)
+    print(f"{clashes} of {len(findings)} checks found a clash")
+    return 0

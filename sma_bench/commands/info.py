@@ -1,0 +1,146 @@
+"""sma-bench info: what a record holds, and whether it can be trusted."""
+
+import argparse
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from sma_bench.commands.output import print_findings, write_json
+from sma_bench.findings import Finding
+from sma_bench.records import describe, open_record
+
+_PIPE_WIDTH = 130
+_MOST_MARKERS = 20
+
+_Columns = tuple[tuple[str, str, str], ...]
+
+# Heading, key of `describe`, format.
+_SIGNAL_COLUMNS: _Columns = (
+    ("signal", "name", ""),
+    ("unit", "unit", ""),
+    ("samples", "samples", ""),
+    ("rate Hz", "rate", ".4g"),
+    ("jitter s", "jitter", ".2g"),
+    ("longest gap s", "longest_gap", ".3g"),
+    ("delay s", "delay", ".3g"),
+    ("min", "min", ".5g"),
+    ("max", "max", ".5g"),
+)
+_TOPIC_COLUMNS: _Columns = (
+    ("topic", "name", ""),
+    ("type", "type", ""),
+    ("messages", "count", ""),
+    ("signals", "signals", ""),
+)
+_SEGMENT_COLUMNS: _Columns = (
+    ("segment", "number", ""),
+    ("kind", "kind", ""),
+    ("K/s", "rate", ".4f"),
+    ("samples", "samples", ""),
+    ("start s", "start", ".0f"),
+    ("end s", "end", ".0f"),
+    ("from K", "from", ".2f"),
+    ("to K", "to", ".2f"),
+)
+_BRANCH_COLUMNS: _Columns = (
+    ("cycle", "cycle", ""),
+    ("kind", "kind", ""),
+    ("samples", "samples", ""),
+    ("from K", "from", ".2f"),
+    ("to K", "to", ".2f"),
+    ("strain from", "strain_from", ".5f"),
+    ("strain to", "strain_to", ".5f"),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("record", metavar="RECORD", help="bag, storage file or instrument file")
+    parser.add_argument("--namespace", help="look only at the topics below this namespace")
+    parser.add_argument("--json", metavar="FILE", help="write what is shown as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print topics, signals and findings; exit code 0 whatever they say."""
+    description = describe(open_record(args.record, args.namespace))
+    if args.json:
+        write_json(args.json, description)
+    console = Console(highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=_PIPE_WIDTH)
+    _SHOW[description["kind"]](console, description)
+    findings = [Finding(**finding) for finding in description["findings"]]
+    print_findings(findings)
+    if not findings:
+        console.print("no findings")
+    return 0
+
+
+def _show_bag(console: Console, description: dict[str, Any]) -> None:
+    channels = ", ".join(description["channels"]) or "none"
+    console.print(
+        f"{escape(description['path'])}: {description['duration']:.3f} s from "
+        f"{description['start']}, channels: {escape(channels)}"
+    )
+    console.print(_table(description["topics"], _TOPIC_COLUMNS))
+    if description["signals"]:
+        console.print(_table(description["signals"], _SIGNAL_COLUMNS))
+    markers = description["markers"]
+    for marker in markers[:_MOST_MARKERS]:
+        console.print(f"  {marker['time']:10.3f} s  {escape(marker['text'])}")
+    if len(markers) > _MOST_MARKERS:
+        console.print(f"  and {len(markers) - _MOST_MARKERS} more markers")
+
+
+def _show_dsc(console: Console, description: dict[str, Any]) -> None:
+    sign = {True: "endothermic up", False: "exothermic up", None: "sign unknown"}
+    console.print(
+        f"{escape(description['path'])}: {description['instrument']}, "
+        f"{escape(description['sample'])}, {description['mass'] * 1e6:.3f} mg, "
+        f"{sign[description['endothermic_up']]}"
+    )
+    console.print(_table(description["segments"], _SEGMENT_COLUMNS))
+
+
+def _show_isobaric(console: Console, description: dict[str, Any]) -> None:
+    unit = {"1": "", "relative": ", strain over its own range"}[description["strain_unit"]]
+    console.print(
+        f"{escape(description['path'])}: isobaric test at {description['stress'] / 1e6:.1f} MPa"
+        f"{unit}"
+    )
+    console.print(_table(description["branches"], _BRANCH_COLUMNS))
+
+
+def _show_tensile(console: Console, description: dict[str, Any]) -> None:
+    kelvin = description["temperature"]
+    where = "temperature unknown" if kelvin is None else f"at {kelvin:.2f} K"
+    console.print(
+        f"{escape(description['path'])}: tensile test {where}, {description['samples']} samples, "
+        f"to {description['largest_strain']:.4f} strain and "
+        f"{description['largest_stress'] / 1e6:.1f} MPa"
+    )
+
+
+_SHOW = {
+    "bag": _show_bag, "dsc": _show_dsc, "isobaric": _show_isobaric, "tensile": _show_tensile,
+}
+
+
+def _table(rows: list[dict[str, Any]], columns: _Columns) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading, key, _ in columns:
+        numeric = rows and isinstance(rows[0][key], (int, float))
+        table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(_cell(row[key], form) for _, key, form in columns))
+    return table
+
+
+def _cell(value: Any, form: str) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        return escape(", ".join(value))
+    return escape(format(value, form))

@@ -1,0 +1,31 @@
+"""sma-bench run NODE [--ros-args ...]: the same entry points as `ros2 run sma_bench NODE`."""
+
+import importlib
+from collections.abc import Sequence
+
+from sma_bench.errors import InputError
+from sma_bench.parameters.node_tables import NODE_TABLES
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run a node until it ends.
+
+    Raises:
+        InputError: no such node, or no ROS 2 in this environment.
+    """
+    nodes = ", ".join(sorted(NODE_TABLES))
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(f"usage: sma-bench run NODE [--ros-args ...]\n\nnodes: {nodes}")
+        return 0
+    name, *rest = arguments
+    if name not in NODE_TABLES:
+        raise InputError(f"run: no node {name!r}, expected one of: {nodes}")
+    try:
+        module = importlib.import_module(f"sma_bench.nodes.{name}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("sma_bench"):
+            raise
+        raise InputError(
+            f"run: {error.name} is not installed: source a ROS 2 Jazzy setup file, or use ./bench"
+        ) from None
+    return module.main(rest) or 0

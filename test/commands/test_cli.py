@@ -1,0 +1,187 @@
+"""The command line: results on good input, one line and exit code 2 on bad input."""
+
+import json
+import os
+import shutil
+import sqlite3
+
+import numpy as np
+import pytest
+
+from sma_bench.cli import COMMANDS, main
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.records import Signal, read_record
+from sma_bench.records.write import write_record
+
+WIRE_FILE = "/**:\n  ros__parameters:\n    wire:\n      resistance: {}\n"
+
+
+def refuse(capsys, *arguments):
+    """Exit code 2 and exactly one line on standard error, which is returned."""
+    assert main([str(argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and error.startswith("sma-bench: ")
+    assert "Traceback" not in error
+    return error
+
+
+def constant_bag(path, voltage=1.0):
+    time = np.arange(0.0, 30.0, 0.05)
+    current = voltage / 2.7
+    levels = (("voltage", "V", voltage), ("current", "A", current), ("temperature", "K", 300.0))
+    signals = [
+        Signal(f"wire.{name}", unit, time, np.full_like(time, value))
+        for name, unit, value in levels
+    ]
+    write_record(path, signals)
+    return path
+
+
+def test_help_lists_every_command(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert [name for name in COMMANDS if f"  {name} " not in printed] == []
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "run"])
+def test_every_command_has_help(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert f"usage: sma-bench {command}" in capsys.readouterr().out
+
+
+def test_an_unknown_command_is_exit_code_2(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["identfy"])
+    assert ended.value.code == 2
+
+
+def test_audit_writes_what_it_prints(capsys, tmp_path):
+    result = tmp_path / "audit.json"
+    assert main(["audit", "--set", "wire.resistance=2.8", "--json", str(result)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    findings = json.loads(result.read_text())["findings"]
+    assert {finding["subject"] for finding in findings} >= {"wire length", "heat transfer"}
+    for finding in findings:
+        assert " ".join(finding["text"].split()) in printed
+    assert "2.8 ohm" in printed
+
+
+def test_a_parameter_file_written_by_the_command_reads_back(tmp_path, capsys):
+    path = tmp_path / "p.yaml"
+    assert main(["parameters", "--set", "wire.mass=1e-4", "--out", str(path)]) == 0
+    assert dict(read_parameters(path)) == dict(Parameters({"wire.mass": 1e-4}))
+
+
+def test_simulated_bag_holds_the_protocol_and_its_steady_state(tmp_path, capsys):
+    bag = tmp_path / "bag"
+    assert main(["simulate", "--protocol", "ramp", "--rate", "20", "--out", str(bag)]) == 0
+    record = read_record(bag)
+    assert record["wire.voltage"].values.max() == pytest.approx(2.7, abs=0.02)
+    assert record.duration == pytest.approx(76.0, abs=0.1)
+    again = tmp_path / "again"
+    assert main(["simulate", "--input", str(bag), "--out", str(again)]) == 0
+    # Voltages travel as 32-bit floats: 3e-7 relative, of a rise of 17 K.
+    assert read_record(again)["wire.temperature"].values == pytest.approx(
+        record["wire.temperature"].values, abs=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    "override, expected",
+    [
+        ("wire.resistance", "expected NAME=VALUE"),
+        ("wire.resistence=2.7", "did you mean wire.resistance?"),
+        ("wire.resistance=2.7 ohm", "expected a number in ohm"),
+        ("environment.ambient_temperature=23.0", "degrees Celsius"),
+        ("wire.resistance=.nan", "finite"),
+    ],
+)
+def test_a_bad_override_is_one_line(override, expected, capsys):
+    assert expected in refuse(capsys, "audit", "--set", override)
+
+
+def test_wrong_units_in_a_file_are_one_line_that_names_the_file(tmp_path, capsys):
+    path = tmp_path / "p.yaml"
+    path.write_text(WIRE_FILE.format("2.7 ohm"))
+    line = refuse(capsys, "identify", constant_bag(tmp_path / "bag"), "--params", path)
+    assert str(path) in line and "expected a number in ohm" in line
+
+
+def test_a_record_that_is_not_there_is_one_line(tmp_path, capsys):
+    assert "nothing.bag" in refuse(capsys, "info", tmp_path / "nothing.bag")
+
+
+def test_a_bag_without_metadata_is_one_line_that_names_its_storage(tmp_path, capsys):
+    bag = constant_bag(tmp_path / "bag")
+    (bag / "metadata.yaml").unlink()
+    for command in ("info", "identify"):
+        line = refuse(capsys, command, bag)
+        assert "metadata.yaml" in line and ".mcap" in line
+
+
+def test_empty_topics_are_one_line(tmp_path, capsys):
+    bag = tmp_path / "bag"
+    time = np.arange(0.0, 30.0, 0.05)
+    write_record(bag, [Signal("wire.voltage", "V", time, np.ones_like(time))], storage="sqlite3")
+    with sqlite3.connect(next(bag.glob("*.db3"))) as database:
+        database.execute("DELETE FROM messages")
+    assert "bag" in refuse(capsys, "identify", bag)
+
+
+def test_a_record_that_identifies_nothing_is_one_line_that_says_what_is_missing(tmp_path, capsys):
+    line = refuse(capsys, "identify", constant_bag(tmp_path / "bag"))
+    assert "E1" in line and "staircase" in line
+
+
+def test_channel_count_mismatch_is_one_line(tmp_path, capsys):
+    bag = constant_bag(tmp_path / "bag")
+    override = "bench.channels=[front_1, back_1]"
+    line = refuse(
+        capsys, "simulate", "--input", bag, "--out", tmp_path / "out", "--set", override,
+        "--set", "bench.channel_sides=[front, back]",
+    )
+    assert "front_1" in line and "found: wire" in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["audit", "simulate", "parameters"])
+def test_an_output_folder_that_cannot_be_written_is_one_line(command, tmp_path, capsys):
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    target = blocked / "result"
+    arguments = {
+        "audit": ["audit", "--json", target],
+        "simulate": ["simulate", "--protocol", "ramp", "--out", target],
+        "parameters": ["parameters", "--out", target],
+    }[command]
+    assert "result" in refuse(capsys, *arguments)
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_identify_writes_nothing_when_the_result_has_no_place(tmp_path, capsys, shared_data):
+    wire = shared_data / "foreign" / "wire"
+    target = tmp_path / "none" / "identified.yaml"
+    refuse(
+        capsys, "identify", wire / "staircase", "--params", wire / "bench.yaml", "--out", target
+    )
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_truncated_bag_is_read_up_to_the_damage_and_says_so(tmp_path, capsys, shared_data):
+    bag = tmp_path / "ramp"
+    shutil.copytree(shared_data / "foreign" / "wire" / "ramp", bag)
+    storage = next(bag.glob("*.mcap"))
+    os.chmod(storage, 0o644)
+    os.truncate(storage, storage.stat().st_size // 2)
+    assert main(["info", str(bag)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "damaged" in printed and "announced by metadata.yaml cannot be read" in printed
+    assert 5.0 < read_record(bag).duration < 76.0
+
+
+def test_run_names_the_nodes_there_are(capsys):
+    assert "simulator" in refuse(capsys, "run", "simulater")

@@ -1,0 +1,127 @@
+"""Every command in the README and in docs/ is one that the programs accept."""
+
+import argparse
+import importlib
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from sma_bench.cli import COMMANDS
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.protocols import protocol_names
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EXPERIMENTS = [f"E{number}" for number in range(1, 13)]
+HEADINGS = ("Purpose", "Wiring", "Command", "Result", "What can go wrong")
+DEVELOPER = {"test", "perf", "check"}
+FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`([^`]+)`")
+PLACEHOLDERS = {"NODE": "simulator"}
+
+
+def commands(page: Path) -> list[str]:
+    """Command lines of a page, whether in a block or within a sentence."""
+    text = page.read_text()
+    lines = [line for block in FENCED.findall(text) for line in block.splitlines()]
+    lines += [" ".join(code.split()) for code in INLINE.findall(FENCED.sub("", text))]
+    return [line.strip() for line in lines]
+
+
+def documented(*programs: str) -> list[tuple[str, list[str]]]:
+    found = []
+    for page in PAGES:
+        for line in commands(page):
+            if line.startswith(tuple(f"{program} " for program in programs)):
+                words = [PLACEHOLDERS.get(w, w) for w in shlex.split(line, comments=True)]
+                found.append((f"{page.relative_to(ROOT)}: {line}", words[1:]))
+    return found
+
+
+def check_command(words: list[str]) -> str:
+    """Why sma-bench would not take these words, or ""."""
+    name, *rest = words
+    if name in DEVELOPER:
+        script = ROOT / "test" / name / f"{(rest or [name])[0]}.py"
+        return "" if name == "test" or script.is_file() else f"no {script}"
+    if name not in COMMANDS:
+        return f"no command {name}"
+    if name == "run":
+        return "" if rest and rest[0] in NODE_TABLES else f"no node {rest[:1]}"
+    parser = argparse.ArgumentParser(prog=name, exit_on_error=False)
+    importlib.import_module(f"sma_bench.commands.{name}").add_arguments(parser)
+    try:
+        parser.parse_args(rest)
+    except (argparse.ArgumentError, SystemExit) as error:
+        return str(error) or "not accepted"
+    return check_files(rest)
+
+
+def check_files(words: list[str]) -> str:
+    for word in words:
+        if word.startswith("config/") and not (ROOT / word).is_file():
+            return f"no file {word}"
+    if "--protocol" in words and words[words.index("--protocol") + 1] not in protocol_names():
+        return "no such protocol"
+    return ""
+
+
+def check_ros(words: list[str]) -> str:
+    """Why ros2 would not know what these words name, or ""."""
+    settings = dict(word.split(":=", 1) for word in words if ":=" in word)
+    if settings.get("protocol", protocol_names()[0]) not in protocol_names():
+        return f"no protocol {settings['protocol']}"
+    if words[:2] == ["run", "sma_bench"]:
+        return "" if words[2] in NODE_TABLES else f"no node {words[2]}"
+    if words[:2] == ["launch", "sma_bench"]:
+        launch = ROOT / "launch" / words[2]
+        if not launch.is_file():
+            return f"no {launch}"
+        unknown = [name for name in settings if f'"{name}": (' not in launch.read_text()]
+        return f"no launch argument {unknown}" if unknown else ""
+    return ""
+
+
+def test_the_pages_hold_commands_to_check():
+    assert len(documented("./bench", "sma-bench")) > 40
+    assert len(documented("ros2")) > 12
+
+
+@pytest.mark.parametrize(
+    ("where", "words"), [pytest.param(*c, id=c[0]) for c in documented("./bench", "sma-bench")]
+)
+def test_documented_command_is_accepted(where, words):
+    assert check_command(words) == ""
+
+
+@pytest.mark.parametrize(
+    ("where", "words"), [pytest.param(*c, id=c[0]) for c in documented("ros2")]
+)
+def test_documented_ros_command_names_what_exists(where, words):
+    assert check_ros(words) == ""
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["identfy x", "identify", "identify x --outt y", "run simulatr", "check nothing",
+     "simulate --protocol stairs --out x", "audit config/none.yaml", "paper staircase"],
+)
+def test_a_command_that_does_not_exist_is_found(line):
+    assert check_command(line.split()) != ""
+
+
+def test_a_ros_command_that_does_not_exist_is_found():
+    for line in ("run sma_bench simulatr", "launch sma_bench none.launch.py",
+                 "launch sma_bench wire_bench.launch.py protcol:=ramp",
+                 "run sma_bench experiment -p protocol:=stairs"):
+        assert check_ros(line.split()) != "", line
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_experiment_has_a_page_that_says_what_a_lab_must_know(name):
+    text = (ROOT / "docs" / "experiments" / f"{name}.md").read_text()
+    assert text.startswith(f"# {name} ")
+    assert [heading for heading in HEADINGS if f"**{heading}.**" not in text] == []
+    assert f"[{name}]({name}.md)" in (ROOT / "docs" / "experiments" / "README.md").read_text()
