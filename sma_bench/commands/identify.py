@@ -15,7 +15,7 @@ from sma_bench.records import open_record
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "records", nargs="+", metavar="RECORD", help="bag (folder, .mcap, .db3) or DSC text file"
+        "records", nargs="+", metavar="RECORD", help="bag (folder, .mcap, .db3) or instrument file"
     )
     add_parameter_options(parser)
     parser.add_argument(
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="identified.yaml", help="write a ROS 2 parameter file that nodes load"
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    parser.add_argument("--report", metavar="DIR", help="write a page with figures")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,6 +41,10 @@ def run(args: argparse.Namespace) -> int:
         comment = "Identified by sma-bench identify from " + ", ".join(args.records)
         write_parameters(args.out, result.parameters, comment.replace("\n", " "))
     print_result(result)
+    if args.report:
+        from sma_bench.report.identification_report import write_identification_report
+
+        print(f"report {write_identification_report(args.report, result)}")
     return 0
 
 

@@ -25,6 +25,19 @@ _VALUE_OPTIONS = ("-p", "--param")
 _REMAP_OPTIONS = ("-r", "--remap")
 
 
+def node_help(node: str) -> str:
+    """What --help prints: usage and the node's own parameters."""
+    lines = [
+        f"usage: {node} [--ros-args -r __ns:=/bench --params-file P.yaml -p NAME:=VALUE ...]",
+        "",
+        "parameters of this node, besides the contract's (sma-bench parameters):",
+    ]
+    for parameter in NODE_TABLES[node]:
+        unit = f" [{parameter.unit}]" if parameter.unit else ""
+        lines.append(f"  {parameter.name:28} {parameter.description}{unit}")
+    return "\n".join(lines) + "\n"
+
+
 def check_arguments(node: str, argv: Sequence[str]) -> None:
     """Check every parameter file and `-p name:=value` after `--ros-args`.
 

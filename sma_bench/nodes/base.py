@@ -27,7 +27,7 @@ except ImportError:
     from rclpy.executors import SingleThreadedExecutor as OneThreadExecutor
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.arguments import check_arguments
+from sma_bench.nodes.arguments import check_arguments, node_help
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
@@ -161,6 +161,9 @@ def run_node(
         0 at a clean end, 2 after bad input, of which one line goes to standard error.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if "-h" in arguments or "--help" in arguments:
+        print(node_help(name), end="")
+        return 0
     try:
         check_arguments(name, arguments)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)

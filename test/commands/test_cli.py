@@ -171,6 +171,13 @@ def test_identify_writes_nothing_when_the_result_has_no_place(tmp_path, capsys, 
     assert os.listdir(tmp_path) == []
 
 
+def test_identify_shows_the_tangents_of_a_real_dsc_run_in_a_report(tmp_path, capsys, shared_data):
+    dsc = shared_data / "sma_react" / "input" / "preprocessor_samples" / "DSC.txt"
+    assert main(["identify", str(dsc), "--report", str(tmp_path / "report")]) == 0
+    drawn = {path.stem for path in (tmp_path / "report").glob("*.png")}
+    assert {f"figure_07_dsc_segment_{number}" for number in (2, 4, 6, 8)} <= drawn
+
+
 def test_a_truncated_bag_is_read_up_to_the_damage_and_says_so(tmp_path, capsys, shared_data):
     bag = tmp_path / "ramp"
     shutil.copytree(shared_data / "foreign" / "wire" / "ramp", bag)

@@ -1,5 +1,6 @@
 """What a node's command line may bring, checked before ROS starts."""
 
+import importlib
 import logging
 import subprocess
 import sys
@@ -10,6 +11,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from sma_bench.errors import InputError  # noqa: E402
 from sma_bench.nodes.arguments import check_arguments  # noqa: E402
+from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 
 def arguments(tmp_path, text):
@@ -99,3 +101,12 @@ def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(
     done = run(name, "--ros-args", *given)
     assert done.returncode == 2
     assert expected in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("node", sorted(NODE_TABLES))
+def test_help_ends_at_once_and_lists_the_nodes_own_parameters(node, capsys):
+    module = importlib.import_module(f"sma_bench.nodes.{node}")
+    assert module.main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"usage: {node} ")
+    assert [p.name for p in NODE_TABLES[node] if f"  {p.name} " not in printed] == []
