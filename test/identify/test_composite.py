@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
+
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.identify.composite import identify_composite

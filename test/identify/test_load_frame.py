@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
+
 from sma_bench.errors import InputError
 from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
 from sma_bench.parameters.audit import wire_length_from_mass

@@ -19,7 +19,6 @@ THIRD_PARTY = {
     "jinja2": ("jinja2", "python3-jinja2"),
     "lz4": ("lz4", None),  # comes with rosbags
     "matplotlib": ("matplotlib", "python3-matplotlib"),
-    "mcap": ("mcap", None),  # no Debian package and no rosdep key
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
     "rich": ("rich", "python3-rich"),
@@ -28,7 +27,7 @@ THIRD_PARTY = {
     "scipy": ("scipy", "python3-scipy"),
     "serial": ("pyserial", "python3-serial"),
     "yaml": ("pyyaml", "python3-yaml"),
-    "zstandard": ("zstandard", None),  # comes with mcap and rosbags
+    "zstandard": ("zstandard", None),  # a Debian package, but no rosdep key
 }
 ROS = re.compile(r"rclpy|rosidl_\w+|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 
