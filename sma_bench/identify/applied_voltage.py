@@ -59,10 +59,9 @@ class Course:
         total = np.concatenate([[0.0], np.cumsum(square * np.diff(time))])
         return np.diff(np.interp(grid, time, total))
 
-    def draw_error(self, random: np.random.Generator) -> "CourseError":
-        """One possible error."""
+    def draw_error(self, random: np.random.Generator, phase: float) -> "CourseError":
+        """One possible error; `phase` (0 to 1) says where the converter's steps lie."""
         knots = self.noise * random.standard_normal(len(self.time))
-        phase = random.uniform()
         for first, last, noise in self.lines:
             # Errors of a fitted line: of its mean, and of its slope about the middle.
             level, tilt = noise / np.sqrt(last - first) * random.standard_normal(2)
@@ -114,8 +113,12 @@ class AppliedVoltage:
         return np.interp(time, course.time, volts)
 
     def draw_errors(self, random: np.random.Generator) -> tuple[CourseError, ...]:
-        """One possible error of each channel."""
-        return tuple(course.draw_error(random) for course in self.courses)
+        """One possible error of each channel.
+
+        Channels at one voltage share what the steps of the converter hide of it.
+        """
+        phase = random.uniform()
+        return tuple(course.draw_error(random, phase) for course in self.courses)
 
     def is_jumping(self, time: Array) -> NDArray[np.bool_]:
         """(m,) whether `time` (m,) s lies strictly within the bounds of an event."""
@@ -155,8 +158,10 @@ def _course(time: Array, voltage: Array) -> Course:
     segments = find_segments(time, voltage)
     step = resolution(voltage)
     scatter = _scatter(voltage, step)
-    smooth, noise, lines = _free_of_noise(time, voltage, segments, scatter)
-    left = [noise for _, _, noise in lines if noise > 0.0]
+    # A level between two steps of the converter toggles by half a step about its mean.
+    limit = _STRAIGHT * float(np.hypot(scatter, 0.5 * step))
+    smooth, noise, lines = _free_of_noise(time, voltage, segments, scatter, limit)
+    left = [n for first, last, n in lines if smooth[first:last].max() > max(step, _OFF)]
     within = float(np.sqrt(np.mean(np.square(left)))) if left else 0.0
     hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
     return Course(time, smooth, _jumps(time, smooth, segments), noise, lines, hidden, step)
@@ -170,7 +175,7 @@ def _scatter(voltage: Array, step: float) -> float:
 
 
 def _free_of_noise(
-    time: Array, voltage: Array, segments: Segments, scatter: float
+    time: Array, voltage: Array, segments: Segments, scatter: float, limit: float
 ) -> tuple[Array, Array, tuple[tuple[int, int, float], ...]]:
     """Straight lines where the voltage is straight.
 
@@ -185,7 +190,7 @@ def _free_of_noise(
             [segment.voltage_start, segment.voltage_stop],
         )
         left = float(np.std(voltage[first:last] - line))
-        if last - first >= _FEWEST_IN_LINE and left < _STRAIGHT * scatter:
+        if last - first >= _FEWEST_IN_LINE and left < limit:
             smooth[first:last], noise[first:last] = line, 0.0
             lines.append((int(first), int(last), left))
     return smooth, noise, tuple(lines)

@@ -18,7 +18,7 @@ from sma_bench.parameters.table import BY_NAME
 from sma_bench.records.isobaric import STRONGEST, IsobaricRecord
 
 NAME = "E9"
-TITLE = "E9 joint fit of the constitutive law (eqs. 6 to 11)"
+TITLE = "Joint fit of the constitutive law (eqs. 6 to 11)"
 TOLERANCE = 0.05
 TEMPERATURES = {
     "A_s": "wire.austenite_start_temperature",

@@ -17,6 +17,7 @@ _UNTOLD = 0.9
 _TIED = 0.95
 _LAGS = 20
 _FLOOR = 1.15
+_HOPELESS = 10.0
 _RARE = 1e-6
 _CLOCKS = 4.0
 _PRODUCTS = (
@@ -28,14 +29,24 @@ _PRODUCTS = (
 def estimates(fit: BenchFit, method: str) -> dict[str, Estimate]:
     """Every fitted parameter with its standard error; the method says where the prior speaks."""
     told = _told(fit)
+    factor = misfit(fit)
     found = {}
     for index, name in enumerate(fit.prior.names):
         words = method if told[index] else f"{method}: the prior, which the record does not improve"
-        value, std = float(fit.values[index]), float(fit.std[index])
+        value, std = float(fit.values[index]), factor * float(fit.std[index])
         if name == RESISTANCE:
             std = math.hypot(std, SCALE_STD * value)
         found[name] = Estimate(value, std, BY_NAME[name].unit, words, fit.n)
     return found
+
+
+def misfit(fit: BenchFit) -> float:
+    """Factor of all standard errors: above 1 where the model leaves far more than noise.
+
+    A few times the noise can be the colour of the noise, which the fit knows; ten times cannot.
+    """
+    worst = max((float(np.std(s.residual)) / s.floor for s in fit.signals), default=1.0)
+    return worst if worst > _HOPELESS else 1.0
 
 
 def products(fit: BenchFit) -> dict[str, Estimate]:
@@ -49,7 +60,7 @@ def products(fit: BenchFit) -> dict[str, Estimate]:
         value = float(np.prod(fit.values[pick]))
         covariance = fit.covariance[np.ix_(pick, pick)]
         relative = fit.prior.slopes(fit.x)[pick] / fit.values[pick]
-        std = abs(value) * math.sqrt(float(relative @ covariance @ relative))
+        std = misfit(fit) * abs(value) * math.sqrt(float(relative @ covariance @ relative))
         found[name] = Estimate(value, std, unit, f"{symbol}, the only form in the model", fit.n)
     return found
 
@@ -154,7 +165,9 @@ def _residuals(signals: Sequence[SignalFit]) -> list[Finding]:
             text = (
                 f"{s.path}: the model leaves {ratio:.2f} times the noise from sample to sample "
                 f"({np.std(s.residual):.3g} against {s.floor:.3g}): coloured noise or an effect "
-                "that the model lacks; errors count it as coloured noise"
+                "that the model lacks; "
+                + ("all standard errors are enlarged as much" if ratio > _HOPELESS else
+                   "errors count it as coloured noise")
             )
             remarks.append(Finding("warning", s.measured.name, text, numbers))
         chance = _chance_of_white(s.white)

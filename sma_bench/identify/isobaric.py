@@ -33,7 +33,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import STRONGEST, IsobaricRecord
 
 NAME = "E6"
-TITLE = "E6 UPFR and isobaric tests (Fig. 8)"
+TITLE = "UPFR and isobaric tests (Fig. 8)"
 RECOVERABLE_STRAIN = "wire.maximum_recoverable_strain"
 
 

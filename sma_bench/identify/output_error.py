@@ -242,7 +242,7 @@ class _Problem:
         here = self._models(index, x)
         blocks = [np.zeros((len(m.time), self._size)) for m in rig.measured]
         parameters = [c for c in range(len(self.prior.names)) if not self._sources(rig, c)]
-        for column in [*parameters, *range(own.first_jump, own.stop)]:
+        for column in [*parameters, *range(own.first_delay, own.stop)]:
             step = _STEP if x[column] < 0.4 else -_STEP  # away from the bound of a jump's place
             nudged = x.copy()
             nudged[column] += step
@@ -261,15 +261,11 @@ class _Problem:
     ) -> None:
         own = self._own[index]
         zero = own.start
-        delayed = list(own.delays)
         for m, model, block in zip(self.rigs[index].measured, here, blocks, strict=True):
             if m.offset_std:
                 block[:, zero] = m.offset_std
                 zero += 1
-            if m.quantity in delayed:
-                column = own.first_delay + delayed.index(m.quantity)
-                block[:, column] = -own.delays[m.quantity] * np.gradient(model, m.time)
-            elif "wire.resistance" in self.prior.names:
+            if m.quantity == "current" and "wire.resistance" in self.prior.names:
                 column = self.prior.names.index("wire.resistance")
                 block[:, column] = -model * self._relative(x)[column]
 

@@ -21,7 +21,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.records.tensile import TensileRecord
 
 NAME = "E7"
-TITLE = "E7 tensile tests (Fig. 9, Table III)"
+TITLE = "Tensile tests (Fig. 9, Table III)"
 MODULUS = {"martensite": "wire.martensite_modulus", "austenite": "wire.austenite_modulus"}
 SYMBOL = {"martensite": "E_M", "austenite": "E_A"}
 NITI_MODULUS = (5e9, 120e9)  # Pa

@@ -21,7 +21,7 @@ from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
 from sma_bench.records.record import Record
 
 NAME = "E8"
-TITLE = "E8 thermal expansion factor (eq. 8, Fig. 10)"
+TITLE = "Thermal expansion factor (eq. 8, Fig. 10)"
 PARAMETER = "wire.thermal_expansion_factor"
 SHORTEST_PLATEAU = 5.0  # s
 STEADY = 0.3  # K over a window

@@ -1,0 +1,170 @@
+"""sma-bench paper: the figures and tables of the paper redrawn from data, and its errata."""
+
+import argparse
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.paper_records import sort_records, synthetic_records
+from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.yaml_file import write_text_atomically
+from sma_bench.records import open_record
+from sma_bench.report.composite_figures import CompositeRun, composite_run
+from sma_bench.report.page import Picture, write_report
+from sma_bench.report.paper_errata import paper_errata
+from sma_bench.report.paper_page import PaperPage
+from sma_bench.report.paper_results import (
+    KINDS,
+    THERMAL,
+    LabRecords,
+    Outcome,
+    identified_parameters,
+    identify_lab,
+)
+from sma_bench.report.paper_tables import TABLES, Row, csv_text, table_rows
+from sma_bench.report.thermal_figures import validation_picture
+from sma_bench.synthetic.paper_specimens import composite_rig, wire_rig
+
+_TITLE = "Systems Actuated by Shape Memory Alloys: figures, tables and errata"
+_SUMMARY = (
+    "N. Keshtkar et al., Systems Actuated by Shape Memory Alloys: Identification and Modeling, "
+    "redrawn by sma_bench. {origin}"
+)
+_SYNTHETIC = (
+    "All data on this page are synthetic: the paper's experiments on simulated benches and "
+    "specimens, identified by the same code as real records."
+)
+_MIXED = "From the records given ({given}) where they allow, else from synthetic data, as marked."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "records", nargs="*", metavar="RECORD",
+        help="bags and instrument files to draw from instead of synthetic data",
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder to write to")
+    parser.add_argument("--json", metavar="FILE", help="write tables and errata as JSON")
+    add_parameter_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write index.html, one PNG a figure and one CSV a table."""
+    started = time.monotonic()
+    parameters = parameters_from_options(args)
+    if parameters.given and not args.records:
+        raise InputError("paper: --params and --set describe the bench of RECORDs, none is given")
+    page = paper_page([open_record(path) for path in args.records], parameters)
+    given = ", ".join(args.records)
+    origin = _MIXED.format(given=given) if given else _SYNTHETIC
+    index = write_report(args.out, _TITLE, _SUMMARY.format(origin=origin), page.sections())
+    for name, rows in page.tables.items():
+        write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(rows))
+    if args.json:
+        write_json(args.json, to_json(page))
+    print_findings(page.notes)
+    synthetic = sum(outcome.synthetic for outcome in page.outcomes.values())
+    measured = len(page.outcomes) - synthetic
+    print(f"experiments: {measured} from the records given, {synthetic} synthetic")
+    print(f"report   {index}\n{time.monotonic() - started:.0f} s")
+    return 0
+
+
+def paper_page(records: Sequence[object], parameters: Parameters) -> PaperPage:
+    """Identify the given records, simulate the paper's for what they do not hold, compare.
+
+    Args:
+        records: the user's, already read; none for a page of synthetic data.
+        parameters: what is known of the bench that they come from. Synthetic data are made of the
+            paper's own numbers.
+
+    Raises:
+        InputError: records were given and none of them can be used.
+    """
+    measured, notes = sort_records(records, parameters)
+    outcomes, reasons = identify_lab(measured, parameters, synthetic=False)
+    notes += reasons
+    validation = _validation(measured, parameters, outcomes, notes)
+    runs = _runs(measured, parameters, notes)
+    if records and not (outcomes or validation or runs):
+        raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
+    paper = Parameters.defaults()
+    outcomes |= _synthetic_outcomes(paper, outcomes)
+    made = synthetic_records(paper, ["validation", "composite"])
+    drawn = validation or _validation(made, paper, outcomes, notes, synthetic=True)
+    assert drawn is not None
+    return PaperPage(
+        outcomes, drawn, validation is None, runs or _runs(made, paper, notes), not runs,
+        {name: table_rows(name, outcomes) for name in TABLES}, paper_errata(), notes,
+    )
+
+
+def _synthetic_outcomes(paper: Parameters, measured: Mapping[str, Outcome]) -> dict[str, Outcome]:
+    """Outcomes of the kinds of experiment that no measured record gave."""
+    groups = [g for g, kinds in KINDS.items() if not set(kinds) <= set(measured)]
+    found, _ = identify_lab(synthetic_records(paper, groups), paper, synthetic=True)
+    return {kind: outcome for kind, outcome in found.items() if kind not in measured}
+
+
+def _validation(
+    records: LabRecords, parameters: Parameters, outcomes: Mapping[str, Outcome],
+    notes: list[Finding], *, synthetic: bool = False,
+) -> Picture | None:
+    """Fig. 6, simulated with what was identified from data of the same origin."""
+    if not records.validation:
+        return None
+    alike = [outcomes[k] for k in THERMAL if k in outcomes and outcomes[k].synthetic == synthetic]
+    record = records.validation[0]
+    channel = next(c for c in record.channels if f"{c}.voltage" in record.signals)
+    wire = wire_rig(identified_parameters(parameters, alike))
+    try:
+        return validation_picture(record, wire.replace({"bench.channels": (channel,)}))[0]
+    except InputError as error:
+        notes.append(Finding("warning", "E4", str(error)))
+        return None
+
+
+def _runs(
+    records: LabRecords, parameters: Parameters, notes: list[Finding]
+) -> list[CompositeRun]:
+    several = len(parameters["bench.channels"]) > 1
+    rig = parameters if several else composite_rig(parameters)
+    found = []
+    for record in records.composite:
+        try:
+            found.append(composite_run(record, rig))
+        except InputError as error:
+            notes.append(Finding("warning", "E12", str(error)))
+    return found
+
+
+def to_json(page: PaperPage) -> dict[str, Any]:
+    """Tables, errata, captions and remarks."""
+    return {
+        "figures": {
+            str(number): [{"title": p.title, "caption": p.caption, "file": f"{p.name}.png"}
+                          for p in pictures]
+            for number, pictures in page.pictures().items()
+        },
+        "tables": {name: [_row(row) for row in rows] for name, rows in page.tables.items()},
+        "errata": [
+            {f.name: getattr(erratum, f.name) for f in fields(erratum)} for erratum in page.errata
+        ],
+        "warnings": [f"{note.subject}: {note.text}" for note in page.notes],
+    }
+
+
+def _row(row: Row) -> dict[str, Any]:
+    identified = None if math.isnan(row.value) else {"value": row.value, "std": row.std}
+    return {
+        "quantity": row.printed.symbol, "description": row.printed.description,
+        "unit": row.printed.unit, "paper": row.printed.value, "identified": identified,
+        "synthetic": row.synthetic, "source": row.source,
+    }

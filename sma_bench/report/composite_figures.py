@@ -1,0 +1,169 @@
+"""Figs. 15 and 16 of the paper: voltages of the composite and the deflections they lead to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from sma_bench.identify.estimate import Array
+from sma_bench.identify.rig_record import rig_record
+from sma_bench.parameters import Parameters
+from sma_bench.physics import simulate
+from sma_bench.records.held_voltages import held_voltages
+from sma_bench.records.record import Record
+from sma_bench.report.drawing import FAINT, MEASURED, MODEL, new_figure
+from sma_bench.report.page import Picture
+
+_OFF = 0.02  # of the largest voltage
+_SHORTEST_REST = 1.0  # s
+_LAST_PART = 0.1
+
+
+@dataclass(frozen=True)
+class CompositeRun:
+    """One record of the composite and its simulation.
+
+    Attributes:
+        record: where it comes from.
+        time: (n,) s; voltage: (n,) V, front positive and back negative; simulated: (n,) m.
+        measured: time (m,) s and deflection (m,) m.
+        rests: (start, stop) s of the intervals at zero voltage after a drive.
+    """
+
+    record: Record
+    time: Array
+    voltage: Array
+    simulated: Array
+    measured: tuple[Array, Array]
+    rests: tuple[tuple[float, float], ...]
+
+    def left_over(self) -> list[tuple[float, float]]:
+        """Deflection [m] measured and simulated at the end of every rest."""
+        found = []
+        for start, stop in self.rests:
+            late = stop - _LAST_PART * (stop - start)
+            found.append(
+                (_mean(*self.measured, late, stop), _mean(self.time, self.simulated, late, stop))
+            )
+        return found
+
+
+def composite_run(record: Record, parameters: Parameters) -> CompositeRun:
+    """Simulate the voltages of a record beside what it measured.
+
+    Args:
+        parameters: of the rig, bench.channels those of the record.
+
+    Raises:
+        InputError: the record lacks the voltage of a channel, or a deflection.
+    """
+    rig = rig_record(record, parameters)
+    time, voltage = held_voltages(record, parameters["bench.channels"])
+    simulated = simulate(parameters, time, voltage).deflection
+    front = np.array(parameters["bench.channel_sides"]) == "front"
+    signed = _largest(voltage[:, front]) - _largest(voltage[:, ~front])
+    deflection = next(m for m in rig.measured if m.quantity == "deflection")
+    return CompositeRun(
+        record, time, signed, simulated, (deflection.time, deflection.values),
+        _rests(time, signed),
+    )
+
+
+def composite_voltage_picture(runs: Sequence[CompositeRun]) -> Picture:
+    """Fig. 15: input voltages, one panel a record."""
+    figure, axes = new_figure(len(runs), 1.0 + 2.1 * len(runs), shared=False)
+    for letter, ax, run in zip("abcdefgh", axes, runs, strict=False):
+        _shade(ax, run)
+        ax.plot(run.time, run.voltage, color=MEASURED, lw=1.2)
+        ax.axhline(0.0, color=FAINT, lw=0.6)
+        ax.set(xlabel="time [s]", ylabel="voltage [V]")
+        ax.set_title(f"({letter})", loc="left", fontsize=10)
+        _label_sides(ax)
+    caption = (
+        "Input of eq. (2): positive voltages drive the front wires, negative ones stand for the "
+        f"back wires; shaded: zero voltage, the wires cool. {_sources(runs)}"
+    )
+    return Picture("figure_15_voltage", "Input voltage of the composite", caption, figure)
+
+
+def composite_deflection_picture(runs: Sequence[CompositeRun]) -> Picture:
+    """Fig. 16: deflections, measured and simulated, one panel a record."""
+    figure, axes = new_figure(len(runs), 1.0 + 2.4 * len(runs), shared=False)
+    for letter, ax, run in zip("abcdefgh", axes, runs, strict=False):
+        _shade(ax, run)
+        time, deflection = run.measured
+        ax.plot(time, 1e3 * deflection, color=MEASURED, lw=3, alpha=0.45, label="measured")
+        ax.plot(run.time, 1e3 * run.simulated, color=MODEL, lw=1.1, label="simulated")
+        ax.axhline(0.0, color=FAINT, lw=0.6)
+        ax.set(xlabel="time [s]", ylabel="deflection [mm]")
+        ax.set_title(f"({letter})", loc="left", fontsize=10)
+        _label_sides(ax)
+    axes[0].legend(loc="upper right", fontsize=8)
+    _annotate_rest(axes[0], runs[0])
+    caption = (
+        "Eqs. (2), (6), (7), (9) to (11) of every wire, bent together by the corrected eqs. (15) "
+        f"and (17). {_left_over_text(runs)} {_sources(runs)}"
+    )
+    return Picture("figure_16_deflection", "Deflection of the composite", caption, figure)
+
+
+def _largest(voltage: Array) -> Array:
+    return voltage.max(axis=1) if voltage.shape[1] else np.zeros(len(voltage))
+
+
+def _rests(time: Array, voltage: Array) -> tuple[tuple[float, float], ...]:
+    off = np.abs(voltage) < _OFF * np.abs(voltage).max()
+    if off.all():
+        return ()
+    off[: int(np.argmin(off))] = False  # before the first drive there is nothing to cool
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], off, [False]]).astype(int)))
+    spans = [
+        (float(time[first]), float(time[last - 1]))
+        for first, last in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return tuple((a, b) for a, b in spans if b - a > _SHORTEST_REST)
+
+
+def _mean(time: Array, values: Array, start: float, stop: float) -> float:
+    inside = (time >= start) & (time <= stop)
+    return float(np.mean(values[inside])) if inside.any() else float("nan")
+
+
+def _shade(ax: Axes, run: CompositeRun) -> None:
+    for start, stop in run.rests:
+        ax.axvspan(start, stop, color=FAINT, alpha=0.13, lw=0)
+
+
+def _label_sides(ax: Axes) -> None:
+    for text, height, align in (("front", 0.97, "top"), ("back", 0.03, "bottom")):
+        ax.text(
+            0.008, height, text, transform=ax.transAxes, fontsize=8, color=FAINT, va=align,
+        )
+
+
+def _annotate_rest(ax: Axes, run: CompositeRun) -> None:
+    if not run.rests:
+        return
+    start, stop = run.rests[0]
+    ax.annotate(
+        "zero voltage", (0.5 * (start + stop), 0.97), xycoords=("data", "axes fraction"),
+        xytext=(0, 0), textcoords="offset points", ha="center", va="top", fontsize=8,
+        color=FAINT,
+    )
+
+
+def _left_over_text(runs: Sequence[CompositeRun]) -> str:
+    left = np.array([pair for run in runs for pair in run.left_over()])
+    if not len(left):
+        return ""
+    measured, simulated = 1e3 * np.nanmax(np.abs(left), axis=0)
+    return (
+        f"At the end of the zero-voltage intervals up to {measured:.2g} mm are left in the record "
+        f"and {simulated:.2g} mm in the simulation. The paper saw its simulation return to zero "
+        "there and its specimen not."
+    )
+
+
+def _sources(runs: Sequence[CompositeRun]) -> str:
+    return "; ".join(str(run.record.path) for run in runs)
