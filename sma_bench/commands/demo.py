@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table as RichTable
 
@@ -21,9 +22,9 @@ NAMESPACE = "/demo"
 PROTOCOLS = ("staircase", "ramp", "triangle")
 FITTED = ("staircase", "ramp")
 TABLE_ONE = {
-    "wire.resistance": "R [ohm]",
-    "wire.heat_transfer_coefficient": "h [W/(m2 K)]",
-    "wire.specific_heat": "c_p [J/(kg K)]",
+    "wire.resistance": "R",
+    "wire.heat_transfer_coefficient": "h",
+    "wire.specific_heat": "c_p",
 }
 RECORDED = ("wire/power", "wire/temperature", "voltage_command", "experiment/marker")
 WITHIN_SIGMAS = 2.0
@@ -57,14 +58,16 @@ def run(args: argparse.Namespace) -> int:
     estimates = answer["parameters"]
     console.print(_result_table(estimates, truth))
     for warning in answer["warnings"]:
-        console.print(f"[yellow]note[/] {warning}")
+        console.print(f"[yellow]note[/] {escape(warning)}")
     page = _report(out, estimates, truth)
     holds = promise_holds(estimates, truth)
     console.print(
         f"within {WITHIN_SIGMAS:g} standard errors of the simulated truth, errors under "
         f"{LARGEST_RELATIVE_STD:.0%}: {'yes' if holds else 'NO'}"
     )
-    console.print(f"report   {page}\nbags     {out / 'bags'}\nnodes load {out / 'identified.yaml'}")
+    places = {"report": page, "bags": out / "bags", "nodes load": out / "identified.yaml"}
+    for what, path in places.items():
+        console.print(f"{what:11}{escape(str(path))}", soft_wrap=True)
     console.print(f"{time.monotonic() - started:.0f} s")
     return 0 if holds else 1
 
@@ -166,25 +169,27 @@ def _progress(console: Console) -> Progress:
     )
 
 
-_HEADER = ("", "paper", "simulated truth", "identified", "standard error", "deviation")
+_HEADER = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
 
 
 def _rows(estimates: dict[str, Any], truth: Parameters) -> list[tuple[str, ...]]:
+    """One row a parameter; the deviation from the simulated truth in standard errors."""
     paper = Parameters.defaults()
     rows = []
     for name, symbol in TABLE_ONE.items():
         value, std = estimates[name]["value"], estimates[name]["std"]
         numbers = [f"{number:.5g}" for number in (paper[name], truth[name], value)]
-        rows.append((symbol, *numbers, f"{std:.2g}", f"{(value - truth[name]) / std:+.2f} errors"))
+        deviation = f"{(value - truth[name]) / std:+.2f}"
+        rows.append((symbol, estimates[name]["unit"], *numbers, f"{std:.2g}", deviation))
     return rows
 
 
 def _result_table(estimates: dict[str, Any], truth: Parameters) -> RichTable:
-    table = RichTable(title="Table I")
+    table = RichTable(title="Table I", box=None, pad_edge=False)
     for k, head in enumerate(_HEADER):
-        table.add_column(head, justify="right" if k else "left")
+        table.add_column(head, justify="right" if k > 1 else "left", no_wrap=True)
     for row in _rows(estimates, truth):
-        table.add_row(*row)
+        table.add_row(*(escape(cell) for cell in row))
     return table
 
 
@@ -199,7 +204,7 @@ def _report(out: Path, estimates: dict[str, Any], truth: Parameters) -> Path:
     records = [read_record(out / "bags" / name) for name in FITTED]
     result = identify(records, Parameters.defaults())
     picture, _ = validation_picture(read_record(out / "bags" / "triangle"), result.parameters)
-    table = Table(_HEADER, _rows(estimates, truth), frozenset(range(1, 6)))
+    table = Table(_HEADER, _rows(estimates, truth), frozenset(range(2, 7)))
     sections = [
         Section("Table I", notes=["Synthetic: simulated bench, real nodes."], tables=[table]),
         *(experiment_section(experiment) for experiment in result.experiments),
