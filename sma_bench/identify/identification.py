@@ -161,7 +161,7 @@ def _instruments(run: Run, records: Sequence[AnyRecord]) -> None:
     dsc = [r for r in records if isinstance(r, DscRecord)]
     isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
-    if len(dsc) == 1:
+    if len(dsc) == 1 and _rate_follows_cycle(dsc[0]):
         _try(run, "E5", lambda: identify_transition_temperatures(dsc[0]))
     elif dsc:
         _try(run, "E5", lambda: identify_heating_rates(dsc))
@@ -171,6 +171,12 @@ def _instruments(run: Run, records: Sequence[AnyRecord]) -> None:
         _try(run, "E7", lambda: identify_tensile(tensile, run.improved()))
     if isobaric and run.asked:
         _try(run, "E9", lambda: fit_constitutive(isobaric, run.improved()))
+
+
+def _rate_follows_cycle(record: DscRecord) -> bool:
+    """Whether one run's cycles differ in rate, which must not pass for a law of the rate."""
+    scans = [s for s in record.segments if s.kind != "isothermal"]
+    return len({round(abs(s.rate) * 60.0, 1) for s in scans}) > 1
 
 
 def _thermal_expansion(run: Run, bags: Sequence[Record]) -> None:

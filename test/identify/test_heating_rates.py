@@ -5,8 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sma_bench.identify import identify
 from sma_bench.identify.heating_rates import identify_heating_rates
+from sma_bench.parameters import Parameters
 from sma_bench.records.dsc import DscRecord, DscSegment, read_dsc
+from sma_bench.synthetic.paper_specimens import dsc_record
 
 TABLE_II = {1: (351.29, 371.05, 355.49, 324.93), 2: (331.81, 353.61, 353.39, 325.09)}
 NAMES = ("A_s", "A_f", "M_s", "M_f")
@@ -109,3 +112,20 @@ def test_rates_and_cycles_that_changed_together_are_said(shared_data: Path) -> N
     assert a_f.value == pytest.approx(368.6, abs=1.0)
     lag = experiment.details["A_f lag"]
     assert lag.value == pytest.approx(10.0, abs=6.0)
+
+
+def test_identify_gives_table_two_and_the_prestrain_shift_for_cycles_at_one_rate():
+    parameters = Parameters.defaults()
+    result = identify([dsc_record(parameters)], parameters)
+    a_s = result.estimates["wire.austenite_start_temperature"]
+    assert a_s.value == pytest.approx(331.81, abs=0.5)
+    assert a_s.std < 1.0
+    shifts = [f.text for e in result.experiments for f in e.findings if "prestrain" in f.text]
+    assert len(shifts) >= 1
+
+
+def test_identify_takes_no_law_of_the_rate_from_a_run_whose_cycles_differ_in_rate(shared_data):
+    record = read_dsc(shared_data / "sma_react/input/preprocessor_samples/DSC.txt")
+    result = identify([record], Parameters.defaults())
+    assert "segment_8/start" in result.experiments[0].details
+    assert not any("zero rate" in name for name in result.experiments[0].details)
