@@ -4,6 +4,7 @@ The same states, services, markers and safety rules; `~/setpoint` says what is f
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -17,7 +18,7 @@ from sma_bench.protocols.reading import Quantity
 from sma_bench.protocols.references import load_reference
 
 
-class Controller(Experiment):
+class Controller(Experiment, ABC):
     """A run ends with its reference; one from the topic goes on until stopped."""
 
     quantity: ClassVar[Quantity]
@@ -31,25 +32,25 @@ class Controller(Experiment):
         self._setpoint = self.create_publisher(message, "~/setpoint", MEASURED)
         self.create_subscription(message, "~/reference", self._on_reference, 10)
 
+    @abstractmethod
     def design(self) -> Any:
         """The controller for the parameters of the moment."""
-        raise NotImplementedError
 
+    @abstractmethod
     def reference_fault(self, level: Sequence[float]) -> str:
         """Why a reference cannot be followed, or ""."""
-        raise NotImplementedError
 
+    @abstractmethod
     def levels_of(self, message: Any) -> list[float]:
         """Levels, SI, of a message of `~/reference`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def message_of(self, levels: Sequence[float]) -> Any:
         """The message of `~/setpoint`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def answer(self, wanted: Sequence[float], upcoming: Sequence[float]) -> list[float]:
         """Volts for levels wanted now and one period later."""
-        raise NotImplementedError
 
     def plan(self, settings: dict[str, Any]) -> Protocol:
         """The reference, every level of it within the bench's reach."""

@@ -37,6 +37,25 @@ def load_yaml(text: str) -> Any:
         loader.dispose()
 
 
+def read_document(path: str | Path) -> Any:
+    """What a YAML file holds.
+
+    Raises:
+        InputError: unreadable or not YAML, in one line.
+    """
+    try:
+        return load_yaml(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" line {mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise InputError(f"{path}:{line} not YAML: {problem}") from None
+
+
 def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str, Any]:
     """Dotted names and raw values that a node would load from a ROS parameter file.
 
@@ -163,17 +182,7 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _load(path: str | Path) -> dict[str, Any]:
-    try:
-        document = load_yaml(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or "syntax error"
-        raise InputError(f"{path}:{line} not YAML: {problem}") from None
+    document = read_document(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a ROS parameter file ('{WILDCARD}: ros__parameters:')")
     return document

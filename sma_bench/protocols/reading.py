@@ -17,11 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yaml import YAMLError
-
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.yaml_file import load_yaml
+from sma_bench.parameters.yaml_file import read_document
 from sma_bench.protocols.protocol import Protocol, Segment
 from sma_bench.protocols.steps import KINDS, Line, Scale, StepKind
 from sma_bench.share import share_directory
@@ -78,21 +76,6 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters) -> Protocol:
     """
     path = locate(name_or_path, VOLTAGE)
     return parse_protocol(read_document(path), parameters, where=str(path), name=path.stem)
-
-
-def read_document(path: Path) -> Any:
-    """What a YAML file holds; InputError when it cannot be read."""
-    try:
-        return load_yaml(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
-    except (YAMLError, ValueError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise InputError(f"{path}:{line} not YAML: {problem}") from None
 
 
 def parse_protocol(

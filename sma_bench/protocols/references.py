@@ -15,6 +15,7 @@ from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.yaml_file import read_document
 from sma_bench.protocols.protocol import Protocol
 from sma_bench.protocols.reading import (
     PROTOCOL_KEYS,
@@ -22,7 +23,6 @@ from sma_bench.protocols.reading import (
     bench_channels,
     locate,
     parse_levels,
-    read_document,
 )
 
 TIP = "tip"

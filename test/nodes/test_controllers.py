@@ -109,8 +109,8 @@ def short_staircase(reference):
     ],
 )
 def test_staircase_of_e8_runs_closed_loop_on_the_simulator(bench, reference, name, levels, dwell):
-    celsius = bench.listen("wire/temperature", Temperature)
-    force = bench.listen("joint_states", JointState)
+    celsius = bench.listen("wire/temperature", Temperature, 10_000)
+    force = bench.listen("joint_states", JointState, 10_000)
     markers = bench.listen("experiment/marker", String)
     setpoints = bench.listen("temperature_controller/setpoint", Float64MultiArray)
     bench.start("simulator", **FAST)
@@ -119,7 +119,8 @@ def test_staircase_of_e8_runs_closed_loop_on_the_simulator(bench, reference, nam
     run_to_the_end(bench, "temperature_controller", name)
     bench.until(lambda: markers[-1].data == f"{name}/done")
     assert [m.data for m in markers[:2]] == [f"{name}/up {level:g} K" for level in levels[:2]]
-    warm = next(m for m in celsius if m.temperature > 27.0)
+    # The marker may overtake readings that still wait in the test's own queues.
+    warm = bench.until(lambda: next((m for m in celsius if m.temperature > 27.0), None))
     begin = stamps([warm])[0]
     end = begin + dwell * len(levels)
     bench.until(lambda: min(*stamps(celsius[-1:]), *stamps(force[-1:])) > end)
