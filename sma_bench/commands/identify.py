@@ -55,8 +55,8 @@ def print_result(result: Identification) -> None:
         right = heading in ("value", "std", "n")
         table.add_column(heading, justify="right" if right else "left", no_wrap=True)
     for name, e in result.estimates.items():
-        source = next(x.name for x in result.experiments if name in x.estimates)
-        table.add_row(name, f"{e.value:.6g}", f"{e.std:.2g}", e.unit, str(e.n), source)
+        number = f"{e.value:.6g}"
+        table.add_row(name, number, f"{e.std:.2g}", e.unit, str(e.n), result.origin(name))
     Console(highlight=False).print(table)
     print_findings(result.notes)
     for experiment in result.experiments:

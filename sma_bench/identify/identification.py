@@ -61,6 +61,12 @@ class Identification:
     experiments: tuple[Experiment, ...]
     notes: tuple[Finding, ...] = ()
 
+    def origin(self, name: str) -> str:
+        """Name of the experiment that the estimate of a parameter is from."""
+        told = [e for e in self.experiments if name in e.estimates]
+        same = [e for e in told if e.estimates[name] == self.estimates[name]]
+        return (same or told)[-1].name
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """Everything a careful reader should know before using the numbers."""

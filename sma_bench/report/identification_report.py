@@ -36,8 +36,8 @@ def experiment_section(experiment: Experiment) -> Section:
 def _table(result: Identification) -> Table:
     rows = []
     for name, e in result.estimates.items():
-        source = next(x.name for x in result.experiments if name in x.estimates)
-        rows.append((name, f"{e.value:.6g}", f"{e.std:.2g}", e.unit, str(e.n), source, e.method))
+        numbers = (f"{e.value:.6g}", f"{e.std:.2g}", e.unit, str(e.n))
+        rows.append((name, *numbers, result.origin(name), e.method))
     return Table(_HEADER, rows, frozenset({1, 2, 4}))
 
 
