@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
@@ -22,6 +23,7 @@ _DEPTH = 5000
 _IMAGE_DEPTH = 100
 _DRAIN_AT_ONCE = 100
 _LONGEST_DRAIN = 3.0
+_LAST_WORD = 1.0
 
 
 class Recorder(BenchNode):
@@ -55,6 +57,8 @@ class Recorder(BenchNode):
         """Finish the bag with its index."""
         self._guarded(self._bag.close)
         self._publish_state("failed" if self.failure else "closed")
+        # Listeners would otherwise miss how it ended.
+        self._state.wait_for_all_acked(Duration(seconds=_LAST_WORD))
 
     def _look(self) -> None:
         inside = self.get_namespace().rstrip("/") + "/"
