@@ -113,7 +113,7 @@ def test_readings_of_a_protocol_are_the_same_at_any_speed_and_after_any_wait(ben
 
 def readings(bench, path, speed):
     """Voltage and current of the four seconds in which SHORT drives the wire."""
-    power = bench.listen("wire/power", BatteryState)
+    power = bench.listen("wire/power", BatteryState, 20_000)
     states = bench.latched("experiment/state", String)
     nodes = [
         bench.start("simulator", speed=speed),
@@ -122,11 +122,12 @@ def readings(bench, path, speed):
     bench.until(lambda: power and states)
     bench.until(lambda: bench.trigger("experiment/start").success)
     bench.until(lambda: states and states[-1].data == "done: short")
-    found = [(m.voltage, m.current) for m in power]
+    # The state may overtake readings that still wait in the test's own queue.
+    first = bench.until(lambda: next((k for k, m in enumerate(power) if m.voltage > 1.0), 0))
+    bench.until(lambda: len(power) >= first + 400)
     for node in nodes:
         node.end()
-    first = next(k for k, (volt, _) in enumerate(found) if volt > 1.0)
-    return found[first : first + 400]
+    return [(m.voltage, m.current) for m in power[first : first + 400]]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
