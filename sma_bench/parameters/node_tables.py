@@ -142,6 +142,32 @@ IDENTIFICATION = (
     ),
 )
 
+DIAGNOSIS = (
+    Parameter(
+        "record", "", ("",), "Bags of one bench to diagnose, relative to record_root.",
+        "choice", kind="strings",
+    ),
+    Parameter(
+        "hold_out", "", ("",),
+        "Further bags, relative to record_root, on which the shrinkage is measured; empty for the "
+        "last part of each record.",
+        "choice", kind="strings",
+    ),
+    Parameter(
+        "record_root", "", "",
+        "Folder that records must lie in; empty for any place.",
+        "choice", kind="string", read_only=True,
+    ),
+    Parameter(
+        "improved", "", "", "Parameter file to write with the improvement; empty for none.",
+        "choice", kind="string",
+    ),
+    Parameter(
+        "report", "", "", "Folder for a page with figures; empty for none.",
+        "choice", kind="string",
+    ),
+)
+
 _RUN = tuple(p for p in EXPERIMENT if p.name != "protocol")
 
 _CONTROL = (
@@ -193,6 +219,7 @@ NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
     "experiment": EXPERIMENT,
     "recorder": RECORDER,
     "identification": IDENTIFICATION,
+    "diagnosis": DIAGNOSIS,
     "temperature_controller": TEMPERATURE_CONTROLLER,
     "deflection_controller": DEFLECTION_CONTROLLER,
 }

@@ -1,5 +1,6 @@
 """Every parameter of the bench contract, with its number and where the number comes from."""
 
+from sma_bench.parameters.effect_table import EFFECT_TABLE
 from sma_bench.parameters.parameter import Parameter
 
 WIRE = (
@@ -52,6 +53,19 @@ WIRE = (
         "wire.martensite_finish_temperature", "K", 325.09,
         "M_f, stress free.",
         "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+    ),
+    Parameter(
+        "wire.transition_spread", "K", 0.0,
+        "Half the distance of two groups of grains on the temperature axis; 0 for the ramps of "
+        "eqs. (10), (11) as they are.",
+        "assumed: a polycrystal transforms more smoothly than a cosine", 0.0, 30.0,
+        uncertainty=1.5,
+    ),
+    Parameter(
+        "wire.transition_tail", "1", 0.0,
+        "Share of the wire that transforms over two and a half times the range.",
+        "assumed: a polycrystal transforms more smoothly than a cosine", 0.0, 1.0,
+        uncertainty=0.1,
     ),
     Parameter(
         "wire.martensite_modulus", "Pa", 22.8e9,
@@ -180,5 +194,5 @@ BENCH = (
     ),
 )
 
-TABLE: tuple[Parameter, ...] = (*WIRE, *ENVIRONMENT, *COMPOSITE, *BENCH)
+TABLE: tuple[Parameter, ...] = (*WIRE, *ENVIRONMENT, *COMPOSITE, *BENCH, *EFFECT_TABLE)
 BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}

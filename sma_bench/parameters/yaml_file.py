@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from sma_bench.errors import InputError
+from sma_bench.parameters.effect_table import EFFECT_PREFIX
 from sma_bench.parameters.parameter import Value
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
 from sma_bench.parameters.table import TABLE
@@ -129,12 +130,12 @@ def write_parameters(
         path: file to write.
         parameters: values and uncertainties.
         comment: lines for the head of the file.
-        names: parameters to write, in any order; all when None.
+        names: parameters to write, in any order; when None all but effects that nobody gave.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    chosen = set(parameters if names is None else names)
+    chosen = set(_worth_writing(parameters) if names is None else names)
     body: dict[str, Any] = {}
     for parameter in TABLE:
         if parameter.name in chosen:
@@ -145,6 +146,10 @@ def write_parameters(
     text = "".join(f"# {line}\n" for line in comment.splitlines())
     text += yaml.safe_dump({WILDCARD: {"ros__parameters": body}}, sort_keys=False)
     write_text_atomically(path, text)
+
+
+def _worth_writing(parameters: Parameters) -> Iterable[str]:
+    return (n for n in parameters if n in parameters.given or not n.startswith(EFFECT_PREFIX))
 
 
 def write_text_atomically(path: str | Path, text: str) -> None:

@@ -48,7 +48,8 @@ class Boundary:
     def bending(cls, parameters: Parameters) -> Self:
         """The composite: sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side."""
         alpha, front, back = bending_coefficients(parameters)
-        betas = {"front": front, "back": back}
+        ratio = parameters["effect.side_asymmetry.ratio"]
+        betas = {"front": front * (1.0 + ratio), "back": back * (1.0 - ratio)}
         names = side_names(parameters)
         return cls(
             stiffness=tuple(betas[name] * alpha for name in names),

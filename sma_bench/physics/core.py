@@ -1,9 +1,6 @@
 # mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """The compiled kernel: heat, phase, stress and boundary of any number of wires, step by step.
 
-Importing this module imports numba; `simulate` does so at its first call. Everything that is
-compiled stays in this one file: numba's cache notices changes of a function's own file only.
-
 A step of length dt at held voltages, for every wire i of every side s:
 
     T_i     = T_eq + (T_i0 - T_eq) exp(-dt/tau) + lag (xi_i - xi_i0)      (lag: latent heat)
@@ -13,114 +10,69 @@ A step of length dt at held voltages, for every wire i of every side s:
 
 A wire's temperature is monotone within the step, so reversals fall on samples.
 
-Everything lies in two plain arrays, one row a wire and one row a side, which all functions share:
-`wires` (w, WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS); `i` is a wire, `side` a side. Plain arrays
-because calls with many arguments cost more than the physics, and because numba's cache on disk
-would hold on to classes of an older version.
+Everything lies in two plain arrays (columns.py) that all functions share: `wires` (w,
+WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS); `i` is a wire, `side` a side. Wires and sides that an
+effect marks go through otherwise.py before and after the common solution.
 """
 
 import math
 
-from sma_bench.physics.compiled import compiled
+import numpy as np
 
-# Columns of a wire: what it is (SI; reciprocals spare the kernel divisions),
-AMBIENT, HEATING, TIME_CONSTANT, LATENT_RISE = 0, 1, 2, 3  # K, K/V2, s, K
-AUSTENITE_FINISH, AUSTENITE_SLOPE, AUSTENITE_SHIFT = 4, 5, 6  # A_f, 1/(A_f - A_s), 1/C_A
-MARTENSITE_FINISH, MARTENSITE_SLOPE, MARTENSITE_SHIFT = 7, 8, 9  # M_f, 1/(M_s - M_f), 1/C_M
-AUSTENITE_MODULUS, MODULUS_CHANGE, RECOVERABLE_STRAIN, EXPANSION, SIDE = 10, 11, 12, 13, 14
-# its state,
-WIRE_STATE = 15
-TEMPERATURE, FRACTION, STRESS, TREND, CHANGE = 15, 16, 17, 18, 19
-PHASE_REVERSED, OWN_REVERSED, OTHER_REVERSED, OTHER_POSITION_REVERSED = 20, 21, 22, 23
-# and scratch of a step, temperature = START + LAG xi.
-DECAY, LAG, START, GUESS, STEP, COUPLING = 24, 25, 26, 27, 28, 29
-WIRE_COLUMNS = 30
-
-# Columns of a side: sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED; its state.
-PRESCRIBED, STIFFNESS, LOAD = 0, 1, 2
-SIDE_STATE = 3
-CONTRACTION, CONTRACTION_CHANGE = 3, 4
-SIDE_COLUMNS = 5
+from sma_bench.compiled import compiled
+from sma_bench.physics.columns import (
+    AMBIENT,
+    AUSTENITE_MODULUS,
+    BENDING,
+    CHANGE,
+    CLOCK,
+    CONTRACTION,
+    CONTRACTION_CHANGE,
+    COUPLING,
+    DECAY,
+    EVOLVES,
+    EXPANSION,
+    FINAL_SHIFT,
+    FRACTION,
+    GUESS,
+    HEATED_OTHERWISE,
+    HEATING,
+    LAG,
+    LATENT_RISE,
+    LOAD,
+    MODULUS_CHANGE,
+    OFFSET,
+    PRESCRIBED,
+    PULLS_OTHERWISE,
+    READING,
+    RECOVERABLE_STRAIN,
+    SIDE,
+    START,
+    STEP,
+    STIFFNESS,
+    STRESS,
+    TEMPERATURE,
+    TIME_CONSTANT,
+    TREND,
+)
+from sma_bench.physics.effects.side_heat_coupling import look_across
+from sma_bench.physics.effects.transition_drift import shift_transition
+from sma_bench.physics.kinetics import fraction, reverse
+from sma_bench.physics.otherwise import (
+    change_regime,
+    finish_side,
+    finish_wire,
+    heat_balance,
+    prepare_side,
+    set_strain,
+)
 
 NEWTON_STEP = 1e-10  # converges quadratically: the error left is of order 10 NEWTON_STEP^2
 NEWTON_LIMIT = 15
 BISECTION_LIMIT = 200
 BRACKET = 1e-15
+REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
-
-
-@compiled
-def ramp(position):
-    """sin^2 ramp from 0 to 1 over positions 0 to 1, and its slope."""
-    if position <= 0.0:
-        return 0.0, 0.0
-    if position >= 1.0:
-        return 1.0, 0.0
-    root = math.sin(0.5 * math.pi * position)
-    return root * root, math.pi * root * math.sqrt(1.0 - root * root)
-
-
-@compiled
-def positions(wires, i, temperature, stress):
-    """Where T, sigma lie on the ramps f and g."""
-    of_f = wires[i, AUSTENITE_FINISH] - temperature + stress * wires[i, AUSTENITE_SHIFT]
-    of_g = temperature - stress * wires[i, MARTENSITE_SHIFT] - wires[i, MARTENSITE_FINISH]
-    return of_f * wires[i, AUSTENITE_SLOPE], of_g * wires[i, MARTENSITE_SLOPE]
-
-
-@compiled
-def phase_left(wires, i, own, other):
-    """What is left of the vanishing phase (phase.py), its slopes along own and other position."""
-    phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
-    other_reversed = wires[i, OTHER_REVERSED]
-    share, share_slope = ramp(own)
-    left, by_own, by_other = 0.0, 0.0, 0.0
-    if own_reversed > 0.0:
-        scale = phase / own_reversed
-        left, by_own = share * scale, share_slope * scale
-    elif phase > 0.0 and other_reversed < 1.0:
-        scale = phase / (1.0 - other_reversed)
-        rest, rest_slope = ramp(other)
-        left, by_other = (1.0 - rest) * scale, -rest_slope * scale
-    # The other ramp's sine is spared unless stress has moved that ramp back.
-    if other < wires[i, OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
-        rest, rest_slope = ramp(other)
-        bound = 1.0 - rest / other_reversed
-        if bound >= share:
-            left, by_own, by_other = share, share_slope, 0.0
-        elif bound > left:
-            left, by_own, by_other = bound, 0.0, -rest_slope / other_reversed
-    if left > 1.0:
-        return 1.0, 0.0, 0.0
-    return left, by_own, by_other
-
-
-@compiled
-def fraction(wires, i, temperature, stress):
-    """xi of wire i by the rule of phase.py, d xi/dT and d xi/d sigma."""
-    of_f, of_g = positions(wires, i, temperature, stress)
-    if wires[i, TREND] > 0.0:
-        xi, by_f, by_g = phase_left(wires, i, of_f, of_g)
-    else:
-        left, by_g, by_f = phase_left(wires, i, of_g, of_f)
-        xi, by_f, by_g = 1.0 - left, -by_f, -by_g
-    by_f *= wires[i, AUSTENITE_SLOPE]
-    by_g *= wires[i, MARTENSITE_SLOPE]
-    return xi, by_g - by_f, by_f * wires[i, AUSTENITE_SHIFT] - by_g * wires[i, MARTENSITE_SHIFT]
-
-
-@compiled
-def reverse(wires, i, trend):
-    """Make the present state of wire i the state of the last reversal."""
-    of_f, of_g = positions(wires, i, wires[i, TEMPERATURE], wires[i, STRESS])
-    f, g = ramp(of_f)[0], ramp(of_g)[0]
-    rising = trend > 0.0
-    wires[i, TREND] = trend
-    wires[i, CHANGE] = 0.0
-    wires[i, PHASE_REVERSED] = wires[i, FRACTION] if rising else 1.0 - wires[i, FRACTION]
-    wires[i, OWN_REVERSED] = f if rising else g
-    wires[i, OTHER_REVERSED] = g if rising else f
-    wires[i, OTHER_POSITION_REVERSED] = of_g if rising else of_f
 
 
 @compiled
@@ -128,7 +80,7 @@ def constitutive(wires, i, contraction, xi):
     """T, sigma of eq. (6), E and sigma's elastic strain at the end of the step, given xi and e."""
     temperature = wires[i, START] + wires[i, LAG] * xi
     modulus = wires[i, AUSTENITE_MODULUS] + xi * wires[i, MODULUS_CHANGE]
-    stretch = wires[i, RECOVERABLE_STRAIN] * (1.0 - xi) - contraction
+    stretch = wires[i, RECOVERABLE_STRAIN] * (1.0 - xi) + wires[i, OFFSET] - contraction
     stress = modulus * stretch + wires[i, EXPANSION] * (temperature - wires[i, AMBIENT])
     return temperature, stress, modulus, stretch
 
@@ -257,51 +209,93 @@ def set_step(wires, step):
 
 
 @compiled
-def heat(wires, voltage, k):
+def heat(wires, voltage, k, step):
     """Temperatures at the end of the step, as far as they do not depend on xi; reversals."""
     for i in range(wires.shape[0]):
-        steady = wires[i, AMBIENT] + wires[i, HEATING] * voltage[k, i] * voltage[k, i]
+        if wires[i, HEATED_OTHERWISE] > 0.0:
+            steady = heat_balance(wires, i, voltage[k, i], step)
+        else:
+            steady = wires[i, AMBIENT] + wires[i, HEATING] * voltage[k, i] * voltage[k, i]
         excess = wires[i, TEMPERATURE] - steady
         if excess * wires[i, TREND] > 0.0:
             reverse(wires, i, -wires[i, TREND])
         wires[i, START] = steady + excess * wires[i, DECAY] - wires[i, LAG] * wires[i, FRACTION]
+        if wires[i, EVOLVES] > 0.0:
+            set_strain(wires, i)
+
+
+@compiled
+def solve_side(wires, sides, side):
+    """Fractions and contraction of a side at the end of the step; how far it contracted."""
+    before = sides[side, CONTRACTION]
+    if sides[side, PRESCRIBED] > 0.0:
+        for i in range(wires.shape[0]):
+            if wires[i, SIDE] == side:
+                wires[i, GUESS] = solve_wire(wires, i, before)
+        return 0.0
+    guess = before + sides[side, CONTRACTION_CHANGE]
+    converged, after = solve_jointly(wires, sides, side, guess)
+    if not converged:
+        for i in range(wires.shape[0]):
+            if wires[i, SIDE] == side:
+                wires[i, GUESS] = wires[i, FRACTION]
+        after = solve_nested(wires, sides, side, before)
+    sides[side, CONTRACTION] = after
+    return after - before
 
 
 @compiled
 def solve(wires, sides):
-    """Fractions, stresses and contractions at the end of the step, together."""
+    """Fractions, stresses and contractions of all sides at the end of the step."""
     for i in range(wires.shape[0]):
         guess = wires[i, FRACTION] + wires[i, CHANGE]
         wires[i, GUESS] = min(max(guess, 0.0), 1.0)
     for side in range(sides.shape[0]):
-        before = sides[side, CONTRACTION]
-        if sides[side, PRESCRIBED] > 0.0:
-            for i in range(wires.shape[0]):
-                if wires[i, SIDE] != side:
-                    continue
-                wires[i, GUESS] = solve_wire(wires, i, before)
-            continue
-        converged, after = solve_jointly(
-            wires, sides, side, before + sides[side, CONTRACTION_CHANGE]
-        )
-        if not converged:
-            for i in range(wires.shape[0]):
-                if wires[i, SIDE] != side:
-                    continue
-                wires[i, GUESS] = wires[i, FRACTION]
-            after = solve_nested(wires, sides, side, before)
-        sides[side, CONTRACTION], sides[side, CONTRACTION_CHANGE] = after, after - before
+        change = solve_side(wires, sides, side)
+        if sides[side, PULLS_OTHERWISE] > 0.0:
+            for _ in range(REGIME_LIMIT):
+                if not change_regime(wires, sides, side):
+                    break
+                change += solve_side(wires, sides, side)
+        sides[side, CONTRACTION_CHANGE] = change
 
 
 @compiled
-def settle(wires, sides):
-    """Write the solved step into the state of the wires."""
+def settle(wires, sides, step):
+    """Write the solved step into the state of the wires and sides."""
+    for side in range(sides.shape[0]):
+        if sides[side, PULLS_OTHERWISE] > 0.0:
+            finish_side(sides, side)
+        else:
+            sides[side, BENDING] = sides[side, CONTRACTION]
     for i in range(wires.shape[0]):
         xi, contraction = wires[i, GUESS], sides[int(wires[i, SIDE]), CONTRACTION]
         temperature, stress, _, _ = constitutive(wires, i, contraction, xi)
+        before = wires[i, FRACTION]
         wires[i, TEMPERATURE], wires[i, STRESS] = temperature, stress
-        wires[i, CHANGE] = xi - wires[i, FRACTION]
+        wires[i, CHANGE] = xi - before
         wires[i, FRACTION] = xi
+        wires[i, CLOCK] += step
+        if wires[i, EVOLVES] > 0.0:
+            finish_wire(wires, i, before, step)
+        else:
+            wires[i, READING] = temperature
+
+
+@compiled
+def prepare(wires, sides, step):
+    """What effects change before a step."""
+    look_across(wires)
+    for side in range(sides.shape[0]):
+        if sides[side, PULLS_OTHERWISE] > 0.0:
+            prepare_side(wires, sides, side, step)
+
+
+@compiled
+def any_effect(wires, sides):
+    """Whether any wire or side is to be prepared before a step."""
+    heated = np.any(wires[:, HEATED_OTHERWISE] > 0.0)
+    return heated or np.any(sides[:, PULLS_OTHERWISE] > 0.0)
 
 
 @compiled
@@ -311,11 +305,15 @@ def run(time, voltage, wires, sides, history, strain):
     Args:
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
         wires, sides: advanced in place; a TREND of 0 starts a history.
-        history: (3, n, w) temperature, fraction, stress; strain: (n, s) contraction; written.
+        history: (4, n, w) temperature, fraction, stress, reading; strain: (2, n, s) contraction,
+            and the part that bends; written.
     """
     for i in range(wires.shape[0]):
         if wires[i, TREND] == 0.0:
             reverse(wires, i, 1.0)
+        elif wires[i, FINAL_SHIFT] != 0.0:
+            shift_transition(wires, i)
+    effects = any_effect(wires, sides)
     last_step = 0.0
     for k in range(time.shape[0]):
         if k > 0:
@@ -323,12 +321,16 @@ def run(time, voltage, wires, sides, history, strain):
             if step != last_step:
                 last_step = step
                 set_step(wires, step)
-            heat(wires, voltage, k - 1)
+            if effects:
+                prepare(wires, sides, step)
+            heat(wires, voltage, k - 1, step)
             solve(wires, sides)
-            settle(wires, sides)
+            settle(wires, sides, step)
         for i in range(wires.shape[0]):
             history[0, k, i] = wires[i, TEMPERATURE]
             history[1, k, i] = wires[i, FRACTION]
             history[2, k, i] = wires[i, STRESS]
+            history[3, k, i] = wires[i, READING]
         for side in range(sides.shape[0]):
-            strain[k, side] = sides[side, CONTRACTION]
+            strain[0, k, side] = sides[side, CONTRACTION]
+            strain[1, k, side] = sides[side, BENDING]

@@ -24,11 +24,13 @@ from sma_bench.errors import InputError
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics import phase
 from sma_bench.physics.boundary import per_side, side_names, side_of_channels
+from sma_bench.physics.effects import active_effects
 from sma_bench.physics.heat import time_constant
 from sma_bench.physics.operating_point import OperatingPoint
 
 Array = NDArray[np.float64]
 Input = Literal["voltage", "power"]
+SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
 _Row = tuple[str, str, str, ArrayLike, ArrayLike, str]
 
 
@@ -106,9 +108,13 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
         latent_heat: Delta_h of eq. (1) [J/kg].
 
     Raises:
-        InputError: the stresses do not determine the state (a vertical tangent).
+        InputError: the stresses do not determine the state (a vertical tangent), or an effect or
+            a smoother ramp than eqs. (10), (11) is on.
     """
     parameters = point.parameters
+    beyond = [*active_effects(parameters), *(n for n in SMOOTHER if parameters[n] != 0.0)]
+    if beyond:
+        raise InputError(f"linearisation: {beyond[0]} is on, expected eqs. (10), (11) as they are")
     side = side_of_channels(parameters)
     strain = -point.contraction[side]
     modulus = linear.a1(point.martensite_fraction, parameters)

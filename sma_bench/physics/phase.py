@@ -29,6 +29,8 @@ from sma_bench.parameters import Parameters
 
 Array = NDArray[np.float64]
 
+TAIL_WIDTH = 2.5  # of the range of `wire.transition_tail`, relative to the others'
+
 
 def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
     """f(T, sigma): 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq. (10) between.
@@ -39,7 +41,8 @@ def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parame
     start = parameters["wire.austenite_start_temperature"]
     finish = parameters["wire.austenite_finish_temperature"]
     shift = np.asarray(stress, float) / parameters["wire.stress_influence_austenite"]
-    return _ramp((finish - np.asarray(temperature, float) + shift) / (finish - start))
+    below = finish - np.asarray(temperature, float) + shift
+    return _smooth_ramp(below, finish - start, parameters)
 
 
 def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
@@ -51,7 +54,8 @@ def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Param
     start = parameters["wire.martensite_start_temperature"]
     finish = parameters["wire.martensite_finish_temperature"]
     shift = np.asarray(stress, float) / parameters["wire.stress_influence_martensite"]
-    return _ramp((np.asarray(temperature, float) - shift - finish) / (start - finish))
+    above = np.asarray(temperature, float) - shift - finish
+    return _smooth_ramp(above, start - finish, parameters)
 
 
 def heated_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
@@ -97,6 +101,18 @@ def _left(
     if other < other_reversed:
         left = max(left, min(1.0 - other / other_reversed, own))
     return min(left, 1.0)
+
+
+def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array:
+    """Ramp of grains that do not transform alike: two groups `wire.transition_spread` before and
+    behind the others' mean, and a share `wire.transition_tail` over a wider range."""
+    spread, tail = parameters["wire.transition_spread"], parameters["wire.transition_tail"]
+    share = _ramp(distance / width)
+    if spread > 0.0:
+        share = 0.5 * (_ramp((distance + spread) / width) + _ramp((distance - spread) / width))
+    if tail > 0.0:
+        share = share + tail * (_ramp(0.5 + (distance / width - 0.5) / TAIL_WIDTH) - share)
+    return share
 
 
 def _ramp(position: Array) -> Array:

@@ -10,8 +10,13 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics.bending import wire_section
 from sma_bench.physics.boundary import Boundary, per_side, side_names
+from sma_bench.physics.effects import active_effects
+from sma_bench.physics.effects.ambient_drift import air as air_temperature
+from sma_bench.physics.effects.deflection_drift import zero as zero_drift
+from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import EnergyBalance, energy_balance
 from sma_bench.physics.kernel import Kernel
+from sma_bench.physics.rows import HEATING_EFFECTS
 from sma_bench.physics.state import State
 
 Array = NDArray[np.float64]
@@ -22,33 +27,51 @@ class Simulation:
     """What a bench does under given voltages.
 
     Attributes:
-        parameters, boundary, latent_heat: what it was simulated with.
+        parameters, boundary: what it was simulated with, effects among them.
         time: (n,) s; voltage: (n, w) V, held from each sample to the next.
         temperature: (n, w) K; martensite_fraction: (n, w); stress: (n, w) Pa.
         contraction: (n, s), -(eps - eps_0) of each side, in the order of `side_names`.
+        bending: (n, s), what of it bends the beam: all of it, unless the wires hang (slack).
+        temperature_reading: (n, w) K, what a sensor reads: the temperature, unless effects of the
+            sensor are on.
         final: the state after the last sample, for a simulation that continues.
+        started: s, the bench's clock at the first sample (drifts count from its start).
     """
 
     parameters: Parameters
     boundary: Boundary
-    latent_heat: float
     time: Array
     voltage: Array
     temperature: Array
     martensite_fraction: Array
     stress: Array
     contraction: Array
+    bending: Array
+    temperature_reading: Array
     final: State
+    started: float = 0.0
+
+    @cached_property
+    def clock(self) -> Array:
+        """(n,) s since the bench's start, summed as the core does, step by step."""
+        return np.cumsum(np.concatenate([[self.started], np.diff(self.time)]))
 
     @cached_property
     def deflection(self) -> Array:
         """(n,) m, positive toward the front; zeros for a rig that does not bend."""
-        return self.contraction @ _levers(self.parameters, self.boundary)
+        return self.bending @ _levers(self.parameters, self.boundary)
+
+    @cached_property
+    def deflection_reading(self) -> Array:
+        """(n,) m, what a sensor reads: the deflection, unless its zero drifts."""
+        return self.deflection + zero_drift(self.parameters, self.clock)
 
     @cached_property
     def current(self) -> Array:
         """(n, w) A, eq. (3)."""
-        return self.voltage / self.parameters["wire.resistance"]
+        return current(
+            self.parameters, self.voltage, self.temperature, self.martensite_fraction
+        )
 
     @cached_property
     def force(self) -> Array:
@@ -56,14 +79,21 @@ class Simulation:
         return self.stress * wire_section(self.parameters)
 
     def energy_balance(self) -> EnergyBalance:
-        """Energies of every step and wire, eq. (1)."""
+        """Energies of every step and wire, eq. (1).
+
+        Raises:
+            InputError: an effect other than latent heat changes how the wires are heated.
+        """
+        others = [n for n in active_effects(self.parameters) if n in HEATING_EFFECTS]
+        if others:
+            raise InputError(f"energy balance: {others[0]} is on, expected latent_heat at most")
         return energy_balance(
             self.parameters,
             self.time,
             self.voltage,
             self.temperature,
             self.martensite_fraction,
-            self.latent_heat,
+            self.parameters["effect.latent_heat.heat"],
         )
 
 
@@ -74,12 +104,13 @@ def simulate(
     *,
     initial: State | None = None,
     boundary: Boundary | None = None,
-    latent_heat: float = 0.0,
 ) -> Simulation:
-    """Solve the baseline model (contract section 4) for held voltages.
+    """Solve the baseline model (contract section 4), and the effects that the parameters switch on.
 
     Temperatures are exact for the held voltages; phase, stress and contraction are solved
-    together at every sample. With latent heat the transformation rate is constant over a step.
+    together at every sample. With latent heat the transformation rate is constant over a step;
+    what other effects depend on (T in h(T), xi in R(xi), the other side's temperature) is taken
+    from its start.
 
     Args:
         time: (n,) s, increasing.
@@ -87,19 +118,19 @@ def simulate(
             One wire may come as (n,).
         initial: state at time[0], at rest when not given; `Simulation.final` continues a run.
         boundary: the rig's own when not given: one wire is clamped, several bend the composite.
-        latent_heat: heat of transformation of eq. (1) [J/kg].
 
     Raises:
         InputError: wrong shape, time that does not increase, a number that is not finite.
     """
-    kernel = Kernel(parameters, boundary, latent_heat)
+    kernel = Kernel(parameters, boundary)
     seconds, volts = _checked_input(time, voltage, kernel.wires)
     memory = kernel.memory(initial)
     history, strain = kernel.run(seconds, volts, memory)
-    temperature, fraction, sigma = history
+    temperature, fraction, sigma, reading = history
+    contraction, bending = strain
     return Simulation(
-        parameters, kernel.boundary, latent_heat, seconds, volts, temperature, fraction, sigma,
-        strain, kernel.state(memory),
+        parameters, kernel.boundary, seconds, volts, temperature, fraction, sigma, contraction,
+        bending, reading, kernel.state(memory), initial.clock if initial else 0.0,
     )
 
 
@@ -112,11 +143,10 @@ class Bench:
         *,
         initial: State | None = None,
         boundary: Boundary | None = None,
-        latent_heat: float = 0.0,
     ) -> None:
         """A bench at rest, or in the state `initial`; arguments as for `simulate`."""
         self.parameters = parameters
-        self._kernel = Kernel(parameters, boundary, latent_heat)
+        self._kernel = Kernel(parameters, boundary)
         self._memory = self._kernel.memory(initial)
         self._state = self._kernel.state(self._memory)
         self._levers = _levers(parameters, self._kernel.boundary)
@@ -173,7 +203,28 @@ class Bench:
     @property
     def deflection(self) -> float:
         """Deflection [m], positive toward the front."""
-        return float(self._state.contraction @ self._levers)
+        return float(self._state.bending @ self._levers)
+
+    def current(self, voltage: ArrayLike) -> Array:
+        """(w,) A through the wires in their present state at `voltage` (w,) V."""
+        return current(
+            self.parameters, voltage, self._state.temperature, self._state.martensite_fraction
+        )
+
+    @property
+    def temperature_reading(self) -> Array:
+        """(w,) K, what a sensor reads."""
+        return self._state.temperature_reading
+
+    @property
+    def deflection_reading(self) -> float:
+        """Deflection that a sensor reads [m]."""
+        return self.deflection + float(zero_drift(self.parameters, self._state.clock))
+
+    @property
+    def ambient_temperature(self) -> float:
+        """Air around the wires [K]."""
+        return float(air_temperature(self.parameters, self._state.clock))
 
 
 def _levers(parameters: Parameters, boundary: Boundary) -> Array:

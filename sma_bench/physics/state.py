@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.physics import columns as at
 from sma_bench.physics import phase, stress
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
 
@@ -30,6 +31,27 @@ class State:
     stress: Array
     contraction: Array
     memory: tuple[Array, Array] | None = None
+
+    @property
+    def bending(self) -> Array:
+        """(s,) what of the contraction bends the beam."""
+        if self.memory is None:
+            return self.contraction
+        return self.memory[1][:, at.BENDING - at.SIDE_STATE]
+
+    @property
+    def temperature_reading(self) -> Array:
+        """(w,) K, what a sensor reads."""
+        if self.memory is None:
+            return self.temperature
+        return self.memory[0][:, at.READING - at.WIRE_STATE]
+
+    @property
+    def clock(self) -> float:
+        """s since the bench's start."""
+        if self.memory is None:
+            return 0.0
+        return float(self.memory[0][0, at.CLOCK - at.WIRE_STATE])
 
 
 def initial_state(

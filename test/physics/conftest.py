@@ -16,7 +16,7 @@ def wire_rig() -> Parameters:
     return Parameters.defaults()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def composite_rig() -> Parameters:
     """Two wires a side that bend a composite by a few centimetres."""
     return Parameters.defaults().replace(

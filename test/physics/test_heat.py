@@ -64,7 +64,9 @@ def test_energy_balance_closes_in_every_step(wire_rig, composite_rig, latent_hea
     time = np.cumsum(rng.uniform(0.01, 0.4, 2000))
     for rig in (wire_rig, composite_rig):
         voltage = rng.uniform(0.0, 6.5, (2000, len(rig["bench.channels"])))
-        run = simulate(rig, time, voltage, latent_heat=latent_heat)
+        run = simulate(
+            rig.replace({"effect.latent_heat.heat": latent_heat}), time, voltage
+        )
         balance = run.energy_balance()
         scale = np.abs(balance.stored).max()
         assert np.abs(balance.imbalance).max() < 1e-11 * scale
@@ -86,7 +88,9 @@ def test_latent_heat_delays_the_transformation_both_ways():
     time = np.arange(0.0, 8.0, 0.001)
     voltage = np.where(time < 4.0, 6.25, 0.0)[:, np.newaxis]
     plain = simulate(free, time, voltage)
-    delayed = simulate(free, time, voltage, latent_heat=15e3)
+    delayed = simulate(
+        free.replace({"effect.latent_heat.heat": 15e3}), time, voltage
+    )
     up, down = time < 4.0, time >= 4.0
     assert np.all(delayed.temperature[up] <= plain.temperature[up] + 1e-6)
     assert np.all(delayed.temperature[down] >= plain.temperature[down] - 1e-6)

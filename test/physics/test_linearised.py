@@ -11,7 +11,7 @@ from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import Boundary, phase, side_names, simulate, stress
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.heat import temperature_rate, time_constant
-from sma_bench.physics.linearised import coefficient_table, linearise
+from sma_bench.physics.linearised import SMOOTHER, coefficient_table, linearise
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
 
 WIRE = Parameters.defaults()
@@ -21,7 +21,10 @@ COMPOSITE = WIRE.replace(
         "bench.channel_sides": ["front", "front", "back", "back"],
     }
 )
-UNCERTAIN = [p.name for p in TABLE if p.uncertainty and p.name.startswith(("wire.", "env", "comp"))]
+UNCERTAIN = [
+    p.name for p in TABLE
+    if p.uncertainty and p.name.startswith(("wire.", "env", "comp")) and p.name not in SMOOTHER
+]
 BRANCHES = ("heating", "cooling")
 FAST = settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
@@ -102,8 +105,8 @@ def nonlinear_derivative(
     def change(step: float) -> np.ndarray:
         voltage = np.tile(point.voltage + step * direction, (time.size, 1))
         run = simulate(
-            point.parameters, time, voltage, initial=point.state, boundary=point.boundary,
-            latent_heat=latent_heat,
+            point.parameters.replace({"effect.latent_heat.heat": latent_heat}), time, voltage,
+            initial=point.state, boundary=point.boundary,
         )
         outputs = np.column_stack([run.deflection, run.temperature, run.stress])
         return (outputs - outputs[0]) / step

@@ -129,12 +129,11 @@ def test_full_loop_at_held_stress_is_equations_10_and_11(wire_rig, sigma):
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 149), st.booleans())
 def test_two_halves_are_one_run_to_the_last_bit(seed, split, latent):
-    latent_heat = 9e3 if latent else 0.0
+    rig = COMPOSITE.replace({"effect.latent_heat.heat": 9e3 if latent else 0.0})
     time, voltage = random_voltage(seed, 150, 4, 0.07)
-    whole = simulate(COMPOSITE, time, voltage, latent_heat=latent_heat)
-    first = simulate(COMPOSITE, time[:split + 1], voltage[:split + 1], latent_heat=latent_heat)
-    second = simulate(COMPOSITE, time[split:], voltage[split:], initial=first.final,
-                      latent_heat=latent_heat)
+    whole = simulate(rig, time, voltage)
+    first = simulate(rig, time[:split + 1], voltage[:split + 1])
+    second = simulate(rig, time[split:], voltage[split:], initial=first.final)
     for name in ("temperature", "martensite_fraction", "stress", "contraction", "deflection"):
         pieces = [getattr(first, name)[:-1], getattr(second, name)]
         assert np.array_equal(np.concatenate(pieces), getattr(whole, name)), name
@@ -327,15 +326,15 @@ import sys, warnings
 import numpy as np
 sys.modules["numba"] = None
 from sma_bench.parameters import Parameters
-from sma_bench.physics import simulate
 rig = Parameters.defaults().replace({
     "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")})
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
+    from sma_bench.physics import simulate
     for _ in range(2):
         time = np.arange(400) * 0.05
         waves = 7.0 * np.abs(np.sin(np.outer(time, [0.5, 0.7, 1.1])))
-        run = simulate(rig, time, waves, latent_heat=8e3)
+        run = simulate(rig.replace({"effect.latent_heat.heat": 8e3}), time, waves)
 print(len([w for w in caught if "numba" in str(w.message)]))
 np.save(sys.argv[1], np.hstack([run.temperature, run.martensite_fraction, run.stress / 1e9,
                                 run.contraction]))
@@ -351,15 +350,8 @@ def test_without_numba_the_same_code_gives_the_same_and_says_so_once(tmp_path):
         "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")})
     time = np.arange(400) * 0.05
     waves = 7.0 * np.abs(np.sin(np.outer(time, [0.5, 0.7, 1.1])))
-    run = simulate(rig, time, waves, latent_heat=8e3)
+    run = simulate(rig.replace({"effect.latent_heat.heat": 8e3}), time, waves)
     compiled = np.hstack([run.temperature, run.martensite_fraction, run.stress / 1e9,
                           run.contraction])
     assert np.ptp(run.martensite_fraction) > 0.9
     assert np.load(file) == pytest.approx(compiled, rel=1e-11, abs=1e-11)
-
-
-def test_physics_is_imported_without_numba():
-    """Commands that simulate nothing are spared the import, most of a second."""
-    code = "import sys, sma_bench.physics; print('numba' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert told.stdout.strip() == "False"

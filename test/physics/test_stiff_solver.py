@@ -50,7 +50,7 @@ def test_latent_heat_converges_to_the_stiff_solver_with_the_square_of_the_step(c
     for parts in (8, 16, 32):
         fine = np.arange((len(time) - 1) * parts + 1) * 0.5 / parts
         held = np.repeat(voltage, parts, axis=0)[: len(fine)]
-        run = simulate(composite_rig, fine, held, latent_heat=9e3)
+        run = simulate(composite_rig.replace({"effect.latent_heat.heat": 9e3}), fine, held)
         errors.append(np.abs(run.temperature[::parts] - reference["temperature"]).max())
     assert errors[-1] < 3e-3
     assert errors[0] / errors[1] == pytest.approx(4.0, abs=1.0)

@@ -1,0 +1,40 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Air that warms or cools while the bench runs.
+
+    T_inf(t) = T_inf + b t + d t^2
+
+The parameter `environment.ambient_temperature` is that of the start. Source: a room, an enclosure
+that warms; two terms of its series.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sma_bench.compiled import compiled
+from sma_bench.parameters import Parameters
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "ambient_drift",
+    "thermal",
+    {"rate": at.AMBIENT_RATE, "bend": at.AMBIENT_BEND},
+    "all wires' temperatures drift alike, at rest too; transformations come at a little less power",
+)
+
+
+@compiled
+def air_temperature(wires, i):
+    """T_inf at the wire's clock [K]."""
+    clock = wires[i, at.CLOCK]
+    change = (wires[i, at.AMBIENT_RATE] + wires[i, at.AMBIENT_BEND] * clock) * clock
+    return wires[i, at.AMBIENT] + change
+
+
+def air(parameters: Parameters, time: ArrayLike) -> NDArray[np.float64]:
+    """(n,) K, temperature of the air `time` (n,) s after the start."""
+    seconds = np.asarray(time, dtype=np.float64)
+    rate = parameters["effect.ambient_drift.rate"]
+    bend = parameters["effect.ambient_drift.bend"]
+    start = parameters["environment.ambient_temperature"]
+    return np.asarray(start + (rate + bend * seconds) * seconds, dtype=np.float64)

@@ -1,0 +1,63 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Silicone around the wire that warms up with it.
+
+    m c_p dT/dt = ... - G (T - E),    C_e dE/dt = G (T - E) - G_a (E - T_inf) [- G_c (E - E_other)]
+
+G and G_a in series are the paper's h A_c, so that steady temperatures stay. `inner_share` is the
+share of 1/(h A_c) that is 1/G. With heat coupling between the sides, the silicone carries it; an h
+that depends on temperature acts on G_a. Source: two-node model of a wire in an elastomer, solved
+exactly over a step in which heat, air and the other side's silicone stay.
+"""
+
+import math
+
+from sma_bench.compiled import compiled
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "matrix_thermal_mass",
+    "thermal",
+    {"heat_capacity": at.MATRIX_CAPACITY, "inner_share": at.MATRIX_INNER_SHARE},
+    "fast part and slow part in every heating and cooling; rests too short for the slow part "
+    "leave the wire warm",
+)
+
+_LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range
+
+
+@compiled
+def warm_together(wires, i, heating, loss, air, step):
+    """Wire and silicone at the end of the step, as far as they do not depend on xi.
+
+    The wire's temperature [K] is returned, its decay set to 0; `loss` is h A_c at the surface.
+    """
+    share, across = wires[i, at.MATRIX_INNER_SHARE], wires[i, at.ACROSS]
+    inner, outer = wires[i, at.LOSS] / share, loss / (1.0 - share)
+    opposite = wires[i, at.OPPOSITE_MATRIX]
+    steady_matrix = (heating + outer * air + across * opposite) / (outer + across)
+    steady_wire = steady_matrix + heating / inner
+    wire = wires[i, at.TEMPERATURE] - steady_wire
+    matrix = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT] - steady_matrix
+    # d(wire)/dt = -a (wire - matrix),  d(matrix)/dt = b wire - c matrix
+    a = inner / wires[i, at.CAPACITY]
+    capacity = max(wires[i, at.MATRIX_CAPACITY], _LEAST)
+    b, outward = inner / capacity, (outer + across) / capacity
+    c = b + outward
+    fast = -0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + a * b)
+    slow = a * outward / fast
+    apart = slow - fast
+    slow_change, fast_change = math.expm1(slow * step), math.expm1(fast * step)
+    slow_decay, fast_decay = 1.0 + slow_change, 1.0 + fast_change
+    slow_mean, fast_mean = slow_change / (slow * step), fast_change / (fast * step)
+    wires[i, at.DECAY] = 0.0
+    wires[i, at.LAG] = -(a + fast) * slow_mean + (a + slow) * fast_mean
+    wires[i, at.LAG] *= wires[i, at.LATENT_RISE] / apart
+    wires[i, at.MATRIX_LAG] = wires[i, at.LATENT_RISE] * b * (slow_mean - fast_mean) / apart
+    # exp(A t) = [exp(slow t) (A - fast) - exp(fast t) (A - slow)] / (slow - fast)
+    of_wire = slow_decay * (a * matrix - (a + fast) * wire)
+    of_wire -= fast_decay * (a * matrix - (a + slow) * wire)
+    of_matrix = slow_decay * (b * wire - (c + fast) * matrix)
+    of_matrix -= fast_decay * (b * wire - (c + slow) * matrix)
+    wires[i, at.MATRIX_START] = steady_matrix - wires[i, at.AMBIENT] + of_matrix / apart
+    return steady_wire + of_wire / apart

@@ -1,0 +1,37 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Resistance that depends on phase and temperature.
+
+    R(xi, T) = R [1 + a (1 - xi)] [1 + b (T - T_inf)]
+
+R is the martensite's at ambient temperature; the second bracket stays above 0.
+Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seelecke 2012); the
+strain's part of the geometry is within a.
+"""
+
+from sma_bench.compiled import compiled
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "phase_dependent_resistance",
+    "electrical",
+    {
+        "austenite_change": at.AUSTENITE_RESISTANCE,
+        "temperature_coefficient": at.RESISTANCE_SLOPE,
+    },
+    "current at the same voltage changes while the wire transforms, and with it the heating; "
+    "V over I runs a loop over temperature",
+    ("current", "temperature", "deflection"),
+)
+
+
+LEAST = 0.05  # of R, where a falling line would leave its physics
+
+
+@compiled
+def resistance(wires, i):
+    """R of wire i [ohm] at the start of a step."""
+    of_phase = 1.0 + wires[i, at.AUSTENITE_RESISTANCE] * (1.0 - wires[i, at.FRACTION])
+    rise = wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
+    of_heat = max(1.0 + wires[i, at.RESISTANCE_SLOPE] * rise, LEAST)
+    return wires[i, at.RESISTANCE] * of_phase * of_heat

@@ -1,0 +1,43 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Part of the recovered strain stays when the wire cools.
+
+    strain of eq. (9) becomes eps_L [(1 - r)(1 - xi) + r max over the past of (1 - xi)]
+
+The first heating is the paper's; after it, r of the strain stays at rest. Source: two-way memory
+and incomplete reorientation (detwinning) of the martensite under too small a load.
+"""
+
+from sma_bench.compiled import compiled
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "residual_strain",
+    "mechanical",
+    {"share": at.RESIDUAL_SHARE},
+    "after the first drive the deflection does not return to zero at rest, and stays there",
+    ("deflection",),
+)
+
+
+@compiled
+def keep_strain(wires, i):
+    """Strain of wire i that stays; how much of eps_L still follows xi is set on the way."""
+    share, most = wires[i, at.RESIDUAL_SHARE], wires[i, at.MOST_AUSTENITE]
+    if wires[i, at.TREND] > 0.0 and 1.0 - wires[i, at.FRACTION] >= most:
+        wires[i, at.RECOVERABLE_STRAIN] = wires[i, at.FULL_STRAIN]
+        return 0.0
+    wires[i, at.RECOVERABLE_STRAIN] = wires[i, at.FULL_STRAIN] * (1.0 - share)
+    return wires[i, at.FULL_STRAIN] * share * most
+
+
+@compiled
+def passes_most(wires, i):
+    """After a solution: let the strain follow xi if wire i is now at its most; whether it did."""
+    most = wires[i, at.MOST_AUSTENITE]
+    follows = wires[i, at.RECOVERABLE_STRAIN] == wires[i, at.FULL_STRAIN]
+    if follows or wires[i, at.TREND] < 0.0 or 1.0 - wires[i, at.GUESS] <= most:
+        return False
+    wires[i, at.RECOVERABLE_STRAIN] = wires[i, at.FULL_STRAIN]
+    wires[i, at.OFFSET] -= wires[i, at.FULL_STRAIN] * wires[i, at.RESIDUAL_SHARE] * most
+    return True

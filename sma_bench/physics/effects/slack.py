@@ -1,0 +1,34 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Wires that must contract a little before they pull.
+
+    e - b = s where the wires are taut, 0 where they push (longer than at rest), and between the two
+    they hang: no stress, the beam bends by itself (b: contraction that bends the beam)
+
+Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire.
+"""
+
+from sma_bench.compiled import compiled
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "slack",
+    "mechanical",
+    {"strain": at.SLACK},
+    "deflection starts late and stops early in every stroke; small strokes are missing altogether",
+    ("deflection",),
+)
+
+
+@compiled
+def contact(sides, side):
+    """After a solution: 1 where the wires of a side are taut, 0 where they hang, -1 pushing."""
+    free = -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]
+    play = sides[side, at.CONTRACTION] - free
+    taut = 0.0
+    if play > sides[side, at.SLACK]:
+        taut = 1.0
+    elif play < 0.0:
+        taut = -1.0
+    # Wires that lose one contact hang first: the solution then says whether they have the other.
+    return 0.0 if taut == -sides[side, at.TAUT] else taut

@@ -1,0 +1,27 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Heat transfer that grows with the surface's temperature.
+
+    h(T) = h [1 + c (T - T_inf)]
+
+Linear in the excess: over 20 to 120 K natural convection (Churchill and Chu 1975, Ra^(1/6) and up)
+and radiation (T^4) are within a few percent of a line.
+"""
+
+from sma_bench.compiled import compiled
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "temperature_dependent_convection",
+    "thermal",
+    {"rise": at.CONVECTION_RISE},
+    "steady temperatures fall short of V^2 when hot; cooling is faster when hot than when warm",
+)
+
+_LEAST = 0.05
+
+
+@compiled
+def loss(wires, i, excess):
+    """Heat loss of wire i [W/K] at a surface `excess` K above the air."""
+    return wires[i, at.LOSS] * max(1.0 + wires[i, at.CONVECTION_RISE] * excess, _LEAST)

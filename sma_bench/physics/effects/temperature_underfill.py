@@ -1,0 +1,30 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""An infrared spot larger than the wire sees the background too.
+
+    T_read^n = (1 - m) T^n + m T_background^n,    n = 4.5
+
+The background is the air's temperature or, with thermal mass of the matrix, the silicone's.
+Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
+"""
+
+from sma_bench.compiled import compiled
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.effect import Effect
+
+EFFECT = Effect(
+    "temperature_underfill",
+    "sensor",
+    {"missing": at.MISSING_SPOT},
+    "all excess temperatures read low by one factor; the deflection knows nothing of it",
+    ("temperature",),
+)
+
+_EXPONENT = 4.5
+
+
+@compiled
+def spot_temperature(wires, i, background):
+    """What a spot on wire i reads [K]."""
+    missing = wires[i, at.MISSING_SPOT]
+    wire = wires[i, at.TEMPERATURE] / background
+    return background * ((1.0 - missing) * wire**_EXPONENT + missing) ** (1.0 / _EXPONENT)

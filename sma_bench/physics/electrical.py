@@ -1,0 +1,26 @@
+"""Current through a wire: eq. (3), with the effects that change it."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sma_bench.parameters import Parameters
+from sma_bench.physics.effects.phase_dependent_resistance import LEAST
+
+_CHANGE = "effect.phase_dependent_resistance.austenite_change"
+_SLOPE = "effect.phase_dependent_resistance.temperature_coefficient"
+
+
+def current(
+    parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
+) -> NDArray[np.float64]:
+    """I = V/(R(xi, T) + R_s); with the effects off V/R, eq. (3).
+
+    Args:
+        voltage: V, as the driver reads it; temperature: K; fraction: of martensite; any shape.
+    """
+    volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
+    of_phase = 1.0 + parameters[_CHANGE] * (1.0 - xi)
+    rise = kelvin - parameters["environment.ambient_temperature"]
+    of_heat = np.maximum(1.0 + parameters[_SLOPE] * rise, LEAST)
+    resistance = parameters["wire.resistance"] * of_phase * of_heat
+    return np.asarray(volts / (resistance + parameters["effect.supply_drop.resistance"]))

@@ -1,0 +1,133 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""The rule of phase.py, compiled: the martensite fraction of a wire since its last reversal."""
+
+import math
+
+from sma_bench.compiled import compiled
+from sma_bench.physics.columns import (
+    AUSTENITE_FINISH,
+    AUSTENITE_SHIFT,
+    AUSTENITE_SLOPE,
+    AUSTENITE_SPREAD,
+    CHANGE,
+    CYCLES,
+    FINAL_SHIFT,
+    FRACTION,
+    MARTENSITE_FINISH,
+    MARTENSITE_SHIFT,
+    MARTENSITE_SLOPE,
+    MARTENSITE_SPREAD,
+    MEMORY,
+    OTHER_POSITION_REVERSED,
+    OTHER_REVERSED,
+    OWN_REVERSED,
+    PHASE_REVERSED,
+    STRESS,
+    TAIL,
+    TEMPERATURE,
+    TREND,
+    TURNED_CYCLES,
+)
+from sma_bench.physics.effects.partial_transformation import flat_then_outer
+from sma_bench.physics.effects.transition_drift import shift_transition
+from sma_bench.physics.phase import TAIL_WIDTH
+
+
+@compiled
+def ramp(position):
+    """sin^2 ramp from 0 to 1 over positions 0 to 1, and its slope."""
+    if position <= 0.0:
+        return 0.0, 0.0
+    if position >= 1.0:
+        return 1.0, 0.0
+    root = math.sin(0.5 * math.pi * position)
+    return root * root, math.pi * root * math.sqrt(1.0 - root * root)
+
+
+@compiled
+def smooth_ramp(position, spread, tail):
+    """Ramp of grains that do not transform alike (phase.py), and its slope."""
+    share, slope = ramp(position)
+    if spread > 0.0:
+        early, early_slope = ramp(position + spread)
+        late, late_slope = ramp(position - spread)
+        share, slope = 0.5 * (early + late), 0.5 * (early_slope + late_slope)
+    if tail != 0.0:
+        wide, wide_slope = ramp(0.5 + (position - 0.5) / TAIL_WIDTH)
+        share += tail * (wide - share)
+        slope += tail * (wide_slope / TAIL_WIDTH - slope)
+    return share, slope
+
+
+@compiled
+def positions(wires, i, temperature, stress):
+    """Where T, sigma lie on the ramps f and g."""
+    of_f = wires[i, AUSTENITE_FINISH] - temperature + stress * wires[i, AUSTENITE_SHIFT]
+    of_g = temperature - stress * wires[i, MARTENSITE_SHIFT] - wires[i, MARTENSITE_FINISH]
+    return of_f * wires[i, AUSTENITE_SLOPE], of_g * wires[i, MARTENSITE_SLOPE]
+
+
+@compiled
+def phase_left(wires, i, own, other, own_spread, other_spread):
+    """What is left of the vanishing phase (phase.py), its slopes along own and other position."""
+    phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
+    other_reversed = wires[i, OTHER_REVERSED]
+    share, share_slope = smooth_ramp(own, own_spread, wires[i, TAIL])
+    left, by_own, by_other = 0.0, 0.0, 0.0
+    if own_reversed > 0.0:
+        scale = phase / own_reversed
+        left, by_own = share * scale, share_slope * scale
+        if wires[i, MEMORY] != 0.0 and phase > 0.0:
+            flat, flat_slope = flat_then_outer(phase, share, share_slope, own_reversed)
+            left += wires[i, MEMORY] * (flat - left)
+            by_own += wires[i, MEMORY] * (flat_slope - by_own)
+            if left < 0.0:  # a memory below 0 turns faster than the contract's rule
+                left, by_own = 0.0, 0.0
+    elif phase > 0.0 and other_reversed < 1.0:
+        scale = phase / (1.0 - other_reversed)
+        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, TAIL])
+        left, by_other = (1.0 - rest) * scale, -rest_slope * scale
+    # The other ramp's sine is spared unless stress has moved that ramp back.
+    if other < wires[i, OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
+        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, TAIL])
+        bound = 1.0 - rest / other_reversed
+        if bound >= share:
+            left, by_own, by_other = share, share_slope, 0.0
+        elif bound > left:
+            left, by_own, by_other = bound, 0.0, -rest_slope / other_reversed
+    if left > 1.0:
+        return 1.0, 0.0, 0.0
+    return left, by_own, by_other
+
+
+@compiled
+def fraction(wires, i, temperature, stress):
+    """xi of wire i by the rule of phase.py, d xi/dT and d xi/d sigma."""
+    of_f, of_g = positions(wires, i, temperature, stress)
+    f_spread, g_spread = wires[i, AUSTENITE_SPREAD], wires[i, MARTENSITE_SPREAD]
+    if wires[i, TREND] > 0.0:
+        xi, by_f, by_g = phase_left(wires, i, of_f, of_g, f_spread, g_spread)
+    else:
+        left, by_g, by_f = phase_left(wires, i, of_g, of_f, g_spread, f_spread)
+        xi, by_f, by_g = 1.0 - left, -by_f, -by_g
+    by_f *= wires[i, AUSTENITE_SLOPE]
+    by_g *= wires[i, MARTENSITE_SLOPE]
+    return xi, by_g - by_f, by_f * wires[i, AUSTENITE_SHIFT] - by_g * wires[i, MARTENSITE_SHIFT]
+
+
+@compiled
+def reverse(wires, i, trend):
+    """Make the present state of wire i the state of the last reversal."""
+    if wires[i, FINAL_SHIFT] != 0.0:
+        wires[i, TURNED_CYCLES] = wires[i, CYCLES]
+        shift_transition(wires, i)
+    of_f, of_g = positions(wires, i, wires[i, TEMPERATURE], wires[i, STRESS])
+    f = smooth_ramp(of_f, wires[i, AUSTENITE_SPREAD], wires[i, TAIL])[0]
+    g = smooth_ramp(of_g, wires[i, MARTENSITE_SPREAD], wires[i, TAIL])[0]
+    rising = trend > 0.0
+    wires[i, TREND] = trend
+    wires[i, CHANGE] = 0.0
+    wires[i, PHASE_REVERSED] = wires[i, FRACTION] if rising else 1.0 - wires[i, FRACTION]
+    wires[i, OWN_REVERSED] = f if rising else g
+    wires[i, OTHER_REVERSED] = g if rising else f
+    wires[i, OTHER_POSITION_REVERSED] = of_g if rising else of_f

@@ -1,0 +1,102 @@
+"""Effects at the command line: each can be switched on, wrong ones are one line, all are listed."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sma_bench.cli import main
+from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.effects.documentation import effects_page
+from sma_bench.records import Signal, read_record
+from sma_bench.records.write import write_record
+
+SIGNALS = ("front_1.current", "back_1.temperature", "deflection")
+CHANNELS = ("front_1", "front_2", "back_1", "back_2")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """Options of a simulation of a composite bench on voltages of a bag, and its plain result."""
+    folder = tmp_path_factory.mktemp("effects")
+    time = np.arange(0.0, 8.0, 0.02)
+    beat = time % 4.0
+    front = 6.3 * ((beat < 0.5) | ((beat > 0.65) & (beat < 1.0)))  # an incomplete loop between
+    back = 6.0 * ((time > 2.0) & (beat < 0.8))
+    write_record(folder / "drive", [
+        Signal(f"{channel}.voltage", "V", time, front if channel.startswith("front") else back)
+        for channel in CHANNELS
+    ])
+    rig = Parameters.defaults().replace({
+        "bench.channels": CHANNELS, "bench.channel_sides": ("front", "front", "back", "back"),
+        "composite.deflection_per_strain": 1.0,
+        "composite.stress_per_deflection_front": 5.0e9,
+        "composite.stress_per_deflection_back": 4.0e9,
+    })
+    write_parameters(folder / "rig.yaml", rig)
+    options = ["simulate", "--params", str(folder / "rig.yaml"), "--input", str(folder / "drive")]
+    assert main([*options, "--out", str(folder / "plain")]) == 0
+    return options, read_record(folder / "plain")
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=list(EFFECTS))
+def test_every_effect_can_be_switched_on_and_shows_where_it_says(effect, bench, tmp_path, capsys):
+    options, plain = bench
+    out = tmp_path / "bag"
+    size = f"{effect.name}={effect.size.uncertainty:g}"
+    assert main([*options, "--out", str(out), "--effect", size]) == 0
+    found = read_record(out)
+    changed = [name for name in SIGNALS
+               if not np.array_equal(found[name].values, plain[name].values)]
+    assert {name.rpartition(".")[2] for name in changed} == set(effect.acts_on)
+
+
+def test_several_effects_and_their_other_numbers_add_up(bench, tmp_path, capsys):
+    options, _ = bench
+    both, apart = tmp_path / "both", tmp_path / "apart"
+    assert main([*options, "--out", str(both), "--effect", "supply_drop=0.2",
+                 "--effect", "transition_drift = 5", "--effect", "transition_drift.cycles=1"]) == 0
+    sets = [f"effect.{text}" for text in ("supply_drop.resistance=0.2",
+                                          "transition_drift.shift=5.0",
+                                          "transition_drift.cycles=1.0")]
+    settings = [word for text in sets for word in ("--set", text)]
+    assert main([*options, "--out", str(apart), *settings]) == 0
+    for name in SIGNALS:
+        assert np.array_equal(read_record(both)[name].values, read_record(apart)[name].values)
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("latend_heat=3", "unknown effect latend_heat, did you mean latent_heat?"),
+    ("latent_heat", "expected NAME=VALUE"),
+    ("latent_heat=", "'' is not a number"),
+    ("latent_heat=warm", "'warm' is not a number"),
+    ("latent_heat=nan", "effect.latent_heat.heat is nan"),
+    ("latent_heat=inf", "effect.latent_heat.heat is inf"),
+    ("latent_heat=1e9", "expected 0 to 60000 J/kg"),
+    ("supply_drop=-0.1", "expected 0 to 5 ohm"),
+    ("slack.stress=1", "effect slack: no number 'stress', expected strain"),
+    ("=1", "unknown effect"),
+])
+def test_a_wrong_effect_is_one_line_and_writes_nothing(bench, tmp_path, capsys, text, said):
+    options, _ = bench
+    assert main([*options, "--out", str(tmp_path / "bag"), "--effect", text]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and error.startswith("sma-bench: ")
+    assert said in error
+    assert not (tmp_path / "bag").exists()
+
+
+def test_effects_are_listed_with_stage_range_and_how_they_show(tmp_path, capsys):
+    file = tmp_path / "effects.json"
+    assert main(["effects", "--json", str(file)]) == 0
+    printed = capsys.readouterr().out
+    listed = {entry["name"]: entry for entry in json.loads(file.read_text())["effects"]}
+    assert list(listed) == list(EFFECTS)
+    for name, effect in EFFECTS.items():
+        line = next(line for line in printed.splitlines() if line.startswith(f"{name} "))
+        assert effect.stage in line
+        assert listed[name]["parameters"][0]["name"] == effect.size.name
+    assert "0 to 60000 J/kg" in printed
+    assert main(["effects", "--markdown"]) == 0
+    assert capsys.readouterr().out == effects_page()
