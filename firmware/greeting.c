@@ -1,0 +1,57 @@
+#include "greeting.h"
+
+#include "answers.h"
+#include "hal.h"
+
+#define LINES 3
+
+static uint8_t due; /* lines still to be sent, a bit each */
+static uint16_t nonce;
+
+void greeting_start(uint16_t arming_nonce)
+{
+    nonce = arming_nonce;
+    due = (1 << LINES) - 1;
+}
+
+static void name_line(void)
+{
+    begin_message('H');
+    add_text(PSTR(" name=" FIRMWARE_NAME " build=" BUILD_HASH));
+    add_named(PSTR(" protocol="), PROTOCOL_VERSION);
+    add_named(PSTR(" reset="), reset_flags());
+    add_named(PSTR(" nonce="), nonce);
+}
+
+static void limit_line(void)
+{
+    begin_message('L');
+    add_named(PSTR(" channels="), CHANNELS);
+    add_named(PSTR(" max_mv="), MAX_COMMAND_MV);
+    add_named(PSTR(" timeout_ms="), COMMAND_TIMEOUT_MS);
+    add_named(PSTR(" duty="), DUTY_LIMIT_Q16);
+    add_named(PSTR(" mean_ma="), MEAN_LIMIT_MA);
+    add_named(PSTR(" peak_ma="), PEAK_LIMIT_MA);
+}
+
+static void more_limits_line(void)
+{
+    begin_message('M');
+    add_named(PSTR(" on_duty="), ON_TIME_DUTY_Q16);
+    add_named(PSTR(" on_s="), ON_TIME_LIMIT_S);
+    add_named(PSTR(" supply_min_mv="), SUPPLY_MIN_MV);
+    add_named(PSTR(" supply_max_mv="), SUPPLY_MAX_MV);
+}
+
+/* The rest of an interrupted handshake goes out as soon as there is room. */
+void greet(void)
+{
+    static void (*const lines[LINES])(void) = {name_line, limit_line, more_limits_line};
+    for (uint8_t i = 0; i < LINES; i++) {
+        if (!(due & (1 << i)) || serial_room() < MESSAGE_MAX)
+            continue;
+        lines[i]();
+        send_message();
+        due &= (uint8_t)~(1 << i);
+    }
+}

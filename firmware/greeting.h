@@ -1,0 +1,10 @@
+/* Who this is and what it allows: the lines of the handshake. */
+#ifndef GREETING_H
+#define GREETING_H
+
+#include <stdint.h>
+
+void greeting_start(uint16_t arming_nonce);
+void greet(void); /* in each turn of the loop: sends what is due and has room */
+
+#endif

@@ -1,0 +1,285 @@
+#include "session.h"
+
+#include "answers.h"
+#include "greeting.h"
+#include "hal.h"
+#include "protocol.h"
+#include "safety.h"
+#include "telemetry.h"
+
+#define REFRESH_US 10000 /* how often duties follow the supply */
+#define TEXT_RATE_MAX 100
+#define BINARY_RATE_MAX 500
+#define BOOT_RATE 100
+#define BYTE_US (10 * 1000000UL / BAUD_RATE)
+
+static struct line line;
+static uint16_t nonce;
+static uint16_t session;
+static uint16_t sequence; /* of the last accepted voltage command */
+static uint16_t command_mv[CHANNELS];
+static uint32_t refreshed_us;
+static uint16_t rejected;
+
+/* --- commands --------------------------------------------------------------------------------- */
+
+/* A new number for the next arming: bytes recorded earlier arm nothing. */
+static void renew_nonce(void)
+{
+    uint16_t old = nonce;
+    nonce = (uint16_t)(nonce * 25173u + 13849u) ^ entropy();
+    if (nonce == old)
+        nonce++;
+}
+
+static struct safety safety_copy(void)
+{
+    struct safety copy;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        copy = *safety_now();
+    }
+    return copy;
+}
+
+static uint16_t supply_mv(void)
+{
+    uint16_t supply;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        supply = safety_supply_is_good() ? safety_supply_mv() : 0;
+    }
+    return supply;
+}
+
+static uint8_t hello(const uint16_t *field)
+{
+    (void)field;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        safety_disarm();
+    }
+    renew_nonce();
+    greeting_start(nonce);
+    return ACCEPTED;
+}
+
+static uint8_t arm(const uint16_t *field)
+{
+    bool armed;
+    uint8_t state = safety_copy().state;
+    if (state != IDLE)
+        return state == STOPPED ? IS_STOPPED : IS_ARMED;
+    if (field[0] != nonce)
+        return WRONG_SESSION;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        armed = safety_arm();
+    }
+    if (!armed)
+        return NO_SUPPLY;
+    session = nonce;
+    renew_nonce();
+    sequence = 0;
+    for (uint8_t channel = 0; channel < CHANNELS; channel++)
+        command_mv[channel] = 0;
+    answer('K', 'A', session);
+    return ACCEPTED;
+}
+
+static uint8_t duties_of(const uint16_t *millivolts, uint16_t *duty)
+{
+    uint16_t supply = supply_mv();
+    if (!supply)
+        return NO_SUPPLY;
+    for (uint8_t channel = 0; channel < CHANNELS; channel++) {
+        if (millivolts[channel] > MAX_COMMAND_MV)
+            return OVER_VOLTAGE;
+        duty[channel] = duty_of(millivolts[channel], supply);
+        if (duty[channel] > DUTY_LIMIT_Q16)
+            return OVER_DUTY;
+    }
+    return ACCEPTED;
+}
+
+static uint8_t drive(const uint16_t *field)
+{
+    uint16_t duty[CHANNELS];
+    bool driven;
+    if (safety_copy().state != ARMED)
+        return NOT_ARMED;
+    if (field[0] != session)
+        return WRONG_SESSION;
+    if ((int16_t)(field[1] - sequence) <= 0)
+        return OLD_SEQUENCE;
+    uint8_t reason = duties_of(field + 2, duty);
+    if (reason != ACCEPTED)
+        return reason;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        driven = safety_drive(duty, true);
+    }
+    if (!driven)
+        return NOT_ARMED;
+    sequence = field[1];
+    for (uint8_t channel = 0; channel < CHANNELS; channel++)
+        command_mv[channel] = field[2 + channel];
+    return ACCEPTED;
+}
+
+/* Same volts, new supply. A duty beyond the limit goes through: the interrupt stops and says so. */
+static void follow_supply(void)
+{
+    uint16_t duty[CHANNELS];
+    uint16_t supply = supply_mv();
+    uint32_t now = clock_us();
+    if (now - refreshed_us < REFRESH_US)
+        return;
+    refreshed_us = now;
+    if (!supply || safety_copy().state != ARMED)
+        return;
+    for (uint8_t channel = 0; channel < CHANNELS; channel++)
+        duty[channel] = duty_of(command_mv[channel], supply);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        safety_drive(duty, false);
+    }
+}
+
+static uint8_t disarm(const uint16_t *field)
+{
+    (void)field;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        safety_disarm();
+    }
+    answer('K', 'D', 0);
+    return ACCEPTED;
+}
+
+static uint8_t reset(const uint16_t *field)
+{
+    (void)field;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        safety_reset();
+    }
+    renew_nonce();
+    answer('K', 'R', nonce);
+    return ACCEPTED;
+}
+
+static uint8_t set_telemetry(bool to_binary, uint16_t rate, uint16_t highest)
+{
+    if (rate > highest || (rate && 1000 % rate))
+        return BAD_RATE;
+    answer_in_binary(to_binary);
+    sampling_set_period(rate ? 1000 / rate : 0);
+    answer('K', to_binary ? 'B' : 'T', rate);
+    return ACCEPTED;
+}
+
+static uint8_t text(const uint16_t *field)
+{
+    return set_telemetry(false, field[0], TEXT_RATE_MAX);
+}
+
+static uint8_t binary_frames(const uint16_t *field)
+{
+    return set_telemetry(true, field[0], BINARY_RATE_MAX);
+}
+
+/* Both ends of the answer's way through this device: when the question had arrived, and when the
+ * answer will have left, behind all that still waits to be sent. */
+static uint8_t ping(const uint16_t *field)
+{
+    begin_message('P');
+    add(field[0]);
+    uint8_t before = out.length;
+    add(serial_line_time());
+    uint8_t rest = (uint8_t)(out.length - before + SEAL_TEXT); /* the other stamp is as long */
+    add(clock_us() + (uint32_t)(serial_queued() + out.length + rest) * BYTE_US);
+    send_message();
+    return ACCEPTED;
+}
+
+static uint8_t status(const uint16_t *field)
+{
+    (void)field;
+    struct serial_counts counts = serial_counts();
+    begin_message('S');
+    add_named(PSTR(" rejected="), rejected);
+    add_named(PSTR(" overruns="), counts.overruns);
+    add_named(PSTR(" dropped="), counts.dropped);
+    add_named(PSTR(" lost="), sampling_lost());
+    add_named(PSTR(" stack="), stack_never_used());
+    send_message();
+    return ACCEPTED;
+}
+
+static const struct {
+    char name;
+    uint8_t fields;
+    bool open; /* a person may type it without a checksum */
+    uint8_t (*run)(const uint16_t *field);
+} commands[] = {
+    {'?', 0, true, hello},  {'S', 0, true, status},        {'A', 1, false, arm},
+    {'V', 6, false, drive}, {'D', 0, true, disarm},        {'R', 0, false, reset},
+    {'T', 1, true, text},   {'B', 1, false, binary_frames}, {'P', 1, false, ping},
+};
+
+static uint8_t run(const struct command *command)
+{
+    for (uint8_t i = 0; i < sizeof commands / sizeof *commands; i++) {
+        if (commands[i].name != command->name)
+            continue;
+        if (commands[i].fields != command->count)
+            return BAD_FORMAT;
+        if (!command->sealed && !commands[i].open)
+            return BAD_CHECKSUM;
+        return commands[i].run(command->field);
+    }
+    return BAD_FORMAT;
+}
+
+static void obey(void)
+{
+    struct command command;
+    if (!line.length && !line.overlong)
+        return; /* an empty line flushes what came before it */
+    uint8_t reason = parse_command(&line, &command);
+    char name = reason == ACCEPTED ? command.name : '-';
+    if (reason == ACCEPTED)
+        reason = run(&command);
+    if (reason == ACCEPTED)
+        return;
+    rejected++;
+    answer('N', name >= '?' && name <= 'Z' ? name : '-', reason);
+}
+
+/* --- the loop --------------------------------------------------------------------------------- */
+
+void session_init(void)
+{
+    line_clear(&line);
+    answer_in_binary(false);
+    rejected = 0;
+    session = 0;
+    sequence = 0;
+    renew_nonce();
+    greeting_start(nonce);
+    sampling_set_period(1000 / BOOT_RATE);
+}
+
+bool session_run(void)
+{
+    uint8_t byte;
+    bool busy = serial_take(&byte);
+    if (busy && line_add(&line, byte)) {
+        obey();
+        line_clear(&line);
+    }
+    follow_supply();
+    greet();
+    return report(sequence) || busy;
+}

@@ -1,0 +1,115 @@
+"""Sensors against known loads: gain and offset, with their errors. Pure functions."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sma_bench.errors import InputError
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """value = gain * reading + offset."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+
+    def apply(self, reading: float) -> float:
+        """The value behind a reading."""
+        return self.gain * reading + self.offset
+
+    def reading(self, value: float) -> float:
+        """The reading that a value gives."""
+        return (value - self.offset) / self.gain
+
+
+@dataclass(frozen=True)
+class CalibrationFit:
+    """A calibration with one standard deviation each, and how far the points scatter."""
+
+    calibration: Calibration
+    gain_std: float
+    offset_std: float
+    residual_std: float
+    n: int
+
+
+@dataclass(frozen=True)
+class RangeCalibration:
+    """Triangulation: the voltage is proportional to 1/(distance + shift).
+
+    distance (m) = 1/(gain * voltage + offset) - shift
+    """
+
+    gain: float
+    offset: float
+    shift: float = 0.0
+
+    def distance(self, voltage: float) -> float:
+        """Distance in m at a sensor's voltage; infinite beyond what it can see (REP-117)."""
+        inverse = self.gain * voltage + self.offset
+        return 1.0 / inverse - self.shift if inverse > 0.0 else math.inf
+
+
+def fit_calibration(readings: ArrayLike, known: ArrayLike) -> CalibrationFit:
+    """Least-squares line through readings (n,) of known loads (n,), in the loads' unit.
+
+    The errors come from the scatter and are NaN with two points.
+
+    Raises:
+        InputError: fewer than two different readings, values that are not finite, a gain of zero.
+    """
+    x, y = _pairs(readings, known)
+    centre = x.mean()
+    spread = float(((x - centre) ** 2).sum())
+    gain = float(((x - centre) * y).sum() / spread)
+    offset = float(y.mean() - gain * centre)
+    if gain == 0.0:
+        raise InputError("calibration: the readings do not follow the known loads (gain 0)")
+    freedom = len(x) - 2
+    residual = y - gain * x - offset
+    scatter = math.sqrt(float((residual**2).sum()) / freedom) if freedom else math.nan
+    return CalibrationFit(
+        Calibration(gain, offset),
+        gain_std=scatter / math.sqrt(spread),
+        offset_std=scatter * math.sqrt(1.0 / len(x) + centre**2 / spread),
+        residual_std=scatter,
+        n=len(x),
+    )
+
+
+def fit_range_calibration(
+    voltages: ArrayLike, distances: ArrayLike, shift: float = 0.0
+) -> RangeCalibration:
+    """Triangulation sensor from voltages (n,) at known distances (n,) in m.
+
+    `shift` is the depth of the lens behind the sensor's face, in m.
+
+    Raises:
+        InputError: as `fit_calibration`; or a distance that is not in front of the lens.
+    """
+    metres = np.atleast_1d(np.asarray(distances, dtype=float))
+    if not (metres + shift > 0.0).all():
+        raise InputError(
+            f"calibration: distance {metres.min():g} m with shift {shift:g} m, expected positive"
+        )
+    line = fit_calibration(voltages, 1.0 / (metres + shift)).calibration
+    return RangeCalibration(line.gain, line.offset, shift)
+
+
+def _pairs(readings: ArrayLike, known: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    x = np.atleast_1d(np.asarray(readings, dtype=float))
+    y = np.atleast_1d(np.asarray(known, dtype=float))
+    if x.shape != y.shape or x.ndim != 1:
+        raise InputError(
+            f"calibration: {x.size} readings for {y.size} known loads, expected as many"
+        )
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError("calibration: a reading or a load is not finite")
+    if np.unique(x).size < 2:
+        raise InputError(
+            f"calibration: {np.unique(x).size} different readings, expected at least 2"
+        )
+    return x, y

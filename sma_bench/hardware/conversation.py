@@ -1,0 +1,178 @@
+"""Questions and answers on one opened port; a new connection is a new conversation."""
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+
+from sma_bench.hardware.serial_framing import Splitter, line
+from sma_bench.hardware.serial_messages import (
+    Accepted,
+    Message,
+    Named,
+    Pong,
+    ProtocolError,
+    Refused,
+    Telemetry,
+    command,
+    decode,
+)
+from sma_bench.hardware.serial_port import Port
+
+ANSWER_TIMEOUT = 0.5
+"""s; the device answers within a few ms."""
+
+Answers = list[Message]
+
+
+class LinkError(Exception):
+    """The device did not do what was asked; one line says why."""
+
+
+class Conversation:
+    """One thread calls `receive` again and again; any thread may send and ask."""
+
+    def __init__(self, port: Port, clock: Callable[[], float] = time.monotonic) -> None:
+        self._port = port
+        self._now = clock
+        self._splitter = Splitter()
+        self._writing = threading.Lock()
+        self._one_question = threading.Lock()
+        self._answered = threading.Condition()
+        self._answers: Answers = []
+        self._asking = False
+        self._open = True
+        self.not_understood = 0
+
+    @property
+    def damaged(self) -> int:
+        """Messages with a wrong checksum, or none."""
+        return self._splitter.damaged
+
+    def expect(self, binary: bool) -> None:
+        """The device was told to send frames (`binary`) or lines."""
+        self._splitter.expect(binary)
+
+    def close(self) -> None:
+        """Give the port back; whoever sends or asks from here on gets a LinkError."""
+        with self._writing:
+            self._open = False
+            self._port.close()
+
+    def send(self, data: bytes) -> None:
+        """Bytes to the device.
+
+        Raises:
+            LinkError: the port is closed or broken.
+        """
+        with self._writing:
+            if not self._open:
+                raise LinkError("not connected")
+            try:
+                self._port.write(data)
+            except OSError as error:
+                raise LinkError(f"cannot write: {error}") from None
+
+    def say(self, letter: str, *numbers: int) -> None:
+        """A command whose answer nobody waits for.
+
+        Raises:
+            LinkError: as `send`.
+        """
+        self.send(line(command(letter, *numbers)))
+
+    def receive(self, patience: float = 0.05) -> tuple[list[Message], float]:
+        """What came in, and the host time when it was read; answers go to whoever asked.
+
+        Waits no longer than `patience` s.
+
+        Raises:
+            OSError: the port is gone.
+        """
+        self._port.timeout = max(patience, 0.0)
+        received = self._port.read(max(1, self._port.in_waiting))
+        now = self._now()
+        messages = list(self._decoded(self._splitter.feed(received)))
+        answers: Answers = [m for m in messages if not isinstance(m, Telemetry | Pong)]
+        if answers:
+            self._hand_over(answers)
+        return messages, now
+
+    def ask(
+        self,
+        letter: str,
+        *numbers: int,
+        complete: Callable[[Answers], bool] = bool,
+        pump: bool = False,
+    ) -> Answers:
+        """The answers to a command, once they are `complete`.
+
+        `pump` for the thread that otherwise receives.
+
+        Raises:
+            LinkError: they do not come in time, or the port is closed.
+        """
+        with self._one_question:
+            self._asking = True
+            try:
+                self._answers = []
+                self.say(letter, *numbers)
+                return self._wait(letter, complete, pump)
+            finally:
+                self._asking = False
+
+    def ask_for_consent(self, letter: str, *numbers: int) -> int:
+        """The value with which a command was accepted.
+
+        Raises:
+            LinkError: it was refused; or as `ask`.
+        """
+
+        def concerning(answers: Answers) -> list[Accepted | Refused]:
+            return [a for a in answers if isinstance(a, Accepted | Refused) and a.letter == letter]
+
+        answers = self.ask(letter, *numbers, complete=lambda a: bool(concerning(a)))
+        answer = concerning(answers)[0]
+        if isinstance(answer, Refused):
+            raise LinkError(str(answer))
+        return answer.value
+
+    def ask_named(self, letter: str, kinds: Iterable[str], pump: bool = False) -> dict[str, Named]:
+        """The `key=value` lines of all `kinds`.
+
+        Raises:
+            LinkError: as `ask`.
+        """
+        wanted = frozenset(kinds)
+
+        def by_kind(answers: Answers) -> dict[str, Named]:
+            return {a.letter: a for a in answers if isinstance(a, Named)}
+
+        return by_kind(
+            self.ask(letter, complete=lambda a: by_kind(a).keys() >= wanted, pump=pump)
+        )
+
+    def _decoded(self, bodies: list[bytes]) -> Iterable[Message]:
+        for body in bodies:
+            try:
+                yield decode(body)
+            except ProtocolError:
+                self.not_understood += 1
+
+    def _hand_over(self, answers: Answers) -> None:
+        with self._answered:
+            self._answers = self._answers + answers
+            self._answered.notify_all()
+
+    def _wait(self, letter: str, complete: Callable[[Answers], bool], pump: bool) -> Answers:
+        until = self._now() + ANSWER_TIMEOUT
+        while not complete(self._answers):
+            if not self._open or self._now() > until:
+                raise LinkError(f"no answer to {letter}")
+            if pump:
+                self.receive()
+            else:
+                with self._answered:
+                    self._answered.wait_for(
+                        lambda: complete(self._answers) or not self._open, ANSWER_TIMEOUT
+                    )
+        return self._answers

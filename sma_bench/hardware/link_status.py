@@ -1,0 +1,65 @@
+"""What a serial link counts and tells."""
+
+from dataclasses import dataclass, field
+
+from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry, name_of
+
+_NUMBERS = 1 << 16
+_CLOCK = 1 << 32
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Telemetry with its time of acquisition: host s, the middle of the window."""
+
+    telemetry: Telemetry
+    time: float
+
+
+@dataclass
+class LinkStatus:
+    """A snapshot; counts are since the link was made."""
+
+    connected: bool = False
+    device: DeviceIdentity | None = None
+    state: State = State.IDLE
+    cause: int = 0
+    telemetry: int = 0
+    lost: int = 0
+    damaged: int = 0
+    not_understood: int = 0
+    refused: int = 0
+    connections: int = 0
+    round_trip: float = float("nan")
+    drift: float = 0.0
+    clock_uncertainty: float = float("inf")
+    problem: str = ""
+    _last: Telemetry | None = field(default=None, repr=False)
+
+    @property
+    def cause_text(self) -> str:
+        """Why the device stopped, in words; "" when it did not."""
+        return name_of(CAUSES, self.cause)
+
+    def note(self, telemetry: Telemetry) -> None:
+        """Count a frame and those missing before it."""
+        if self._last is not None:
+            self.lost += (telemetry.sequence - self._last.sequence - 1) % _NUMBERS
+        self._last = telemetry
+        self.telemetry += 1
+        self.state = State(telemetry.state)
+        self.cause = telemetry.cause
+
+    def start_anew(self, device: DeviceIdentity) -> None:
+        """A new connection; its first frame is not late."""
+        self.connected, self.device, self.problem = True, device, ""
+        self.connections += 1
+        self.state, self.cause = State.IDLE, 0
+        self._last = None
+
+    def went_back(self, telemetry: Telemetry) -> bool:
+        """True when the device's clock is before that of the last frame: it started anew."""
+        if self._last is None:
+            return False
+        return (telemetry.time_us - self._last.time_us) % _CLOCK > _CLOCK // 2

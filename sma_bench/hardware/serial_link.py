@@ -1,0 +1,289 @@
+"""The link to the bench's Uno: one thread reads, whoever drives the bench writes.
+
+It connects by itself, again and again, and never arms by itself. Commands are sent once each:
+a host that hangs falls silent, and the device's own timeout switches off.
+"""
+
+import contextlib
+import copy
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.conversation import Conversation, LinkError
+from sma_bench.hardware.device_clock import DeviceClock
+from sma_bench.hardware.device_identity import HANDSHAKE_LINES, DeviceIdentity
+from sma_bench.hardware.link_status import LinkStatus, Reading
+from sma_bench.hardware.serial_messages import (
+    CHANNELS,
+    STOP,
+    Message,
+    Pong,
+    Refused,
+    State,
+    Telemetry,
+    command,
+)
+from sma_bench.hardware.serial_port import Port, transmission_time
+
+BINARY_ABOVE = 100
+"""Hz: text telemetry up to here, binary above."""
+
+_ASKS = 3
+_NUMBERS = 1 << 16
+
+
+@dataclass(frozen=True)
+class LinkOptions:
+    """Times in s, rate of telemetry in Hz (a divisor of 1000, to 500)."""
+
+    rate: int = 100
+    # No multiple of a telemetry period: pings must meet the pauses between frames too.
+    ping_period: float = 0.0837
+    greeting_timeout: float = 2.5
+    silence_limit: float = 0.5
+    first_back_off: float = 0.5
+    longest_back_off: float = 8.0
+
+
+def _ignore(_: object) -> None:
+    pass
+
+
+class SerialLink:
+    """See the module. `on_reading` and `on_event` are called in the link's own thread."""
+
+    def __init__(
+        self,
+        open_port: Callable[[], Port],
+        options: LinkOptions | None = None,
+        on_reading: Callable[[Reading], None] = _ignore,
+        on_event: Callable[[str], None] = _ignore,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._open_port = open_port
+        self._options = options or LinkOptions()
+        self._on_reading = on_reading
+        self._on_event = on_event
+        self._now = clock
+        self._conversation: Conversation | None = None
+        self._device_clock = DeviceClock()
+        self._status = LinkStatus()
+        self._changed = threading.Condition()
+        self._driving = threading.Lock()
+        self._session: int | None = None
+        self._sequence = 0
+        self._ping = (0, 0.0)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._live, name="serial link", daemon=True)
+
+    # --- for whoever drives the bench ---------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin to connect; returns at once."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Outputs off, port closed."""
+        self.stop()
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def status(self) -> LinkStatus:
+        """A copy of the present state and counts."""
+        with self._changed:
+            return copy.copy(self._status)
+
+    def wait_connected(self, timeout: float) -> bool:
+        """True as soon as the handshake succeeded, False after `timeout` s."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._status.connected, timeout)
+
+    def arm(self) -> None:
+        """Ask the device to accept voltages.
+
+        Raises:
+            LinkError: not connected, stopped, no supply, no answer.
+        """
+        conversation = self._connected()
+        greeting = conversation.ask_named("?", "H")["H"]
+        session = conversation.ask_for_consent("A", int(greeting.values["nonce"]))
+        with self._driving:
+            self._session, self._sequence = session, 0
+
+    def drive(self, millivolts: Sequence[int]) -> int:
+        """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
+
+        Raises:
+            LinkError: not armed, or the port is gone.
+            ValueError: not four numbers that the protocol can carry.
+        """
+        if len(millivolts) != CHANNELS:
+            raise ValueError(f"{len(millivolts)} voltages, expected {CHANNELS}")
+        with self._driving:
+            if self._session is None:
+                raise LinkError("not armed")
+            sequence = (self._sequence + 1) % _NUMBERS
+            self._connected().say("V", self._session, sequence, *millivolts)
+            self._sequence = sequence
+        return sequence
+
+    def stop(self) -> None:
+        """Emergency stop: one byte, never refused; harmless when nothing is connected."""
+        self._session = None
+        conversation = self._conversation
+        if conversation is not None:
+            with contextlib.suppress(LinkError):
+                conversation.send(STOP)
+
+    def disarm(self) -> None:
+        """Outputs off, without a latched cause.
+
+        Raises:
+            LinkError: not connected, no answer.
+        """
+        self._session = None
+        self._connected().ask_for_consent("D")
+
+    def reset(self) -> None:
+        """Forget the latched cause; arming is another request.
+
+        Raises:
+            LinkError: not connected, no answer.
+        """
+        self._session = None
+        self._connected().ask_for_consent("R")
+
+    def counters(self) -> dict[str, int]:
+        """The device's own counters (S line).
+
+        Raises:
+            LinkError: not connected, no answer.
+        """
+        line = self._connected().ask_named("S", "S")["S"]
+        return {key: int(value) for key, value in line.values.items()}
+
+    def _connected(self) -> Conversation:
+        conversation = self._conversation
+        if conversation is None or not self._status.connected:
+            raise LinkError(f"not connected: {self._status.problem or 'no handshake yet'}")
+        return conversation
+
+    # --- the thread ---------------------------------------------------------------------------
+
+    def _live(self) -> None:
+        back_off = self._options.first_back_off
+        while not self._closing.is_set():
+            try:
+                conversation = self._connect()
+                back_off = self._options.first_back_off
+                self._serve(conversation)
+            except (OSError, LinkError, InputError) as error:
+                self._lose(str(error))
+            self._hang_up()
+            self._closing.wait(back_off)
+            back_off = min(2.0 * back_off, self._options.longest_back_off)
+
+    def _connect(self) -> Conversation:
+        conversation = Conversation(self._open_port(), self._now)
+        self._conversation = conversation
+        self._device_clock = DeviceClock()
+        self._await_any_message(conversation)
+        device = self._identify(conversation)
+        binary = self._options.rate > BINARY_ABOVE
+        conversation.say("B" if binary else "T", self._options.rate)
+        conversation.expect(binary)
+        with self._changed:
+            self._status.start_anew(device)
+            self._changed.notify_all()
+        self._on_event(f"connected to {device.name} {device.build}, last reset: {device.reset}")
+        return conversation
+
+    def _await_any_message(self, conversation: Conversation) -> None:
+        """Opening may have reset the device; asking its bootloader would hold it there."""
+        until = self._now() + self._options.greeting_timeout
+        while self._now() < until and not self._closing.is_set():
+            if conversation.receive()[0]:
+                return
+
+    def _identify(self, conversation: Conversation) -> DeviceIdentity:
+        for _ in range(_ASKS):
+            # Ends whatever a former host left of a line, and its binary mode.
+            conversation.send(b"\n")
+            conversation.say("T", BINARY_ABOVE)
+            with contextlib.suppress(LinkError):
+                return DeviceIdentity.from_lines(
+                    conversation.ask_named("?", HANDSHAKE_LINES, pump=True)
+                )
+        raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
+
+    def _serve(self, conversation: Conversation) -> None:
+        heard = next_ping = self._now()
+        while not self._closing.is_set():
+            messages, now = conversation.receive(next_ping - self._now())
+            for message in messages:
+                self._act(message, now)
+            self._status.damaged = conversation.damaged
+            self._status.not_understood = conversation.not_understood
+            if messages:
+                heard = now
+            elif now - heard > self._options.silence_limit:
+                raise LinkError(f"the device is silent for {now - heard:.2f} s")
+            if now >= next_ping:
+                next_ping = now + self._options.ping_period
+                self._send_ping(conversation)
+
+    def _act(self, message: Message, now: float) -> None:
+        if isinstance(message, Telemetry):
+            self._take(message, now)
+        elif isinstance(message, Pong):
+            self._synchronise(message, now)
+        elif isinstance(message, Refused):
+            self._status.refused += 1
+
+    def _take(self, telemetry: Telemetry, now: float) -> None:
+        if self._status.went_back(telemetry):
+            raise LinkError("the device restarted by itself")
+        with self._changed:
+            stopped_already = self._status.state == State.STOPPED
+            self._status.note(telemetry)
+        if self._status.state == State.STOPPED and not stopped_already:
+            self._session = None
+            self._on_event(f"the device stopped: {self._status.cause_text}")
+        if self._device_clock.synchronised:
+            # A window cannot end after it was received.
+            ended = min(self._device_clock.host_time(telemetry.time_us), now)
+            self._on_reading(Reading(telemetry, ended - 0.5 / self._options.rate))
+
+    def _send_ping(self, conversation: Conversation) -> None:
+        number = (self._ping[0] + 1) % _NUMBERS
+        conversation.say("P", number)
+        # Its last byte leaves when the cable has carried all of them.
+        self._ping = (number, self._now() + transmission_time(command("P", number)))
+
+    def _synchronise(self, pong: Pong, now: float) -> None:
+        number, sent = self._ping
+        if pong.identity == number:
+            self._device_clock.add(sent, pong.arrived_us, pong.left_us, now)
+            self._status.round_trip = now - sent
+            self._status.drift = self._device_clock.drift
+            self._status.clock_uncertainty = self._device_clock.uncertainty
+
+    def _lose(self, problem: str) -> None:
+        self._session = None
+        with self._changed:
+            news = self._status.connected or problem != self._status.problem
+            self._status.connected, self._status.problem = False, problem
+            self._changed.notify_all()
+        if news:
+            self._on_event(f"not connected: {problem}")
+
+    def _hang_up(self) -> None:
+        conversation, self._conversation = self._conversation, None
+        if conversation is not None:
+            with contextlib.suppress(OSError):
+                conversation.close()

@@ -1,0 +1,184 @@
+"""Messages of the serial protocol as values in SI units (docs/serial_protocol.md)."""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+PROTOCOL_VERSION = 1
+CHANNELS = 4
+STOP = b"!"
+
+_LEAST_DUTY = 1.0 / 65536.0
+_BINARY = struct.Struct("<HIBBHhhHHHHHHH")
+_HIGHEST_SEQUENCE = 0xFFFF
+
+CAUSES = (
+    "", "stop byte", "command timeout", "over-current of the front board",
+    "over-current of the back board", "duty above its limit", "on for longer than allowed",
+    "supply out of range", "main loop hung", "converter dead",
+)
+REASONS = (
+    "accepted", "wrong checksum", "bad format", "line too long", "not armed",
+    "wrong nonce or session", "old sequence number", "above the voltage limit",
+    "above the duty limit", "supply out of range or just started", "rate not possible",
+    "stopped: reset first", "armed already",
+)
+RESETS = ((1, "power-on"), (2, "reset pin"), (4, "brown-out"), (8, "watchdog"))
+
+
+class ProtocolError(ValueError):
+    """A message with a good checksum that still cannot be understood."""
+
+
+class State(IntEnum):
+    """Of the device."""
+
+    IDLE = 0
+    ARMED = 1
+    STOPPED = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """One window of readings, means over the time before `time_us` of the device's clock."""
+
+    sequence: int
+    time_us: int
+    state: int
+    cause: int
+    supply: float
+    """V"""
+    current: tuple[float, float]
+    """A, mean through the front and the back board"""
+    range_voltage: tuple[float, float]
+    """V at the front and the back triangulation sensor"""
+    duty: tuple[float, float, float, float]
+    """share of the time that each channel is switched on"""
+    echo: int
+    """sequence number of the last accepted command"""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A line of `key=value`: H (who), L and M (limits), S (counters)."""
+
+    letter: str
+    values: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """`K letter value`."""
+
+    letter: str
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """`N letter reason`."""
+
+    letter: str
+    reason: int
+
+    def __str__(self) -> str:
+        return f"device refused {self.letter}: {name_of(REASONS, self.reason)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Pong:
+    """`P id arrived left`: the device's clock when the ping came and when the answer went."""
+
+    identity: int
+    arrived_us: int
+    left_us: int
+
+
+Message = Telemetry | Named | Accepted | Refused | Pong
+
+
+def name_of(names: tuple[str, ...], number: int) -> str:
+    """The name of a numbered cause or reason; newer firmware may know more of them."""
+    return names[number] if number < len(names) else f"number {number}"
+
+
+def resets(flags: int) -> str:
+    """Words for the reset flags of an H line."""
+    return ", ".join(name for bit, name in RESETS if flags & bit) or "unknown"
+
+
+def command(letter: str, *numbers: int) -> str:
+    """Body of a command.
+
+    Raises:
+        ValueError: a number that the protocol cannot carry.
+    """
+    for number in numbers:
+        if not 0 <= number <= _HIGHEST_SEQUENCE:
+            raise ValueError(f"command {letter} has {number}, expected 0 to {_HIGHEST_SEQUENCE}")
+    return " ".join([letter, *map(str, numbers)])
+
+
+def decode(body: bytes) -> Message:
+    """The message in a body whose checksum was right.
+
+    Raises:
+        ProtocolError: it is not one that this host knows.
+    """
+    if body[:1] == b"B" and len(body) == 1 + _BINARY.size:
+        return _telemetry(_BINARY.unpack(body[1:]))
+    try:
+        letter, *fields = body.decode("ascii").split(" ")
+        return _DECODERS[letter](letter, fields)
+    except (KeyError, ValueError, IndexError):
+        raise ProtocolError(
+            f"message {body[:40]!r} is not of protocol {PROTOCOL_VERSION}"
+        ) from None
+
+
+def _telemetry(fields: tuple[int, ...]) -> Telemetry:
+    sequence, time_us, state, cause, supply, front, back, near, far, a, b, c, d, echo = fields
+    return Telemetry(
+        sequence, time_us, state, cause, 1e-3 * supply, (1e-3 * front, 1e-3 * back),
+        (1e-4 * near, 1e-4 * far),
+        (a * _LEAST_DUTY, b * _LEAST_DUTY, c * _LEAST_DUTY, d * _LEAST_DUTY), echo,
+    )
+
+
+def _text_telemetry(_letter: str, fields: list[str]) -> Telemetry:
+    # Packing them refuses what a frame could not carry.
+    return _telemetry(_BINARY.unpack(_pack([int(field) for field in fields])))
+
+
+def _pack(numbers: list[int]) -> bytes:
+    try:
+        return _BINARY.pack(*numbers)
+    except struct.error as error:
+        raise ValueError(str(error)) from None
+
+
+def _named(letter: str, fields: list[str]) -> Named:
+    pairs = [field.split("=", 1) for field in fields]
+    return Named(letter, {pair[0]: pair[1] for pair in pairs})
+
+
+def _accepted(_letter: str, fields: list[str]) -> Accepted:
+    letter, value = fields
+    return Accepted(letter, int(value))
+
+
+def _refused(_letter: str, fields: list[str]) -> Refused:
+    letter, reason = fields
+    return Refused(letter, int(reason))
+
+
+def _pong(_letter: str, fields: list[str]) -> Pong:
+    identity, arrived_us, left_us = fields
+    return Pong(int(identity), int(arrived_us), int(left_us))
+
+
+_DECODERS: dict[str, Callable[[str, list[str]], Message]] = {
+    "T": _text_telemetry, "H": _named, "L": _named, "M": _named, "S": _named,
+    "K": _accepted, "N": _refused, "P": _pong,
+}

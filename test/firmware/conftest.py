@@ -1,0 +1,91 @@
+"""The firmware, built once for all tests: for this computer, and for the Uno."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from emulated_uno import EmulatedUno, build_emulator, build_firmware
+from host_firmware import HostFirmware, build_host_firmware, build_program
+from virtual_host import VirtualHost
+
+SIMAVR = Path("/usr/include/simavr/sim_avr.h")
+ELF_LIBRARY = Path("/usr/include/libelf.h")
+
+
+@pytest.fixture(scope="session")
+def compiler() -> str:
+    """A C compiler for this computer."""
+    path = shutil.which("cc")
+    if path is None:
+        pytest.skip("no C compiler (cc) here")
+    return path
+
+
+@pytest.fixture(scope="session")
+def avr_toolchain() -> str:
+    """The compiler for the Uno."""
+    path = shutil.which("avr-gcc")
+    if path is None:
+        pytest.skip("no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
+    return path
+
+
+@pytest.fixture(scope="session")
+def logic_tests(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """test_logic.c under sanitizers."""
+    return build_program("test_logic.c", tmp_path_factory.mktemp("logic"))
+
+
+@pytest.fixture(scope="session")
+def fuzzer(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fuzz.c under sanitizers."""
+    return build_program("fuzz.c", tmp_path_factory.mktemp("fuzz"))
+
+
+@pytest.fixture(scope="session")
+def host_library(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The firmware's logic as a shared library."""
+    return build_host_firmware(tmp_path_factory.mktemp("host_firmware"))
+
+
+@pytest.fixture
+def host_firmware(host_library: Path) -> HostFirmware:
+    """The firmware's logic on this computer, just started; one at a time."""
+    return HostFirmware(host_library)
+
+
+@pytest.fixture(scope="session")
+def firmware_image(avr_toolchain: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The image that is flashed."""
+    return build_firmware(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture(scope="session")
+def emulator(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """uno.c, built."""
+    if not (SIMAVR.exists() and ELF_LIBRARY.exists()):
+        pytest.skip("no simavr here (Debian packages libsimavr-dev, libelf-dev)")
+    return build_emulator(tmp_path_factory.mktemp("emulator"))
+
+
+@pytest.fixture
+def uno(emulator: Path, firmware_image: Path) -> EmulatedUno:
+    """An Uno with the real image, just powered up."""
+    return EmulatedUno(emulator, firmware_image)
+
+
+@pytest.fixture
+def host(uno: EmulatedUno) -> VirtualHost:
+    """A host in virtual time on an Uno that has greeted."""
+    host = VirtualHost(uno)
+    host.run(0.2)
+    return host
+
+
+@pytest.fixture
+def driving(host: VirtualHost) -> VirtualHost:
+    """The same, armed and driving 6 V on the first channel and 3 V on the last one."""
+    host.arm()
+    host.drive(6000, 0, 0, 3000)
+    host.run(0.02)
+    return host

@@ -1,0 +1,264 @@
+#include "fake_hardware.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "hal.h"
+#include "protocol.h"
+#include "safety.h"
+#include "session.h"
+
+#define SENT_SIZE 65536
+#define QUEUE_SIZE 128
+
+static uint32_t now_us;
+static uint16_t entropy_value;
+static uint16_t outputs[CHANNELS];
+static uint16_t readings[INPUTS];
+static bool converting;
+
+static uint8_t queue[QUEUE_SIZE];
+static uint8_t queued;
+static uint32_t line_time;
+static uint8_t sent[SENT_SIZE];
+static uint32_t sent_length;
+
+static struct frame window;
+static bool is_ready;
+static uint16_t period_ms, elapsed_ms, sequence;
+
+/* --- hal.h ------------------------------------------------------------------------------------ */
+
+void outputs_off(void)
+{
+    memset(outputs, 0, sizeof outputs);
+}
+
+void outputs_prepare(void)
+{
+}
+
+uint32_t clock_us(void)
+{
+    return now_us;
+}
+
+uint16_t entropy(void)
+{
+    return entropy_value;
+}
+
+void sampling_set_period(uint16_t milliseconds)
+{
+    period_ms = milliseconds;
+    elapsed_ms = 0;
+}
+
+const struct frame *sampling_take(void)
+{
+    return is_ready ? &window : NULL;
+}
+
+void sampling_release(void)
+{
+    is_ready = false;
+}
+
+uint16_t sampling_lost(void)
+{
+    return 0;
+}
+
+bool serial_take(uint8_t *byte)
+{
+    if (!queued)
+        return false;
+    *byte = queue[0];
+    memmove(queue, queue + 1, --queued);
+    return true;
+}
+
+uint32_t serial_line_time(void)
+{
+    return line_time;
+}
+
+uint8_t serial_room(void)
+{
+    return 255;
+}
+
+uint8_t serial_queued(void)
+{
+    return 0;
+}
+
+bool serial_send(const uint8_t *bytes, uint8_t length)
+{
+    if (length > SENT_SIZE - sent_length)
+        return false;
+    memcpy(sent + sent_length, bytes, length);
+    sent_length += length;
+    return true;
+}
+
+struct serial_counts serial_counts(void)
+{
+    return (struct serial_counts){0, 0};
+}
+
+uint8_t reset_flags(void)
+{
+    return 1;
+}
+
+uint16_t stack_never_used(void)
+{
+    return 999;
+}
+
+/* --- the world -------------------------------------------------------------------------------- */
+
+void fake_start(uint16_t value)
+{
+    static const uint16_t quiet[INPUTS] = {512, 512, 614, 300, 300};
+    now_us = 0;
+    entropy_value = value;
+    memcpy(readings, quiet, sizeof readings);
+    converting = true;
+    queued = 0;
+    sent_length = 0;
+    is_ready = false;
+    sequence = 0;
+    safety_init();
+    session_init();
+    fake_run_ms(200);
+    fake_forget_sent();
+}
+
+void fake_receive(const uint8_t *bytes, uint32_t length)
+{
+    for (uint32_t i = 0; i < length; i++) {
+        if (bytes[i] == STOP_BYTE) {
+            safety_stop(STOP_BYTE_SEEN);
+            continue;
+        }
+        queue[queued++] = bytes[i];
+        if (bytes[i] == '\n')
+            line_time = now_us;
+        session_run();
+    }
+}
+
+static void convert_twice(void)
+{
+    for (uint8_t turn = 0; converting && turn < 2; turn++) {
+        safety_current(0, readings[FRONT_CURRENT]);
+        safety_current(1, readings[BACK_CURRENT]);
+        safety_supply(readings[SUPPLY]);
+    }
+}
+
+static void close_window(void)
+{
+    if (!period_ms || ++elapsed_ms < period_ms)
+        return;
+    elapsed_ms = 0;
+    sequence++;
+    window.sequence = sequence;
+    window.time_us = now_us;
+    for (uint8_t input = 0; input < INPUTS; input++) {
+        window.sum[input] = readings[input];
+        window.count[input] = 1;
+    }
+    is_ready = true;
+}
+
+static void pass_millisecond(bool loop_lives)
+{
+    now_us += 1000;
+    if (loop_lives)
+        safety_loop_lives();
+    safety_tick();
+    convert_twice();
+    close_window();
+    const uint16_t *duty = safety_duties();
+    if (duty)
+        memcpy(outputs, duty, sizeof outputs);
+}
+
+void fake_run_ms(uint32_t milliseconds)
+{
+    while (milliseconds--) {
+        pass_millisecond(true);
+        session_run();
+    }
+}
+
+void fake_hang_ms(uint32_t milliseconds)
+{
+    while (milliseconds--)
+        pass_millisecond(false);
+}
+
+uint32_t fake_take_sent(uint8_t *bytes, uint32_t size)
+{
+    uint32_t length = sent_length < size ? sent_length : size;
+    memcpy(bytes, sent, length);
+    fake_forget_sent();
+    return length;
+}
+
+void fake_forget_sent(void)
+{
+    sent_length = 0;
+}
+
+void fake_set_supply(uint16_t reading)
+{
+    readings[SUPPLY] = reading;
+}
+
+void fake_set_current(uint8_t board, uint16_t reading)
+{
+    readings[board] = reading;
+}
+
+void fake_set_converter(bool runs)
+{
+    converting = runs;
+}
+
+uint16_t fake_output(uint8_t channel)
+{
+    return outputs[channel];
+}
+
+bool fake_any_output(void)
+{
+    for (uint8_t channel = 0; channel < CHANNELS; channel++)
+        if (outputs[channel])
+            return true;
+    return false;
+}
+
+uint32_t fake_time_us(void)
+{
+    return now_us;
+}
+
+uint16_t fake_nonce(void)
+{
+    static const char *const keys[] = {" nonce=", "K R "};
+    uint32_t value = 0;
+    for (uint32_t i = 0; i < sent_length; i++) {
+        for (int k = 0; k < 2; k++) {
+            uint32_t at = i + (uint32_t)strlen(keys[k]);
+            if (at > sent_length || memcmp(sent + i, keys[k], strlen(keys[k])))
+                continue;
+            for (value = 0; at < sent_length && sent[at] >= '0' && sent[at] <= '9'; at++)
+                value = value * 10 + (sent[at] - '0');
+        }
+    }
+    return (uint16_t)value;
+}

@@ -1,0 +1,26 @@
+/* The firmware's logic on a computer: the same C files, with this in place of the chip. */
+#ifndef FAKE_HARDWARE_H
+#define FAKE_HARDWARE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "config.h"
+
+void fake_start(uint16_t entropy);
+void fake_receive(const uint8_t *bytes, uint32_t length); /* as the serial interrupt would */
+void fake_run_ms(uint32_t milliseconds);
+void fake_hang_ms(uint32_t milliseconds); /* interrupts live, the main loop does not */
+uint32_t fake_take_sent(uint8_t *bytes, uint32_t size);
+void fake_forget_sent(void);
+
+void fake_set_supply(uint16_t reading);
+void fake_set_current(uint8_t board, uint16_t reading);
+void fake_set_converter(bool runs);
+
+uint16_t fake_output(uint8_t channel); /* duty in 1/65536 at the pin */
+bool fake_any_output(void);
+uint32_t fake_time_us(void);
+uint16_t fake_nonce(void); /* that the messages sent announced last */
+
+#endif

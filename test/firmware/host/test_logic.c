@@ -1,0 +1,548 @@
+/* Tests of protocol.c, safety.c and session.c; `test_logic NAME` runs one, `--list` names all. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fake_hardware.h"
+#include "protocol.h"
+#include "safety.h"
+
+#define CHECK(claim)                                                        \
+    do {                                                                    \
+        if (!(claim)) {                                                     \
+            fprintf(stderr, "%s:%d: not so: %s\n", __FILE__, __LINE__, #claim); \
+            exit(1);                                                        \
+        }                                                                   \
+    } while (0)
+
+static uint16_t open_session;
+
+/* --- helpers ---------------------------------------------------------------------------------- */
+
+static void say(const char *body)
+{
+    char text[200];
+    int length = snprintf(text, sizeof text, "%s*%04X\n", body,
+                          crc16((const uint8_t *)body, (uint8_t)strlen(body)));
+    fake_receive((const uint8_t *)text, (uint32_t)length);
+}
+
+/* True when the answer to `body` has `expected` in it. */
+static bool answers(const char *body, const char *expected)
+{
+    char sent[4096];
+    fake_forget_sent();
+    say(body);
+    uint32_t length = fake_take_sent((uint8_t *)sent, sizeof sent - 1);
+    sent[length] = 0;
+    return strstr(sent, expected) != NULL;
+}
+
+static void arm(void)
+{
+    char body[40];
+    fake_forget_sent();
+    say("?");
+    fake_run_ms(1);
+    open_session = fake_nonce();
+    snprintf(body, sizeof body, "A %u", open_session);
+    CHECK(answers(body, "K A"));
+    CHECK(safety_now()->state == ARMED);
+}
+
+static const char *volts(unsigned sequence, unsigned a, unsigned b, unsigned c, unsigned d)
+{
+    static char body[64];
+    snprintf(body, sizeof body, "V %u %u %u %u %u %u", open_session, sequence, a, b, c, d);
+    return body;
+}
+
+static void start_driving(void)
+{
+    fake_start(1);
+    arm();
+    say(volts(1, 6000, 0, 0, 3000));
+    fake_run_ms(2);
+    CHECK(fake_output(0) > 16000 && fake_output(0) < 16700); /* a quarter */
+    CHECK(!fake_output(1) && !fake_output(2) && fake_output(3));
+}
+
+static bool is_off_for(uint8_t cause)
+{
+    return !fake_any_output() && safety_now()->state == STOPPED && safety_now()->cause == cause;
+}
+
+static uint8_t parsed(const char *text, struct command *command)
+{
+    struct line line;
+    line_clear(&line);
+    for (; *text; text++)
+        line_add(&line, (uint8_t)*text);
+    return parse_command(&line, command);
+}
+
+/* --- protocol --------------------------------------------------------------------------------- */
+
+static void crc_has_the_published_check_value(void)
+{
+    CHECK(crc16((const uint8_t *)"123456789", 9) == 0x29B1);
+}
+
+static void well_formed_lines_are_understood(void)
+{
+    struct command c;
+    CHECK(parsed("?", &c) == ACCEPTED && c.name == '?' && !c.sealed && c.count == 0);
+    CHECK(parsed("V 1 2 65535 0 10 7*F8D7", &c) == BAD_CHECKSUM);
+    CHECK(parsed("T 100\r", &c) == ACCEPTED && c.count == 1 && c.field[0] == 100);
+    CHECK(parsed("V 65535 1 2 3 4 5", &c) == ACCEPTED && c.field[0] == 65535 && c.count == 6);
+}
+
+static void malformed_lines_are_refused(void)
+{
+    static const char *const lines[] = {"V  1", "V 1 ", "V -1", "V 01", "V 65536", "V 4294967297",
+                                        "V 1.5", "V 1e3", "V\t1", " V", "V nan", "V 1 2 3 4 5 6 7",
+                                        "V1", "", "\r", "V 1\r\r"};
+    struct command c;
+    for (size_t i = 0; i < sizeof lines / sizeof *lines; i++)
+        CHECK(parsed(lines[i], &c) == BAD_FORMAT);
+}
+
+static void checksums_are_upper_case(void)
+{
+    struct command c;
+    char line[20], lower[20];
+    snprintf(line, sizeof line, "T 10*%04X", crc16((const uint8_t *)"T 10", 4));
+    snprintf(lower, sizeof lower, "T 10*%04x", crc16((const uint8_t *)"T 10", 4));
+    CHECK(strcmp(line, lower)); /* it has a letter, or this proves nothing */
+    CHECK(parsed(line, &c) == ACCEPTED && c.sealed);
+    CHECK(parsed(lower, &c) == BAD_CHECKSUM);
+}
+
+static void every_single_bit_error_is_noticed(void)
+{
+    struct command c;
+    const char *body = "V 4711 12 2500 0 0 9999";
+    char good[64], bad[64];
+    snprintf(good, sizeof good, "%s*%04X", body, crc16((const uint8_t *)body, 23));
+    CHECK(parsed(good, &c) == ACCEPTED);
+    for (size_t bit = 0; bit < 8 * strlen(good); bit++) {
+        memcpy(bad, good, sizeof bad);
+        bad[bit / 8] = (char)(bad[bit / 8] ^ (1 << bit % 8));
+        CHECK(!(parsed(bad, &c) == ACCEPTED && c.sealed));
+    }
+}
+
+static void overlong_lines_are_refused_whole(void)
+{
+    fake_start(1);
+    arm();
+    char body[200];
+    memset(body, ' ', sizeof body);
+    strcpy(body + 120, "D");
+    CHECK(answers(body, "N - 3"));
+    CHECK(safety_now()->state == ARMED);
+}
+
+static void frames_have_no_zero_inside_and_decode_to_the_body(void)
+{
+    for (int length = 0; length < 130; length++) {
+        for (int zero_every = 1; zero_every < 7; zero_every++) {
+            struct message m;
+            uint8_t body[140], decoded[300];
+            message_clear(&m);
+            for (int i = 0; i < length; i++) {
+                body[i] = (uint8_t)(i % zero_every ? i * 7 + 1 : 0);
+                put_byte(&m, body[i]);
+            }
+            CHECK(seal_binary(&m));
+            CHECK(m.bytes[m.length - 1] == 0);
+            CHECK(memchr(m.bytes, 0, m.length) == m.bytes + m.length - 1);
+            int out = 0;
+            for (int at = 0; at < m.length - 1;) {
+                int code = m.bytes[at++];
+                for (int k = 1; k < code; k++)
+                    decoded[out++] = m.bytes[at++];
+                decoded[out++] = 0;
+            }
+            CHECK(out - 1 == length + 2); /* the last zero is the delimiter's */
+            CHECK(!memcmp(decoded, body, (size_t)length));
+            CHECK((decoded[length] | decoded[length + 1] << 8) == crc16(body, (uint8_t)length));
+        }
+    }
+}
+
+static void messages_that_do_not_fit_are_not_sealed(void)
+{
+    struct message m;
+    for (int length = MESSAGE_MAX - 8; length < MESSAGE_MAX + 20; length++) {
+        message_clear(&m);
+        for (int i = 0; i < length; i++)
+            put_byte(&m, 'x');
+        CHECK(seal_text(&m) == (length + 6 <= MESSAGE_MAX));
+        message_clear(&m);
+        for (int i = 0; i < length; i++)
+            put_byte(&m, 'x');
+        CHECK(seal_binary(&m) == (length + 4 <= MESSAGE_MAX));
+    }
+}
+
+static void numbers_are_written_in_full(void)
+{
+    static const uint32_t values[] = {0, 9, 10, 99, 65535, 1000000000, 4294967295};
+    for (size_t i = 0; i < sizeof values / sizeof *values; i++) {
+        struct message m;
+        char expected[20];
+        message_clear(&m);
+        put_decimal(&m, values[i]);
+        snprintf(expected, sizeof expected, "%lu", (unsigned long)values[i]);
+        CHECK(m.length == strlen(expected) && !memcmp(m.bytes, expected, m.length));
+    }
+    struct message m;
+    message_clear(&m);
+    put_signed(&m, INT16_MIN);
+    CHECK(m.length == 6 && !memcmp(m.bytes, "-32768", 6));
+}
+
+static void duty_is_the_square_of_the_voltage_ratio(void)
+{
+    CHECK(duty_of(0, 12000) == 0);
+    CHECK(duty_of(0, 0) == 0);
+    CHECK(duty_of(6000, 12000) == 16384);
+    CHECK(duty_of(12000, 12000) == 65535);
+    CHECK(duty_of(12001, 12000) == 65535);
+    for (uint32_t mv = 0; mv < 12000; mv += 7) {
+        double exact = 65536.0 * mv * mv / (12000.0 * 12000.0);
+        CHECK(fabs(duty_of((uint16_t)mv, 12000) - exact) < 2.6);
+    }
+}
+
+/* --- session ---------------------------------------------------------------------------------- */
+
+static void nothing_is_driven_before_arming(void)
+{
+    fake_start(1);
+    CHECK(answers("V 0 1 5000 5000 5000 5000", "N V 4"));
+    fake_run_ms(10);
+    CHECK(!fake_any_output());
+    CHECK(answers("A 0", "N A 5"));
+    CHECK(safety_now()->state == IDLE);
+}
+
+static void arming_alone_drives_nothing(void)
+{
+    fake_start(1);
+    arm();
+    fake_run_ms(100);
+    CHECK(!fake_any_output());
+}
+
+static void a_person_may_ask_but_not_drive_without_checksum(void)
+{
+    uint8_t sent[4096];
+    fake_start(1);
+    fake_receive((const uint8_t *)"?\r\n", 3);
+    fake_run_ms(1);
+    CHECK(fake_take_sent(sent, sizeof sent) > 100);
+    arm();
+    char line[64];
+    int length = snprintf(line, sizeof line, "%s\n", volts(1, 5000, 0, 0, 0));
+    fake_receive((const uint8_t *)line, (uint32_t)length);
+    fake_run_ms(2);
+    CHECK(!fake_any_output());
+}
+
+static void replayed_bytes_drive_nothing(void)
+{
+    char arming[40], driving[64];
+    start_driving();
+    snprintf(arming, sizeof arming, "A %u", open_session);
+    strcpy(driving, volts(2, 9000, 0, 0, 0));
+    say(driving);
+    CHECK(answers(driving, "N V 6"));
+    CHECK(answers("D", "K D"));
+    CHECK(answers(arming, "N A 5"));
+    CHECK(answers(driving, "N V 4"));
+    arm(); /* anew: the old session's commands stay dead */
+    CHECK(answers(driving, "N V 5"));
+    fake_run_ms(5);
+    CHECK(!fake_any_output());
+}
+
+static void sequence_may_wrap_but_not_go_back(void)
+{
+    start_driving();
+    CHECK(!answers(volts(32000, 1, 1, 1, 1), "N V"));
+    CHECK(!answers(volts(64000, 1, 1, 1, 1), "N V"));
+    CHECK(!answers(volts(5, 1, 1, 1, 1), "N V"));
+    CHECK(answers(volts(64000, 1, 1, 1, 1), "N V 6"));
+    CHECK(answers(volts(5, 1, 1, 1, 1), "N V 6"));
+}
+
+static void commands_out_of_limits_change_nothing(void)
+{
+    start_driving();
+    uint16_t before = fake_output(0);
+    CHECK(answers(volts(2, MAX_COMMAND_MV + 1, 0, 0, 0), "N V 7"));
+    CHECK(answers(volts(2, 0, 0, 0, 65535), "N V 7"));
+    fake_set_supply(500); /* 9.77 V: 9.5 V would be a duty of 0.95 */
+    fake_run_ms(150);
+    say(volts(3, 6000, 0, 0, 0));
+    fake_run_ms(1);
+    CHECK(answers(volts(4, 9500, 0, 0, 0), "N V 8"));
+    CHECK(safety_now()->state == ARMED && fake_output(0) > before);
+}
+
+static void duty_follows_the_supply(void)
+{
+    start_driving();
+    fake_set_supply(512); /* 10 V */
+    for (unsigned turn = 2; turn < 20; turn++) {
+        say(volts(turn, 6000, 0, 0, 0));
+        fake_run_ms(20);
+    }
+    CHECK(abs((int)fake_output(0) - (int)(0.36 * 65536)) < 100);
+}
+
+static void handshake_and_disarm_switch_off(void)
+{
+    start_driving();
+    say("?");
+    fake_run_ms(1);
+    CHECK(!fake_any_output() && safety_now()->state == IDLE);
+    arm();
+    say(volts(1, 6000, 0, 0, 0));
+    fake_run_ms(1);
+    CHECK(fake_any_output());
+    CHECK(answers("D", "K D"));
+    fake_run_ms(1);
+    CHECK(!fake_any_output() && safety_now()->state == IDLE);
+}
+
+static void telemetry_rates_are_checked(void)
+{
+    fake_start(1);
+    CHECK(answers("T 100", "K T 100"));
+    CHECK(answers("T 101", "N T 10"));
+    CHECK(answers("T 200", "N T 10"));
+    CHECK(answers("B 600", "N B 10"));
+    CHECK(answers("B 333", "N B 10"));
+    CHECK(answers("T 0", "K T 0"));
+    fake_forget_sent();
+    fake_run_ms(100);
+    uint8_t sent[100];
+    CHECK(fake_take_sent(sent, sizeof sent) == 0);
+}
+
+/* --- safety ----------------------------------------------------------------------------------- */
+
+static void silence_stops_after_the_timeout(void)
+{
+    start_driving();
+    fake_run_ms(COMMAND_TIMEOUT_MS - 5);
+    CHECK(fake_any_output());
+    fake_run_ms(10);
+    CHECK(is_off_for(COMMAND_TIMEOUT));
+}
+
+static void commands_keep_it_driving(void)
+{
+    start_driving();
+    for (unsigned turn = 2; turn < 100; turn++) {
+        say(volts(turn, 6000, 0, 0, 0));
+        fake_run_ms(COMMAND_TIMEOUT_MS / 2);
+    }
+    CHECK(fake_any_output() && safety_now()->state == ARMED);
+}
+
+static void refused_commands_do_not_hold_off_the_timeout(void)
+{
+    start_driving();
+    for (int turn = 0; turn < 30; turn++) {
+        say(volts(2, 60000, 0, 0, 0));
+        fake_run_ms(10);
+    }
+    CHECK(is_off_for(COMMAND_TIMEOUT));
+}
+
+static void stop_byte_stops_in_the_middle_of_a_line(void)
+{
+    start_driving();
+    fake_receive((const uint8_t *)"V 1 2!", 6);
+    CHECK(is_off_for(STOP_BYTE_SEEN));
+}
+
+static void stop_stays_until_reset_and_arming(void)
+{
+    start_driving();
+    fake_receive((const uint8_t *)"!", 1);
+    CHECK(answers(volts(2, 1000, 0, 0, 0), "N V 4"));
+    say("?");
+    fake_run_ms(500);
+    CHECK(is_off_for(STOP_BYTE_SEEN));
+    char body[40];
+    snprintf(body, sizeof body, "A %u", fake_nonce());
+    CHECK(answers(body, "N A 11"));
+    CHECK(answers("R", "K R"));
+    CHECK(safety_now()->state == IDLE && safety_now()->cause == NO_CAUSE);
+    CHECK(answers(volts(3, 1000, 0, 0, 0), "N V 4"));
+    arm();
+}
+
+static void first_cause_is_kept(void)
+{
+    start_driving();
+    fake_set_current(1, 1023);
+    fake_run_ms(1);
+    fake_receive((const uint8_t *)"!", 1);
+    fake_run_ms(300);
+    CHECK(is_off_for(BACK_OVER_CURRENT));
+}
+
+static void one_reading_above_the_peak_stops(void)
+{
+    start_driving();
+    fake_set_current(0, 512 + PEAK_LIMIT_MA * FRONT_MV_PER_A / 5000UL * 1024 / 1000 + 2);
+    fake_run_ms(1);
+    CHECK(is_off_for(FRONT_OVER_CURRENT));
+}
+
+static void current_the_wrong_way_stops_too(void)
+{
+    start_driving();
+    fake_set_current(1, 20);
+    fake_run_ms(1);
+    CHECK(is_off_for(BACK_OVER_CURRENT));
+}
+
+static void a_mean_above_its_limit_stops(void)
+{
+    start_driving();
+    fake_set_current(0, 512 + 145); /* 7.1 A, below the peak */
+    fake_run_ms(5);
+    CHECK(fake_any_output());
+    fake_run_ms(60);
+    CHECK(is_off_for(FRONT_OVER_CURRENT));
+}
+
+static void current_while_idle_stops_too(void)
+{
+    fake_start(1);
+    fake_set_current(0, 1000);
+    fake_run_ms(1);
+    CHECK(is_off_for(FRONT_OVER_CURRENT));
+    say("R");
+    fake_run_ms(1);
+    CHECK(is_off_for(FRONT_OVER_CURRENT));
+}
+
+static void lost_supply_stops(void)
+{
+    start_driving();
+    fake_set_supply(0);
+    fake_run_ms(40);
+    CHECK(is_off_for(SUPPLY_RANGE));
+    say("R");
+    say("?");
+    fake_run_ms(1);
+    char body[40];
+    snprintf(body, sizeof body, "A %u", fake_nonce());
+    CHECK(answers(body, "N A 9"));
+}
+
+static void sagging_supply_stops_at_the_duty_limit(void)
+{
+    start_driving();
+    say(volts(2, 9900, 0, 0, 0));
+    fake_run_ms(1);
+    fake_set_supply(517); /* 10.1 V */
+    fake_run_ms(120);
+    CHECK(is_off_for(DUTY_LIMIT));
+}
+
+static void on_for_too_long_stops_even_with_short_dips(void)
+{
+    start_driving();
+    unsigned sequence = 2;
+    uint32_t begin = fake_time_us();
+    for (uint32_t s = 0; s < 2 * ON_TIME_LIMIT_S && fake_any_output(); s++) {
+        for (int i = 0; i < 10; i++) {
+            say(volts(sequence++, s % 10 || i ? 6000 : 0, 0, 0, 1));
+            fake_run_ms(100);
+            fake_forget_sent();
+        }
+    }
+    CHECK(is_off_for(ON_TIME_LIMIT));
+    double seconds = (uint32_t)(fake_time_us() - begin) / 1e6;
+    CHECK(seconds > ON_TIME_LIMIT_S && seconds < 1.03 * ON_TIME_LIMIT_S);
+}
+
+static void hung_loop_stops_before_the_watchdog(void)
+{
+    start_driving();
+    fake_hang_ms(35);
+    CHECK(is_off_for(LOOP_STALLED));
+    CHECK(!safety_tick());
+}
+
+static void stuck_converter_stops(void)
+{
+    start_driving();
+    fake_set_converter(false);
+    fake_run_ms(15);
+    CHECK(is_off_for(NO_SAMPLES));
+}
+
+/* --- running them ----------------------------------------------------------------------------- */
+
+#define TEST(function) {#function, function}
+static const struct {
+    const char *name;
+    void (*run)(void);
+} tests[] = {
+    TEST(crc_has_the_published_check_value),
+    TEST(well_formed_lines_are_understood),
+    TEST(malformed_lines_are_refused),
+    TEST(checksums_are_upper_case),
+    TEST(every_single_bit_error_is_noticed),
+    TEST(overlong_lines_are_refused_whole),
+    TEST(frames_have_no_zero_inside_and_decode_to_the_body),
+    TEST(messages_that_do_not_fit_are_not_sealed),
+    TEST(numbers_are_written_in_full),
+    TEST(duty_is_the_square_of_the_voltage_ratio),
+    TEST(nothing_is_driven_before_arming),
+    TEST(arming_alone_drives_nothing),
+    TEST(a_person_may_ask_but_not_drive_without_checksum),
+    TEST(replayed_bytes_drive_nothing),
+    TEST(sequence_may_wrap_but_not_go_back),
+    TEST(commands_out_of_limits_change_nothing),
+    TEST(duty_follows_the_supply),
+    TEST(handshake_and_disarm_switch_off),
+    TEST(telemetry_rates_are_checked),
+    TEST(silence_stops_after_the_timeout),
+    TEST(commands_keep_it_driving),
+    TEST(refused_commands_do_not_hold_off_the_timeout),
+    TEST(stop_byte_stops_in_the_middle_of_a_line),
+    TEST(stop_stays_until_reset_and_arming),
+    TEST(first_cause_is_kept),
+    TEST(one_reading_above_the_peak_stops),
+    TEST(current_the_wrong_way_stops_too),
+    TEST(a_mean_above_its_limit_stops),
+    TEST(current_while_idle_stops_too),
+    TEST(lost_supply_stops),
+    TEST(sagging_supply_stops_at_the_duty_limit),
+    TEST(on_for_too_long_stops_even_with_short_dips),
+    TEST(hung_loop_stops_before_the_watchdog),
+    TEST(stuck_converter_stops),
+};
+
+int main(int count, char **arguments)
+{
+    for (size_t i = 0; i < sizeof tests / sizeof *tests; i++) {
+        if (count == 2 && !strcmp(arguments[1], "--list"))
+            puts(tests[i].name);
+        else if (count == 1 || !strcmp(arguments[1], tests[i].name))
+            tests[i].run();
+    }
+    return 0;
+}

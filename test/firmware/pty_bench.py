@@ -1,0 +1,96 @@
+"""The emulated Uno behind a pseudo terminal, in real time: what a host opens instead of a cable."""
+
+import contextlib
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+SLICE = 5e-4
+
+
+class Device(Protocol):
+    """An emulated board, whatever runs its firmware."""
+
+    def run(self, seconds: float) -> None:
+        """Let its time pass."""
+
+    def write(self, data: bytes) -> None:
+        """Bytes to it."""
+
+    def read(self) -> bytes:
+        """Bytes from it."""
+
+
+class PtyBench:
+    """Runs a device at the speed of the wall clock; `path` is the port to open."""
+
+    def __init__(self, device: Device, each_slice: Callable[[float], None] | None = None) -> None:
+        """`each_slice(dt)` lets a plant pass the same time, in the same thread."""
+        self.device = device
+        self._each_slice = each_slice
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        self._slave = slave
+        self.path = os.ttyname(slave)
+        self._jobs: list[Callable[[], None]] = []
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="emulated bench", daemon=True)
+        self.began = 0.0
+
+    def start(self) -> None:
+        """Time begins."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Time ends, and the port is gone as if its cable were pulled."""
+        self._stopping.set()
+        self._thread.join()
+        os.close(self._slave)
+        os.close(self._master)
+
+    def do(self, job: Callable[[], None]) -> None:
+        """Run `job` between two slices and wait for it."""
+        done = threading.Event()
+        self._jobs.append(lambda: (job(), done.set()))  # type: ignore[func-returns-value]
+        done.wait()
+
+    def _run(self) -> None:
+        self.began = due = time.monotonic()
+        while not self._stopping.is_set():
+            while self._jobs:
+                self._jobs.pop(0)()
+            self._carry()
+            self.device.run(SLICE)
+            if self._each_slice is not None:
+                self._each_slice(SLICE)
+            # Every delay is caught up: the device's clock must not slip against the wall's.
+            due += SLICE
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _carry(self) -> None:
+        # Nobody may have opened the port, and nobody may read: bytes are then lost, as on a cable.
+        if select.select([self._master], [], [], 0.0)[0]:
+            with contextlib.suppress(OSError):
+                self.device.write(os.read(self._master, 4096))
+        sent = self.device.read()
+        if sent:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._master, sent)
+
+
+@contextlib.contextmanager
+def on_a_port(
+    device: Device, each_slice: Callable[[float], None] | None = None
+) -> Iterator[PtyBench]:
+    """The device behind a port, for as long as the context lasts."""
+    bench = PtyBench(device, each_slice)
+    bench.start()
+    try:
+        yield bench
+    finally:
+        bench.stop()

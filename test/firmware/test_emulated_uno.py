@@ -1,0 +1,213 @@
+"""The real image on an emulated ATmega328P, in virtual time: what it does at its pins, and when."""
+
+import random
+from pathlib import Path
+
+import pytest
+from emulated_uno import EmulatedUno
+from virtual_host import VirtualHost
+
+from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
+from sma_bench.hardware.serial_messages import CAUSES, Named, State
+
+PWM_PERIOD = 1.024e-3
+BYTE = 22e-6
+
+
+def last_cause(host: VirtualHost) -> str:
+    host.run(0.03)
+    frame = host.telemetry[-1]
+    assert frame.state == State.STOPPED
+    return CAUSES[frame.cause]
+
+
+# --- what it says -------------------------------------------------------------------------------
+
+
+def test_power_up_greets_with_name_limits_and_reset_cause(host: VirtualHost) -> None:
+    lines = {m.letter: m for m in host.messages if isinstance(m, Named)}
+    device = DeviceIdentity.from_lines(lines)
+    assert device.name == "sma-uno"
+    assert len(device.build) == 8
+    assert device.reset == "power-on"
+    assert device.maximum_voltage == pytest.approx(10.0)
+    assert device.command_timeout == pytest.approx(0.2)
+
+
+def test_text_telemetry_comes_at_exactly_100_hz(host: VirtualHost) -> None:
+    host.run(0.5)
+    times = [frame.time_us for frame in host.telemetry]
+    sequences = [frame.sequence for frame in host.telemetry]
+    assert times == [10000 * (i + 1) for i in range(len(times))]
+    assert sequences == list(range(1, len(times) + 1))
+    assert len(times) == 69
+    assert host.splitter.damaged == 0
+
+
+def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host: VirtualHost) -> None:
+    host.arm()
+    host.drive(1000, 1000, 1000, 1000)
+    host.say("B", 500)
+    host.splitter.expect(binary=True)
+    start = len(host.telemetry)
+    host.hold(1.0, 2000, 3000, 4000, 5000)
+    frames = host.telemetry[start:]
+    steps = {b.sequence - a.sequence for a, b in zip(frames, frames[1:], strict=False)}
+    periods = {b.time_us - a.time_us for a, b in zip(frames, frames[1:], strict=False)}
+    assert len(frames) >= 499
+    assert steps == {1}
+    assert periods == {2000}
+    assert host.splitter.damaged == 0
+    counters = host.named("S", "S")
+    assert counters["dropped"] == counters["lost"] == counters["overruns"] == "0"
+    assert int(counters["stack"]) > 600
+
+
+def test_interrupts_are_never_off_for_as_long_as_two_bytes_take(driving: VirtualHost) -> None:
+    driving.hold(0.2, 9000, 9000, 9000, 9000)
+    assert driving.uno.electrics.longest_blocked < 2 * BYTE
+
+
+def test_same_bytes_give_the_same_bytes(emulator: Path, firmware_image: Path) -> None:
+    def session() -> bytes:
+        host = VirtualHost(EmulatedUno(emulator, firmware_image))
+        host.run(0.2)
+        host.arm()
+        host.hold(0.1, 4000, 3000, 2000, 1000)
+        return host.raw
+
+    assert session() == session()
+
+
+# --- what it does -------------------------------------------------------------------------------
+
+
+def test_wires_get_the_commanded_voltage_as_heat(host: VirtualHost) -> None:
+    commanded = (250, 1000, 5000, 10000)
+    host.arm()
+    host.hold(0.1, *commanded)
+    before, start = list(host.uno.electrics.square_time), host.uno.time
+    host.hold(0.5, *commanded)
+    elapsed = host.uno.time - start
+    for was, now, millivolts in zip(
+        before, host.uno.electrics.square_time, commanded, strict=True
+    ):
+        assert ((now - was) / elapsed) ** 0.5 == pytest.approx(1e-3 * millivolts, rel=0.015)
+
+
+def test_measured_voltage_over_current_is_the_wires_resistance(host: VirtualHost) -> None:
+    host.uno.electrics.resistance[:] = [2.6, 2.7, 2.8, 2.9]
+    host.arm()
+    host.hold(0.1, 3000, 0, 0, 5000)
+    start = len(host.telemetry)
+    host.hold(0.5, 3000, 0, 0, 5000)
+    powers = [channel_powers(frame, PowerCalibration()) for frame in host.telemetry[start:]]
+    for channel, resistance in ((0, 2.6), (3, 2.9)):
+        voltage = sum(p[channel].voltage for p in powers)
+        current = sum(p[channel].current for p in powers)
+        assert voltage / current == pytest.approx(resistance, rel=0.01)
+
+
+def test_volts_stay_when_the_supply_sags(driving: VirtualHost) -> None:
+    driving.uno.electrics.supply = 10.0
+    driving.hold(0.2, 6000, 0, 0, 0)
+    before, start = driving.uno.electrics.square_time[0], driving.uno.time
+    driving.hold(0.3, 6000, 0, 0, 0)
+    mean_square = (driving.uno.electrics.square_time[0] - before) / (driving.uno.time - start)
+    assert mean_square**0.5 == pytest.approx(6.0, rel=0.01)
+
+
+def test_range_sensors_are_measured(host: VirtualHost) -> None:
+    host.uno.electrics.range_voltage[:] = [0.8, 2.4]
+    host.run(0.1)
+    assert host.telemetry[-1].range_voltage == pytest.approx((0.8, 2.4), abs=0.005)
+
+
+# --- how it stops -------------------------------------------------------------------------------
+
+
+def test_nothing_is_driven_before_the_first_command(host: VirtualHost) -> None:
+    host.arm()
+    host.run(0.1)
+    assert sum(host.uno.electrics.on_time) == 0.0
+
+
+def test_silence_switches_off_after_200_ms(driving: VirtualHost) -> None:
+    driving.drive(6000, 0, 0, 3000)
+    silence = driving.time_until_off(limit=0.3)
+    assert 0.199 < silence < 0.205
+    assert last_cause(driving) == "command timeout"
+
+
+def test_stop_byte_switches_off_within_a_tenth_of_a_millisecond(driving: VirtualHost) -> None:
+    driving.uno.write(b"!")
+    driving.run(1e-4)
+    on_time = sum(driving.uno.electrics.on_time)
+    driving.run(0.01)
+    assert sum(driving.uno.electrics.on_time) == on_time
+    assert last_cause(driving) == "stop byte"
+
+
+def test_stop_byte_works_inside_a_flood_of_garbage(driving: VirtualHost) -> None:
+    driving.uno.write(bytes(range(128, 256)) + b"!" + bytes(range(128, 256)))
+    # Garbage is slow here: simavr takes 45 us for a byte when they come without a pause.
+    driving.run(129 * 2.2 * BYTE)
+    assert driving.outputs_stay_off(0.01)
+    assert last_cause(driving) == "stop byte"
+
+
+def test_short_circuit_is_off_within_a_millisecond_of_its_first_pulse(
+    driving: VirtualHost,
+) -> None:
+    driving.uno.electrics.resistance[0] = 0.3
+    before = driving.uno.electrics.on_time[0]
+    driving.run(2 * PWM_PERIOD)
+    assert driving.uno.electrics.on_time[0] - before < 1e-3
+    assert driving.outputs_stay_off(0.01)
+    assert last_cause(driving) == "over-current of the front board"
+
+
+def test_lost_supply_stops(driving: VirtualHost) -> None:
+    driving.uno.electrics.supply = 0.0
+    driving.hold(0.1, 6000, 0, 0, 3000)
+    assert last_cause(driving) == "supply out of range"
+
+
+def test_hung_program_is_switched_off_then_restarted(driving: VirtualHost) -> None:
+    driving.drive(6000, 0, 0, 3000)
+    driving.uno.hang(interrupts=True)
+    assert driving.time_until_off(limit=0.3) < 0.033
+    greeting = next(m for m in driving.messages[::-1] if isinstance(m, Named) and m.letter == "H")
+    assert int(greeting.values["reset"]) == 8
+    assert driving.telemetry[-1].state == State.IDLE
+
+
+def test_program_hung_without_interrupts_is_off_by_the_watchdog(driving: VirtualHost) -> None:
+    driving.drive(6000, 0, 0, 3000)
+    driving.uno.hang(interrupts=False)
+    assert driving.time_until_off(limit=0.3) < 0.075
+    assert driving.telemetry[-1].state == State.IDLE
+
+
+def test_garbage_drives_nothing_and_leaves_it_talking(host: VirtualHost) -> None:
+    noise = random.Random(1)
+    host.arm()
+    host.uno.write(bytes(b for _ in range(3000) if (b := noise.randrange(256)) != ord("!")))
+    host.run(0.1)
+    host.uno.write(b"\n")
+    host.say("?")
+    assert sum(host.uno.electrics.on_time) == 0.0
+    assert host.named("?", "H")["name"] == "sma-uno"
+
+
+def test_replayed_commands_are_refused(driving: VirtualHost) -> None:
+    replayed = driving.command_line(9000, 9000, 9000, 9000)
+    driving.uno.write(b"!")
+    driving.run(0.01)
+    driving.consent("R")
+    driving.arm()
+    on_time = sum(driving.uno.electrics.on_time)
+    driving.uno.write(replayed)
+    driving.run(0.05)
+    assert sum(driving.uno.electrics.on_time) == on_time

@@ -1,0 +1,260 @@
+"""The link against the firmware's logic behind a pseudo terminal, in real time."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from host_firmware import HostFirmware
+from pty_bench import PtyBench, on_a_port
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.serial_link import LinkOptions, SerialLink
+from sma_bench.hardware.serial_messages import State
+from sma_bench.hardware.serial_port import find_port, open_port
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 30.0
+QUICK = LinkOptions(greeting_timeout=0.3, first_back_off=0.05, longest_back_off=0.2)
+VOLTS = (6000, 0, 0, 3000)
+
+
+class Watched(SerialLink):
+    """A link that remembers what it told."""
+
+    def __init__(self, path: Callable[[], str], options: LinkOptions = QUICK) -> None:
+        self.readings: list[Reading] = []
+        self.events: list[str] = []
+        super().__init__(
+            lambda: open_port(path()), options, self.readings.append, self.events.append
+        )
+
+
+@contextmanager
+def linked(path: Callable[[], str], options: LinkOptions = QUICK) -> Iterator[Watched]:
+    link = Watched(path, options)
+    link.start()
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    until = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def bench(host_firmware: HostFirmware) -> Iterator[PtyBench]:
+    with on_a_port(host_firmware) as bench:
+        yield bench
+
+
+@pytest.fixture
+def link(bench: PtyBench) -> Iterator[Watched]:
+    with linked(lambda: bench.path) as link:
+        assert link.wait_connected(PATIENCE)
+        yield link
+
+
+def drive_until(link: SerialLink, condition: Callable[[], object]) -> None:
+    """Command volts until `condition`, as a node with a timer would."""
+
+    def step() -> object:
+        link.drive(VOLTS)
+        time.sleep(0.02)
+        return condition()
+
+    wait_for(step)
+
+
+def test_handshake_tells_the_device_and_its_limits(link: Watched) -> None:
+    device = link.status.device
+    assert device is not None
+    assert device.name == "sma-uno"
+    assert device.maximum_voltage == 10.0
+    assert link.events == ["connected to sma-uno ide, last reset: power-on"]
+
+
+def test_readings_come_with_times_of_one_clock(link: Watched) -> None:
+    wait_for(lambda: len(link.readings) > 20)
+    now = time.monotonic()
+    times = [reading.time for reading in link.readings]
+    assert times == sorted(times)
+    assert 0.0 < now - times[0] < PATIENCE
+    assert link.status.lost == link.status.damaged == link.status.not_understood == 0
+
+
+def test_binary_telemetry_above_100_hz(bench: PtyBench) -> None:
+    with linked(lambda: bench.path, LinkOptions(rate=500, greeting_timeout=0.3)) as link:
+        assert link.wait_connected(PATIENCE)
+        wait_for(lambda: link.status.telemetry > 100)
+        assert link.counters()["rejected"] == 0
+        assert link.status.damaged == link.status.lost == 0
+
+
+def test_nothing_is_driven_without_arming(bench: PtyBench, link: Watched) -> None:
+    with pytest.raises(LinkError, match="not armed"):
+        link.drive(VOLTS)
+    link.arm()
+    drive_until(link, lambda: bench.device.duties[0] > 0.2)
+    link.disarm()
+    assert bench.device.duties == (0.0,) * 4
+    with pytest.raises(LinkError, match="not armed"):
+        link.drive(VOLTS)
+
+
+def test_stop_is_latched_until_reset_and_arming(bench: PtyBench, link: Watched) -> None:
+    link.arm()
+    drive_until(link, lambda: bench.device.duties[0] > 0.2)
+    link.stop()
+    wait_for(lambda: link.status.state == State.STOPPED)
+    assert bench.device.duties == (0.0,) * 4
+    assert link.events[-1] == "the device stopped: stop byte"
+    with pytest.raises(LinkError, match="device refused A: stopped: reset first"):
+        link.arm()
+    link.reset()
+    with pytest.raises(LinkError, match="not armed"):
+        link.drive(VOLTS)
+    link.arm()
+    drive_until(link, lambda: bench.device.duties[0] > 0.2)
+
+
+def test_over_current_is_reported_by_name(bench: PtyBench, link: Watched) -> None:
+    bench.do(lambda: bench.device.set_current(1, 1000))
+    wait_for(lambda: link.status.cause_text == "over-current of the back board")
+    assert link.events[-1] == "the device stopped: over-current of the back board"
+
+
+def test_commands_are_echoed_by_telemetry(link: Watched) -> None:
+    link.arm()
+    last = [0]
+
+    def send() -> object:
+        last[0] = link.drive(VOLTS)
+        time.sleep(0.02)
+        return link.readings and link.readings[-1].telemetry.echo >= 3
+
+    wait_for(send)
+    assert link.readings[-1].telemetry.echo <= last[0]
+
+
+def test_second_host_cannot_open_the_port(bench: PtyBench, link: Watched) -> None:
+    with pytest.raises(OSError, match="exclusively lock"):
+        open_port(bench.path)
+    with linked(lambda: bench.path) as other:
+        wait_for(lambda: other.status.problem)
+        assert not other.status.connected
+    assert link.status.connected
+
+
+def test_pulled_cable_is_told_and_comes_back_disarmed(host_library: Path) -> None:
+    paths = [""]
+    with linked(lambda: paths[-1]) as link:
+        with on_a_port(HostFirmware(host_library)) as bench:
+            paths.append(bench.path)
+            assert link.wait_connected(PATIENCE)
+            link.arm()
+            link.drive(VOLTS)
+        wait_for(lambda: not link.status.connected)
+        assert link.events[-1].startswith("not connected: ")
+        with pytest.raises(LinkError, match="not armed"):
+            link.drive(VOLTS)
+        with pytest.raises(LinkError, match="not connected"):
+            link.arm()
+        with on_a_port(HostFirmware(host_library)) as bench:
+            paths.append(bench.path)
+            assert link.wait_connected(PATIENCE)
+            assert link.status.connections == 2
+            with pytest.raises(LinkError, match="not armed"):
+                link.drive(VOLTS)
+
+
+def test_restart_of_the_device_is_noticed_and_disarms(bench: PtyBench, link: Watched) -> None:
+    link.arm()
+    link.drive(VOLTS)
+    wait_for(lambda: bench.device.read() or len(link.readings) > 30)
+    bench.do(bench.device.restart)
+    wait_for(lambda: link.status.connections == 2)
+    assert "not connected: the device restarted by itself" in link.events
+    with pytest.raises(LinkError, match="not armed"):
+        link.drive(VOLTS)
+
+
+def test_killed_host_leaves_nothing_driven(bench: PtyBench) -> None:
+    script = f"""
+import time
+from sma_bench.hardware.serial_link import LinkOptions, SerialLink
+from sma_bench.hardware.serial_port import open_port
+link = SerialLink(lambda: open_port({bench.path!r}), LinkOptions(greeting_timeout=0.3))
+link.start()
+link.wait_connected({PATIENCE})
+link.arm()
+while True:
+    link.drive({VOLTS})
+    time.sleep(0.02)
+"""
+    host = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
+    try:
+        wait_for(lambda: bench.device.duties[0] > 0.2)
+    finally:
+        host.send_signal(signal.SIGKILL)
+        host.wait()
+    wait_for(lambda: bench.device.duties == (0.0,) * 4)
+    with linked(lambda: bench.path) as link:
+        assert link.wait_connected(PATIENCE)
+        wait_for(lambda: link.status.cause_text == "command timeout")
+
+
+def test_device_that_does_not_speak_the_protocol_is_refused() -> None:
+    class Stranger:
+        def run(self, seconds: float) -> None: ...
+
+        def write(self, data: bytes) -> None: ...
+
+        def read(self) -> bytes:
+            return b"AT OK\r\n"
+
+    with on_a_port(Stranger()) as bench, linked(lambda: bench.path) as link:
+        wait_for(lambda: link.status.problem)
+        assert link.status.problem.startswith("no answer to the handshake")
+
+
+def test_back_off_doubles_to_its_limit() -> None:
+    waits: list[float] = []
+
+    class Recording(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            waits.append(timeout or 0.0)
+            return super().wait(0.001)
+
+    def fail() -> str:
+        raise FileNotFoundError("no such port")
+
+    link = Watched(fail, LinkOptions(first_back_off=0.5, longest_back_off=4.0))
+    link._closing = Recording()
+    link.start()
+    wait_for(lambda: len(waits) >= 6)
+    link.close()
+    assert waits[:6] == [0.5, 1.0, 2.0, 4.0, 4.0, 4.0]
+    assert link.events == ["not connected: no such port"]
+
+
+def test_port_is_found_by_its_stable_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="port: none in .* expected one device"):
+        find_port(tmp_path)
+    (tmp_path / "usb-Arduino_1").touch()
+    assert find_port(tmp_path) == str(tmp_path / "usb-Arduino_1")
+    (tmp_path / "usb-Arduino_2").touch()
+    with pytest.raises(InputError, match="usb-Arduino_1, .*usb-Arduino_2"):
+        find_port(tmp_path)

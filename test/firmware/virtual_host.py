@@ -1,0 +1,101 @@
+"""A host in virtual time: no threads, no waiting, every run the same."""
+
+from emulated_uno import EmulatedUno
+
+from sma_bench.hardware.serial_framing import Splitter, line
+from sma_bench.hardware.serial_messages import (
+    Accepted,
+    Message,
+    Named,
+    Refused,
+    Telemetry,
+    command,
+    decode,
+)
+
+SLICE = 1e-3
+
+
+class VirtualHost:
+    """Speaks the protocol with an emulated Uno."""
+
+    def __init__(self, uno: EmulatedUno) -> None:
+        self.uno = uno
+        self.messages: list[Message] = []
+        self.splitter = Splitter()
+        self.raw = b""
+        self._session = 0
+        self._sequence = 0
+
+    def run(self, seconds: float) -> list[Message]:
+        """Let time pass; the messages that came meanwhile."""
+        self.uno.run(seconds)
+        received = self.uno.read()
+        self.raw += received
+        messages = [decode(body) for body in self.splitter.feed(received)]
+        self.messages += messages
+        return messages
+
+    def say(self, letter: str, *numbers: int) -> list[Message]:
+        """A command, and what came within 20 ms of it."""
+        self.uno.write(line(command(letter, *numbers)))
+        return self.run(0.02)
+
+    def consent(self, letter: str, *numbers: int) -> int:
+        """The value with which a command was accepted."""
+        answers = [m for m in self.say(letter, *numbers) if isinstance(m, Accepted | Refused)]
+        assert isinstance(answers[-1], Accepted), str(answers[-1])
+        return answers[-1].value
+
+    def refusal(self, letter: str, *numbers: int) -> int:
+        """The reason for which a command was refused."""
+        return next(m.reason for m in self.say(letter, *numbers) if isinstance(m, Refused))
+
+    def named(self, letter: str, kind: str) -> dict[str, str]:
+        """The `key=value` line of a kind that answers a command."""
+        answers = self.say(letter)
+        return next(m.values for m in answers if isinstance(m, Named) and m.letter == kind)
+
+    def arm(self) -> None:
+        """Handshake and arming."""
+        self._session = self.consent("A", int(self.named("?", "H")["nonce"]))
+        self._sequence = 0
+
+    def command_line(self, *millivolts: int) -> bytes:
+        """The next voltage command."""
+        self._sequence += 1
+        return line(command("V", self._session, self._sequence, *millivolts))
+
+    def drive(self, *millivolts: int) -> None:
+        """Send a voltage command; no time passes."""
+        self.uno.write(self.command_line(*millivolts))
+
+    def hold(self, seconds: float, *millivolts: int) -> None:
+        """Command the same volts every 50 ms."""
+        for _ in range(round(seconds / 0.05)):
+            self.drive(*millivolts)
+            self.run(0.05)
+
+    def time_until_off(self, limit: float, step: float = SLICE) -> float:
+        """Seconds from now until no output was high for a whole PWM period (1.024 ms).
+
+        The answer is the time of the last high output, at a resolution of `step`.
+        """
+        start = last_on = self.uno.time
+        while self.uno.time - start < limit:
+            before = sum(self.uno.electrics.on_time)
+            self.run(step)
+            if sum(self.uno.electrics.on_time) > before:
+                last_on = self.uno.time
+        return last_on - start
+
+    def outputs_stay_off(self, seconds: float) -> bool:
+        """True when no output goes high during the next `seconds`."""
+        before = sum(self.uno.electrics.on_time)
+        self.run(seconds)
+        return sum(self.uno.electrics.on_time) == before
+
+    @property
+    def telemetry(self) -> list[Telemetry]:
+        """All frames so far."""
+        return [m for m in self.messages if isinstance(m, Telemetry)]

@@ -1,0 +1,185 @@
+"""Bytes and messages of the serial protocol, against its documentation and against damage."""
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.serial_framing import Splitter, checksum, frame, line, open_frame, open_line
+from sma_bench.hardware.serial_messages import (
+    Accepted,
+    Named,
+    Pong,
+    ProtocolError,
+    Refused,
+    Telemetry,
+    command,
+    decode,
+)
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "serial_protocol.md"
+TEXT = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
+FRAME = bytes.fromhex("42 3900 10fb3000 01 00 e32e 9aff 0000 9a3a 8e3a 1c0b 0000 0000 ffff 0100")
+
+
+def test_checksum_has_the_published_check_value() -> None:
+    assert checksum(b"123456789") == 0x29B1
+
+
+def test_every_line_of_the_documented_session_is_valid() -> None:
+    session = re.search(r"```\n(.*?)```", PAGE.read_text(), re.S)
+    assert session is not None
+    lines = re.findall(r"^(host|device) +(\S.*\*\w{4})", session[1], re.M)
+    assert len(lines) >= 9
+    for speaker, text in lines:
+        body = open_line(text.encode())
+        assert body is not None, text
+        if speaker == "device":
+            decode(body)
+
+
+def test_text_and_binary_telemetry_say_the_same() -> None:
+    expected = Telemetry(
+        sequence=57, time_us=3210000, state=1, cause=0, supply=pytest.approx(12.003),
+        current=pytest.approx((-0.102, 0.0)), range_voltage=pytest.approx((1.5002, 1.499)),
+        duty=pytest.approx((2844 / 65536, 0.0, 0.0, 65535 / 65536)), echo=1,
+    )
+    assert decode(TEXT) == expected
+    assert decode(FRAME) == expected
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (b"K A 13841", Accepted("A", 13841)),
+        (b"N V 6", Refused("V", 6)),
+        (b"P 3 4294967295 5", Pong(3, 4294967295, 5)),
+        (b"S rejected=1 new=x", Named("S", {"rejected": "1", "new": "x"})),
+    ],
+)
+def test_answers_are_decoded(body: bytes, message: object) -> None:
+    assert decode(body) == message
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"Z 1", b"T 1 2 3", b"T" + b" 1" * 13, b"K A", b"K A x", b"P 1 2", b"S rejected", b"\xff",
+     b"T 65536 0 0 0 0 0 0 0 0 0 0 0 0 0", FRAME[:-1]],
+)
+def test_what_is_not_a_message_is_refused(body: bytes) -> None:
+    with pytest.raises(ProtocolError, match="not of protocol 1"):
+        decode(body)
+
+
+def test_refusals_say_why() -> None:
+    assert str(Refused("V", 7)) == "device refused V: above the voltage limit"
+    assert str(Refused("V", 99)) == "device refused V: number 99"
+
+
+@pytest.mark.parametrize("number", [-1, 65536])
+def test_commands_that_the_protocol_cannot_carry_are_not_made(number: int) -> None:
+    with pytest.raises(ValueError, match="expected 0 to 65535"):
+        command("V", 1, number)
+
+
+@given(st.binary(min_size=1, max_size=600))
+def test_frames_have_no_zero_inside_and_open_to_the_body(body: bytes) -> None:
+    framed = frame(body)
+    assert framed.count(0) == 1
+    assert framed.endswith(b"\0")
+    assert open_frame(framed[:-1]) == body
+
+
+@given(st.lists(st.text("AKTN 0123456789-=", min_size=1).filter(str.strip)), st.data())
+def test_splitting_does_not_depend_on_how_bytes_arrive(
+    bodies: list[str], data: st.DataObject
+) -> None:
+    stream = b"".join(map(line, bodies))
+    splitter, found = Splitter(), []
+    while stream:
+        size = data.draw(st.integers(1, len(stream)))
+        found += splitter.feed(stream[:size])
+        stream = stream[size:]
+    assert found == [body.encode() for body in bodies]
+    assert splitter.damaged == 0
+
+
+@given(st.binary(max_size=300), st.booleans())
+def test_garbage_is_counted_and_the_next_messages_are_found(garbage: bytes, binary: bool) -> None:
+    splitter = Splitter()
+    splitter.expect(binary)
+    seal = frame if binary else lambda body: line(body.decode())
+    splitter.feed(garbage + (b"\0" if binary else b"\n"))
+    assert splitter.feed(seal(b"K A 1") + seal(b"K D 0")) == [b"K A 1", b"K D 0"]
+
+
+@given(st.integers(0, 8 * len(line(TEXT.decode())) - 9))
+def test_every_single_bit_error_of_a_line_is_noticed(bit: int) -> None:
+    damaged = bytearray(line(TEXT.decode()))
+    damaged[bit // 8] ^= 1 << bit % 8
+    assert TEXT not in Splitter().feed(bytes(damaged)) or damaged.endswith(b"\r\n")
+    assert all(body == TEXT for body in Splitter().feed(bytes(damaged)))
+
+
+def test_first_piece_is_not_blamed_for_having_begun_earlier() -> None:
+    splitter = Splitter()
+    splitter.feed(line("K A 1")[3:] + line("K A 1"))
+    assert splitter.damaged == 0
+    splitter.feed(line("K A 1")[3:])
+    assert splitter.damaged == 1
+
+
+def test_endless_line_is_dropped() -> None:
+    splitter = Splitter()
+    splitter.feed(b"x" * 10_000)
+    assert splitter.damaged == 1
+    assert splitter.feed(b"\n" + line("K A 1")) == [b"K A 1"]
+
+
+HANDSHAKE = {
+    "H": "name=sma-uno build=61A52BFF protocol=1 reset=9 nonce=13841 later=x",
+    "L": "channels=4 max_mv=10000 timeout_ms=200 duty=58982 mean_ma=6500 peak_ma=12000",
+    "M": "on_duty=6554 on_s=900 supply_min_mv=6000 supply_max_mv=15000",
+}
+
+
+def handshake(**changed: str) -> dict[str, Named]:
+    lines = {
+        letter: dict(pair.split("=") for pair in text.split()) for letter, text in HANDSHAKE.items()
+    }
+    for values in lines.values():
+        values.update({key: text for key, text in changed.items() if key in values})
+    return {letter: Named(letter, values) for letter, values in lines.items()}
+
+
+def test_handshake_gives_limits_in_si_units() -> None:
+    device = DeviceIdentity.from_lines(handshake())
+    assert device.maximum_voltage == pytest.approx(10.0)
+    assert device.command_timeout == pytest.approx(0.2)
+    assert device.maximum_duty == pytest.approx(0.9, abs=1e-4)
+    assert device.supply_range == pytest.approx((6.0, 15.0))
+    assert device.reset == "power-on, watchdog"
+
+
+@pytest.mark.parametrize(
+    ("changed", "complaint"),
+    [
+        ({"protocol": "2"}, "the device has protocol 2, expected 1"),
+        ({"channels": "6"}, "the device has channels 6, expected 4"),
+        ({"max_mv": "ten"}, "invalid literal"),
+    ],
+)
+def test_foreign_devices_are_refused_in_one_line(changed: dict[str, str], complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        DeviceIdentity.from_lines(handshake(**changed))
+
+
+def test_handshake_with_something_left_out_is_refused() -> None:
+    lines = handshake()
+    del lines["M"].values["on_s"]
+    with pytest.raises(InputError, match="handshake: on_s is missing"):
+        DeviceIdentity.from_lines(lines)
