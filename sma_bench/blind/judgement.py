@@ -1,0 +1,250 @@
+"""One case judged: what its label holds to be true, and whether an answer said so."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sma_bench.blind.answers import Answer, Candidate, Claim
+from sma_bench.blind.effect_names import NO_GAP, RECALIBRATION, STAGE_OF, UNEXPLAINED
+
+SET_MASS = 0.9
+CONFIDENT = 0.8
+_BENIGN = frozenset((NO_GAP, RECALIBRATION))
+# What is right to say of a case without an effect of the library. Where nothing is wrong, the
+# parameters still differ from the truth by their uncertainty, and saying that is no error.
+_RIGHT_NAMES = {
+    "none": _BENIGN,
+    "recalibration": frozenset((RECALIBRATION,)),
+    "outside": frozenset((UNEXPLAINED,)),
+}
+
+
+@dataclass(frozen=True)
+class Label:
+    """What is true of a case.
+
+    Attributes:
+        kind: single, pair, none, recalibration or outside (an effect that no library knows).
+        names: the answers that are right: the effects, or recalibration, no_gap, unexplained.
+        severity: measured gap that the effects make, in standard deviations of the noise.
+        where: signal, phase, side and stage of the largest gap.
+        distinguishable: from every other single explanation, by five standard deviations.
+        noise: white, coloured or drift; kinetics: mildly different ones, the only effect there is.
+        signals: "all" or "paper" (voltages and deflection).
+        document: the label as it was sealed.
+    """
+
+    id: str
+    kind: str
+    names: frozenset[str]
+    severity: float
+    where: Mapping[str, str] = field(default_factory=dict)
+    distinguishable: bool = True
+    noise: str = "white"
+    kinetics: bool = False
+    signals: str = "all"
+    document: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> "Label":
+        """From a sealed label."""
+        kind = document["kind"]
+        names = frozenset(document["effects"]) if kind in ("single", "pair") else _RIGHT_NAMES[kind]
+        return cls(
+            id=document["id"],
+            kind=kind,
+            names=names,
+            severity=float(document.get("severity") or 0.0),
+            where=document.get("where") or {},
+            distinguishable=bool(document.get("distinguishable", True)),
+            noise=document.get("noise", "white"),
+            kinetics=bool(document.get("kinetics", False)),
+            signals=document.get("signals", "all"),
+            document=document,
+        )
+
+    @property
+    def stages(self) -> frozenset[str]:
+        """Stages of the contract's effects in it."""
+        return frozenset(STAGE_OF[name] for name in self.names if name in STAGE_OF)
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """Noise-free gap of one signal on a protocol that nobody saw.
+
+    `before` with the lab's parameters, `after` with the improved ones, root mean square in the
+    signal's unit; `noise` is the sensor's standard deviation.
+    """
+
+    before: float
+    after: float
+    noise: float
+
+    @property
+    def fraction(self) -> float:
+        """1 - after/before; NaN where the gap is smaller than the noise."""
+        return 1.0 - self.after / self.before if self.before > self.noise else math.nan
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A case: its label, the answer (None: failed), and what the scorer found out besides.
+
+    Attributes:
+        shrunk: true shrinkage of every signal.
+        parameter_error: root mean square error of the parameters in their stated standard
+            deviations, (before, after).
+        second: the answer after the suggested experiment; `followed` whether one was performed.
+        seconds: that the answer took; failure: why there is none.
+    """
+
+    label: Label
+    answer: Answer | None
+    shrunk: Mapping[str, Shrunk] = field(default_factory=dict)
+    parameter_error: tuple[float, float] = (math.nan, math.nan)
+    second: Answer | None = None
+    followed: bool = False
+    seconds: float = math.nan
+    failure: str = ""
+
+    @property
+    def first_choice(self) -> Candidate | None:
+        """The most probable candidate."""
+        return self.answer.candidates[0] if self.answer else None
+
+    @property
+    def credible_set(self) -> tuple[Candidate, ...]:
+        """The fewest candidates whose probabilities make 90 %."""
+        return credible_set(self.answer) if self.answer else ()
+
+    @property
+    def first_choice_right(self) -> bool:
+        """The most probable candidate is made of nothing but what is true."""
+        first = self.first_choice
+        return first is not None and first.parts <= self.label.names
+
+    @property
+    def family_right(self) -> bool:
+        """The most probable candidate acts in a true stage (or is right where no stage is)."""
+        first = self.first_choice
+        if first is None or self.first_choice_right:
+            return self.first_choice_right
+        return any(STAGE_OF.get(part) in self.label.stages for part in first.parts)
+
+    @property
+    def set_holds_truth(self) -> bool:
+        """The 90 % set has the truth in it; of a pair, both effects, together or apart."""
+        right = [c.parts for c in self.credible_set if c.parts <= self.label.names]
+        if self.label.kind == "pair":
+            return frozenset[str]().union(*right) == self.label.names
+        return bool(right)
+
+    @property
+    def truth_probability(self) -> float:
+        """Probability of the candidates that are made of nothing but what is true."""
+        candidates = self.answer.candidates if self.answer else ()
+        return sum(c.probability for c in candidates if c.parts <= self.label.names)
+
+    @property
+    def says_gap(self) -> bool:
+        """Any verdict but no_gap, unless an ambiguous one leaves no_gap in its 90 % set."""
+        if self.answer is None or self.answer.verdict == NO_GAP:
+            return False
+        return self.answer.verdict != "ambiguous" or not self._set_has(frozenset((NO_GAP,)))
+
+    @property
+    def alarms(self) -> bool:
+        """Says that the model misses something: an effect, something unexplained, or ambiguous
+        with neither no_gap nor recalibration in the 90 % set. No answer counts as an alarm."""
+        if self.answer is None:
+            return True
+        if self.answer.verdict == "ambiguous":
+            return not self._set_has(_BENIGN)
+        return self.answer.verdict in ("effect", UNEXPLAINED)
+
+    @property
+    def abstains(self) -> bool:
+        """Verdict ambiguous or unexplained."""
+        return self.answer is not None and self.answer.verdict in ("ambiguous", UNEXPLAINED)
+
+    @property
+    def abstains_or_flags(self) -> bool:
+        """Abstains, or keeps `unexplained` in the 90 % set."""
+        return self.abstains or self._set_has(frozenset((UNEXPLAINED,)))
+
+    @property
+    def confident_and_wrong(self) -> bool:
+        """Verdict `effect` with a cause that shares nothing with the truth, or one candidate that
+        shares nothing with it at a probability of 0.8 or more."""
+        if self.answer is None:
+            return False
+        cause = frozenset(self.answer.cause)
+        if cause and not cause & self.label.names:
+            return True
+        return any(
+            c.probability >= CONFIDENT and not c.parts & self.label.names
+            for c in self.answer.candidates
+        )
+
+    @property
+    def named(self) -> frozenset[str]:
+        """The cause, or without one the parts of the most probable candidate."""
+        if self.answer is None:
+            return frozenset()
+        return frozenset(self.answer.cause) or self.answer.candidates[0].parts
+
+    def place_right(self, key: str) -> bool:
+        """`signal`, `phase`, `side` or `stage` of the gap is the label's.
+
+        Signals are the same when their quantity is: front_1.temperature and temperature.
+        """
+        if self.answer is None or self.answer.where is None:
+            return False
+        return quantity(getattr(self.answer.where, key)) == quantity(self.label.where[key])
+
+    @property
+    def resolved(self) -> bool:
+        """The second answer is no longer ambiguous and its most probable candidate is right."""
+        if self.second is None or self.second.verdict == "ambiguous":
+            return False
+        return self.second.candidates[0].parts <= self.label.names
+
+    @property
+    def claim(self) -> tuple[Claim, float] | None:
+        """The claimed and the true fraction of one signal: the deflection where it has a gap above
+        the noise, else the signal with the largest; None where none has, or nothing is claimed."""
+        if self.answer is None:
+            return None
+        usable = {
+            name: self.answer.shrinkage[name]
+            for name, true in self.shrunk.items()
+            if name in self.answer.shrinkage
+            and math.isfinite(true.fraction)
+            and math.isfinite(self.answer.shrinkage[name].fraction)
+        }
+        if not usable:
+            return None
+        largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
+        name = "deflection" if "deflection" in usable else largest
+        return usable[name], self.shrunk[name].fraction
+
+    def _set_has(self, names: frozenset[str]) -> bool:
+        return any(c.parts & names for c in self.credible_set)
+
+
+def credible_set(answer: Answer, mass: float = SET_MASS) -> tuple[Candidate, ...]:
+    """The fewest candidates whose probabilities sum to `mass`, most probable first."""
+    total, chosen = 0.0, []
+    for candidate in answer.candidates:
+        chosen.append(candidate)
+        total += candidate.probability
+        if total >= mass - 1e-9:
+            break
+    return tuple(chosen)
+
+
+def quantity(signal: str) -> str:
+    """`temperature` of `front_1.temperature`."""
+    return signal.rpartition(".")[2]

@@ -1,0 +1,183 @@
+"""Make a set of cases: bags, what the owners believe, and labels under seal."""
+
+import hashlib
+import json
+import multiprocessing
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+
+from sma_bench import __version__
+from sma_bench.blind.case_set import CASES, LABELS, MANIFEST
+from sma_bench.blind.cases import Case, draw_cases, split_of
+from sma_bench.blind.deck import NONE, QUANTITIES, RECALIBRATION
+from sma_bench.blind.label import make_label, reference
+from sma_bench.blind.reality import World
+from sma_bench.blind.rigs import CHANNELS
+from sma_bench.blind.sealed import seal
+from sma_bench.blind.sensors import measure
+from sma_bench.blind.separation import Separation, separation
+from sma_bench.blind.sizing import Sized, readings_of, size
+from sma_bench.blind.stage import RECORDS, Stage
+from sma_bench.errors import InputError
+from sma_bench.parameters import write_parameters
+from sma_bench.records.write import write_record
+
+NOMINAL = "nominal.yaml"
+LARGEST_SET = 9999
+_LAYOUT = 1
+
+
+def make(
+    out: str | Path,
+    seed: int,
+    n: int,
+    jobs: int = 1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> dict[str, Any]:
+    """Make n cases in a new folder, which appears when all of them are there.
+
+    Args:
+        out: new folder.
+        seed: the same seed and n give the same bytes, whatever the number of jobs.
+        n: number of cases.
+        jobs: processes that share the work.
+        progress: told the number of finished cases.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: the folder exists or cannot be made, or a number out of range.
+    """
+    out = Path(out)
+    _require(0 <= seed < 2**31, f"seed {seed}", "a whole number from 0 to 2147483647")
+    _require(1 <= n <= LARGEST_SET, f"number of cases {n}", f"1 to {LARGEST_SET}")
+    _require(1 <= jobs <= 64, f"jobs {jobs}", "1 to 64")
+    with new_folder(out) as folder:
+        (folder / CASES).mkdir()
+        labels = _make_all(draw_cases(seed, n), folder / CASES, jobs, progress)
+        manifest = {
+            "layout": _LAYOUT,
+            "version": __version__,
+            "seed": seed,
+            "n": n,
+            "split": split_of(seed),
+            "cases": [label["id"] for label in labels],
+            "sha256": seal(folder / LABELS, labels),
+        }
+        (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    return manifest
+
+
+def _require(holds: bool, what: str, expected: str) -> None:
+    if not holds:
+        raise InputError(f"blind make: {what}, expected {expected}")
+
+
+@contextmanager
+def new_folder(out: str | Path) -> Iterator[Path]:
+    """A folder to fill that becomes `out` when all went well, and vanishes when not."""
+    out = Path(out)
+    if out.exists():
+        raise InputError(f"{out}: exists already, expected a new folder")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        parent = Path(mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+        folder = parent / out.name
+        folder.mkdir()
+    except OSError as error:
+        raise InputError(f"{out}: cannot be made: {error.strerror}") from None
+    try:
+        yield folder
+        if out.exists():
+            raise InputError(f"{out}: exists already, expected a new folder")
+        folder.rename(out)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror}") from None
+    finally:
+        shutil.rmtree(parent, ignore_errors=True)
+
+
+def _make_all(
+    cases: list[Case], folder: Path, jobs: int, progress: Callable[[int], None]
+) -> list[dict[str, Any]]:
+    if jobs == 1:
+        labels = []
+        for case in cases:
+            labels.append(make_case(case, folder))
+            progress(len(labels))
+        return labels
+    found: dict[int, dict[str, Any]] = {}
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_leave_interrupts_alone)
+    waiting: dict[Future, int] = {}
+    coming = list(enumerate(cases))[::-1]
+    try:
+        while coming or waiting:
+            # No more than can run at once: an interrupt need not wait for a queue.
+            while coming and len(waiting) < jobs:
+                k, case = coming.pop()
+                waiting[pool.submit(make_case, case, folder)] = k
+            for done in wait(waiting, return_when=FIRST_COMPLETED).done:
+                found[waiting.pop(done)] = done.result()
+            progress(len(found))
+    except BrokenProcessPool:
+        raise InputError("blind make: a process was killed, expected enough memory") from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return [found[k] for k in range(len(cases))]
+
+
+def _leave_interrupts_alone() -> None:
+    """Ctrl-C reaches the parent, which lets its processes finish their cases and tidies up."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def make_case(case: Case, folder: Path) -> dict[str, Any]:
+    """Write the bags and the believed numbers of a case below `folder`; its label."""
+    stage = Stage(case.truth, case.sensors, case.drives)
+    sized = size(case, stage)
+    label = _label(case, stage, sized)
+    place = folder / case.name
+    place.mkdir()
+    for record in RECORDS:
+        _write_bag(case, stage, sized, record, place / record)
+    write_parameters(place / NOMINAL, case.nominal, names=sorted(case.nominal.given))
+    return label
+
+
+def _label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
+    truth, without = readings_of(stage, sized.features), reference(case, stage, sized)
+    found: Separation | None = None
+    if case.card.kind not in (NONE, RECALIBRATION):
+        quantities = QUANTITIES[case.card.signals]
+        own = case.card.effects[0] if len(case.card.effects) == 1 else ""
+        found = separation(stage, sized.base, truth, without, quantities, own)
+    return make_label(case, stage, sized, truth, without, found)
+
+
+def _write_bag(case: Case, stage: Stage, sized: Sized, record: str, path: Path) -> None:
+    outcome = stage.play(sized.features, record)
+    world = World(case.truth, sized.features)
+    signals = measure(
+        outcome, world, case.sensors, CHANNELS, case.stream(record), QUANTITIES[case.card.signals]
+    )
+    write_record(path, signals, case.namespace, case.storage, case.starts[record])
+
+
+def digest(folder: str | Path) -> str:
+    """sha256 over the names and bytes of all files of a set."""
+    total = hashlib.sha256()
+    for path in sorted(p for p in Path(folder).rglob("*") if p.is_file()):
+        total.update(str(path.relative_to(folder)).encode() + b"\0")
+        total.update(np.uint64(path.stat().st_size).tobytes() + path.read_bytes())
+    return total.hexdigest()

@@ -1,0 +1,111 @@
+"""sma-bench blind run: put every case of a set to the diagnosis, or to a naive rival."""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from sma_bench.blind.case_set import CaseSet, read_case_set
+from sma_bench.blind.examination import examine, open_cases
+from sma_bench.blind.examinee import Examinee
+from sma_bench.blind.kept import Examination, write_examination
+from sma_bench.blind.rivals import RIVALS
+from sma_bench.errors import InputError
+
+DIAGNOSIS = "diagnosis"
+_SMA_BENCH = (sys.executable, "-m", "sma_bench.cli")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("set", metavar="DIR", help="folder that blind make has written")
+    who = parser.add_mutually_exclusive_group()
+    who.add_argument("--rival", choices=[*RIVALS], help="a naive method instead of the diagnosis")
+    who.add_argument(
+        "--program", metavar="COMMAND",
+        help="any other command line that takes the arguments of sma-bench diagnose",
+    )
+    parser.add_argument(
+        "--answers", metavar="DIR", help="folder for the answers (default: DIR/answers/<who>)"
+    )
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time")
+    parser.add_argument("--limit", type=int, metavar="N", help="stop after N more cases")
+    parser.add_argument(
+        "--time-limit", type=float, default=120.0, metavar="S",
+        help="a case fails that takes longer (default 120)",
+    )
+    parser.add_argument(
+        "--again", action="store_true", help="ask failed cases again; answers are always kept"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask what has no answer yet; 0 whatever the answers are."""
+    for option, value in (("jobs", args.jobs), ("limit", args.limit)):
+        if value is not None and value < 1:
+            raise InputError(f"--{option} is {value}, expected 1 or more")
+    if not args.time_limit > 0.0:
+        raise InputError(f"--time-limit is {args.time_limit:g} s, expected more than 0")
+    cases = read_case_set(args.set)
+    name, program = _who(args)
+    answers = Path(args.answers) if args.answers else cases.answers / name
+    write_examination(answers, Examination(name, program, args.time_limit, cases.sealed_sha256))
+    waiting = open_cases(cases.names, answers, args.again)[: args.limit]
+    failed = _ask(cases, Examinee(program, args.time_limit), waiting, answers, args.jobs)
+    left = len(open_cases(cases.names, answers))
+    print(
+        f"{answers}: {len(waiting)} of {len(cases.names)} cases asked, {failed} failed, "
+        f"{left} still open"
+    )
+    return 0
+
+
+def _who(args: argparse.Namespace) -> tuple[str, tuple[str, ...]]:
+    """Name and command line of the examinee."""
+    if args.rival:
+        return args.rival, (*_SMA_BENCH, "blind", "rival", args.rival)
+    if args.program:
+        words = tuple(shlex.split(args.program))
+        if not words:
+            raise InputError("--program is empty, expected a command line")
+        return Path(words[0]).name, words
+    return DIAGNOSIS, (*_SMA_BENCH, "diagnose")
+
+
+def _ask(
+    cases: CaseSet, examinee: Examinee, waiting: list[str], answers: Path, jobs: int
+) -> int:
+    """Examine under a progress bar; the number of failed cases."""
+    console = Console(highlight=False, stderr=True)
+    failures = []
+    with progress_bar(console) as progress:
+        task = progress.add_task(answers.name, total=len(waiting))
+
+        def report(done: int, line: str) -> None:
+            if line:
+                failures.append(line)
+                console.print(f"[yellow]failed[/] {escape(line)}", soft_wrap=True)
+            progress.update(task, completed=done)
+
+        examine(examinee, waiting, cases.folder, answers, jobs, report)
+    return len(failures)
+
+
+def progress_bar(console: Console) -> Progress:
+    """Bar with the number of cases, time gone and time left."""
+    return Progress(
+        TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(),
+        TextColumn("gone"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+        console=console,
+    )  # fmt: skip

@@ -1,0 +1,225 @@
+"""Measures on hand-made cases whose numbers are known."""
+
+import math
+
+import pytest
+
+from sma_bench.blind.answers import checked_answer
+from sma_bench.blind.effect_names import NO_EFFECT, STAGE_OF
+from sma_bench.blind.judgement import Judged, Label, Shrunk
+from sma_bench.blind.measure_table import OTHERS, TARGETS
+
+MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}
+
+
+def answer(verdict, probabilities, cause=(), where=None, claims=None):
+    named = dict.fromkeys(NO_EFFECT, 0.0) | probabilities
+    return checked_answer({
+        "verdict": verdict,
+        "cause": list(cause),
+        "candidates": [
+            {"name": name, "stage": STAGE_OF.get(name, ""), "probability": p}
+            for name, p in named.items()
+        ],
+        "where": where or {
+            "signal": "deflection", "phase": "drive", "side": "front", "stage": "mechanical",
+        },
+        "shrinkage": {
+            signal: {"rmse_before": 2.0, "rmse_after": 1.0, "fraction": fraction,
+                     "ci90": [low, high], "noise_floor": 0.1}
+            for signal, (fraction, low, high) in (claims or {}).items()
+        },
+        "next_experiment": None,
+    })  # fmt: skip
+
+
+def label(kind, *effects, severity=8.0, **more):
+    right = {"none": {"no_gap", "recalibration"}, "recalibration": {"recalibration"},
+             "outside": {"unexplained"}}  # fmt: skip
+    return Label("0001", kind, frozenset(right.get(kind, effects)), severity, **more)
+
+
+def value(name, *cases):
+    return MEASURES[name].of([Judged(*case) for case in cases])
+
+
+SLACK = answer("effect", {"slack": 0.95, "opposing_wires": 0.05}, ["slack"])
+QUIET = answer("no_gap", {"no_gap": 0.97, "slack": 0.03})
+PUZZLED = answer("unexplained", {"unexplained": 0.7, "slack": 0.3})
+TIED = answer("ambiguous", {"slack": 0.5, "opposing_wires": 0.45, "no_gap": 0.05})
+UNDECIDED = answer("ambiguous", {"slack": 0.5, "no_gap": 0.5})
+
+
+def test_detection_counts_gaps_above_twice_the_noise_only():
+    found = value(
+        "detection of gaps above twice the noise",
+        (label("single", "slack"), SLACK),
+        (label("pair", "slack", "supply_drop"), QUIET),
+        (label("single", "slack", severity=1.9), QUIET),  # too small to count
+        (label("none"), QUIET),
+        (label("outside"), PUZZLED),
+        (label("single", "slack"), UNDECIDED),  # leaves no_gap in its set
+    )
+    assert (found.hits, found.n) == (2, 4)
+
+
+def test_a_false_alarm_is_any_verdict_that_sees_something_missing():
+    answers = (SLACK, QUIET, PUZZLED, TIED, UNDECIDED, None)
+    found = value("false alarms on no effect", *((label("none"), a) for a in answers))
+    assert (found.hits, found.n) == (4, 6)  # slack, unexplained, tied, no answer
+    assert value("false alarms on benign kinetics mismatch", (label("none"), SLACK)).n == 0
+    kinetics = label("none", kinetics=True)
+    assert value("false alarms on benign kinetics mismatch", (kinetics, SLACK)).value == 1.0
+
+
+def test_first_choice_is_over_distinguishable_singles():
+    vague = label("single", "slack", distinguishable=False)
+    found = value(
+        "first choice right, distinguishable singles",
+        (label("single", "slack"), SLACK),
+        (label("single", "slack"), TIED),
+        (label("single", "opposing_wires"), SLACK),
+        (vague, QUIET),
+        (label("single", "slack"), None),
+    )
+    assert (found.hits, found.n) == (2, 4)
+
+
+def test_first_choice_in_the_right_stage_forgives_a_neighbour():
+    name = "first choice in the right stage, all singles"
+    assert value(name, (label("single", "opposing_wires"), SLACK)).value == 1.0
+    assert value(name, (label("single", "supply_drop"), SLACK)).value == 0.0
+
+
+def test_set_is_the_fewest_candidates_that_make_90_percent():
+    cases = [(label("single", "opposing_wires"), TIED), (label("single", "opposing_wires"), SLACK)]
+    assert value("90 % set holds the truth", *cases).hits == 1
+    assert value("90 % set, mean size", *cases).value == 1.5
+
+
+def test_probability_of_the_truth_is_summed_over_what_is_nothing_but_true():
+    probabilities = {"slack": 0.2, "slack+supply_drop": 0.5, "supply_drop+latent_heat": 0.3}
+    joint = answer("effect", probabilities, ["slack", "supply_drop"])
+    name = "probability given to the truth"
+    assert value(name, (label("pair", "slack", "supply_drop"), joint)).value == pytest.approx(0.7)
+    assert value(name, (label("single", "slack"), joint)).value == pytest.approx(0.2)
+    assert value(name, (label("none"), UNDECIDED)).value == pytest.approx(0.5)
+    assert value(name, (label("outside"), PUZZLED)).value == pytest.approx(0.7)
+    assert value(name, (label("single", "slack"), None)).value == 0.0
+
+
+def test_out_of_library_abstains_or_flags():
+    flagged = answer("effect", {"slack": 0.85, "unexplained": 0.15}, ["slack"])
+    answers = (SLACK, PUZZLED, TIED, flagged, None, QUIET)
+    name = "out-of-library: abstains or flags"
+    found = value(name, *((label("outside"), a) for a in answers))
+    assert (found.hits, found.n) == (3, 6)
+
+
+def test_confident_and_wrong_is_a_strange_cause_or_a_sure_wrong_candidate():
+    doubtful = answer("effect", {"slack": 0.5, "supply_drop": 0.5}, ["slack"])
+    sure = answer("recalibration", {"recalibration": 0.8, "slack": 0.2})
+    found = value(
+        "confident and wrong",
+        (label("single", "supply_drop"), doubtful),  # wrong cause
+        (label("single", "slack"), sure),  # sure of something wrong
+        (label("pair", "slack", "latent_heat"), SLACK),  # half right is not wrong
+        (label("none"), sure),
+        (label("outside"), TIED),
+        (label("single", "slack"), None),
+    )
+    assert (found.hits, found.n) == (2, 6)
+
+
+def test_pairs_by_cause_or_by_the_most_probable_candidate():
+    both = answer("ambiguous", {"slack+supply_drop": 0.6, "slack": 0.4})
+    pair = label("pair", "slack", "supply_drop")
+    cases = [(pair, SLACK), (pair, both), (pair, QUIET)]
+    assert value("pairs: at least one", *cases).hits == 2
+    assert value("pairs: both", *cases).hits == 1
+
+
+def test_where_compares_quantities_not_channels():
+    place = {"signal": "front_1.temperature", "phase": "rest", "side": "front", "stage": "thermal"}
+    said = answer("effect", {"side_heat_coupling": 1.0}, ["side_heat_coupling"], place)
+    true = {"signal": "back_2.temperature", "phase": "rest", "side": "back", "stage": "thermal"}
+    case = (label("single", "side_heat_coupling", where=true), said)
+    found = [value(f"where: {key}", case).value for key in ("signal", "phase", "side", "stage")]
+    assert found == [1.0, 1.0, 0.0, 1.0]
+
+
+def shrunk(fraction, noise=0.1):
+    return Shrunk(1.0, 1.0 - fraction, noise)
+
+
+def test_shrinkage_is_compared_on_the_deflection_where_it_has_a_gap():
+    claims = {"deflection": (0.8, 0.7, 0.9), "current": (0.5, 0.4, 0.6)}
+    said = answer("effect", {"slack": 1.0}, ["slack"], claims=claims)
+    true = {"deflection": shrunk(0.75), "current": shrunk(0.1)}
+    beside = {"deflection": shrunk(0.75, noise=2.0), "current": shrunk(0.1)}
+    single = label("single", "slack")
+    name = "claimed against true shrinkage, median"
+    assert value(name, (single, said, true)).value == pytest.approx(0.05)
+    assert value(name, (single, said, beside)).value == pytest.approx(0.4)
+    assert value(name, (single, said, {})).n == 0
+    covered = value("90 % interval of shrinkage covers", (single, said, true),
+                    (single, said, beside))  # fmt: skip
+    assert (covered.hits, covered.n) == (1, 2)
+
+
+def test_a_gap_below_the_noise_has_no_fraction():
+    assert math.isnan(Shrunk(0.5, 0.1, 0.6).fraction)
+    assert Shrunk(0.5, 0.1, 0.2).fraction == pytest.approx(0.8)
+
+
+def test_the_tie_is_resolved_when_the_second_answer_is_sure_and_right():
+    single = label("single", "slack")
+    first = {"label": single, "answer": TIED, "followed": True}
+    cases = [
+        Judged(**first, second=SLACK), Judged(**first, second=TIED), Judged(**first),
+        Judged(single, SLACK),
+    ]  # fmt: skip
+    found = MEASURES["the suggested experiment resolves the tie"].of(cases)
+    assert (found.hits, found.n) == (1, 3)
+
+
+def test_a_perfect_examinee_reaches_every_aim():
+    where = {"signal": "deflection", "phase": "rest", "side": "back", "stage": "mechanical"}
+    claims = {"deflection": (0.9, 0.8, 1.0)}
+    cases = []
+    for k in range(200):
+        covered = {"deflection": shrunk(0.9 if k % 10 else 0.7)}
+        said = answer("effect", {"slack": 1.0}, ["slack"], where, claims)
+        cases.append(Judged(label("single", "slack", where=where), said, covered))
+    pair = answer("effect", {"slack+supply_drop": 1.0}, ["slack", "supply_drop"], where)
+    cases += [
+        Judged(label("pair", "slack", "supply_drop", where=where), pair),
+        Judged(label("none"), answer("no_gap", {"no_gap": 1.0})),
+        Judged(label("none", kinetics=True), answer("no_gap", {"no_gap": 1.0})),
+        Judged(label("recalibration"), answer("recalibration", {"recalibration": 1.0})),
+        Judged(label("outside"), answer("unexplained", {"unexplained": 1.0})),
+        Judged(label("single", "slack", severity=1.0), TIED, second=SLACK, followed=True),
+    ]
+    met = {m.name: m.met(m.of(cases)) for m in TARGETS}
+    assert met == dict.fromkeys(met, "aim")
+
+
+def test_an_examinee_that_always_names_one_effect_misses_what_it_must():
+    kinds = [label("none"), label("none", kinetics=True), label("outside"), label("recalibration"),
+             label("single", "supply_drop"), label("pair", "latent_heat", "supply_drop")]
+    cases = [Judged(kind, SLACK) for kind in kinds]
+    met = {m.name: m.met(m.of(cases)) for m in TARGETS}
+    assert [name for name, how in met.items() if how == "aim"] == [
+        "detection of gaps above twice the noise", "90 % set, mean size",
+    ]  # fmt: skip
+
+
+def test_label_takes_its_right_names_from_its_kind():
+    sealed = {"id": "0007", "kind": "single", "effects": ["slack"], "severity": 3.5,
+              "where": {"signal": "deflection"}, "distinguishable": False, "noise": "drift",
+              "kinetics": False, "signals": "paper"}  # fmt: skip
+    single = Label.of(sealed)
+    assert single.names == {"slack"} and single.stages == {"mechanical"}
+    assert not single.distinguishable and single.noise == "drift"
+    assert Label.of(sealed | {"kind": "outside", "effects": ["friction"]}).names == {"unexplained"}
+    assert Label.of(sealed | {"kind": "none", "effects": []}).names == {"no_gap", "recalibration"}

@@ -1,0 +1,287 @@
+"""The scorer: sealed until the last answer, true shrinkage, second experiments, result pages."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from sma_bench.blind import follow_up as follow_up_module
+from sma_bench.blind.answers import checked_answer
+from sma_bench.blind.case_set import read_case_set
+from sma_bench.blind.cases import draw_case
+from sma_bench.blind.deck import Card
+from sma_bench.blind.effect_names import NO_EFFECT, STAGE_OF
+from sma_bench.blind.examinee import Examinee
+from sma_bench.blind.follow_up import bench_protocol, follow_up
+from sma_bench.blind.kept import SECOND, Examination, keep, read_kept, write_examination
+from sma_bench.blind.rigs import true_values
+from sma_bench.blind.score import handed_in, open_labels, score
+from sma_bench.blind.sealed import seal
+from sma_bench.blind.shrinkage import UnseenRecord, parameter_error, unseen_drive
+from sma_bench.blind.wording import beaten
+from sma_bench.cli import main
+from sma_bench.errors import InputError
+from sma_bench.parameters import write_parameters
+from sma_bench.records import read_record
+
+pytest.importorskip("numba", reason="whole records take minutes uncompiled")
+
+WHERE = {"signal": "temperature", "phase": "drive", "side": "front", "stage": "electrical"}
+TIE = {"steps": [{"kind": "triangle", "drive": "front", "peak": 2.0, "rise": 4.0, "fall": 4.0},
+                 {"kind": "rest", "duration": 2.0}]}  # fmt: skip
+
+
+def document(verdict, *cause, protocol=None, **probabilities):
+    named = dict.fromkeys(NO_EFFECT, 0.0) | probabilities
+    claim = {"rmse_before": 1.0, "rmse_after": 0.1, "fraction": 0.9, "ci90": [0.8, 1.0],
+             "noise_floor": 0.05}  # fmt: skip
+    wanted = {"why": "", "separates": [], "protocol": protocol} if protocol else None
+    return {
+        "verdict": verdict, "cause": list(cause), "where": WHERE,
+        "candidates": [
+            {"name": name, "stage": STAGE_OF.get(name, ""), "probability": p}
+            for name, p in named.items()
+        ],
+        "shrinkage": {"temperature": claim}, "next_experiment": wanted,
+    }  # fmt: skip
+
+
+CASES = {  # kind, effects, features
+    "0001": ("single", ("supply_drop",), {"supply_resistance": 0.3}),
+    "0002": ("none", (), {}),
+    "0003": ("outside", ("friction",), {"pickup": 1e-3}),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A set of three cases whose labels are sealed; the records are of no matter here."""
+    root = tmp_path_factory.mktemp("set")
+    labels, drawn = [], {}
+    for k, (name, (kind, effects, features)) in enumerate(CASES.items()):
+        case = draw_case(5, k, Card(kind, effects, (), "all", "white"), name)
+        drawn[name] = case
+        folder = root / "cases" / name
+        for record in ("record", "hold_out"):
+            (folder / record).mkdir(parents=True)
+        write_parameters(folder / "nominal.yaml", case.nominal, names=sorted(case.nominal.given))
+        labels.append({
+            "id": name, "kind": kind, "effects": list(effects), "severity": 9.0, "where": WHERE,
+            "signals": "all", "features": features, "truth": true_values(case.truth),
+            "sensors": case.sensors.to_json(),
+            "drives": {n: d.to_json() for n, d in case.drives.items()},
+        })  # fmt: skip
+    manifest = {"seed": 5, "split": "open", "cases": list(CASES),
+                "sha256": seal(root / "labels.sealed", labels)}  # fmt: skip
+    (root / "manifest.json").write_text(json.dumps(manifest))
+    return root, {label["id"]: label for label in labels}, drawn
+
+
+def hand_in(made, folder, answers, name="diagnosis", program=("x",)):
+    root, _, drawn = made
+    cases = read_case_set(root)
+    write_examination(folder, Examination(name, program, 30.0, cases.sealed_sha256))
+    for case, result in answers.items():
+        right = None
+        if result and result["verdict"] == "effect":
+            better = drawn[case].truth.replace({"effect.supply_drop.resistance": 0.3})
+            write_parameters(folder / "better.yaml", better)
+            right = (folder / "better.yaml").read_text()
+        keep(folder, case, result, "" if result else "exit code 1: it hurts", 2.0, right)
+    return cases
+
+
+GOOD = {
+    "0001": document("effect", "supply_drop", supply_drop=1.0),
+    "0002": document("no_gap", no_gap=1.0) | {"shrinkage": {}},
+    "0003": document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5),
+}
+
+
+def test_labels_stay_sealed_until_the_last_answer(made, tmp_path, monkeypatch, capsys):
+    cases = hand_in(made, tmp_path, {n: GOOD[n] for n in ("0001", "0003")})
+    touched = []
+    monkeypatch.setattr("sma_bench.blind.case_set.unseal", lambda *a: touched.append(a))
+    assert main(["blind", "score", str(cases.root), "--answers", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "1 of 3 cases have no answer yet, the first is 0002: the labels stay sealed" in error
+    assert error.count("\n") == 1 and touched == []
+
+
+def test_a_broken_seal_is_refused(made, tmp_path):
+    root, _, _ = made
+    copy = tmp_path / "set"
+    copy.mkdir()
+    for name in ("manifest.json", "labels.sealed"):
+        (copy / name).write_bytes((root / name).read_bytes())
+    with (copy / "labels.sealed").open("ab") as stream:
+        stream.write(b"x")
+    with pytest.raises(InputError, match="sha256 differs"):
+        open_labels(read_case_set(copy))
+
+
+def test_answers_to_another_set_are_not_scored(made, tmp_path):
+    cases = hand_in(made, tmp_path, GOOD)
+    write_examination(tmp_path / "other", Examination("x", ("x",), 1.0, "0" * 64))
+    with pytest.raises(InputError, match="answers to another set"):
+        handed_in(cases, [tmp_path / "other"])
+    with pytest.raises(InputError, match="no answers"):
+        handed_in(cases, [])
+
+
+def test_judgement_of_a_whole_paper(made, tmp_path):
+    _, labels, _ = made
+    cases = hand_in(made, tmp_path, GOOD | {"0003": None})
+    (found,) = score(cases, handed_in(cases, [tmp_path]), labels)
+    measured = {name: (m.hits, m.n) for name, m in found.measured.items()}
+    assert measured["answered"] == (2, 3)
+    assert measured["detection of gaps above twice the noise"] == (1, 2)
+    assert measured["first choice right, distinguishable singles"] == (1, 1)
+    assert measured["false alarms on no effect"] == (0, 1)
+    assert measured["confident and wrong"] == (0, 3)
+    assert measured["where: stage"] == (1, 2)
+    assert found.to_json()["failed"] == {"0003": "exit code 1: it hurts"}
+    error = found.measured["claimed against true shrinkage, median"]
+    assert error.n == 1 and error.value < 0.1  # 90 % were claimed, all was found
+
+
+def test_the_true_cause_takes_the_true_gap_away_and_a_wrong_one_does_not(made):
+    _, labels, drawn = made
+    truth = drawn["0001"].truth
+    unseen = UnseenRecord(labels["0001"])
+    right = truth.replace({"effect.supply_drop.resistance": 0.3})
+    wrong = truth.replace({"effect.supply_drop.resistance": 0.03})
+    found = unseen.shrunk(truth, right)
+    for signal in ("temperature", "current", "back_1.temperature", "deflection"):
+        assert found[signal].fraction > 0.95
+        assert unseen.shrunk(truth, wrong)[signal].fraction < 0.3
+    assert found["temperature"].noise == drawn["0001"].sensors.std("temperature")
+
+
+def test_the_unseen_drive_is_no_record_of_the_case(made):
+    _, _, drawn = made
+    drives = drawn["0001"].drives
+    unseen = unseen_drive(drives)
+    time = unseen.grid(0.02)
+    highest = [max(max(p.volts) for p in d.pulses) for d in (*drives.values(), unseen)]
+    assert highest[2] == pytest.approx(max(highest[:2]))
+    for drive in drives.values():
+        both = np.corrcoef(unseen.voltage(time).ravel(), drive.voltage(time).ravel())[0, 1]
+        assert both < 0.9
+
+
+def test_parameter_error_counts_stated_standard_deviations(made):
+    _, labels, drawn = made
+    case = drawn["0002"]
+    truth = labels["0002"]["truth"]
+    assert parameter_error(truth, case.nominal, case.truth) == 0.0
+    off = {name: truth[name] + 2.0 * case.nominal.std(name) for name in truth}
+    shifted = case.truth.replace(off)
+    assert parameter_error(truth, case.nominal, shifted) == pytest.approx(2.0)
+
+
+SECOND_ANSWER = """
+import json, sys
+from pathlib import Path
+records = sys.argv[1:sys.argv.index("--params")]
+assert records == ["record", "experiment"] and any(Path("experiment").iterdir()), records
+Path("result.json").write_text(Path(__file__).with_suffix(".json").read_text())
+"""
+
+
+def test_the_suggested_experiment_is_performed_and_the_program_asked_again(made, tmp_path):
+    _, labels, _ = made
+    script = tmp_path / "second.py"
+    script.write_text(SECOND_ANSWER)
+    script.with_suffix(".json").write_text(json.dumps(document("unexplained", unexplained=1.0)))
+    answers = tmp_path / "answers"
+    program = (sys.executable, "-S", str(script))
+    cases = hand_in(made, answers, GOOD, program=program)
+    kept = handed_in(cases, [answers])[0].kept
+    follow_up(cases, labels, kept, Examinee(program, 30.0), answers)
+    assert [path.name for path in (answers / SECOND).iterdir()] == ["0003"]
+    assert read_kept(answers / SECOND, "0003").line == ""
+    (found,) = score(cases, handed_in(cases, [answers]), labels)
+    resolved = found.measured["the suggested experiment resolves the tie"]
+    assert (resolved.hits, resolved.n) == (1, 1)
+    follow_up(cases, labels, kept, Examinee(("/no/such",), 30.0), answers)  # nothing is left
+
+
+def test_the_experiment_is_recorded_on_the_cases_own_bench(made, tmp_path):
+    _, labels, drawn = made
+    protocol = bench_protocol(TIE, drawn["0001"].nominal)
+    follow_up_module.perform(
+        labels["0001"], protocol, tmp_path / "bag", np.random.default_rng(1)
+    )
+    record = read_record(tmp_path / "bag")
+    assert record.duration == pytest.approx(10.0, abs=0.1)
+    volts, amps = record["front_1.voltage"].values, record["front_1.current"].values
+    resistance = labels["0001"]["truth"]["wire.resistance"] + 0.3
+    assert volts.max() / amps.max() == pytest.approx(resistance, rel=0.03)
+    assert record["back_1.voltage"].values.max() == 0.0
+
+
+def test_a_protocol_beyond_the_bench_is_a_failed_second_answer(made, tmp_path):
+    _, labels, drawn = made
+    strong = {"steps": [{"kind": "step", "drive": "front", "level": 99.0, "duration": 3.0}]}
+    with pytest.raises(InputError, match="99 V"):
+        bench_protocol(strong, drawn["0001"].nominal)
+    long = {"repeat": 500, "steps": TIE["steps"]}
+    with pytest.raises(InputError, match="lasts 5000 s"):
+        bench_protocol(long, drawn["0001"].nominal)
+    answers = GOOD | {"0003": document("ambiguous", protocol=strong, slack=0.5, no_gap=0.5)}
+    cases = hand_in(made, tmp_path, answers)
+    kept = handed_in(cases, [tmp_path])[0].kept
+    follow_up(cases, labels, kept, Examinee(("/no/such",), 30.0), tmp_path)
+    assert "99 V" in read_kept(tmp_path / SECOND, "0003").line
+
+
+def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_path, capsys):
+    root, _, _ = made
+    folders = [tmp_path / "a", tmp_path / "b"]
+    hand_in(made, folders[0], GOOD)
+    always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
+    hand_in(made, folders[1], always, "rmse", ("python", "blind", "rival", "rmse"))
+    page, markdown, result = tmp_path / "page", tmp_path / "docs" / "r.md", tmp_path / "r.json"
+    arguments = ["blind", "score", str(root), "--no-follow-up", "--json", str(result)]
+    arguments += ["--page", str(page), "--markdown", str(markdown)]
+    for folder in folders:
+        arguments += ["--answers", str(folder)]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    for text in ("false alarms on no effect", "side by side", "truth against first choice",
+                 "reliability", "by severity", "by signals", "all cases by kind"):  # fmt: skip
+        assert text in printed
+    scores = json.loads(result.read_text())["scores"]
+    row = scores["rmse"]["measures"]["false alarms on no effect"]
+    assert (row["value"], row["n"], row["met"], row["floor"]) == (1.0, 1, "missed", 0.02)
+    assert row["low"] == pytest.approx(0.025) and row["high"] == 1.0
+    assert scores["rmse"]["confusion"]["supply_drop"]["slack"] == 1
+    html = (page / "index.html").read_text()
+    assert html.count("<img") == 8
+    text = markdown.read_text()
+    assert "sma-bench blind make --seed 5 --n 3 --out cases" in text
+    assert "sma-bench blind run cases --rival rmse" in text
+    markdown.write_text(text + "\n## Notes\n\nMissed because of the wind.\n")
+    assert main(arguments) == 0
+    assert markdown.read_text() == text + "\n## Notes\n\nMissed because of the wind.\n"
+
+
+def test_a_rival_that_always_raises_an_alarm_is_not_better_at_detecting(made, tmp_path):
+    _, labels, _ = made
+    always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
+    timid = GOOD | {"0001": document("no_gap", no_gap=1.0)}
+    hand_in(made, tmp_path / "a", timid)
+    cases = hand_in(made, tmp_path / "b", always, "rmse")
+    mine, rival = score(cases, handed_in(cases, [tmp_path / "a", tmp_path / "b"]), labels)
+    name = "detection of gaps above twice the noise"
+    assert rival.measured[name].value > mine.measured[name].value
+    assert rival.measured["90 % set, mean size"].value < mine.measured["90 % set, mean size"].value
+    assert name not in beaten(mine, [rival]) and "90 % set, mean size" not in beaten(mine, [rival])
+    assert "false alarms on no effect" in beaten(rival, [mine])
+
+
+def test_the_answers_used_here_are_to_the_contract():
+    for answer in GOOD.values():
+        checked_answer(answer)
