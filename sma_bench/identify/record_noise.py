@@ -35,7 +35,7 @@ class RecordNoise:
     def __init__(self, rig: RigRecord) -> None:
         """White noise of the level that each signal shows from sample to sample."""
         self._rig = rig
-        self.floor = [_floor(m) for m in rig.measured]
+        self.floor = [noise_floor(m.values) for m in rig.measured]
         self.colour: list[Colour] = [WHITE for _ in rig.measured]
         self.size = 1.0
         self._drawn = 0
@@ -144,7 +144,7 @@ class RecordNoise:
         return np.asarray(np.linalg.qr(self.whiten(signal, line))[0])
 
 
-def _floor(measured: Measured) -> float:
-    step = resolution(measured.values)
-    floor = max(white_noise_level(measured.values), step / np.sqrt(12.0))
-    return floor or 1e-6 * max(float(np.ptp(measured.values)), 1e-12)
+def noise_floor(values: Array) -> float:
+    """White noise of one sample among its neighbours (n,), its converter's included; never 0."""
+    floor = max(white_noise_level(values), resolution(values) / np.sqrt(12.0))
+    return float(floor) or 1e-6 * max(float(np.ptp(values)), 1e-12)

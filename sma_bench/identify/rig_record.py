@@ -279,8 +279,11 @@ def _deflection(record: Record) -> Measured | None:
 
 
 def _without_first(part: Simulation) -> Simulation:
-    return Simulation(
-        part.parameters, part.boundary, part.latent_heat, part.time[1:], part.voltage[1:],
-        part.temperature[1:], part.martensite_fraction[1:], part.stress[1:],
-        part.contraction[1:], part.final,
+    histories = (
+        "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
+        "bending", "temperature_reading",
+    )
+    started = part.started + float(part.time[1] - part.time[0])
+    return replace(
+        part, started=started, **{name: getattr(part, name)[1:] for name in histories}
     )

@@ -42,8 +42,6 @@ class VirtualBench:
         # The first step may compile the physics for seconds: not between two readings.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
         self._bench = Bench(parameters)
-        self._resistance = parameters["wire.resistance"]
-        self._ambient = parameters["environment.ambient_temperature"] - CELSIUS_ZERO
         self._standoff = settings["sensor.range_standoff"]
         self._rates = {kind: settings[f"rate.{kind}"] for kind in RATES}
         self._taken = dict.fromkeys(RATES, 0)
@@ -107,24 +105,27 @@ class VirtualBench:
         self._force = instrument("force")
 
     def _read_power(self, voltage: tuple[float, ...]) -> list[tuple[float, float]]:
+        currents = self._bench.current(voltage).tolist()
         return [
-            (volt.read(applied), ampere.read(applied / self._resistance))
-            for volt, ampere, applied in zip(self._volt, self._ampere, voltage, strict=True)
+            (volt.read(applied), ampere.read(current))
+            for volt, ampere, applied, current in zip(
+                self._volt, self._ampere, voltage, currents, strict=True
+            )
         ]
 
     def _read_temperature(self, _: tuple[float, ...]) -> list[float]:
-        kelvin = self._bench.temperature.tolist()
+        kelvin = self._bench.temperature_reading.tolist()
         return [
             camera.read(true - CELSIUS_ZERO)
             for camera, true in zip(self._celsius, kelvin, strict=True)
         ]
 
     def _read_ambient(self, _: tuple[float, ...]) -> list[float]:
-        return [self._air.read(self._ambient)]
+        return [self._air.read(self._bench.ambient_temperature - CELSIUS_ZERO)]
 
     def _read_ranges(self, _: tuple[float, ...]) -> list[float]:
         # Bending to the front brings the tip nearer to the front sensor.
-        deflection = float(self._bench.deflection)
+        deflection = self._bench.deflection_reading
         front, back = self._range
         return [front.read(self._standoff - deflection), back.read(self._standoff + deflection)]
 

@@ -4,6 +4,7 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import jinja2
@@ -48,7 +49,7 @@ figure img { background: #fff; border-radius: 6px; max-width: 100%; height: auto
 {% endfor %}</tbody></table>
 {% endfor %}
 {% for picture in section.pictures %}
-<figure><img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.png }}">
+<figure><img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}">
 <figcaption><strong>{{ picture.title }}.</strong> {{ picture.caption }}</figcaption></figure>
 {% endfor %}
 {% endfor %}
@@ -75,12 +76,17 @@ class Picture:
     caption: str
     figure: Figure
 
-    @property
-    def png(self) -> str:
-        """The figure as base64 PNG."""
+    @cached_property
+    def png(self) -> bytes:
+        """The figure as a PNG file; drawing takes its time, so it is drawn once."""
         buffer = io.BytesIO()
         self.figure.savefig(buffer, format="png", dpi=130)
-        return base64.b64encode(buffer.getvalue()).decode("ascii")
+        return buffer.getvalue()
+
+    @property
+    def base64(self) -> str:
+        """The PNG file as text."""
+        return base64.b64encode(self.png).decode("ascii")
 
 
 @dataclass(frozen=True)
@@ -115,7 +121,7 @@ def write_report(
         directory.mkdir(parents=True, exist_ok=True)
         for section in sections:
             for picture in section.pictures:
-                picture.figure.savefig(directory / f"{picture.name}.png", dpi=130)
+                (directory / f"{picture.name}.png").write_bytes(picture.png)
     except OSError as error:
         raise InputError(f"{directory}: cannot write the report: {error.strerror}") from None
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)

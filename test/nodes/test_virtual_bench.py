@@ -7,6 +7,7 @@ from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
+from sma_bench.physics.effects import effect_values
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
 PERFECT = SETTINGS | {
@@ -93,3 +94,39 @@ def test_noise_and_steps_are_those_of_the_hardware():
     celsius = np.array([r.values[0] for r in readings["temperature"][800:]])
     assert np.std(celsius) == pytest.approx(np.hypot(0.08, 0.1 / np.sqrt(12)), rel=0.1)
     assert np.allclose(celsius * 10, np.round(celsius * 10))
+
+
+def test_voltage_and_current_of_a_reading_belong_together():
+    """Also where the voltage has just been changed, at the instant of the reading."""
+    bench = VirtualBench(WIRE, PERFECT)
+    for k, voltage in enumerate((5.0, 2.0, 0.0, 3.0)):
+        readings = list(bench.advance((voltage,), (k + 1) * 50_000_000))
+        pairs = [r.values[0] for r in readings if r.kind == "power"]
+        assert pairs == [(voltage, pytest.approx(voltage / 2.6987))] * 5
+
+
+def test_instruments_show_the_effects_that_are_on():
+    effects = {
+        name: number
+        for effect, size in (("supply_drop", 0.3), ("ambient_drift", 0.01),
+                             ("temperature_underfill", 0.4), ("deflection_drift", 1e-5))
+        for name, number in effect_values(effect, size).items()
+    }
+    readings = run(VirtualBench(COMPOSITE.replace(effects), PERFECT), (3.0, 0.0, 0.0, 0.0), 20.0)
+    volt, ampere = readings["power"][-1].values[0]
+    assert ampere == pytest.approx(volt / (2.6987 + 0.3))
+    seconds = readings["ambient"][-1].time / NANOSECONDS
+    air = readings["ambient"][-1].values[0]
+    assert air == pytest.approx(23.0 + 0.01 * seconds, abs=1e-9)
+    wire = 9.0 * 2.6987 / 2.9987**2 / (403.26 * 395.84e-6)
+    hot, cold = readings["temperature"][-1].values[:3:2]
+    assert 0.6 * wire < hot - cold < 0.75 * wire
+    assert cold == pytest.approx(23.2, abs=0.01)
+    time = readings["mechanics"][-1].time / NANOSECONDS
+    front, back = readings["mechanics"][-1].values
+    still = run(VirtualBench(COMPOSITE, PERFECT), (0.0,) * 4, 1.0)["mechanics"][-1].values
+    assert back - still[1] == pytest.approx(still[0] - front)
+    drift = 0.5 * (back - front)
+    plain = simulate(COMPOSITE.replace(effects), np.arange(0.0, 20.0, 0.01),
+                     np.tile([3.0, 0.0, 0.0, 0.0], (2000, 1)))
+    assert drift == pytest.approx(plain.deflection[-1] + 1e-5 * time, abs=1e-9)

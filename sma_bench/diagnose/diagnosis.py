@@ -1,0 +1,247 @@
+"""The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
+from sma_bench.diagnose.fit import Fit, fit
+from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
+from sma_bench.diagnose.problem import Problem
+from sma_bench.diagnose.search import Progress, Search, search
+from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
+from sma_bench.diagnose.sizes import Cell, locate, without_effects
+from sma_bench.diagnose.unknowns import SHAPES, Unknowns
+from sma_bench.diagnose.view import Binned, View, view_record
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.parameters import Parameters, audit
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.records.record import Record
+
+Array = NDArray[np.float64]
+
+_FIT_SHARE = 0.6  # of a single record without another to hold out
+_QUANTITIES = {
+    "current": "heat and resistance could not be told apart by the current",
+    "temperature": "thermal and mechanical causes could not be told apart by the temperature",
+    "deflection": "nothing mechanical could be seen",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The result; `to_json` is the contract's.
+
+    Attributes:
+        decision: candidates and verdict; search: all fits behind them.
+        model: the fit that the improved parameters are of; improved: these parameters.
+        where: cells of the gap, the largest share first; shrinkage: by quantity.
+        views: all records, `held_out` of them unseen by the fit of the shrinkage.
+        findings: of the records and parameters, and what a missing sensor would have added.
+    """
+
+    parameters: Parameters
+    decision: Decision
+    search: Search
+    model: Fit
+    improved: Parameters
+    where: tuple[Cell, ...]
+    shrinkage: dict[str, Shrinkage]
+    views: tuple[View, ...]
+    held_out: tuple[View, ...]
+    findings: tuple[Finding, ...]
+    next_experiment: NextExperiment | None
+
+    @property
+    def stage(self) -> str:
+        """Stage with the largest probability; `sensor` or another, "" where no effect is."""
+        stages: dict[str, float] = {}
+        for candidate in self.decision.candidates:
+            for name in candidate.effects:
+                stage = EFFECTS[name].stage
+                share = candidate.probability / len(candidate.effects)
+                stages[stage] = stages.get(stage, 0.0) + share
+        return max(stages, key=lambda stage: stages[stage]) if stages else ""
+
+    def to_json(self) -> dict[str, Any]:
+        """The diagnosis result of contract section 5."""
+        top = self.where[0]
+        return {
+            "verdict": self.decision.verdict,
+            "cause": list(self.decision.cause),
+            "candidates": [self._candidate(c) for c in self.decision.candidates],
+            "where": {
+                "signal": top.signal, "phase": top.phase, "side": top.side, "stage": self.stage,
+                "table": [asdict(cell) for cell in self.where],
+            },
+            "shrinkage": {
+                name: {**asdict(s), "ci90": list(s.ci90)} for name, s in self.shrinkage.items()
+            },
+            "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
+            "findings": [f"{f.severity}: {f.subject}: {f.text}" for f in self.findings],
+        }
+
+    def _candidate(self, candidate: Candidate) -> dict[str, Any]:
+        found: dict[str, Any] = {
+            "name": candidate.name,
+            "stage": "+".join(dict.fromkeys(EFFECTS[n].stage for n in candidate.effects)),
+            "probability": candidate.probability,
+            "parameters": {},
+            "gap_over_noise": candidate.gap,
+            "log_evidence": candidate.gain,
+        }
+        if candidate.fit is not None and candidate.effects:
+            unknowns = candidate.fit.unknowns
+            values, stds = unknowns.values(candidate.fit.x), candidate.fit.std
+            for k in range(unknowns.baseline, len(values)):
+                name = unknowns.names[k]
+                found["parameters"][name] = {
+                    "value": float(values[k]), "std": float(stds[k]), "unit": BY_NAME[name].unit,
+                }
+        return found
+
+
+def diagnose(
+    records: Sequence[Record],
+    parameters: Parameters,
+    hold_out: Sequence[Record] = (),
+    progress: Progress = lambda text: None,
+) -> Diagnosis:
+    """Diagnose the gap between a bench's records and its model.
+
+    Candidates are weighed on all records together; the shrinkage is measured on the held-out ones
+    (on the last part of the records where none is held out), with a model that has not seen them.
+
+    Args:
+        records: bags of one bench; parameters: as believed, `uncertainty.` as priors.
+        hold_out: further bags of the same bench.
+        progress: told what is being done.
+
+    Raises:
+        InputError: no records, or one that cannot be compared with the model.
+    """
+    if not records:
+        raise InputError("diagnose: no record, expected at least one")
+    progress("records")
+    seen = [view_record(record, parameters) for record in records]
+    unseen = [view_record(record, parameters) for record in hold_out]
+    if not unseen:
+        seen, unseen = _split(seen)
+    found = search([*seen, *unseen], parameters, progress)
+    decision = decide(found)
+    model = _model(decision, found)
+    improved = _improved(model, decision, parameters)
+    progress("shrinkage on data that no fit saw")
+    blind = _fitted_without(model, len(seen))
+    return Diagnosis(
+        parameters, decision, found, model, improved,
+        tuple(_where(found, model)),
+        shrinkage(unseen, parameters, _believable(blind, decision, parameters), model),
+        (*seen, *unseen), tuple(unseen),
+        (*audit(parameters), *_missing([*seen, *unseen])),
+        _next(decision, [*seen, *unseen], parameters, progress),
+    )
+
+
+def _next(
+    decision: Decision, views: Sequence[View], parameters: Parameters, progress: Progress
+) -> NextExperiment | None:
+    if decision.verdict != "ambiguous":
+        return None
+    progress("the next experiment")
+    return next_experiment(decision.candidates, views, parameters)
+
+
+def _model(decision: Decision, found: Search) -> Fit:
+    """The most probable model that can be simulated."""
+    for candidate in decision.candidates:
+        if candidate.name == UNEXPLAINED:
+            continue
+        return candidate.fit or found.recalibrated
+    return found.recalibrated
+
+
+def _believable(fitted: Fit, decision: Decision, parameters: Parameters) -> Parameters:
+    return parameters if decision.verdict == NO_GAP else fitted.parameters
+
+
+def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Parameters:
+    """Parameters of the model with their new uncertainties, on top of what was given."""
+    if decision.verdict == NO_GAP:
+        return parameters
+    values = model.parameters
+    names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
+    stds = dict(zip(model.unknowns.names, model.std.tolist(), strict=True))
+    return parameters.replace(
+        {name: values[name] for name in names},
+        {name: stds[name] for name in names if stds[name] > 0.0},
+    )
+
+
+def _fitted_without(model: Fit, seen: int) -> Fit:
+    """The same model fitted to the first `seen` records only."""
+    problem: Problem = model.problem.only(range(seen))
+    unknowns: Unknowns = model.unknowns
+    if not unknowns.prior.names and not unknowns.numbers:
+        return model
+    return fit(problem, unknowns, model.x, rounds=1, keep_noise=True)
+
+
+def _where(found: Search, model: Fit) -> list[Cell]:
+    """Where the gap lies: what the effects do, else what separates belief and measurement."""
+    problem = model.problem
+    if model.unknowns.effects:
+        off = problem.predict(without_effects(model.parameters, model.unknowns.effects))
+        first = model.predicted
+    else:
+        off, first = found.nominal.predicted, found.recalibrated.predicted
+    difference = [
+        [a - b for a, b in zip(one, two, strict=True)]
+        for one, two in zip(first, off, strict=True)
+    ]
+    return locate(problem, difference)
+
+
+def _split(views: Sequence[View]) -> tuple[list[View], list[View]]:
+    """Early and late part of every record."""
+    early, late = [], []
+    for view in views:
+        start, stop = float(view.grid[0]), float(view.grid[-1])
+        border = start + _FIT_SHARE * (stop - start)
+        early.append(_part(view, -np.inf, border))
+        late.append(_part(view, border, np.inf))
+    return early, late
+
+
+def _part(view: View, start: float, stop: float) -> View:
+    """The same drive, the signals of a span of time only."""
+    signals = []
+    for s in view.signals:
+        keep = np.flatnonzero((s.time >= start) & (s.time < stop))
+        if len(keep) > 1:
+            signals.append(_kept(s, keep))
+    return replace(view, signals=tuple(signals))
+
+
+def _kept(signal: Binned, keep: NDArray[np.intp]) -> Binned:
+    return replace(
+        signal, time=signal.time[keep], value=signal.value[keep], count=signal.count[keep],
+        average=signal.average[keep],
+    )
+
+
+def _missing(views: Sequence[View]) -> list[Finding]:
+    held = {q for view in views for q in view.quantities}
+    composite = any(len(view.channels) > 1 for view in views)
+    wanted = [q for q in _QUANTITIES if composite or q != "deflection"]
+    return [
+        Finding("info", quantity, f"not recorded: {_QUANTITIES[quantity]}")
+        for quantity in wanted if quantity not in held
+    ]
+
+

@@ -1,0 +1,166 @@
+"""The rival that names nothing: any smooth response to drive, temperature, bending and time.
+
+A residual that a physical effect leaves depends on what the bench does, so it can be learnt from
+one stretch and found again in another; a sensor's drift cannot. The response is linear in many
+features of the simulation with independent Gaussian weights, whose size is the most likely one.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sma_bench.diagnose.fit import Fit
+from sma_bench.diagnose.problem import Problem
+from sma_bench.diagnose.view import Binned, View
+from sma_bench.physics.simulate import Simulation
+
+Array = NDArray[np.float64]
+
+_MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s
+_SIZES = np.geomspace(0.1, 1000.0, 9)
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Flexible:
+    """What a flexible response explains of a fit's residual.
+
+    Attributes:
+        gain: of evidence over the fit, both with the noise that they leave.
+        response: (b,) per view and signal, the missing term's course.
+    """
+
+    gain: float
+    response: list[list[Array]]
+
+
+def flexible_residual(fitted: Fit) -> Flexible:
+    """Fit the flexible rival to what a candidate leaves.
+
+    It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
+    """
+    features = [
+        _features(view, view.simulate(fitted.parameters)) for view in fitted.problem.views
+    ]
+    own = -0.5 * _power(fitted.problem, fitted.left) - fitted.problem.log_scale()
+    problem = replace(
+        fitted.problem,
+        noise={
+            name: replace(noise, drift=min(noise.drift, noise.white))
+            for name, noise in fitted.problem.noise.items()
+        },
+    )
+    best = Flexible(0.0, [[np.zeros_like(r) for r in rs] for rs in fitted.left])
+    for _ in range(_ROUNDS):
+        marginal, weights = _most_likely(problem, fitted, features)
+        gain = -0.5 * _power(problem, fitted.left) - problem.log_scale() + marginal - own
+        response = [[f @ weights for f in fs] for fs in features]
+        if gain > best.gain:
+            best = Flexible(gain, response)
+        left = [
+            [r - s for r, s in zip(rs, ss, strict=True)]
+            for rs, ss in zip(fitted.left, response, strict=True)
+        ]
+        problem = problem.with_noise(left)
+    return best
+
+
+def _most_likely(
+    problem: Problem, fitted: Fit, features: Sequence[Sequence[Array]]
+) -> tuple[float, Array]:
+    """Gain of the features in marginal likelihood, and their weights, with the likeliest size."""
+    rows = np.hstack([problem.stack(fitted.derivatives), problem.nuisance_rows])
+    normal = rows.T @ rows + np.eye(rows.shape[1])
+    phi, base = problem.stack(features), problem.stack(fitted.left)
+    # What the fitted unknowns can still take up is not the features' to explain.
+    across = rows.T @ phi
+    taken = np.linalg.solve(normal, np.column_stack([across, rows.T @ base]))
+    gram = phi.T @ phi - across.T @ taken[:, :-1]
+    values, vectors = np.linalg.eigh(gram)
+    values = np.maximum(values, 0.0)
+    turned = vectors.T @ (phi.T @ base - across.T @ taken[:, -1])
+    best, weights = 0.0, np.zeros(len(turned))
+    for size in _SIZES:
+        shrunk = turned / (values + 1.0 / size**2)
+        gain = 0.5 * float(turned @ shrunk - np.sum(np.log1p(size**2 * values)))
+        if gain > best:
+            best, weights = gain, vectors @ shrunk
+    return best, weights
+
+
+def _power(problem: Problem, parts: Sequence[Sequence[Array]]) -> float:
+    white = problem.stack(parts)
+    return float(white @ white)
+
+
+def _features(view: View, simulation: Simulation) -> list[Array]:
+    """(b, p) per signal, in units of its noise; p is the same for all, each signal has its own."""
+    blocks = [
+        np.column_stack(list(_of_signal(signal, view, simulation))) for signal in view.signals
+    ]
+    total = sum(b.shape[1] for b in blocks)
+    placed, start = [], 0
+    for signal, block in zip(view.signals, blocks, strict=True):
+        whole = np.zeros((len(block), total))
+        whole[:, start : start + block.shape[1]] = block * signal.noise
+        start += block.shape[1]
+        placed.append(whole)
+    return placed
+
+
+def _of_signal(signal: Binned, view: View, simulation: Simulation) -> Iterator[Array]:
+    cell = float(view.grid[1] - view.grid[0])
+    clock = (view.grid - view.grid[0]) / 100.0
+    courses = [clock, clock**2]
+    if signal.quantity == "deflection":
+        for side in dict.fromkeys(view.sides):
+            courses += _of_side(side, view, simulation, cell)
+    else:
+        courses += _of_wire(signal.wire, view, simulation, cell)
+    for course in courses:
+        yield signal.average @ course
+    if signal.quantity == "current":
+        yield signal.average @ np.ones_like(clock)
+
+
+def _of_wire(wire: int, view: View, simulation: Simulation, cell: float) -> list[Array]:
+    power = _unit(view.voltage[:, wire] ** 2)
+    own = simulation.temperature[:, wire]
+    opposite = [k for k, side in enumerate(view.sides) if side != view.sides[wire]]
+    courses = [_remembered(power, memory, cell) for memory in _MEMORIES]
+    if opposite:
+        across = _unit(np.mean(view.voltage[:, opposite] ** 2, axis=1))
+        courses += [_remembered(across, memory, cell) for memory in _MEMORIES[1:]]
+    rise = _unit(own - own.min())
+    xi = simulation.martensite_fraction[:, wire]
+    return [
+        *courses, rise, rise**2, np.maximum(rise - 0.5, 0.0), 1.0 - xi,
+        _unit(np.gradient(own, cell)), np.gradient(xi, cell),
+    ]
+
+
+def _of_side(side: str, view: View, simulation: Simulation, cell: float) -> list[Array]:
+    own = [k for k, name in enumerate(view.sides) if name == side]
+    number = list(dict.fromkeys(view.sides)).index(side)
+    stroke = _unit(simulation.contraction[:, number])
+    rise = _unit(np.mean(simulation.temperature[:, own], axis=1) - simulation.temperature.min())
+    xi = np.mean(simulation.martensite_fraction[:, own], axis=1)
+    turning = np.gradient(xi, cell)
+    return [
+        *(_remembered(stroke, memory, cell) for memory in _MEMORIES),
+        stroke, stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke),
+        rise, rise**2, np.maximum(rise - 0.5, 0.0), xi * (1.0 - xi), turning, np.sign(turning),
+    ]
+
+
+def _remembered(course: Array, memory: float, cell: float) -> Array:
+    share = 1.0 - np.exp(-cell / memory)
+    return np.asarray(lfilter([share], [1.0, share - 1.0], course))
+
+
+def _unit(course: Array) -> Array:
+    largest = float(np.max(np.abs(course)))
+    return course / largest if largest > 0.0 else course

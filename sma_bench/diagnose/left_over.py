@@ -1,0 +1,62 @@
+"""Whether what a fit leaves is noise: noise does not know when the bench moves.
+
+The whitened residual is split at the median speed of the simulated signal. If it scatters more
+while the signal moves than while it rests, something that the model lacks acts there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sma_bench.diagnose.fit import Fit
+
+_SURE = 4.0  # standard deviations of the log ratio of two variances
+_FEWEST = 30
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a fit leaves.
+
+    Attributes:
+        ratio: log of moving over resting variance, in its standard deviations, the largest of all
+            signals; signal: which one.
+        size: of the part that is not noise, over the white noise of a sample, which is the same
+            for all fits; 0 where the ratio is not sure.
+        outlier: largest whitened residual, in standard deviations: a single event shows there.
+    """
+
+    ratio: float
+    signal: str
+    size: float
+    outlier: float
+
+
+def left_over(fitted: Fit) -> Left:
+    """Compare what a fit leaves in motion and at rest."""
+    problem = fitted.problem
+    found = Left(-np.inf, "", 0.0, 0.0)
+    for view, left in zip(problem.views, fitted.left, strict=True):
+        rates = view.rates(view.simulate(fitted.parameters))
+        for signal, residual, rate in zip(view.signals, left, rates, strict=True):
+            white = problem.noise[signal.name].whiten(residual)
+            speed = np.abs(rate)
+            moving = speed > np.median(speed)
+            if min(moving.sum(), (~moving).sum()) < _FEWEST:
+                continue
+            fast, slow = float(np.mean(white[moving] ** 2)), float(np.mean(white[~moving] ** 2))
+            spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
+            ratio = float(np.log(fast / slow) / spread)
+            outlier = max(found.outlier, float(np.max(np.abs(white))))
+            size = 0.0
+            if ratio > _SURE:
+                # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
+                noise = problem.noise[signal.name]
+                excess = np.sqrt(1.0 - slow / fast)
+                size = excess * float(np.hypot(noise.drift, noise.white))
+                size /= signal.noise * np.sqrt(float(np.median(signal.count)))
+            if ratio > found.ratio:
+                found = Left(ratio, signal.name, max(size, found.size), outlier)
+            else:
+                found = Left(found.ratio, found.signal, max(size, found.size), outlier)
+    return found

@@ -1,0 +1,207 @@
+"""Candidates: recalibration alone, every effect with it, and pairs around the best ones."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sma_bench.diagnose.fit import Fit, fit
+from sma_bench.diagnose.flexible import Flexible, flexible_residual
+from sma_bench.diagnose.left_over import Left, left_over
+from sma_bench.diagnose.problem import Problem
+from sma_bench.diagnose.starts import Remainder, Start, find_start
+from sma_bench.diagnose.unknowns import Unknowns, baseline_unknowns
+from sma_bench.diagnose.view import View
+from sma_bench.parameters import Parameters
+from sma_bench.physics.effects import EFFECTS, active_effects
+
+_CLOSE = 0.35  # of the best gain in evidence: what lies this near is fitted carefully
+_NEAR = 15.0  # nats
+_MOST_REFINED = 4
+_MOST_FROM_BELIEF = 3
+_PARTNERS = 3
+_STUCK = 5.0  # nats that show a fit had not arrived
+_SURPRISING = 2.5  # prior deviations of a recalibrated parameter
+_WORTH_PAIRING = 8.0  # nats of a single
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Every candidate, fitted to all records.
+
+    Attributes:
+        nominal: the parameters as believed, only the sensors' noise and zeros fitted.
+        recalibrated: the same model, parameters moved under their priors.
+        singles: by effect; pairs: by two effects, those that were worth a fit.
+        flexible: of what recalibration leaves; beyond: of what the best candidate leaves.
+        left, left_by_best: whether that still depends on what the bench does.
+    """
+
+    problem: Problem
+    nominal: Fit
+    recalibrated: Fit
+    singles: dict[str, Fit]
+    pairs: dict[tuple[str, str], Fit]
+    flexible: Flexible
+    beyond: Flexible
+    left: Left
+    left_by_best: Left
+
+    def gain(self, name: str) -> float:
+        """Evidence of an effect over recalibration [nats]."""
+        return self.singles[name].evidence - self.recalibrated.evidence
+
+    @property
+    def ranked(self) -> list[str]:
+        """Effects, the most probable first."""
+        return sorted(self.singles, key=self.gain, reverse=True)
+
+
+def search(
+    views: Sequence[View], parameters: Parameters, progress: Progress = lambda text: None
+) -> Search:
+    """Fit everything.
+
+    Args:
+        views: of all records, those held out as well (their shares are told apart later).
+        parameters: as believed, with uncertainties.
+    """
+    quantities = tuple(dict.fromkeys(q for view in views for q in view.quantities))
+    baseline = baseline_unknowns(parameters, quantities)
+    progress("recalibration")
+    problem = Problem.of(views).with_nuisances(parameters)
+    first = fit(problem, baseline, baseline.start(), far=True)
+    problem = problem.with_nuisances(first.parameters)
+    recalibrated = fit(problem, baseline, first.x, rounds=2)
+    nominal = _nominal(problem, parameters, quantities)
+    possible = _possible(parameters, quantities)
+    singles = _singles(baseline, recalibrated, possible, progress)
+    better = _again(problem, baseline, recalibrated, singles)
+    if better.evidence > recalibrated.evidence + _STUCK:
+        progress("recalibration was stuck: once more")
+        recalibrated = better
+        singles = _singles(baseline, recalibrated, possible, progress)
+    if np.max(np.abs(recalibrated.x[: len(baseline.prior.names)])) > _SURPRISING:
+        progress("effects instead of surprising parameters")
+        for name, found in _from_belief(problem, baseline, recalibrated, list(singles)).items():
+            singles[name] = max(singles[name], found, key=lambda f: f.evidence)
+    progress("the best again, carefully")
+    for name in _worth_refining(singles, recalibrated):
+        again = fit(singles[name].problem, singles[name].unknowns, singles[name].x, rounds=2)
+        if again.evidence > singles[name].evidence:
+            singles[name] = again
+    progress("pairs")
+    pairs = _pairs(baseline, singles, recalibrated)
+    best = max([recalibrated, *singles.values(), *pairs.values()], key=lambda f: f.evidence)
+    progress("what is left")
+    flexible = flexible_residual(recalibrated)
+    return Search(
+        problem, nominal, recalibrated, singles, pairs, flexible,
+        flexible_residual(best) if best is not recalibrated else flexible,
+        left_over(recalibrated), left_over(best),
+    )
+
+
+def _singles(
+    baseline: Unknowns, recalibrated: Fit, names: Sequence[str], progress: Progress
+) -> dict[str, Fit]:
+    """Every effect, begun where recalibration ended."""
+    remainder = Remainder(recalibrated)
+    singles = {}
+    for name in names:
+        progress(name)
+        unknowns = baseline.with_effects([name])
+        start = find_start(remainder, unknowns, name)
+        singles[name] = fit(
+            recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives
+        )
+    return singles
+
+
+def _again(
+    problem: Problem, baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]
+) -> Fit:
+    """Recalibration from where the best effect has taken the parameters."""
+    if not singles:
+        return recalibrated
+    best = max(singles.values(), key=lambda f: f.evidence)
+    if best.evidence < recalibrated.evidence + _STUCK:
+        return recalibrated
+    return fit(best.problem, baseline, best.x[: baseline.baseline], rounds=2, far=True)
+
+
+def _from_belief(
+    problem: Problem, baseline: Unknowns, recalibrated: Fit, names: Sequence[str]
+) -> dict[str, Fit]:
+    """The most promising effects, fitted from the parameters as believed: from surprising ones the
+    way back to them can be long and winding."""
+    believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
+    remainder = Remainder(believed)
+    starts = {
+        name: find_start(remainder, baseline.with_effects([name]), name) for name in names
+    }
+    best = sorted(names, key=lambda name: starts[name].gain, reverse=True)[:_MOST_FROM_BELIEF]
+    return {
+        name: fit(problem, baseline.with_effects([name]), starts[name].x, rounds=2, far=True)
+        for name in best
+    }
+
+
+def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
+    """Effects that can show in these signals and are not believed in already."""
+    known = active_effects(parameters)
+    return [
+        name for name, effect in EFFECTS.items()
+        if name not in known and set(effect.acts_on) & set(quantities)
+    ]
+
+
+def _nominal(problem: Problem, parameters: Parameters, quantities: Sequence[str]) -> Fit:
+    """The model as believed: every parameter exact."""
+    exact = parameters.replace(
+        uncertainty=dict.fromkeys(baseline_unknowns(parameters, quantities).prior.names, 0.0)
+    )
+    unknowns = Unknowns(baseline_unknowns(exact, ()).prior, (), ())
+    x = np.zeros(unknowns.baseline)
+    return fit(problem, unknowns, x, rounds=2, frozen=_none(problem, unknowns.baseline))
+
+
+def _none(problem: Problem, columns: int) -> list[list[np.ndarray]]:
+    return [[np.zeros((len(s.time), columns)) for s in v.signals] for v in problem.views]
+
+
+def _worth_refining(singles: dict[str, Fit], recalibrated: Fit) -> list[str]:
+    gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
+    ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
+    best = gains[ranked[0]] if ranked else 0.0
+    limit = best - max(_NEAR, _CLOSE * best)
+    return [name for name in ranked[:_MOST_REFINED] if gains[name] >= limit]
+
+
+def _pairs(
+    baseline: Unknowns, singles: dict[str, Fit], recalibrated: Fit
+) -> dict[tuple[str, str], Fit]:
+    """The best singles, each with the partners that promise most."""
+    ranked = sorted(singles, key=lambda name: singles[name].evidence, reverse=True)
+    pairs: dict[tuple[str, str], Fit] = {}
+    for name in ranked[:2]:
+        if singles[name].evidence - recalibrated.evidence < _WORTH_PAIRING:
+            break
+        remainder = Remainder(singles[name])
+        starts: list[tuple[str, Unknowns, Start]] = []
+        for partner in singles:
+            if partner != name:
+                unknowns = baseline.with_effects([name, partner])
+                starts.append((partner, unknowns, find_start(remainder, unknowns, partner)))
+        starts.sort(key=lambda s: s[2].gain, reverse=True)
+        for partner, unknowns, start in starts[:_PARTNERS]:
+            key = (min(name, partner), max(name, partner))
+            frozen = [
+                [d[:, : baseline.baseline] for d in own] for own in singles[name].derivatives
+            ]
+            found = fit(singles[name].problem, unknowns, start.x, rounds=2, frozen=frozen)
+            if key not in pairs or found.evidence > pairs[key].evidence:
+                pairs[key] = found
+    return pairs

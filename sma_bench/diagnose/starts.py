@@ -1,0 +1,114 @@
+"""Where the fit of an effect begins: sizes tried against what recalibration leaves.
+
+A score test at zero is blind to effects whose number acts only together with another (a time
+constant of a relaxation that is not there yet), so whole differences are tried, not slopes.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.diagnose.fit import Fit
+from sma_bench.diagnose.problem import Problem, in_threads
+from sma_bench.diagnose.unknowns import Unknowns, default_of, x_of
+from sma_bench.physics.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+_SIZES = (0.3, 1.5)  # prior deviations of the number that switches an effect on
+# Numbers that shape an effect are tried over their range; the others start at their default.
+_SHAPES = {
+    "effect.matrix_thermal_mass.inner_share": (0.25, 0.5, 0.8),
+    "effect.viscoelastic_matrix.time_constant": (4.0, 20.0, 90.0),
+    "effect.transition_drift.cycles": (1.0, 6.0),
+    "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
+}
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where to begin, and the gain in log-likelihood that a straight line from there promises."""
+
+    x: Array
+    gain: float
+
+
+class Remainder:
+    """What recalibration leaves, with all directions that recalibration can still go taken out."""
+
+    def __init__(self, fitted: Fit) -> None:
+        self.fitted = fitted
+        problem = fitted.problem
+        self._rows = np.hstack([problem.stack(fitted.derivatives), problem.nuisance_rows])
+        self._normal = self._rows.T @ self._rows + np.eye(self._rows.shape[1])
+        self._residual = problem.stack(problem.differences(fitted.predicted))
+        self._projected = self._project(self._residual)
+
+    def _project(self, column: Array) -> Array:
+        seen = self._rows.T @ column
+        return np.asarray(column - self._rows @ np.linalg.solve(self._normal, seen))
+
+    def gain(self, change: Array) -> tuple[float, float]:
+        """Gain of adding a multiple of `change` (n,) whitened, and that multiple (0.2 to 3)."""
+        own = self._project(change)
+        power = float(change @ own)
+        if power <= 0.0:
+            return 0.0, 1.0
+        share = float(np.clip(float(change @ self._projected) / power, 0.2, 3.0))
+        return float(share * (change @ self._projected) - 0.5 * share**2 * power), share
+
+
+def find_start(remainder: Remainder, unknowns: Unknowns, name: str) -> Start:
+    """Best of the tried sizes of one effect, added to a fit.
+
+    Args:
+        remainder: of the fit without this effect; unknowns: with this effect's numbers last.
+    """
+    fitted = remainder.fitted
+    problem: Problem = fitted.problem
+    effect = EFFECTS[name]
+    low, high = unknowns.bounds()
+    first = len(unknowns.names) - len(effect.parameters)
+    trials = []
+    for offset in _offsets(name):
+        x = np.concatenate([fitted.x, offset])
+        trials.append(np.clip(x, low, high))
+
+    def changed(x: Array) -> Array:
+        moved = problem.predict(unknowns.parameters(x))
+        return problem.stack(
+            [[m - b for m, b in zip(ms, bs, strict=True)]
+             for ms, bs in zip(moved, fitted.predicted, strict=True)]
+        )
+
+    best = Start(trials[0], -np.inf)
+    switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]
+    for x, change in zip(trials, in_threads(changed, [(x,) for x in trials]), strict=True):
+        gain, share = remainder.gain(change)
+        if gain > best.gain:
+            there = x.copy()
+            there[switches] *= share
+            best = Start(np.clip(there, low, high), gain)
+    return best
+
+
+def _offsets(name: str) -> list[Array]:
+    """Trial values of an effect's numbers: one switch at a time, every shape."""
+    effect = EFFECTS[name]
+    shapes = [
+        [x_of(p, value) for value in _SHAPES.get(p.name, (default_of(p),))]
+        if p not in effect.switches else [0.0]
+        for p in effect.parameters
+    ]
+    trials = []
+    for k, number in enumerate(effect.parameters):
+        if number not in effect.switches:
+            continue
+        signs = (1.0, -1.0) if number.low is not None and number.low < 0.0 else (1.0,)
+        for shape, size, sign in product(product(*shapes), _SIZES, signs):
+            offset = np.array(shape)
+            offset[k] = sign * size
+            trials.append(offset)
+    return trials

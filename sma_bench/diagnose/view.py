@@ -1,0 +1,191 @@
+"""A record as the diagnosis sees it: the drive on a uniform grid, every signal in bins of time."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from sma_bench.errors import InputError
+from sma_bench.identify.applied_voltage import AppliedVoltage
+from sma_bench.identify.record_noise import noise_floor
+from sma_bench.identify.rig_record import Measured, RigRecord, rig_record
+from sma_bench.parameters import Parameters
+from sma_bench.physics import simulate
+from sma_bench.physics.electrical import current
+from sma_bench.physics.simulate import Simulation
+from sma_bench.records.record import Record
+
+Array = NDArray[np.float64]
+
+_CELL = 0.02  # s of the simulation; the voltages' energy over it is exact
+_LONG_CELL = 0.1
+_BIN = 0.2  # s, shorter than any time constant of a wire in air
+_MOST_BINS = 1500  # a signal
+_MOST_CELLS = 12_000
+_SAMPLES_A_BIN = 2.0
+_KNOWN = ("current", "temperature", "deflection")
+_DRIVEN = 0.02  # of the largest voltage
+_ZERO_STD = {"current": 0.005, "temperature": 0.2, "deflection": 5e-4}
+_CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
+
+
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """One measured signal, averaged over bins of time.
+
+    Attributes:
+        name, quantity, wire: of `Measured`; the wire is the column it belongs to.
+        time: (b,) s, mean stamp; value: (b,) mean in the signal's unit; count: (b,) samples.
+        period: s between bins.
+        noise: white noise of a bin of the usual count, from sample to sample.
+        average: (b, n) from a course on the simulation's grid to bins; for a current from
+            conductance to current.
+    """
+
+    name: str
+    quantity: str
+    wire: int
+    time: Array
+    value: Array
+    count: Array
+    period: float
+    noise: float
+    average: csr_array
+
+    @property
+    def zero_std(self) -> float:
+        """Standard deviation of the sensor's unknown zero."""
+        return _ZERO_STD[self.quantity]
+
+    @property
+    def clock_std(self) -> float:
+        """Standard deviation of the delay of its stamps [s]; 0 for the driver's own."""
+        return 0.0 if self.quantity == "current" else _CLOCK_STD
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One record ready to be compared with simulations.
+
+    Attributes:
+        path: of the record; signals: what it measures, bin by bin.
+        grid: (n,) s; voltage: (n, w) V held over each cell.
+        drive: the voltages as read; sides: side name of each wire.
+        channels: names of the wires; left_out: what the record holds that is not compared.
+    """
+
+    path: str
+    channels: tuple[str, ...]
+    sides: tuple[str, ...]
+    grid: Array
+    voltage: Array
+    drive: AppliedVoltage
+    signals: tuple[Binned, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What is measured, each once."""
+        return tuple(dict.fromkeys(s.quantity for s in self.signals))
+
+    def simulate(self, parameters: Parameters, voltage: Array | None = None) -> Simulation:
+        """The model on this record's drive."""
+        return simulate(parameters, self.grid, self.voltage if voltage is None else voltage)
+
+    def readings(self, simulation: Simulation) -> list[Array]:
+        """What the model's sensors read, one (b,) array a signal."""
+        return [s.average @ self.course(s, simulation) for s in self.signals]
+
+    def course(self, signal: Binned, simulation: Simulation) -> Array:
+        """(n,) on the grid: what the signal averages; the conductance for a current."""
+        if signal.quantity == "deflection":
+            return simulation.deflection_reading
+        if signal.quantity == "temperature":
+            return simulation.temperature_reading[:, signal.wire]
+        i = signal.wire
+        return current(
+            simulation.parameters, 1.0, simulation.temperature[:, i],
+            simulation.martensite_fraction[:, i],
+        )
+
+    def rates(self, simulation: Simulation) -> list[Array]:
+        """d/dt of each signal, bin by bin."""
+        return [
+            s.average @ np.gradient(self.course(s, simulation), self.grid) for s in self.signals
+        ]
+
+    def phase_of(self, time: Array) -> NDArray[np.str_]:
+        """`initial`, `drive` or `rest` at each time: before, during, and after driving."""
+        driven = self.voltage.max(axis=1) > _DRIVEN * max(float(self.voltage.max()), 1e-9)
+        first = self.grid[np.argmax(driven)] if driven.any() else np.inf
+        at = np.clip(np.searchsorted(self.grid, time, side="right") - 1, 0, len(self.grid) - 1)
+        return np.where(time < first, "initial", np.where(driven[at], "drive", "rest"))
+
+    @cached_property
+    def jumps(self) -> list[Array]:
+        """Voltages (n, w) with one jump's moment moved by a standard deviation, one a jump."""
+        count = len(self.drive.early)
+        moved = np.eye(count) / np.sqrt(12.0)
+        return [self.drive.on_grid(self.grid, place) for place in moved]
+
+
+def view_record(record: Record, parameters: Parameters) -> View:
+    """Prepare a record.
+
+    Raises:
+        InputError: no voltage of some channel, or nothing to compare with.
+    """
+    rig = rig_record(record, parameters)
+    grid = _grid(rig)
+    known = [m for m in rig.measured if m.quantity in _KNOWN]
+    if not known:
+        held = ", ".join(m.name for m in rig.measured)
+        raise InputError(
+            f"{record.path}: only {held}, expected currents, temperatures or a deflection"
+        )
+    left_out = tuple(m.name for m in rig.measured if m.quantity not in _KNOWN)
+    place = np.zeros(len(rig.voltage.early))
+    return View(
+        str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
+        rig.voltage, tuple(_binned(m, rig, grid) for m in known), left_out,
+    )
+
+
+def _grid(rig: RigRecord) -> Array:
+    start, stop = float(rig.grid[0]), float(rig.grid[-1])
+    cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
+    return np.asarray(start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0))
+
+
+def _binned(measured: Measured, rig: RigRecord, grid: Array) -> Binned:
+    time, value = measured.time, measured.values
+    duration = float(time[-1] - time[0])
+    period = max(_BIN, duration / _MOST_BINS, _SAMPLES_A_BIN * float(np.median(np.diff(time))))
+    which = np.floor((time - time[0]) / period).astype(np.intp)
+    kept, which, count = np.unique(which, return_inverse=True, return_counts=True)
+    bins = len(kept)
+    noise = float(noise_floor(value) / np.sqrt(np.median(count)))
+    return Binned(
+        measured.name, measured.quantity, measured.wire,
+        np.bincount(which, time, bins) / count, np.bincount(which, value, bins) / count,
+        count.astype(np.float64), period, noise, _averaging(measured, rig, grid, which, count),
+    )
+
+
+def _averaging(
+    measured: Measured, rig: RigRecord, grid: Array,
+    which: NDArray[np.intp], count: NDArray[np.intp],
+) -> csr_array:
+    """Interpolation at the samples' times, then the mean over each bin."""
+    time = measured.time
+    right = np.clip(np.searchsorted(grid, time), 1, len(grid) - 1)
+    share = np.clip((time - grid[right - 1]) / (grid[right] - grid[right - 1]), 0.0, 1.0)
+    weight = 1.0 / count[which]
+    if measured.quantity == "current":
+        weight = weight * rig.voltage.at(measured.wire, time)
+    rows = np.concatenate([which, which])
+    columns = np.concatenate([right - 1, right])
+    entries = np.concatenate([weight * (1.0 - share), weight * share])
+    return csr_array((entries, (rows, columns)), shape=(len(count), len(grid)))

@@ -1,0 +1,83 @@
+"""A node whose one service does a long piece of work, in a process of its own.
+
+The request waits for it in one of the executor's threads, so that parameters, a second request
+("busy") and the end of the node are served meanwhile.
+"""
+
+import threading
+from abc import ABC, abstractmethod
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from sma_bench.errors import InputError
+from sma_bench.nodes.base import LATCHED, BenchNode
+from sma_bench.nodes.job_process import Job, JobProcess
+
+# One request at work, one that is refused, and the node's other callbacks.
+_THREADS = 4
+
+
+class JobNode(BenchNode, ABC):
+    """Answers a service (std_srvs/Trigger) whose message is a result as JSON, or why there is none.
+
+    Latched: `~/state` ("idle", "busy") and `~/result` (the last JSON).
+    """
+
+    with_uncertainty = True
+
+    def __init__(self, name: str, service: str) -> None:
+        super().__init__(name)
+        self._busy = threading.Lock()
+        self._process = JobProcess(name)
+        self._state = self.create_publisher(String, "~/state", LATCHED)
+        self._result = self.create_publisher(String, "~/result", LATCHED)
+        self.create_service(
+            Trigger, service, self._on_request, callback_group=ReentrantCallbackGroup()
+        )
+        self._state.publish(String(data="idle"))
+
+    @abstractmethod
+    def job(self) -> Job:
+        """What is asked for, from the parameters of this moment; InputError where it cannot be."""
+
+    def on_result(self, job: Job, result: str) -> None:
+        """What else to do with the result of a job."""
+
+    def close(self) -> None:
+        """Nobody waits for the work any more."""
+        self._process.kill()
+
+    def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self._busy.acquire(blocking=False):
+            response.success = False
+            response.message = f"busy: another {self.get_name()} is running"
+            return response
+        try:
+            self._answer(response)
+        finally:
+            self._state.publish(String(data="idle"))
+            self._busy.release()
+        return response
+
+    def _answer(self, response: Trigger.Response) -> None:
+        self._state.publish(String(data="busy"))
+        try:
+            # What is set from here on is for the next request.
+            job = self.job()
+            response.message = self._process.run(job)
+            response.success = True
+        except InputError as error:
+            response.success = False
+            response.message = str(error)
+            self.get_logger().error(response.message)
+            return
+        self._result.publish(String(data=response.message))
+        self.on_result(job, response.message)
+
+
+def job_executor() -> MultiThreadedExecutor:
+    """Executor with a thread to spare for every callback of a JobNode."""
+    return MultiThreadedExecutor(_THREADS)

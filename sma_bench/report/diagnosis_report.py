@@ -1,0 +1,158 @@
+"""The report of a diagnosis: the argument as a careful experimenter makes it, with figures."""
+
+from pathlib import Path
+
+from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
+from sma_bench.diagnose.sizes import sample_noise
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.report.diagnosis_figures import (
+    candidate_picture,
+    course_pictures,
+    evidence_picture,
+    next_experiment_picture,
+    shrinkage_picture,
+)
+from sma_bench.report.diagnosis_maps import gap_picture, stage_picture
+from sma_bench.report.diagnosis_missing import missing_pictures
+from sma_bench.report.diagnosis_words import (
+    estimates,
+    headline,
+    how_far,
+    is_there_a_gap,
+    what_next,
+    where_is_it,
+    which_effect,
+    with_error,
+)
+from sma_bench.report.page import Picture, Section, Table, write_report
+from sma_bench.report.quantities import scale_of
+
+_LEAST_SHOWN = 0.005
+
+
+def write_diagnosis_report(directory: str | Path, result: Diagnosis) -> Path:
+    """Write the report's index.html and PNG figures.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    sections = [_gap(result), _where(result), _which(result)]
+    if result.decision.verdict == UNEXPLAINED:
+        sections.append(_missing(result))
+    sections += [_how_far(result), _next(result), _looked_at(result)]
+    numbered = [
+        Section(f"{k}. {s.title}", s.paragraphs, s.notes, s.tables, s.pictures)
+        for k, s in enumerate(sections, 1)
+    ]
+    sources = "; ".join(dict.fromkeys(v.path for v in result.views))
+    title = "The gap between simulation and bench"
+    return write_report(directory, title, f"{headline(result)} From {sources}.", numbered)
+
+
+def _gap(result: Diagnosis) -> Section:
+    return Section(
+        "Is there a gap beyond the noise?", is_there_a_gap(result), tables=[_noise(result)],
+        pictures=course_pictures(result),
+    )
+
+
+def _where(result: Diagnosis) -> Section:
+    return Section(
+        "Where is it?", where_is_it(result), pictures=[gap_picture(result), stage_picture(result)]
+    )
+
+
+def _which(result: Diagnosis) -> Section:
+    return Section(
+        "Which effect, and how sure?", which_effect(result),
+        tables=[_candidates(result)],
+        pictures=[candidate_picture(result), evidence_picture(result)],
+    )
+
+
+def _missing(result: Diagnosis) -> Section:
+    text = (
+        "What a further effect would have to do to the readings; what causes it, the figures can "
+        "only suggest."
+    )
+    return Section("The shape of what is missing", [text], pictures=missing_pictures(result))
+
+
+def _how_far(result: Diagnosis) -> Section:
+    tables = [] if result.decision.verdict == NO_GAP else [_improved(result)]
+    return Section(
+        "How far does it shrink?", how_far(result), tables=tables,
+        pictures=[shrinkage_picture(result)],
+    )
+
+
+def _next(result: Diagnosis) -> Section:
+    pictures: list[Picture] = []
+    picture = next_experiment_picture(result, result.parameters)
+    if picture is not None:
+        pictures.append(picture)
+    return Section("What next?", what_next(result), pictures=pictures)
+
+
+def _looked_at(result: Diagnosis) -> Section:
+    rows = []
+    unseen = {id(view) for view in result.held_out}
+    for view in result.views:
+        part = "held out" if id(view) in unseen else "fitted"
+        for s in view.signals:
+            span = f"{s.time[0]:.1f} to {s.time[-1]:.1f}"
+            rows.append((view.path, part, s.name, span, f"{int(s.count.sum())}", f"{s.period:.2g}"))
+    left_out = dict.fromkeys(name for view in result.views for name in view.left_out)
+    paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
+    header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
+    return Section(
+        "What was looked at", paragraphs, [str(f) for f in result.findings],
+        [Table(header, rows, frozenset({4, 5}))],
+    )
+
+
+def _noise(result: Diagnosis) -> Table:
+    rows = []
+    problem = result.model.problem
+    for name, noise in problem.noise.items():
+        unit, factor = scale_of(name)
+        slow = noise.drift > 0.0
+        rows.append((
+            name, f"{factor * sample_noise(problem, name):.3g} {unit}",
+            f"{factor * noise.drift:.3g} {unit}" if slow else "none found",
+            f"{noise.time:.2g}" if slow else "",
+        ))
+    header = ("sensor", "noise of a sample", "slow part", "its memory [s]")
+    return Table(header, rows, frozenset({1, 2, 3}))
+
+
+def _candidates(result: Diagnosis) -> Table:
+    rows = [
+        (
+            c.name, "+".join(dict.fromkeys(EFFECTS[n].stage for n in c.effects)),
+            f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:+.1f}" if c.effects else "",
+            "; ".join(estimates(c)),
+        )
+        for c in result.decision.candidates
+        if c.probability >= _LEAST_SHOWN or not c.effects
+    ]
+    header = ("candidate", "stage", "probability", "gap over noise", "log evidence", "numbers")
+    return Table(header, rows, frozenset({2, 3, 4}))
+
+
+def _improved(result: Diagnosis) -> Table:
+    unknowns = result.model.unknowns
+    values, stds = unknowns.values(result.model.x), result.model.std
+    rows = []
+    for name, value, std in zip(unknowns.names, values, stds, strict=True):
+        believed = float(result.parameters[name])
+        own = result.parameters.std(name)
+        effect = name.startswith("effect.") or not own
+        moved = "" if effect else f"{(value - believed) / own:+.1f}"
+        rows.append(
+            (name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved)
+        )
+    header = ("parameter", "as believed", "improved", "unit", "moved by (its own std)")
+    return Table(header, rows, frozenset({1, 2, 4}))

@@ -1,0 +1,264 @@
+"""The argument of a diagnosis in sentences, made from its numbers. No figures, no matplotlib."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.decision import (
+    FLEXIBLE,
+    LEFT_OUTLIER,
+    LEFT_RATIO,
+    NO_GAP,
+    RECALIBRATION,
+    UNEXPLAINED,
+    Candidate,
+)
+from sma_bench.diagnose.shrinkage import Shrinkage
+from sma_bench.diagnose.sizes import Cell, locate
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.report.quantities import in_print
+
+_AT_NOISE = 1.05  # rms of the error over the noise of a sample
+_PHASES = {
+    "initial": "before the first drive", "drive": "while a wire is driven",
+    "rest": "at rest after a drive",
+}
+
+
+def headline(result: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    first = result.decision.candidates[0]
+    sure = f" (probability {_percent(first.probability)})"
+    if result.decision.verdict == "effect":
+        return f"The gap is explained by {_and(result.decision.cause)}{sure}."
+    if result.decision.verdict == "ambiguous":
+        tied = ", ".join(f"{c.name} ({_percent(c.probability)})" for c in result.decision.credible)
+        return f"The records cannot tell these apart: {tied}."
+    return {
+        RECALIBRATION: f"The parameters are off; no effect is missing{sure}.",
+        NO_GAP: f"There is no gap beyond the noise{sure}.",
+        UNEXPLAINED: f"There is a gap that no effect of the library explains{sure}.",
+    }[result.decision.verdict]
+
+
+def is_there_a_gap(result: Diagnosis) -> list[str]:
+    """What the believed parameters miss, against the noise."""
+    said = []
+    for quantity, s in result.shrinkage.items():
+        times = s.rmse_before / s.noise_floor
+        if at_noise(s):
+            said.append(f"The held-out {quantity} agrees with the simulation within its noise.")
+            continue
+        said.append(
+            f"With the parameters as believed the simulation misses the held-out {quantity} by "
+            f"{in_print(quantity, s.rmse_before)} rms; the sensor's own noise is "
+            f"{in_print(quantity, s.noise_floor)} ({times:.1f} times)."
+        )
+    moved = candidate_named(result, RECALIBRATION).gap
+    said.append(
+        f"Moving the parameters within their uncertainties shifts some reading by {moved:.2g} "
+        "times its noise (rms over a record). The noise is what the best model leaves, white and "
+        "slowly drifting parts estimated for every sensor."
+    )
+    if result.decision.verdict == NO_GAP:
+        said.append("Measurement and simulation agree within the noise.")
+    return said
+
+
+def where_is_it(result: Diagnosis) -> list[str]:
+    """The cell with the largest share, and the stage."""
+    if result.decision.verdict == NO_GAP:
+        return ["There is no gap whose place could be told."]
+    if result.decision.verdict == UNEXPLAINED:
+        missing = locate(result.model.problem, result.search.recalibrated.left)[0]
+        return [
+            f"What is missing is largest in {_cell(missing)}: {missing.gap:.2g} times the noise, "
+            f"{in_print(missing.signal, missing.rms)} rms. Of all effects, those of the "
+            f"{result.stage} stage come nearest to it."
+        ]
+    top = result.where[0]
+    named = result.model.unknowns.effects
+    subject = (
+        f"what {_and(named)} {'does' if len(named) == 1 else 'do'} to the readings" if named
+        else "what recalibration changes in the readings"
+    )
+    said = [
+        f"{_percent(top.share)} of {subject} lies in {_cell(top)}: "
+        f"{top.gap:.2g} times the noise, {in_print(top.signal, top.rms)} rms."
+    ]
+    if result.decision.verdict in ("effect", "ambiguous"):
+        stages: list[str] = list(dict.fromkeys(EFFECTS[n].stage for n in named)) or [result.stage]
+        sure = " and ".join(f"{s} ({_percent(stage_probability(result, s))})" for s in stages)
+        said.append(
+            f"The chain breaks at this stage: {sure}. All signals are fitted together, so what an "
+            "upstream signal explains is not counted again downstream."
+        )
+    return said
+
+
+def which_effect(result: Diagnosis) -> list[str]:
+    """The explanation, its rivals, and whether what it leaves is noise."""
+    said = [headline(result)]
+    for name in result.decision.cause:
+        said.append(f"{name} ({EFFECTS[name].stage}) shows like this: {EFFECTS[name].shows}.")
+    said += _numbers(result)
+    said += _rivals(result)
+    said.append(_left_over(result))
+    return said
+
+
+def how_far(result: Diagnosis) -> list[str]:
+    """Shrinkage in words, a sentence a quantity."""
+    said = []
+    for quantity, s in result.shrinkage.items():
+        low, high = s.ci90
+        if at_noise(s):
+            said.append(f"The {quantity} was at its noise before: nothing to shrink.")
+            continue
+        said.append(
+            f"On data that the fit had not seen, the {quantity}'s error goes from "
+            f"{in_print(quantity, s.rmse_before)} to {in_print(quantity, s.rmse_after)} rms "
+            f"(noise {in_print(quantity, s.noise_floor)}): {_percent(s.fraction)} of the gap "
+            f"beyond the noise is gone, 90 % interval {100 * low:.0f} to {100 * high:.0f} %."
+        )
+    return said
+
+
+def what_next(result: Diagnosis) -> list[str]:
+    """What to measure or do."""
+    if result.next_experiment:
+        return [_sentence(result.next_experiment.why)]
+    advice = {
+        "effect": "Load the improved parameters in the simulator. A further record with a drive "
+                  "unlike these would test the effect where it has not been seen.",
+        RECALIBRATION: "Load the improved parameters; the model itself needs nothing more for "
+                       "drives like these.",
+        NO_GAP: "Nothing to correct. Only a stronger or longer drive could show a gap.",
+        UNEXPLAINED: "The shape of the missing term is the lead: look for what at the bench "
+                     "follows it.",
+        "ambiguous": "No protocol within the bench's limits was found that would separate the "
+                     "tied explanations; a missing sensor may (see the remarks).",
+    }
+    return [advice[result.decision.verdict]]
+
+
+def at_noise(shrinkage: Shrinkage) -> bool:
+    """Whether there was nothing to shrink."""
+    return shrinkage.rmse_before < _AT_NOISE * shrinkage.noise_floor
+
+
+def candidate_named(result: Diagnosis, name: str) -> Candidate:
+    """The candidate of this name."""
+    return next(c for c in result.decision.candidates if c.name == name)
+
+
+def stage_probability(result: Diagnosis, stage: str) -> float:
+    """Probability that an effect of this stage is at work."""
+    return sum(
+        c.probability
+        for c in result.decision.candidates
+        if any(EFFECTS[name].stage == stage for name in c.effects)
+    )
+
+
+def estimates(candidate: Candidate) -> list[str]:
+    """The numbers of a candidate's effects as text, `name value ± std unit`."""
+    if candidate.fit is None or not candidate.effects:
+        return []
+    unknowns = candidate.fit.unknowns
+    values, stds = unknowns.values(candidate.fit.x), candidate.fit.std
+    return [
+        f"{name.removeprefix('effect.')} {with_error(value, std)} {BY_NAME[name].unit}".strip()
+        for name, value, std in list(zip(unknowns.names, values, stds, strict=True))[
+            unknowns.baseline :
+        ]
+    ]
+
+
+def with_error(value: float, std: float) -> str:
+    """`value ± std`, the value to the decimals that the error leaves it."""
+    if not np.isfinite(std) or std <= 0.0:
+        return f"{value:.4g}"
+    size = max(abs(value), std)
+    digits = int(np.clip(np.floor(np.log10(size)) - np.floor(np.log10(std)) + 2, 2, 8))
+    return f"{value:.{digits}g} ± {std:.2g}"
+
+
+def _numbers(result: Diagnosis) -> list[str]:
+    return [
+        "Estimate: " + "; ".join(estimates(c)) + "."
+        for c in result.decision.candidates[:1] if c.effects
+    ]
+
+
+def _rivals(result: Diagnosis) -> list[str]:
+    first, *others = result.decision.candidates
+    if not first.effects:
+        ranked = result.search.ranked
+        if not ranked:
+            return []
+        gain = result.search.gain(ranked[0])
+        return [
+            f"The effect that would explain most is {ranked[0]}, with a log evidence of "
+            f"{gain:+.1f} nats over recalibration."
+        ]
+    second = others[0]
+    said = f"Its log evidence is {first.gain:+.1f} nats over moving the parameters alone."
+    if second.effects:
+        said += (
+            f" Next is {second.name} with {second.gain:+.1f} nats (probability "
+            f"{_percent(second.probability)})."
+        )
+    return [said]
+
+
+def _left_over(result: Diagnosis) -> str:
+    search = result.search
+    if result.model.unknowns.effects:
+        left, gain, what = search.left_by_best, search.beyond.gain, "the best model"
+    else:
+        left, gain, what = search.left, search.flexible.gain, "recalibration"
+    signs = []
+    if left.ratio > LEFT_RATIO:
+        signs.append(
+            f"{left.signal} scatters more while the bench moves than while it rests "
+            f"({left.ratio:.1f} standard deviations)"
+        )
+    if left.outlier > LEFT_OUTLIER:
+        signs.append(f"a single event stands out by {left.outlier:.1f} standard deviations")
+    if gain > FLEXIBLE:
+        signs.append(f"a smooth response of free form would gain {gain:.1f} nats")
+    if not signs:
+        return (
+            f"What {what} leaves looks like noise: it does not know when the bench moves, no "
+            "single event stands out, and a smooth response of free form (to drive, temperature, "
+            f"bending and time) would gain {gain:.1f} nats only."
+        )
+    return f"What {what} leaves is not noise alone: {'; '.join(signs)}."
+
+
+def _cell(cell: Cell) -> str:
+    name = cell.signal
+    phase = _PHASES[cell.phase]
+    if name == "deflection":
+        return f"the deflection {phase}, {cell.side} side driven last"
+    channel, _, quantity = name.rpartition(".")
+    return f"the {quantity} of {channel} ({cell.side} side) {phase}"
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+def _and(names: Iterable[str]) -> str:
+    return " and ".join(names)
+
+
+def _percent(share: float) -> str:
+    if 0.0 < share < 0.005:
+        return "below 1 %"
+    if 0.995 < share < 1.0:
+        return "above 99 %"
+    return f"{100.0 * share:.0f} %"

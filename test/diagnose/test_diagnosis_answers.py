@@ -1,0 +1,111 @@
+"""The answer: by the contract, the same every time, from whatever was measured."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from planted import believed, drive, few_effects, planted_record
+
+from sma_bench.blind.answers import checked_answer
+from sma_bench.commands.output import json_text
+from sma_bench.diagnose import diagnose
+from sma_bench.errors import InputError
+from sma_bench.physics import simulate
+
+pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+
+@pytest.fixture(scope="module")
+def wire_rig():
+    return believed().replace(
+        {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
+    )
+
+
+@pytest.fixture(scope="module")
+def wire_diagnosis(wire_rig, tmp_path_factory):
+    truth = wire_rig.replace({"effect.supply_drop.resistance": 0.3, "wire.resistance": 2.71})
+    record = planted_record(
+        tmp_path_factory.mktemp("wire") / "bag", quantities=("current", "temperature"),
+        bench=truth,
+    )
+    with few_effects():
+        return diagnose([record], wire_rig)
+
+
+def test_the_answer_obeys_the_contract(planted_diagnosis):
+    answer = checked_answer(json.loads(json_text(planted_diagnosis.to_json())))
+    assert (answer.verdict, answer.cause) == ("effect", ("side_heat_coupling",))
+    assert answer.where.stage == "thermal"
+    assert set(answer.shrinkage) == {"current", "temperature", "deflection"}
+
+
+def test_probabilities_sum_to_one_and_are_sorted(planted_diagnosis):
+    probabilities = [c.probability for c in planted_diagnosis.decision.candidates]
+    assert math.fsum(probabilities) == pytest.approx(1.0, abs=1e-9)
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert len({c.name for c in planted_diagnosis.decision.candidates}) == len(probabilities)
+
+
+def test_the_credible_set_is_the_smallest_that_holds_nine_tenths(planted_diagnosis):
+    decision = planted_diagnosis.decision
+    held = [c.probability for c in decision.credible]
+    assert sum(held) >= 0.9 > sum(held[:-1])
+    assert decision.credible == decision.candidates[: len(held)]
+
+
+def test_the_same_record_gives_the_same_bytes(tmp_path):
+    record = planted_record(tmp_path / "bag", quantities=("deflection",))
+    with few_effects(("residual_strain", "side_heat_coupling")):
+        first, second = (
+            json_text(diagnose([record], believed()).to_json()) for _ in range(2)
+        )
+    assert first == second
+
+
+def test_the_improved_parameters_bring_the_simulation_to_the_bench(planted_diagnosis):
+    view = planted_diagnosis.held_out[0]
+    deflection = next(s for s in view.signals if s.name == "deflection")
+    missed = []
+    for parameters in (planted_diagnosis.parameters, planted_diagnosis.improved):
+        reading = deflection.average @ simulate(
+            parameters, view.grid, view.voltage
+        ).deflection_reading
+        missed.append(np.sqrt(np.mean((deflection.value - reading) ** 2)))
+    assert missed[1] < 0.1 * missed[0]
+    coupling = "effect.side_heat_coupling.conductance"
+    assert planted_diagnosis.improved[coupling] == pytest.approx(0.002, rel=0.05)
+    assert 0.0 < planted_diagnosis.improved.std(coupling) < 1e-3
+
+
+def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_diagnosis):
+    # Lead resistance and wire resistance both lower the current; only the heat tells them apart.
+    checked_answer(json.loads(json_text(wire_diagnosis.to_json())))
+    assert wire_diagnosis.decision.cause == ("supply_drop",)
+    found = wire_diagnosis.improved["effect.supply_drop.resistance"]
+    assert found == pytest.approx(0.3, abs=0.05)
+    assert {c.signal for c in wire_diagnosis.where} == {"wire.current", "wire.temperature"}
+
+
+def test_a_single_record_holds_out_its_own_end(wire_diagnosis):
+    border = 0.6 * drive()[0][-1]
+    (unseen,) = wire_diagnosis.held_out
+    assert min(s.time[0] for s in unseen.signals) >= border - 0.2
+    seen = wire_diagnosis.views[0]
+    assert max(s.time[-1] for s in seen.signals) < border + 0.2
+    assert set(wire_diagnosis.shrinkage) == {"current", "temperature"}
+
+
+def test_a_sensor_that_is_missing_is_named_with_what_it_would_add(tmp_path):
+    record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
+    with few_effects(("residual_strain",)):
+        result = diagnose([record], believed())
+    missing = {f.subject: f.text for f in result.findings if f.text.startswith("not recorded")}
+    assert set(missing) == {"current", "temperature"}
+    assert "thermal and mechanical" in missing["temperature"]
+
+
+def test_no_record_is_refused():
+    with pytest.raises(InputError, match="no record"):
+        diagnose([], believed())

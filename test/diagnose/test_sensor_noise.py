@@ -1,0 +1,80 @@
+"""Noise of a sensor: the whitening is exact enough, and the estimate finds what was put in."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from sma_bench.diagnose.noise import Noise, estimate_noise, first_guess
+
+PERIOD = 0.2
+NOISES = (
+    Noise(1.0, 0.0, 1.0, PERIOD), Noise(1.0, 2.0, 5.0, PERIOD), Noise(0.1, 1.0, 1.0, PERIOD),
+    Noise(1.0, 0.5, 60.0, PERIOD),
+)
+
+
+def drawn(noise: Noise, count: int, seed: int) -> np.ndarray:
+    """White noise and a first-order drift that is stationary from the start."""
+    random = np.random.default_rng(seed)
+    phi = np.exp(-noise.period / noise.time)
+    driving = noise.drift * np.sqrt(1.0 - phi**2) * random.standard_normal(count)
+    driving[0] = noise.drift * random.standard_normal()
+    drift = lfilter([1.0], [1.0, -phi], driving)
+    return drift + noise.white * random.standard_normal(count)
+
+
+def covariance(noise: Noise, count: int) -> np.ndarray:
+    lag = noise.period * np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return noise.white**2 * np.eye(count) + noise.drift**2 * np.exp(-lag / noise.time)
+
+
+@pytest.mark.parametrize("noise", NOISES, ids=str)
+def test_whitened_noise_is_white_and_of_unit_variance(noise):
+    white = noise.whiten(drawn(noise, 20_000, seed=3))
+    assert np.var(white) == pytest.approx(1.0, abs=0.04)
+    for lag in (1, 2, 5, 25):
+        assert abs(np.mean(white[lag:] * white[:-lag])) < 4.0 / np.sqrt(len(white))
+
+
+@pytest.mark.parametrize("noise", NOISES, ids=str)
+def test_likelihood_is_that_of_the_full_covariance(noise):
+    matrix = covariance(noise, 150)
+    for seed in range(3):
+        residual = drawn(noise, 150, seed)
+        exact = -0.5 * residual @ np.linalg.solve(matrix, residual)
+        exact -= 0.5 * np.linalg.slogdet(matrix)[1]
+        # The recursion is in its steady state from the second bin on.
+        assert noise.log_likelihood(residual) == pytest.approx(exact, abs=2.5)
+
+
+def test_columns_are_whitened_each_by_itself():
+    noise = NOISES[1]
+    columns = np.column_stack([drawn(noise, 80, 1), drawn(noise, 80, 2)])
+    apart = [noise.whiten(column) for column in columns.T]
+    np.testing.assert_allclose(noise.whiten(columns), np.column_stack(apart))
+
+
+def test_white_level_drift_and_memory_are_recovered():
+    true = Noise(0.3, 0.9, 6.0, PERIOD)
+    found = estimate_noise([drawn(true, 3000, 1), drawn(true, 3000, 2)], 0.3, PERIOD)
+    assert found.white == pytest.approx(true.white, rel=0.15)
+    assert found.drift == pytest.approx(true.drift, rel=0.35)
+    assert 2.5 < found.time < 15.0
+
+
+def test_white_noise_is_not_taken_for_drift():
+    found = estimate_noise([drawn(Noise(0.3, 0.0, 1.0, PERIOD), 2000, 5)], 0.3, PERIOD)
+    assert found.white == pytest.approx(0.3, rel=0.06)
+    assert found.drift < 0.3 * found.white
+
+
+def test_a_fit_cannot_lower_the_noise_below_what_neighbouring_samples_show():
+    found = estimate_noise([np.zeros(500)], 0.3, PERIOD)
+    assert found.white == pytest.approx(0.27)
+
+
+def test_the_likeliest_noise_is_likelier_than_the_first_guess():
+    residual = drawn(Noise(0.3, 0.9, 20.0, PERIOD), 1000, 7)
+    found = estimate_noise([residual], 0.3, PERIOD)
+    guess = first_guess(0.3, PERIOD)
+    assert found.log_likelihood(residual) > guess.log_likelihood(residual) + 3.0

@@ -1,0 +1,188 @@
+"""Records of a small composite bench on which an effect, or none, has been planted.
+
+The model itself makes them, so they test the plumbing and the arithmetic of a diagnosis; how it
+fares against another reality is for `sma-bench blind`.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sma_bench.parameters import Parameters
+from sma_bench.physics import simulate
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.electrical import current
+from sma_bench.physics.simulate import Simulation
+from sma_bench.records import Record, Signal, read_record
+from sma_bench.records.write import write_record
+
+Array = NDArray[np.float64]
+
+CHANNELS = ("front_1", "back_1")
+RATE = 50.0  # Hz
+FINER = 4  # steps of the bench between samples
+DURATION = 20.0  # s
+NOISE = {"current": 0.01, "temperature": 0.15, "deflection": 1e-4}  # A, K, m
+UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
+KINDS = ("white", "coloured", "drifting")
+ALL = ("current", "temperature", "deflection")
+# Those planted, and for each stage one that it is easily taken for.
+FEW = (
+    "supply_drop", "latent_heat", "side_heat_coupling", "transition_drift", "residual_strain",
+    "viscoelastic_matrix", "deflection_drift",
+)
+_OFF = {  # of the truth from the belief, in standard deviations
+    "wire.resistance": 0.8,
+    "wire.heat_transfer_coefficient": -0.7,
+    "wire.specific_heat": 0.6,
+    "wire.austenite_start_temperature": 0.5,
+    "composite.stress_per_deflection_front": -0.8,
+}
+_STD = {
+    "wire.resistance": 0.02,
+    "wire.heat_transfer_coefficient": 4.0,
+    "wire.specific_heat": 12.0,
+    "wire.surface_area": 1e-6,
+    "wire.mass": 4e-7,
+    "environment.ambient_temperature": 0.2,
+    "wire.austenite_start_temperature": 0.5,
+    "wire.austenite_finish_temperature": 0.5,
+    "wire.martensite_start_temperature": 0.5,
+    "wire.martensite_finish_temperature": 0.5,
+    "wire.martensite_modulus": 0.6e9,
+    "wire.austenite_modulus": 1.6e9,
+    "wire.maximum_recoverable_strain": 8e-4,
+    "composite.deflection_per_strain": 0.03,
+    "composite.stress_per_deflection_front": 2e8,
+    "composite.stress_per_deflection_back": 2e8,
+    "wire.stress_influence_austenite": 4e5,
+    "wire.stress_influence_martensite": 4e5,
+    "wire.thermal_expansion_factor": 1.2e4,
+}
+
+
+def believed() -> Parameters:
+    """Parameters of the lab, with their uncertainties."""
+    return Parameters.defaults().replace(
+        {
+            "bench.channels": CHANNELS,
+            "bench.channel_sides": ("front", "back"),
+            "wire.heat_transfer_coefficient": 125.0,
+            "wire.surface_area": 1.9e-4,
+            "wire.specific_heat": 440.0,
+            "wire.austenite_start_temperature": 337.0,
+            "wire.austenite_finish_temperature": 352.0,
+            "wire.martensite_start_temperature": 322.0,
+            "wire.martensite_finish_temperature": 308.0,
+            "wire.stress_influence_austenite": 7.5e6,
+            "wire.stress_influence_martensite": 7.7e6,
+            "composite.deflection_per_strain": 1.0,
+            "composite.stress_per_deflection_front": 4.8e9,
+            "composite.stress_per_deflection_back": 4.8e9,
+        },
+        _STD,
+    )
+
+
+def true_bench(effects: Mapping[str, float] | None = None) -> Parameters:
+    """The bench as it is: a little off the belief, with effects."""
+    belief = believed()
+    moved = {name: belief[name] + k * belief.std(name) for name, k in _OFF.items()}
+    return belief.replace({**moved, **(effects or {})})
+
+
+def drive(turned: bool = False, rate: float = RATE) -> tuple[Array, Array]:
+    """Full strokes of both sides and a partial one of the first; `turned` swaps the sides."""
+    time = np.arange(0.0, DURATION, 1.0 / rate)
+    first = 2.6 * _trapezoid(time, 1.0, 5.0) + 2.1 * _trapezoid(time, 14.0, 17.0)
+    second = 2.5 * _trapezoid(time, 7.5, 11.5)
+    pair = (second, first) if turned else (first, second)
+    return time, np.column_stack(pair)
+
+
+def _trapezoid(t: Array, start: float, stop: float) -> Array:
+    """From 0 to 1 within 1.5 s, and back to 0 within 0.5 s."""
+    return np.clip(np.minimum((t - start) / 1.5, (stop - t) / 0.5), 0.0, 1.0)
+
+
+def sensor_noise(kind: str, count: int, std: float, random: np.random.Generator) -> Array:
+    """(count,) noise of one sensor: white, coloured (5 s memory) or with a slow drift."""
+    white = std * random.standard_normal(count)
+    if kind == "white":
+        return white
+    memory = {"coloured": 5.0, "drifting": 40.0}[kind]
+    phi = np.exp(-1.0 / (RATE * memory))
+    driving = std * np.sqrt(1.0 - phi**2) * random.standard_normal(count)
+    driving[0] /= np.sqrt(1.0 - phi**2)
+    return np.asarray(0.7 * white + lfilter([1.0], [1.0, -phi], driving))
+
+
+def planted_record(
+    path: Path,
+    effects: Mapping[str, float] | None = None,
+    *,
+    quantities: Sequence[str] = ALL,
+    kind: str = "white",
+    seed: int = 1,
+    turned: bool = False,
+    bench: Parameters | None = None,
+) -> Record:
+    """Write a bag of the true bench, or of `bench`, and read it again."""
+    parameters = bench or true_bench(effects)
+    channels = parameters["bench.channels"]
+    fine, volts = drive(turned, FINER * RATE)
+    between = 0.5 * (volts + np.vstack([volts[1:], volts[-1:]]))
+    found = simulate(parameters, fine, between[:, : len(channels)])
+    time, voltage = drive(turned)
+    random = np.random.default_rng(seed)
+    signals = []
+    for k, channel in enumerate(channels):
+        courses = {
+            "current": _current(found, voltage[:, k], k),
+            "temperature": found.temperature_reading[::FINER, k],
+        }
+        signals.append(_signal(f"{channel}.voltage", time, voltage[:, k]))
+        for quantity in ("current", "temperature"):
+            if quantity in quantities:
+                noise = sensor_noise(kind, len(time), NOISE[quantity], random)
+                signals.append(_signal(f"{channel}.{quantity}", time, courses[quantity] + noise))
+    if "deflection" in quantities and len(channels) > 1:
+        noise = sensor_noise(kind, len(time), NOISE["deflection"], random)
+        signals.append(_signal("deflection", time, found.deflection_reading[::FINER] + noise))
+    write_record(path, signals)
+    return read_record(path)
+
+
+def _current(found: Simulation, voltage: Array, wire: int) -> Array:
+    return current(
+        found.parameters, voltage, found.temperature[::FINER, wire],
+        found.martensite_fraction[::FINER, wire],
+    )
+
+
+def planted_pair(
+    folder: Path, effects: Mapping[str, float] | None = None, **options: Any
+) -> tuple[list[Record], list[Record]]:
+    """A record, and one with the sides' parts swapped to hold out."""
+    seen = planted_record(folder / "seen", effects, **options)
+    unseen = planted_record(folder / "unseen", effects, seed=2, turned=True, **options)
+    return [seen], [unseen]
+
+
+@contextmanager
+def few_effects(names: Sequence[str] = FEW) -> Iterator[None]:
+    """A library of some effects only, in which a diagnosis takes a third of the time."""
+    chosen = {name: effect for name, effect in EFFECTS.items() if name in names}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sma_bench.diagnose.search.EFFECTS", chosen)
+        yield
+
+
+def _signal(name: str, time: Array, values: Array) -> Signal:
+    return Signal(name, UNITS[name.rpartition(".")[2]], time, values)

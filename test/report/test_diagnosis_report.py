@@ -1,0 +1,188 @@
+"""The page of a diagnosis: the argument in words that fit the numbers, and every figure."""
+
+import base64
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planted import believed
+
+from sma_bench.diagnose.decision import Decision
+from sma_bench.diagnose.flexible import Flexible
+from sma_bench.diagnose.next_experiment import NextExperiment
+from sma_bench.errors import InputError
+from sma_bench.report.diagnosis_figures import next_experiment_picture
+from sma_bench.report.diagnosis_maps import PHASES
+from sma_bench.report.diagnosis_report import write_diagnosis_report
+from sma_bench.report.diagnosis_words import (
+    estimates,
+    headline,
+    how_far,
+    is_there_a_gap,
+    stage_probability,
+    what_next,
+    where_is_it,
+    which_effect,
+    with_error,
+)
+from sma_bench.report.free_form import free_form
+
+pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+PROTOCOL = {
+    "steps": [
+        {"kind": "step", "level": 2.0, "duration": 5.0, "drive": "front"},
+        {"kind": "rest", "duration": 10.0},
+    ]
+}
+
+
+@pytest.fixture(scope="module")
+def page(planted_diagnosis, tmp_path_factory):
+    path = write_diagnosis_report(tmp_path_factory.mktemp("report") / "gap", planted_diagnosis)
+    return path.parent, path.read_text()
+
+
+def judged(result, verdict):
+    """The same fits with another verdict."""
+    first = next((c for c in result.decision.candidates if c.name == verdict), None)
+    others = [c for c in result.decision.candidates if c is not first]
+    ranked = (replace(first, probability=0.9), *others) if first else tuple(others)
+    model = first.fit if first and first.fit else result.model
+    return replace(result, decision=Decision(verdict, (), ranked), model=model)
+
+
+def test_the_page_makes_the_argument_in_order(page):
+    _, text = page
+    headings = re.findall(r"<h2>(.*?)</h2>", text)
+    assert [h[3:] for h in headings] == [
+        "Is there a gap beyond the noise?", "Where is it?", "Which effect, and how sure?",
+        "How far does it shrink?", "What next?", "What was looked at",
+    ]
+    assert [h[:2] for h in headings] == [f"{k}." for k in range(1, 7)]
+
+
+def test_every_figure_is_inside_the_page_and_beside_it(page):
+    folder, text = page
+    names = {path.stem for path in folder.glob("*.png")}
+    assert names == {
+        f"diagnosis_{name}" for name in (
+            "current", "temperature", "deflection", "where", "stages", "candidates", "evidence",
+            "shrinkage",
+        )
+    }
+    images = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+    assert len(images) == len(names)
+    assert all(base64.b64decode(image).startswith(b"\x89PNG") for image in images)
+    assert "http" not in re.sub(r"base64,[^\"]+", "", text)
+
+
+def test_the_words_carry_the_numbers_of_the_result(planted_diagnosis):
+    result = planted_diagnosis
+    assert "explained by side_heat_coupling" in headline(result)
+    s = result.shrinkage["temperature"]
+    gap = " ".join(is_there_a_gap(result))
+    assert f"{s.rmse_before:.3g} K" in gap and f"{s.noise_floor:.3g} K" in gap
+    assert f"{100 * s.fraction:.0f} % of the gap" in " ".join(how_far(result))
+    assert "thermal" in " ".join(where_is_it(result))
+    which = " ".join(which_effect(result))
+    assert "shows like this: a wire without voltage warms" in which
+    assert "side_heat_coupling.conductance 0.00" in which and "W/K" in which
+
+
+def test_a_quantity_at_its_noise_is_said_to_agree(planted_diagnosis):
+    result = planted_diagnosis
+    quiet = replace(result.shrinkage["current"], rmse_before=1e-3, noise_floor=1e-3)
+    result = replace(result, shrinkage={"current": quiet})
+    assert is_there_a_gap(result)[0] == (
+        "The held-out current agrees with the simulation within its noise."
+    )
+    assert how_far(result) == ["The current was at its noise before: nothing to shrink."]
+
+
+def test_the_estimate_of_the_effect_is_printed_with_its_error(planted_diagnosis):
+    (text,) = estimates(planted_diagnosis.decision.candidates[0])
+    assert re.fullmatch(r"side_heat_coupling\.conductance 0\.00\d+ ± [\d.e-]+ W/K", text)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [(3.11755, 0.0004, "3.11755 ± 0.0004"), (0.25, 0.65, "0.25 ± 0.65"),
+     (57.61e9, 1.6e9, "5.76e+10 ± 1.6e+09"), (1.5, 0.0, "1.5"), (2.0, float("nan"), "2")],
+)
+def test_a_value_is_printed_to_the_digits_that_its_error_leaves(value, std, text):
+    assert with_error(value, std) == text
+
+
+def test_probability_of_the_stage_counts_every_candidate_of_it_once(planted_diagnosis):
+    total = sum(c.probability for c in planted_diagnosis.decision.candidates
+                if "side_heat_coupling" in c.effects)
+    assert stage_probability(planted_diagnosis, "thermal") >= total - 1e-9
+    assert stage_probability(planted_diagnosis, "thermal") <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("verdict", ["recalibration", "no_gap", "ambiguous"])
+def test_every_other_verdict_has_its_words(planted_diagnosis, verdict):
+    result = judged(planted_diagnosis, verdict)
+    told = {
+        "recalibration": "The parameters are off; no effect is missing",
+        "no_gap": "There is no gap beyond the noise",
+        "ambiguous": "cannot tell these apart",
+    }
+    assert told[verdict] in headline(result)
+    for words in (is_there_a_gap, where_is_it, which_effect, how_far, what_next):
+        assert all(sentence.endswith(".") for sentence in words(result)), words
+
+
+def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis, tmp_path):
+    result = judged(planted_diagnosis, "unexplained")
+    text = write_diagnosis_report(tmp_path, result).read_text()
+    assert "The shape of what is missing" in text
+    assert "a gap that no effect of the library explains" in text
+    assert "What is missing is largest in" in text
+    drawn = {path.stem for path in tmp_path.glob("diagnosis_missing_*.png")}
+    assert drawn & {"diagnosis_missing_back_1_temperature", "diagnosis_missing_deflection"}
+
+
+def answering(result, response):
+    """The same diagnosis with another response of free form."""
+    return replace(result, search=replace(result.search, flexible=Flexible(9.0, response)))
+
+
+def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
+    fitted = planted_diagnosis.search.recalibrated
+    stack = fitted.problem.stack
+    known = [[d[:, 1] for d in own] for own in fitted.derivatives]
+    foreign = [[np.sign(np.sin(3.0 * s.time)) * s.noise for s in v.signals]
+               for v in planted_diagnosis.views]
+    both = [[k + f for k, f in zip(*pair, strict=True)]
+            for pair in zip(known, foreign, strict=True)]
+    size = np.linalg.norm(stack(known))
+    assert np.linalg.norm(stack(free_form(answering(planted_diagnosis, known)))) < 0.05 * size
+    kept = stack(free_form(answering(planted_diagnosis, both)))
+    assert np.corrcoef(kept, stack(foreign))[0, 1] > 0.9
+
+
+def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
+    assert next_experiment_picture(planted_diagnosis, believed()) is None
+    proposed = NextExperiment(
+        "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 9.0
+    )
+    result = replace(planted_diagnosis, next_experiment=proposed)
+    assert what_next(result) == ["A long rest separates them."]
+    picture = next_experiment_picture(result, believed())
+    (ax,) = picture.figure.axes
+    highest = max(float(np.max(line.get_ydata())) for line in ax.lines)
+    assert highest == pytest.approx(2.0)
+    assert "slack, residual_strain" in picture.caption
+
+
+def test_phases_of_the_maps_are_the_contract_s():
+    assert PHASES == ("initial", "drive", "rest")
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(planted_diagnosis, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write the report"):
+        write_diagnosis_report(tmp_path / "file" / "gap", planted_diagnosis)
