@@ -14,6 +14,7 @@ NODES = [
     "experiment",
     "recorder",
     "identification",
+    "diagnosis",
     "temperature_controller",
     "deflection_controller",
 ]

@@ -4,6 +4,7 @@ import argparse
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from sma_bench import __version__
@@ -12,17 +13,24 @@ from sma_bench.errors import InputError
 COMMANDS = {
     "info": "what a record holds and whether it can be trusted",
     "identify": "parameters of Table I from bags and instrument files",
+    "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
     "audit": "do a lab's own numbers fit each other, and physics?",
     "parameters": "every parameter with unit, default, range and source",
+    "effects": "what the paper's model leaves out: stage, size, how it shows",
     "simulate": "the paper's model on a protocol or on the voltages of a bag",
+    "blind": "cases with withheld effects: make, examine, score",
     "paper": "the paper's figures, tables and errata redrawn from data",
     "run": "run a node: sma-bench run NODE [--ros-args ...]",
-    "demo": "simulated bench, bag, identification, figures, in one go",
+    "demo": "simulated benches, bags, identification, diagnosis, in one go",
 }
+
+# The fits' matrices are small: BLAS threads that wait for each other only slow them down.
+_BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _EXAMPLES = """examples:
   sma-bench info my_bag
   sma-bench identify my_bag --params lab.yaml --out identified.yaml
+  sma-bench diagnose my_bag --params lab.yaml --hold-out other_bag --report gap
   sma-bench audit lab.yaml
   sma-bench run simulator --ros-args -r __ns:=/bench --params-file config/wire_rig.yaml
 """
@@ -31,6 +39,9 @@ _EXAMPLES = """examples:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; 0 on success, 2 on bad input with one line on standard error."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    for variable in _BLAS_THREADS:
+        os.environ.setdefault(variable, "1")
+    warnings.showwarning = _show_warning
     try:
         return _dispatch(arguments)
     except InputError as error:
@@ -42,6 +53,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of a pipe (head, less) has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+
+
+def _show_warning(
+    message: Warning | str, category: object, filename: str, lineno: int, *_: object, **__: object
+) -> None:
+    print(f"sma-bench: note: {message}", file=sys.stderr)
 
 
 def _dispatch(arguments: list[str]) -> int:

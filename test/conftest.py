@@ -1,4 +1,4 @@
-"""What every test may ask for: the shared data, and a ROS domain of its own."""
+"""What every test may ask for: the shared data, a diagnosis, and a ROS domain of its own."""
 
 import fcntl
 import os
@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,8 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "sma_bench_test_log"))
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Before anything imports numpy, as the command line does: small matrices, idle threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
 DOMAINS = range(10, 102)
@@ -31,6 +34,23 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no measured data beside the checkout ({folder})")
     return folder
+
+
+@pytest.fixture(scope="session")
+def planted_diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Diagnosis of a bench whose sides heat each other, all signals, one record held out."""
+    from planted import believed, few_effects, planted_pair
+
+    from sma_bench import compiled
+    from sma_bench.diagnose import diagnose
+
+    if compiled.numba is None:
+        pytest.skip("without numba a diagnosis takes minutes")
+
+    effect = {"effect.side_heat_coupling.conductance": 0.002}
+    seen, unseen = planted_pair(tmp_path_factory.mktemp("planted"), effect)
+    with few_effects():
+        return diagnose(seen, believed(), unseen)
 
 
 @pytest.fixture

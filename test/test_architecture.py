@@ -15,10 +15,11 @@ PACKAGE = "sma_bench"
 LONGEST_FILE = 350
 
 # Every room (folder or file of the package) and the rooms that it may import.
-LEAVES = {"errors", "findings"}
+LEAVES = {"errors", "findings", "compiled"}
 ARROWS = {
     "errors": set(),
     "findings": set(),
+    "compiled": set(),
     "share": {"errors"},
     "parameters": LEAVES,
     "protocols": LEAVES | {"parameters", "share"},
@@ -29,7 +30,10 @@ ARROWS = {
     "hardware": LEAVES | {"parameters"},
     "synthetic": LEAVES
     | {"records", "physics", "parameters", "protocols", "control", "hardware"},
-    "report": LEAVES | {"identify", "records", "physics", "parameters"},
+    "diagnose": LEAVES | {"identify", "records", "physics", "parameters", "protocols"},
+    "report": LEAVES
+    | {"diagnose", "identify", "records", "physics", "parameters", "protocols"},
+    "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
 }
 ABOVE_ALL = {"nodes", "commands", "cli"}  # these use everything, and nothing below uses them
 USES_ROS = "nodes"

@@ -23,13 +23,17 @@ def print_findings(findings: Iterable[Finding]) -> None:
 
 
 def write_json(path: str, document: dict[str, Any]) -> None:
-    """Write a result file, whole or not at all; NaN becomes null so that any reader takes it.
+    """Write a result file, whole or not at all.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    text = json.dumps(_finite(document), indent=2, allow_nan=False)
-    write_text_atomically(path, text + "\n")
+    write_text_atomically(path, json_text(document))
+
+
+def json_text(document: dict[str, Any]) -> str:
+    """A result as JSON; NaN becomes null so that any reader takes it."""
+    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
 
 
 def _finite(value: Any) -> Any:

@@ -4,6 +4,7 @@ import errno
 import sqlite3
 import threading
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -42,7 +43,22 @@ class BagWriter:
             written until then stays readable.
     """
 
-    def __init__(self, path: str | Path, storage: str = "mcap", compress: bool = True) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        storage: str = "mcap",
+        compress: bool = True,
+        flush_every: float = _FLUSH_EVERY,
+    ) -> None:
+        """Begin a bag.
+
+        Args:
+            path: new folder.
+            storage: "mcap" or "sqlite3".
+            compress: the chunks of an mcap.
+            flush_every: s of wall time between flushes. Where the chunks end depends on it; with
+                inf they are full, and the bytes depend on the messages alone.
+        """
         self.path = Path(path)
         if storage not in STORAGES:
             raise InputError(f"storage {storage!r}: expected one of {', '.join(STORAGES)}")
@@ -55,7 +71,7 @@ class BagWriter:
         self._lock = threading.RLock()
         self._failure: InputError | None = None
         self._closed = False
-        self._next_flush = 0.0
+        self._flush_every, self._next_flush = flush_every, 0.0
         self._writer = Writer(self.path, version=_FORMAT_VERSION, storage_plugin=STORAGES[storage])
         self._live = storage == "mcap"
         if compress and self._live:
@@ -92,15 +108,25 @@ class BagWriter:
         Raises:
             InputError: unknown topic, or the disk does not take it.
         """
-        if topic not in self._connections:
-            raise InputError(f"topic {topic}: not announced, expected add_topic first")
-        if stamp_ns < 0:
-            raise InputError(f"topic {topic}: stamp {stamp_ns} ns, expected one after 1970")
+        self.write_many([(topic, stamp_ns, data)])
+
+    def write_many(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
+        """Append serialised messages: (topic, receive time in ns since the epoch, data) each.
+
+        Raises:
+            InputError: unknown topic, or the disk does not take it.
+        """
+        connections, write = self._connections, self._writer.write
         with self._lock, self._disk():
-            self._writer.write(self._connections[topic], int(stamp_ns), data)
-            self.count += 1
-            if self._live and time.monotonic() >= self._next_flush:
-                self.flush()
+            for topic, stamp_ns, data in messages:
+                if topic not in connections:
+                    raise InputError(f"topic {topic}: not announced, expected add_topic first")
+                if stamp_ns < 0:
+                    raise InputError(f"topic {topic}: stamp {stamp_ns} ns, expected one after 1970")
+                write(connections[topic], int(stamp_ns), data)
+                self.count += 1
+                if self._live and time.monotonic() >= self._next_flush:
+                    self.flush()
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system."""
@@ -111,7 +137,7 @@ class BagWriter:
                     storage.close_chunk()
                 storage.bio.flush()
             self._write_metadata()
-            self._next_flush = time.monotonic() + _FLUSH_EVERY
+            self._next_flush = time.monotonic() + self._flush_every
 
     def close(self) -> None:
         """Finish the bag with its index; again is harmless."""

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -25,6 +26,8 @@ def write_record(
     markers: Iterable[tuple[float, str]] = (),
 ) -> None:
     """Write a record, or signals, as a bag; the bag appears whole or not at all.
+
+    The same signals give the same bytes.
 
     Signals that share a message type and place (voltage and current of a wire) share messages;
     where their times differ the other one is NaN, that is not measured. Voltage, current and range
@@ -50,7 +53,7 @@ def write_record(
         streams.append(marker_stream(texts, prefix, start))
     if not streams:
         raise InputError(f"{path}: no signals to write, expected at least one")
-    with _beside(path) as temporary, BagWriter(temporary, storage) as writer:
+    with _beside(path) as temporary, BagWriter(temporary, storage, flush_every=inf) as writer:
         _write_streams(writer, streams)
 
 
@@ -94,5 +97,6 @@ def _write_streams(writer: BagWriter, streams: list[Stream]) -> None:
     index = np.concatenate([np.arange(len(stream.blobs)) for stream in streams])
     order = np.argsort(received, kind="stable")
     rows = zip(owner[order].tolist(), index[order].tolist(), received[order].tolist(), strict=True)
-    for which, row, stamp in rows:
-        writer.write(streams[which].topic, stamp, streams[which].blobs[row])
+    writer.write_many(
+        (streams[which].topic, stamp, streams[which].blobs[row]) for which, row, stamp in rows
+    )

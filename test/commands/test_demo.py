@@ -1,18 +1,38 @@
-"""The demo, whole: nodes as processes, bag, service, table, figures."""
+"""The demo, whole: nodes as processes, bags, services, table, diagnosis, the truth revealed."""
 
 import importlib.util
+import json
+from io import StringIO
+from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from rich.console import Console
 
+from sma_bench.blind.answers import checked_answer
 from sma_bench.cli import main
-from sma_bench.commands.demo import TABLE_ONE, promise_holds, simulated_truth
+from sma_bench.commands.demo_gap import HOLD_OUT, RECORD, print_argument
+from sma_bench.commands.demo_hidden import (
+    HIDEABLE,
+    hidden_bench,
+    hidden_effect,
+    hidden_numbers,
+)
+from sma_bench.commands.demo_reveal import confidently_wrong, gap_on_new_drive, reveal
+from sma_bench.commands.demo_table import TABLE_ONE, promise_holds, simulated_truth
 from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.physics import simulate
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.protocols import load_protocol
 
 FIGURES = {
     "figure_02_resistance", "figure_03_heat_transfer", "figure_04_ramp",
     "figure_05_specific_heat", "figure_06_validation",
 }
+LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig.yaml")
+SEEDS = range(60)
+TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
 def estimates(deviation, relative_std):
@@ -48,8 +68,122 @@ def test_an_output_folder_that_exists_is_refused_before_anything_starts(tmp_path
     assert "exists already" in capsys.readouterr().err
 
 
+def test_a_negative_seed_is_refused_before_anything_starts(tmp_path, capsys):
+    assert main(["demo", "--out", str(tmp_path / "new"), "--draw", "-1"]) == 2
+    assert "expected 0 or more" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_every_effect_is_drawn_some_time_within_its_sizes_and_within_the_library():
+    drawn = {seed: hidden_bench(LAB, seed) for seed in SEEDS}
+    assert {hidden_effect(bench) for bench in drawn.values()} == set(HIDEABLE)
+    for bench in drawn.values():
+        effect = hidden_effect(bench)
+        for name, value in hidden_numbers(bench).items():
+            low, high = HIDEABLE[effect][name.rpartition(".")[2]]
+            assert low <= abs(value) <= high
+            assert EFFECTS[effect].named(name.rpartition(".")[2]).name == name
+    assert dict(drawn[3]) == dict(hidden_bench(LAB, 3))
+
+
+def test_the_bench_is_off_the_lab_by_its_stated_errors_and_says_none_of_them():
+    errors = np.array([
+        [(hidden_bench(LAB, seed)[name] - LAB[name]) / std
+         for name, std in LAB.given_uncertainty.items()]
+        for seed in SEEDS
+    ])  # fmt: skip
+    assert np.abs(errors).max() <= 2.0 + 1e-6
+    assert errors.std() == pytest.approx(0.95, abs=0.05)
+    assert abs(errors.mean()) < 0.1
+    assert hidden_bench(LAB, 1).given_uncertainty == {}
+    assert hidden_bench(LAB, 1)["bench.channels"] == LAB["bench.channels"]
+
+
+@pytest.mark.parametrize("protocol", [RECORD, HOLD_OUT])
+def test_both_drives_transform_the_wires_there_and_back_without_overheating(protocol):
+    run = simulate(LAB, *load_protocol(protocol, LAB).sample(0.02))
+    assert run.temperature.max() < LAB["bench.maximum_temperature"] - 30.0
+    assert run.current.max() < LAB["bench.maximum_current"]
+    assert run.martensite_fraction.min() < 0.5
+    assert run.martensite_fraction[-1].min() > 0.98
+    assert run.deflection.max() > 0.02 and run.deflection.min() < -0.02
+
+
+def answer(*probabilities, cause=(), verdict="effect", **parameters):
+    """A diagnosis result with (name, probability) candidates."""
+    return {
+        "verdict": verdict,
+        "cause": list(cause),
+        "candidates": [
+            {"name": name, "stage": "mechanical", "probability": p, "gap_over_noise": 3.0,
+             "parameters": parameters if k == 0 else {}}
+            for k, (name, p) in enumerate(probabilities)
+        ],
+        "where": {"signal": "deflection", "phase": "drive", "side": "front",
+                  "stage": "mechanical"},
+        "shrinkage": {
+            "deflection": {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4,
+                           "fraction": 0.94, "ci90": [0.9, 0.97]},
+            "current": {"rmse_before": 1e-2, "rmse_after": 1e-2, "noise_floor": 1e-2,
+                        "fraction": None, "ci90": [None, None]},
+        },
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("said", "wrong"),
+    [
+        (answer(("slack", 0.97), cause=["slack"]), False),
+        (answer(("slack+ambient_drift", 0.9), cause=["slack", "ambient_drift"]), False),
+        (answer(("opposing_wires", 0.7), cause=["opposing_wires"]), True),
+        (answer(("opposing_wires", 0.5), ("slack", 0.4), verdict="ambiguous"), False),
+        (answer(("unexplained", 0.6), ("slack", 0.4), verdict="ambiguous"), False),
+        (answer(("recalibration", 0.9), ("slack", 0.1), verdict="recalibration"), True),
+    ],
+)
+def test_confidently_wrong_is_a_cause_or_near_certainty_beside_the_truth(said, wrong):
+    assert confidently_wrong(said, TRUTH) is wrong
+
+
+@pytest.mark.parametrize(
+    ("candidates", "words"),
+    [
+        ([("slack", 0.97)], "slack, probability 0.97: right."),
+        ([("slack+ambient_drift", 0.9)], "right, but not alone."),
+        ([("opposing_wires", 0.6), ("slack", 0.3), ("ambient_drift+slack", 0.05)],
+         "WRONG; it gave the truth 0.35."),
+    ],
+)
+def test_the_reveal_says_whether_the_first_choice_was_right(candidates, words):
+    said = list(reveal(answer(*candidates), TRUTH, LAB, TRUTH))
+    assert said[0] == "The bench hid slack (mechanical): slack.strain 0.004."
+    assert said[1].endswith(words)
+
+
+def test_the_reveal_compares_sizes_and_gaps_with_the_truth():
+    found = {"effect.slack.strain": {"value": 0.0038, "std": 0.0001, "unit": "1"}}
+    *_, size, live = reveal(answer(("slack", 0.97), **found), TRUTH, LAB, TRUTH)
+    assert size == "slack.strain: found 0.0038, true 0.004 (-2.0 standard errors)"
+    deflection, temperature = gap_on_new_drive(TRUTH, LAB)
+    believed = 1e3 * np.sqrt(np.mean(deflection**2))
+    assert believed > 1.0
+    assert f"deflection {believed:.3g} mm -> 0 mm" in live
+    assert np.sqrt(np.mean(temperature**2)) < 0.5
+
+
+def test_the_argument_is_printed_whole_on_a_narrow_terminal():
+    console = Console(file=StringIO(), width=80)
+    said = answer(("slack", 0.98), ("ambient_drift", 0.002), cause=["slack"])
+    print_argument(console, said)
+    printed = console.file.getvalue()
+    assert "explained by slack" in printed
+    assert "deflection, drive, front side, mechanical stage" in printed
+    assert "0.980" in printed and "ambient_drift" not in printed
+    assert "94 %" in printed and "90 to 97 %" in printed
+
+
 @pytest.mark.slow
-def test_the_demo_identifies_a_drawn_wire_through_real_nodes(tmp_path, capsys, monkeypatch):
+def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsys, monkeypatch):
     if importlib.util.find_spec("rclpy") is None:
         pytest.skip("rclpy is not installed")
     for variable in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
@@ -66,3 +200,15 @@ def test_the_demo_identifies_a_drawn_wire_through_real_nodes(tmp_path, capsys, m
     assert identified["wire.resistance"] == pytest.approx(truth["resistance"], rel=0.005)
     assert {path.stem for path in (out / "report").glob("*.png")} == FIGURES
     assert (out / "report" / "index.html").stat().st_size > 100_000
+    found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))
+    hidden = read_parameters(out / "simulated_gap" / "hidden.yaml")
+    assert hidden_effect(hidden) == "slack"
+    assert (found.verdict, found.cause) == ("effect", ("slack",))
+    verdict, _, truth_told = printed.partition("The truth, from")
+    assert "explained by slack" in " ".join(verdict.split())
+    assert "The bench hid" not in verdict and "slack.strain" not in verdict
+    assert "The bench hid slack (mechanical)" in truth_told and ": right." in truth_told
+    assert (out / "simulated_gap" / "report" / "index.html").stat().st_size > 100_000
+    improved = read_parameters(out / "simulated_gap" / "improved.yaml")
+    before, after = (gap_on_new_drive(hidden, p)[0] for p in (LAB, improved))
+    assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))

@@ -25,7 +25,7 @@ COMPOSITE = Parameters.defaults().replace(
 )
 UNCERTAIN = [
     p.name for p in TABLE
-    if p.uncertainty and p.name.startswith(("wire.", "environment.", "composite."))
+    if p.uncertainty and p.default and p.name.startswith(("wire.", "environment.", "composite."))
     and "_per_" not in p.name
 ]
 FRONT = np.array([True, True, False, False])

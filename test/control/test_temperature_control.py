@@ -17,7 +17,7 @@ WIRE = Parameters.defaults()
 SLOW_WIRE = WIRE.replace({"wire.heat_transfer_coefficient": 70.0})  # still air: tau 1.1 s
 THERMAL = [
     p.name for p in TABLE
-    if p.uncertainty and p.name.startswith(("wire.", "env"))
+    if p.uncertainty and p.default and p.name.startswith(("wire.", "env"))
     and ("temperature" not in p.name or "ambient" in p.name)
 ]
 LEVELS = [303.15, 308.15, 313.15, 318.15, 323.15, 328.15]  # K, below A_s

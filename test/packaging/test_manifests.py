@@ -19,6 +19,7 @@ THIRD_PARTY = {
     "jinja2": ("jinja2", "python3-jinja2"),
     "lz4": ("lz4", None),  # comes with rosbags
     "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "PIL": ("pillow", "python3-pil"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
     "rich": ("rich", "python3-rich"),

@@ -1,0 +1,167 @@
+"""The stage of the demo: a simulated bench on real nodes, bags of it, answers of a service."""
+
+import json
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.protocols import load_protocol
+
+# Nothing may take longer than this without a sign of life, on however loaded a machine.
+PATIENCE = 60.0
+_BEGINNING = 10.0
+_READINGS = ("power", "temperature")
+_COMMANDS = ("voltage_command", "experiment/marker")
+
+
+class Stage:
+    """Nodes of one namespace, as processes; leaving the context ends them all.
+
+    In the folder: `bags`, one of each protocol, and `logs`, one of each node.
+    """
+
+    def __init__(self, console: Console, folder: Path, namespace: str) -> None:
+        """The folder is made; InputError where it cannot be."""
+        self.bags, self._logs = folder / "bags", folder / "logs"
+        self._namespace = namespace
+        self._progress = Progress(
+            TextColumn("{task.description:42}"), BarColumn(),
+            TextColumn("{task.percentage:>4.0f} %"), TimeElapsedColumn(), console=console,
+        )
+        self._bench = Parameters.defaults()
+        for directory in (self.bags, self._logs):
+            make_folder(directory)
+
+    def __enter__(self) -> Self:
+        try:
+            from sma_bench.nodes.bench_client import BenchClient
+            from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
+        except ModuleNotFoundError as error:
+            raise InputError(f"demo: {error.name} is not installed, the demo needs ROS 2") from None
+        private_ros_environment()
+        with ExitStack() as stack:
+            self._nodes = stack.enter_context(NodeProcesses(self._namespace, self._logs))
+            self._client = stack.enter_context(
+                BenchClient(self._namespace, meanwhile=self._nodes.check)
+            )
+            stack.enter_context(self._progress)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, traceback)
+
+    def start_bench(
+        self, bench_file: Path, protocol: str, simulator: Mapping[str, Any]
+    ) -> None:
+        """A simulator that is what the file says, and the experiment node at its protocol.
+
+        Args:
+            simulator: parameters of the simulator node alone.
+        """
+        self._bench = read_parameters(bench_file)
+        self._nodes.start("simulator", simulator, (bench_file,))
+        self._nodes.start(
+            "experiment", {"protocol": protocol, "use_sim_time": True}, (bench_file,)
+        )
+        self._client.follow("experiment")
+        self._client.follow("recorder")
+
+    def start_service(
+        self, node: str, settings: Mapping[str, Any], files: tuple[Path, ...] = ()
+    ) -> None:
+        """A node to `ask` later."""
+        self._nodes.start(node, settings, files)
+
+    def record(self, protocol: str) -> Path:
+        """Run a protocol into a bag of its name.
+
+        Raises:
+            InputError: a node ended, or the experiment was aborted.
+        """
+        duration = load_protocol(protocol, self._bench).duration
+        task = self._progress.add_task(f"{protocol} ({duration:.0f} simulated s)", total=duration)
+        bag = self.bags / protocol
+        self._nodes.start("recorder", {"output": str(bag), "use_sim_time": True})
+        needed = self._topics()
+        self._client.wait(
+            "recorder", lambda: needed <= set(self._client.recorded(str(bag))), PATIENCE
+        )
+        self._client.set_parameters("experiment", {"protocol": protocol}, PATIENCE)
+        self._start_experiment()
+        begin = self._client.simulated_seconds
+
+        def finished() -> bool:
+            elapsed = self._client.simulated_seconds - begin
+            self._progress.update(task, completed=min(elapsed, duration))
+            state = self._client.state("experiment")
+            if state.startswith("aborted"):
+                raise InputError(f"experiment {state}")
+            return state == f"done: {protocol}"
+
+        self._client.wait(protocol, finished, timeout=duration + PATIENCE)
+        self._progress.update(task, completed=duration)
+        self._nodes.end("recorder")
+        return bag.resolve()
+
+    def end_bench(self) -> None:
+        """End simulator and experiment: a service that works hard needs the processors."""
+        for node in ("experiment", "simulator"):
+            self._nodes.end(node)
+
+    def ask(
+        self, node: str, service: str, settings: Mapping[str, Any], patience: float = PATIENCE
+    ) -> dict[str, Any]:
+        """Set a node's parameters and call its service: its answer.
+
+        Raises:
+            InputError: it refused, failed, or took longer than `patience` s.
+        """
+        task = self._progress.add_task(service, total=None)
+        self._client.set_parameters(node, settings, PATIENCE)
+        answer = self._client.trigger(f"{node}/{service}", timeout=patience)
+        self._progress.update(task, total=1, completed=1)
+        found: dict[str, Any] = json.loads(answer)
+        return found
+
+    def _start_experiment(self) -> None:
+        """Just begun, the node may not have heard the simulator's clock yet."""
+        end = time.monotonic() + _BEGINNING
+        while True:
+            try:
+                self._client.trigger("experiment/start", PATIENCE)
+                return
+            except InputError:
+                if time.monotonic() > end:
+                    raise
+
+    def _topics(self) -> set[str]:
+        channels = self._bench["bench.channels"]
+        return {*_COMMANDS, *(f"{channel}/{what}" for channel in channels for what in _READINGS)}
+
+
+def make_folder(folder: Path) -> None:
+    """Make a new folder, and those above it.
+
+    Raises:
+        InputError: it exists already or cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise InputError(f"{folder}: exists already, expected a new folder") from None
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
