@@ -20,6 +20,7 @@ COMMANDS = {
     "simulate": "the paper's model on a protocol or on the voltages of a bag",
     "blind": "cases with withheld effects: make, examine, score",
     "paper": "the paper's figures, tables and errata redrawn from data",
+    "calibrate": "gain and offset of a sensor of the Uno from known loads",
     "run": "run a node: sma-bench run NODE [--ros-args ...]",
     "demo": "simulated benches, bags, identification, diagnosis, in one go",
 }

@@ -20,6 +20,7 @@ PACKAGE = Path(__file__).resolve().parent
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 
+@cache
 def warn_if_plain() -> None:
     """A warning, once a process, where simulations run without numba."""
     if numba is None:

@@ -15,7 +15,7 @@ from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
 from sma_bench.diagnose.sizes import Cell, locate, without_effects
 from sma_bench.diagnose.unknowns import SHAPES, Unknowns
-from sma_bench.diagnose.view import Binned, View, view_record
+from sma_bench.diagnose.view import Binned, View, shared_bin, view_record
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
@@ -41,7 +41,8 @@ class Diagnosis:
         decision: candidates and verdict; search: all fits behind them.
         model: the fit that the improved parameters are of; improved: these parameters.
         where: cells of the gap, the largest share first; shrinkage: by quantity.
-        views: all records, `held_out` of them unseen by the fit of the shrinkage.
+        views: all records; fitted, held_out: those, or the parts of them, that the fit of the
+            shrinkage has seen and has not.
         findings: of the records and parameters, and what a missing sensor would have added.
     """
 
@@ -53,6 +54,7 @@ class Diagnosis:
     where: tuple[Cell, ...]
     shrinkage: dict[str, Shrinkage]
     views: tuple[View, ...]
+    fitted: tuple[View, ...]
     held_out: tuple[View, ...]
     findings: tuple[Finding, ...]
     next_experiment: NextExperiment | None
@@ -128,21 +130,21 @@ def diagnose(
     if not records:
         raise InputError("diagnose: no record, expected at least one")
     progress("records")
-    seen = [view_record(record, parameters) for record in records]
-    unseen = [view_record(record, parameters) for record in hold_out]
-    if not unseen:
-        seen, unseen = _split(seen)
+    shortest = shared_bin([*records, *hold_out], parameters)
+    seen = [view_record(record, parameters, shortest) for record in records]
+    unseen = [view_record(record, parameters, shortest) for record in hold_out]
     found = search([*seen, *unseen], parameters, progress)
     decision = decide(found)
     model = _model(decision, found)
     improved = _improved(model, decision, parameters)
     progress("shrinkage on data that no fit saw")
-    blind = _fitted_without(model, len(seen))
+    fitted, unfitted = (seen, unseen) if unseen else _split(seen)
+    blind = _fitted_to(fitted, model)
     return Diagnosis(
         parameters, decision, found, model, improved,
-        tuple(_where(found, model)),
-        shrinkage(unseen, parameters, _believable(blind, decision, parameters), model),
-        (*seen, *unseen), tuple(unseen),
+        tuple(_where(found, model, decision.verdict)),
+        shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
+        (*seen, *unseen), tuple(fitted), tuple(unfitted),
         (*audit(parameters), *_missing([*seen, *unseen])),
         _next(decision, [*seen, *unseen], parameters, progress),
     )
@@ -177,24 +179,30 @@ def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Paramet
     values = model.parameters
     names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
     stds = dict(zip(model.unknowns.names, model.std.tolist(), strict=True))
+    for twin, name in model.unknowns.twins.items():
+        names.append(twin)
+        stds[twin] = stds[name]
     return parameters.replace(
         {name: values[name] for name in names},
         {name: stds[name] for name in names if stds[name] > 0.0},
     )
 
 
-def _fitted_without(model: Fit, seen: int) -> Fit:
-    """The same model fitted to the first `seen` records only."""
-    problem: Problem = model.problem.only(range(seen))
+def _fitted_to(views: Sequence[View], model: Fit) -> Fit:
+    """The same model fitted to some of the records, or parts of them."""
     unknowns: Unknowns = model.unknowns
     if not unknowns.prior.names and not unknowns.numbers:
         return model
+    problem = Problem(tuple(views), model.problem.noise, ()).with_nuisances(model.parameters)
     return fit(problem, unknowns, model.x, rounds=1, keep_noise=True)
 
 
-def _where(found: Search, model: Fit) -> list[Cell]:
-    """Where the gap lies: what the effects do, else what separates belief and measurement."""
+def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:
+    """Where the gap lies: what the effects do, what no candidate explains, or what separates
+    belief and recalibration."""
     problem = model.problem
+    if verdict == UNEXPLAINED:
+        return locate(problem, _missing_term(found))
     if model.unknowns.effects:
         off = problem.predict(without_effects(model.parameters, model.unknowns.effects))
         first = model.predicted
@@ -205,6 +213,13 @@ def _where(found: Search, model: Fit) -> list[Cell]:
         for one, two in zip(first, off, strict=True)
     ]
     return locate(problem, difference)
+
+
+def _missing_term(found: Search) -> list[list[Array]]:
+    """What recalibration leaves, as far as it is a response to what the bench does."""
+    if found.flexible.gain > 0.0:
+        return found.flexible.response
+    return found.recalibrated.left
 
 
 def _split(views: Sequence[View]) -> tuple[list[View], list[View]]:

@@ -112,53 +112,56 @@ def _features(view: View, simulation: Simulation) -> list[Array]:
 
 
 def _of_signal(signal: Binned, view: View, simulation: Simulation) -> Iterator[Array]:
-    cell = float(view.grid[1] - view.grid[0])
     clock = (view.grid - view.grid[0]) / 100.0
     courses = [clock, clock**2]
     if signal.quantity == "deflection":
         for side in dict.fromkeys(view.sides):
-            courses += _of_side(side, view, simulation, cell)
+            courses += _of_side(side, view, simulation)
     else:
-        courses += _of_wire(signal.wire, view, simulation, cell)
+        courses += _of_wire(signal.wire, view, simulation)
     for course in courses:
         yield signal.average @ course
     if signal.quantity == "current":
         yield signal.average @ np.ones_like(clock)
 
 
-def _of_wire(wire: int, view: View, simulation: Simulation, cell: float) -> list[Array]:
+def _of_wire(wire: int, view: View, simulation: Simulation) -> list[Array]:
     power = _unit(view.voltage[:, wire] ** 2)
     own = simulation.temperature[:, wire]
     opposite = [k for k, side in enumerate(view.sides) if side != view.sides[wire]]
-    courses = [_remembered(power, memory, cell) for memory in _MEMORIES]
+    courses = [_remembered(power, memory, view.grid) for memory in _MEMORIES]
     if opposite:
         across = _unit(np.mean(view.voltage[:, opposite] ** 2, axis=1))
-        courses += [_remembered(across, memory, cell) for memory in _MEMORIES[1:]]
+        courses += [_remembered(across, memory, view.grid) for memory in _MEMORIES[1:]]
     rise = _unit(own - own.min())
     xi = simulation.martensite_fraction[:, wire]
     return [
         *courses, rise, rise**2, np.maximum(rise - 0.5, 0.0), 1.0 - xi,
-        _unit(np.gradient(own, cell)), np.gradient(xi, cell),
+        _unit(np.gradient(own, view.grid)), np.gradient(xi, view.grid),
     ]
 
 
-def _of_side(side: str, view: View, simulation: Simulation, cell: float) -> list[Array]:
+def _of_side(side: str, view: View, simulation: Simulation) -> list[Array]:
     own = [k for k, name in enumerate(view.sides) if name == side]
     number = list(dict.fromkeys(view.sides)).index(side)
     stroke = _unit(simulation.contraction[:, number])
     rise = _unit(np.mean(simulation.temperature[:, own], axis=1) - simulation.temperature.min())
     xi = np.mean(simulation.martensite_fraction[:, own], axis=1)
-    turning = np.gradient(xi, cell)
+    turning = np.gradient(xi, view.grid)
     return [
-        *(_remembered(stroke, memory, cell) for memory in _MEMORIES),
+        *(_remembered(stroke, memory, view.grid) for memory in _MEMORIES),
         stroke, stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke),
         rise, rise**2, np.maximum(rise - 0.5, 0.0), xi * (1.0 - xi), turning, np.sign(turning),
     ]
 
 
-def _remembered(course: Array, memory: float, cell: float) -> Array:
+def _remembered(course: Array, memory: float, grid: Array) -> Array:
+    """First-order lag of a course (n,) on a grid (n,) s that need not be even."""
+    cell = float(np.median(np.diff(grid)))
+    even = np.arange(grid[0], grid[-1] + cell, cell)
     share = 1.0 - np.exp(-cell / memory)
-    return np.asarray(lfilter([share], [1.0, share - 1.0], course))
+    lagged = lfilter([share], [1.0, share - 1.0], np.interp(even, grid, course))
+    return np.interp(grid, even, lagged)
 
 
 def _unit(course: Array) -> Array:

@@ -27,7 +27,8 @@ class Problem:
     """Records, the noise of their sensors, and what else may be off in each record.
 
     Rows are all bins of all signals of all records, whitened. Besides the unknowns there are
-    nuisances z, linear, of unit prior: sensors' zeros, delays of clocks, moments of jumps.
+    nuisances z, linear, of unit prior: sensors' zeros, delays of clocks, moments of jumps, levels
+    held between two steps of a converter.
 
     Attributes:
         views: the records; noise: one per signal name.
@@ -64,13 +65,6 @@ class Problem:
             white = float(np.median([s.noise for _, s in own]))
             found[name] = estimate_noise([r for r, _ in own], white, own[0][1].period)
         return replace(self, noise=found)
-
-    def only(self, keep: Sequence[int]) -> Self:
-        """The same with some of the records."""
-        return replace(
-            self, views=tuple(self.views[i] for i in keep),
-            nuisances=tuple(self.nuisances[i] for i in keep),
-        )
 
     def predict(self, parameters: Parameters) -> list[list[Array]]:
         """Readings, per view and signal (b,)."""
@@ -162,7 +156,7 @@ def _nuisances(view: View, parameters: Parameters) -> tuple[Array, ...]:
     base = view.readings(simulation)
     moved = in_threads(
         lambda voltage: view.readings(view.simulate(parameters, voltage)),
-        [(v,) for v in view.jumps],
+        [(v,) for v in (*view.jumps, *view.levels)],
     )
     columns: list[list[Array]] = []
     for k, signal in enumerate(view.signals):

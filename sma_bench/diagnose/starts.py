@@ -17,7 +17,10 @@ from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-_SIZES = (0.3, 1.5)  # prior deviations of the number that switches an effect on
+# Prior deviations of the number that switches an effect on: what a large one does says little
+# about a small one.
+_SIZES = (0.012, 0.06, 0.3, 1.5)
+_STRETCH = (0.3, 2.0)  # of a tried size that is still believed
 # Numbers that shape an effect are tried over their range; the others start at their default.
 _SHAPES = {
     "effect.matrix_thermal_mass.inner_share": (0.25, 0.5, 0.8),
@@ -51,12 +54,12 @@ class Remainder:
         return np.asarray(column - self._rows @ np.linalg.solve(self._normal, seen))
 
     def gain(self, change: Array) -> tuple[float, float]:
-        """Gain of adding a multiple of `change` (n,) whitened, and that multiple (0.2 to 3)."""
+        """Gain of adding a multiple of `change` (n,) whitened, and that multiple."""
         own = self._project(change)
         power = float(change @ own)
         if power <= 0.0:
             return 0.0, 1.0
-        share = float(np.clip(float(change @ self._projected) / power, 0.2, 3.0))
+        share = float(np.clip(float(change @ self._projected) / power, *_STRETCH))
         return float(share * (change @ self._projected) - 0.5 * share**2 * power), share
 
 
@@ -65,6 +68,8 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str) -> Start:
 
     Args:
         remainder: of the fit without this effect; unknowns: with this effect's numbers last.
+
+    Where no size promises anything the fit begins with the effect off.
     """
     fitted = remainder.fitted
     problem: Problem = fitted.problem
@@ -83,7 +88,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str) -> Start:
              for ms, bs in zip(moved, fitted.predicted, strict=True)]
         )
 
-    best = Start(trials[0], -np.inf)
+    best = Start(start_off(fitted, unknowns, name), 0.0)
     switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]
     for x, change in zip(trials, in_threads(changed, [(x,) for x in trials]), strict=True):
         gain, share = remainder.gain(change)
@@ -92,6 +97,13 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str) -> Start:
             there[switches] *= share
             best = Start(np.clip(there, low, high), gain)
     return best
+
+
+def start_off(fitted: Fit, unknowns: Unknowns, name: str) -> Array:
+    """Where a fit without this effect ended, the effect added but off."""
+    effect = EFFECTS[name]
+    offset = [0.0 if p in effect.switches else x_of(p, default_of(p)) for p in effect.parameters]
+    return np.clip(np.concatenate([fitted.x, offset]), *unknowns.bounds())
 
 
 def _offsets(name: str) -> list[Array]:

@@ -31,6 +31,8 @@ _CARRIED = {
     "wire.heat_transfer_coefficient": "wire.surface_area",
     "wire.specific_heat": "wire.mass",
 }
+# One number where front and back are believed alike: that they are not is an effect.
+FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_deflection_back"
 _REACH = 30.0  # prior deviations
 
 
@@ -66,7 +68,15 @@ class Unknowns:
         }
         for number, at in zip(self.numbers, x[self.baseline :], strict=True):
             values[number.name] = value_of(number, at)
-        return self.prior.parameters(x[:k]).replace(values)
+        moved = self.prior.parameters(x[:k])
+        values |= {twin: moved[name] for twin, name in self.twins.items()}
+        return moved.replace(values)
+
+    @property
+    def twins(self) -> dict[str, str]:
+        """Parameters that take another one's value."""
+        alike = FRONT in self.prior.names and BACK not in self.prior.names
+        return {BACK: FRONT} if alike else {}
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest (k,)."""
@@ -85,10 +95,11 @@ class Unknowns:
         believed = self.prior.base[name]
         return min(low, believed), max(high, believed)
 
-    def start(self) -> Array:
-        """Nominal parameters, effects off."""
+    def start(self, spread: float = 0.3) -> Array:
+        """Nominal parameters, effects off; `spread` in its prior's deviations, at 0 of which its
+        slope vanishes."""
         x = np.zeros(self.baseline + len(self.numbers))
-        x[len(self.prior.names)] = 0.3  # the spread's slope vanishes at 0
+        x[len(self.prior.names)] = spread
         return x
 
     def with_effects(self, names: Iterable[str]) -> "Unknowns":
@@ -121,7 +132,16 @@ def baseline_unknowns(parameters: Parameters, quantities: Sequence[str]) -> Unkn
         names += [*MATERIAL, *BENDING]
     elif "temperature" not in quantities:
         names = ["wire.resistance"]
-    return Unknowns(prior_of(_carrying(parameters), names), (), ())
+    prior = prior_of(_carrying(parameters), names)
+    if _alike(prior):
+        prior = prior_of(_carrying(parameters), [name for name in names if name != BACK])
+    return Unknowns(prior, (), ())
+
+
+def _alike(prior: Prior) -> bool:
+    """Whether both sides are believed to be equally stiff, and equally well known."""
+    known = dict(zip(prior.names, zip(prior.mean, prior.std, strict=True), strict=True))
+    return FRONT in known and known[FRONT] == known.get(BACK)
 
 
 def _carrying(parameters: Parameters) -> Parameters:

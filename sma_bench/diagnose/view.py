@@ -1,5 +1,6 @@
 """A record as the diagnosis sees it: the drive on a uniform grid, every signal in bins of time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,11 @@ Array = NDArray[np.float64]
 
 _CELL = 0.02  # s of the simulation; the voltages' energy over it is exact
 _LONG_CELL = 0.1
+# After a jump a wire is fast: what is read turns within a few hundredths of a second.
+_FINE_CELL, _FINE_SPAN = 0.0075, 0.45
+_NARROW = 1e-3  # s
+_HELD = 2e-4  # of the largest voltage, from cell to cell
+_SETTLED = 3.0  # s without a change after which the long cell will do
 _BIN = 0.2  # s, shorter than any time constant of a wire in air
 _MOST_BINS = 1500  # a signal
 _MOST_CELLS = 12_000
@@ -130,9 +136,28 @@ class View:
         moved = np.eye(count) / np.sqrt(12.0)
         return [self.drive.on_grid(self.grid, place) for place in moved]
 
+    @cached_property
+    def levels(self) -> list[Array]:
+        """Voltages (n, w) with one held level moved by a standard deviation, one a level of which
+        the converter's steps hide something."""
+        place = np.zeros(len(self.drive.early))
+        return [
+            self.drive.on_grid(self.grid, place, error) for error in self.drive.level_errors()
+        ]
 
-def view_record(record: Record, parameters: Parameters) -> View:
+
+def shared_bin(records: Sequence[Record], parameters: Parameters) -> float:
+    """Shortest bin [s] that suits every signal of all records: noise is that of a bin."""
+    measured = [m for record in records for m in rig_record(record, parameters).measured]
+    return max([_BIN, *(_own_bin(m) for m in measured)])
+
+
+def view_record(record: Record, parameters: Parameters, shortest_bin: float = _BIN) -> View:
     """Prepare a record.
+
+    Args:
+        record: the bag; parameters: as believed, for the channels.
+        shortest_bin: s, of `shared_bin`.
 
     Raises:
         InputError: no voltage of some channel, or nothing to compare with.
@@ -149,20 +174,46 @@ def view_record(record: Record, parameters: Parameters) -> View:
     place = np.zeros(len(rig.voltage.early))
     return View(
         str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
-        rig.voltage, tuple(_binned(m, rig, grid) for m in known), left_out,
+        rig.voltage, tuple(_binned(m, rig, grid, shortest_bin) for m in known), left_out,
     )
 
 
 def _grid(rig: RigRecord) -> Array:
     start, stop = float(rig.grid[0]), float(rig.grid[-1])
     cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
-    return np.asarray(start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0))
+    even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
+    even = _thinned(even, rig.voltage, max(1, round(_LONG_CELL / cell)))
+    fine = np.arange(0.0, _FINE_SPAN, _FINE_CELL)
+    jumps = np.unique(np.concatenate([rig.voltage.early, rig.voltage.late]))
+    jumps = jumps[(jumps > start) & (jumps < even[-1])]
+    after = np.add.outer(rig.voltage.late, fine).ravel()
+    others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
+    near = np.min(np.abs(np.subtract.outer(others, jumps)), axis=1, initial=np.inf)
+    near[others <= start] = np.inf
+    grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
+    return grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
 
 
-def _binned(measured: Measured, rig: RigRecord, grid: Array) -> Binned:
-    time, value = measured.time, measured.values
+def _thinned(even: Array, voltage: AppliedVoltage, stride: int) -> Array:
+    """An even grid (n,) with only every so many points where voltages have been held for long."""
+    volts = np.column_stack([voltage.at(k, even) for k in range(len(voltage.courses))])
+    changes = np.abs(np.diff(volts, axis=0, prepend=volts[:1])).max(axis=1)
+    changed = changes > _HELD * max(float(volts.max()), 1e-9)
+    last = np.maximum.accumulate(np.where(changed, even, -np.inf))
+    first = np.minimum.accumulate(np.where(changed, even, np.inf)[::-1])[::-1]
+    moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
+    return even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
+
+
+def _own_bin(measured: Measured) -> float:
+    time = measured.time
     duration = float(time[-1] - time[0])
-    period = max(_BIN, duration / _MOST_BINS, _SAMPLES_A_BIN * float(np.median(np.diff(time))))
+    return max(duration / _MOST_BINS, _SAMPLES_A_BIN * float(np.median(np.diff(time))))
+
+
+def _binned(measured: Measured, rig: RigRecord, grid: Array, shortest: float) -> Binned:
+    time, value = measured.time, measured.values
+    period = max(shortest, _own_bin(measured))
     which = np.floor((time - time[0]) / period).astype(np.intp)
     kept, which, count = np.unique(which, return_inverse=True, return_counts=True)
     bins = len(kept)

@@ -15,6 +15,7 @@ _STRAIGHT = 1.3
 _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
+_ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,17 @@ class Course:
         total = np.concatenate([[0.0], np.cumsum(square * np.diff(time))])
         return np.diff(np.interp(grid, time, total))
 
+    def hidden_levels(self) -> list[tuple[int, int, float]]:
+        """First and last knot, and volts, of each held level that is not known to the last bit."""
+        levels = []
+        for first, last, _ in self.lines:
+            volts = self.voltage[first:last]
+            if self.hidden > 0.0 and np.ptp(volts) < self.step and volts.min() > max(
+                self.step, _OFF
+            ):
+                levels.append((first, last, float(volts.mean())))
+        return levels
+
     def draw_error(self, random: np.random.Generator, phase: float) -> "CourseError":
         """One possible error; `phase` (0 to 1) says where the converter's steps lie."""
         knots = self.noise * random.standard_normal(len(self.time))
@@ -85,6 +97,11 @@ class CourseError:
 
     knots: Array
     moments: Array
+
+    @classmethod
+    def none(cls, knots: int) -> "CourseError":
+        """No error of a course of so many knots."""
+        return cls(np.zeros(knots), np.zeros(knots))
 
 
 @dataclass(frozen=True)
@@ -119,6 +136,23 @@ class AppliedVoltage:
         """
         phase = random.uniform()
         return tuple(course.draw_error(random, phase) for course in self.courses)
+
+    def level_errors(self) -> list[tuple[CourseError, ...]]:
+        """One standard error of each held level in turn, of all channels held at it."""
+        held = sorted(
+            (level, channel, first, last)
+            for channel, course in enumerate(self.courses)
+            for first, last, level in course.hidden_levels()
+        )
+        errors: list[tuple[CourseError, ...]] = []
+        reached = -np.inf
+        for level, channel, first, last in held:
+            course = self.courses[channel]
+            if level - reached > _ONE_LEVEL * course.step:
+                errors.append(tuple(CourseError.none(len(c.time)) for c in self.courses))
+                reached = level
+            errors[-1][channel].knots[first:last] = course.hidden / np.sqrt(2.0)
+        return errors
 
     def is_jumping(self, time: Array) -> NDArray[np.bool_]:
         """(m,) whether `time` (m,) s lies strictly within the bounds of an event."""

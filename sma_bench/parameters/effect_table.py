@@ -74,6 +74,11 @@ TRANSFORMATION = (
         "assumed: between the two", -0.5, 1.0, uncertainty=0.4,
     ),
     Parameter(
+        "effect.partial_transformation.return_point", "1", 0.0,
+        "0: inner loops run on to the origin (contract); 1: they close where they were opened.",
+        "assumed: between the two", 0.0, 1.0, uncertainty=0.4,
+    ),
+    Parameter(
         "effect.transition_drift.shift", "K", 0.0,
         "Shift of all transition temperatures after many cycles; 0 is off.",
         "assumed: fatigue, up to 10 K", -30.0, 30.0, uncertainty=5.0,

@@ -22,13 +22,19 @@ from sma_bench.physics.columns import (
     OTHER_REVERSED,
     OWN_REVERSED,
     PHASE_REVERSED,
+    RETURN_POINT,
     STRESS,
     TAIL,
     TEMPERATURE,
     TREND,
     TURNED_CYCLES,
 )
-from sma_bench.physics.effects.partial_transformation import flat_then_outer
+from sma_bench.physics.effects.partial_transformation import (
+    flat_then_outer,
+    forget_closed,
+    remember_turn,
+    towards_turn,
+)
 from sma_bench.physics.effects.transition_drift import shift_transition
 from sma_bench.physics.phase import TAIL_WIDTH
 
@@ -77,6 +83,8 @@ def phase_left(wires, i, own, other, own_spread, other_spread):
     if own_reversed > 0.0:
         scale = phase / own_reversed
         left, by_own = share * scale, share_slope * scale
+        if wires[i, RETURN_POINT] != 0.0:
+            left, by_own = towards_turn(wires, i, share, share_slope)
         if wires[i, MEMORY] != 0.0 and phase > 0.0:
             flat, flat_slope = flat_then_outer(phase, share, share_slope, own_reversed)
             left += wires[i, MEMORY] * (flat - left)
@@ -125,9 +133,22 @@ def reverse(wires, i, trend):
     f = smooth_ramp(of_f, wires[i, AUSTENITE_SPREAD], wires[i, TAIL])[0]
     g = smooth_ramp(of_g, wires[i, MARTENSITE_SPREAD], wires[i, TAIL])[0]
     rising = trend > 0.0
+    if wires[i, RETURN_POINT] != 0.0:
+        remember_turn(wires, i, f, g)
     wires[i, TREND] = trend
     wires[i, CHANGE] = 0.0
     wires[i, PHASE_REVERSED] = wires[i, FRACTION] if rising else 1.0 - wires[i, FRACTION]
     wires[i, OWN_REVERSED] = f if rising else g
     wires[i, OTHER_REVERSED] = g if rising else f
     wires[i, OTHER_POSITION_REVERSED] = of_g if rising else of_f
+
+
+@compiled
+def close_loops(wires, i):
+    """After a step: forget the loops that wire i has run out of."""
+    of_f, of_g = positions(wires, i, wires[i, TEMPERATURE], wires[i, STRESS])
+    if wires[i, TREND] > 0.0:
+        share = smooth_ramp(of_f, wires[i, AUSTENITE_SPREAD], wires[i, TAIL])[0]
+    else:
+        share = smooth_ramp(of_g, wires[i, MARTENSITE_SPREAD], wires[i, TAIL])[0]
+    forget_closed(wires, i, share)

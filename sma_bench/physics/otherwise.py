@@ -22,6 +22,7 @@ from sma_bench.physics.effects.temperature_lag import follow
 from sma_bench.physics.effects.temperature_underfill import spot_temperature
 from sma_bench.physics.effects.transition_drift import plastic_strain
 from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
+from sma_bench.physics.kinetics import close_loops
 
 
 @compiled
@@ -129,6 +130,8 @@ def finish_side(sides, side):
 def finish_wire(wires, i, fraction_before, step):
     """Silicone, cycles and reading of wire i after a step."""
     xi = wires[i, at.FRACTION]
+    if wires[i, at.RETURN_POINT] != 0.0:
+        close_loops(wires, i)
     wires[i, at.CYCLES] += 0.5 * abs(xi - fraction_before)
     wires[i, at.MOST_AUSTENITE] = max(wires[i, at.MOST_AUSTENITE], 1.0 - xi)
     if wires[i, at.MATRIX_CAPACITY] > 0.0:

@@ -78,7 +78,9 @@ def _effects(parameters: Parameters) -> Mapping[int, float]:
         for number, column in effect.columns.items()
     }
     columns[at.HEATED_OTHERWISE] = float(_any_on(HEATING_EFFECTS, parameters))
-    columns[at.EVOLVES] = float(_any_on(_EVOLVING, parameters))
+    columns[at.EVOLVES] = float(
+        _any_on(_EVOLVING, parameters) or columns[at.RETURN_POINT] != 0.0
+    )
     columns[at.READ_OTHERWISE] = float(_any_on(_READING, parameters))
     return columns
 

@@ -98,9 +98,8 @@ def _next(result: Diagnosis) -> Section:
 
 def _looked_at(result: Diagnosis) -> Section:
     rows = []
-    unseen = {id(view) for view in result.held_out}
-    for view in result.views:
-        part = "held out" if id(view) in unseen else "fitted"
+    parts = [("fitted", v) for v in result.fitted] + [("held out", v) for v in result.held_out]
+    for part, view in parts:
         for s in view.signals:
             span = f"{s.time[0]:.1f} to {s.time[-1]:.1f}"
             rows.append((view.path, part, s.name, span, f"{int(s.count.sum())}", f"{s.period:.2g}"))

@@ -92,7 +92,7 @@ def test_a_single_record_holds_out_its_own_end(wire_diagnosis):
     border = 0.6 * drive()[0][-1]
     (unseen,) = wire_diagnosis.held_out
     assert min(s.time[0] for s in unseen.signals) >= border - 0.2
-    seen = wire_diagnosis.views[0]
+    (seen,) = wire_diagnosis.fitted
     assert max(s.time[-1] for s in seen.signals) < border + 0.2
     assert set(wire_diagnosis.shrinkage) == {"current", "temperature"}
 

@@ -214,6 +214,61 @@ def test_with_full_memory_an_inner_loop_closes_where_it_opened(wire_rig):
     assert xi[ends[4]] == pytest.approx(xi[ends[2]], abs=1e-4)
 
 
+def nested(rig, kelvin, memory):
+    """xi along temperatures at no stress: straight lines over the ramp to where loops opened."""
+    f, g = phase.austenite_ramp(kelvin, 0.0, rig), phase.martensite_ramp(kelvin, 0.0, rig)
+    xi, rising, opened = [1.0], True, [(1.0, f[0], g[0])]
+    start = (1.0, f[0])
+    for k in range(1, len(kelvin)):
+        turned = (kelvin[k] >= kelvin[k - 1]) != rising
+        if turned:
+            rising = not rising
+            opened.append((xi[-1], f[k - 1], g[k - 1]))
+            start = (xi[-1], f[k - 1]) if rising else (1.0 - xi[-1], g[k - 1])
+        own = f[k] if rising else g[k]
+        while True:
+            at_xi, at_f, at_g = opened[-2] if len(opened) > 1 else (1.0 - rising, 0.0, 0.0)
+            phase_there, end = (at_xi, at_f) if rising else (1.0 - at_xi, at_g)
+            if len(opened) < 2:
+                phase_there = end = 0.0
+            aim, aim_own = memory * phase_there, memory * end
+            steep = (start[0] - aim) / (start[1] - aim_own) if start[1] > aim_own else 0.0
+            if own >= end or len(opened) < 2:
+                break
+            start = (aim + steep * (end - aim_own), end)
+            del opened[-2:]
+        left = aim + steep * (own - aim_own)
+        xi.append(left if rising else 1.0 - left)
+    return np.array(xi)
+
+
+@pytest.mark.parametrize("memory", [0.3, 1.0])
+def test_return_points_follow_nested_loops(wire_rig, memory):
+    rig = effect(wire_rig, partial_transformation__return_point=memory)
+    run = held(rig, *wave(0, 4.6, 3.9, 4.5, 4.0, 4.4, 4.0, 4.65, 3.5, 4.3, 0))
+    xi = run.martensite_fraction[:, 0]
+    assert xi == pytest.approx(nested(rig, run.temperature[:, 0], memory), abs=1e-9)
+    assert len(turns(run)) == 11
+    plain = held(wire_rig, run.time, run.voltage)
+    assert np.max(np.abs(plain.martensite_fraction[:, 0] - xi)) > 0.02 * memory
+
+
+def test_with_return_points_an_inner_loop_closes_where_it_opened(wire_rig):
+    rig = effect(wire_rig, partial_transformation__return_point=1.0)
+    run = held(rig, *wave(0, 4.6, 3.9, 4.6, 3.9, 4.6, 3.9))
+    xi, ends = run.martensite_fraction[:, 0], turns(run)
+    assert 0.2 < xi[ends[1]] < xi[ends[2]] - 0.1
+    kelvin, again = run.temperature[:, 0], slice(ends[2], ends[3] + 1)
+    closed = np.interp(kelvin[ends[1]], kelvin[again], xi[again])
+    assert closed == pytest.approx(xi[ends[1]], abs=1e-4)
+    # Beyond, the wire goes on along the loop that the inner one interrupted.
+    first = slice(ends[0], ends[1] + 1)
+    assert kelvin[ends[3]] > kelvin[ends[1]] + 0.5
+    along = phase.heated_fraction(kelvin[again][-5:], 0.0, rig)
+    assert xi[again][-5:] == pytest.approx(along, abs=1e-9)
+    assert xi[first][-5:] == pytest.approx(phase.heated_fraction(kelvin[first][-5:], 0.0, rig))
+
+
 @pytest.mark.parametrize("memory", [-0.5, -0.2, 0.5, 1.0])
 def test_the_fraction_goes_one_way_and_without_jumps_whatever_the_memory(wire_rig, memory):
     rig = effect(wire_rig, partial_transformation__memory=memory)

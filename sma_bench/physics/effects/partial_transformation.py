@@ -6,16 +6,24 @@
 and likewise for 1 - xi and g while cooling. p = 0 is the contract's rule, in which a turned loop
 starts at once. With p = 1 it stays flat until it meets the full loop: the regions that transformed
 last are the first to go back (thermoelastic order; Ortin and Delaey 2002).
+
+With `return_point` m the straight line of xi over f aims at m times the last but one reversal
+(xi_b, f_b) instead of the origin, so that for m = 1 an inner loop closes where it was opened, is
+then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
+
+    xi = m xi_b + (xi_r - m xi_b) (f(T) - m f_b)/(f_r - m f_b)       down to f_b
 """
 
 from sma_bench.compiled import compiled
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
+TINY = 1e-12
+
 EFFECT = Effect(
     "partial_transformation",
     "transformation",
-    {"memory": at.MEMORY},
+    {"memory": at.MEMORY, "return_point": at.RETURN_POINT},
     "full loops fit, partial ones do not: deflection lingers or runs ahead after a turn inside "
     "the loop",
     ("deflection",),
@@ -29,3 +37,67 @@ def flat_then_outer(phase, share, share_slope, reversed_share):
     if share >= threshold:
         return phase, 0.0
     return phase * share / threshold, phase * share_slope / threshold
+
+
+@compiled
+def remember_turn(wires, i, f, g):
+    """Note a reversal; when too many loops lie within each other the innermost is forgotten."""
+    count = int(wires[i, at.TURNS])
+    if count == at.TURN_DEPTH:
+        count -= 2
+    first = at.TURN_STATES + 3 * count
+    wires[i, first], wires[i, first + 1], wires[i, first + 2] = wires[i, at.FRACTION], f, g
+    wires[i, at.TURNS] = count + 1
+
+
+@compiled
+def loop_of(wires, i, share):
+    """The loop in which `share` of the own ramp lies: reversals that remain, and the line's start
+    (phase, share)."""
+    rising = wires[i, at.TREND] > 0.0
+    count = int(wires[i, at.TURNS])
+    phase, begin = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
+    while count >= 2:
+        end = wires[i, at.TURN_STATES + 3 * (count - 2) + (1 if rising else 2)]
+        if share >= end:
+            break
+        aim, aim_share = aim_of(wires, i, count)
+        if begin - aim_share > TINY:
+            phase = aim + (phase - aim) * (end - aim_share) / (begin - aim_share)
+        begin = end
+        count -= 2
+    return count, phase, begin
+
+
+@compiled
+def aim_of(wires, i, count):
+    """Phase and share of the own ramp that a line aims at while `count` reversals are known."""
+    if count < 2:
+        return 0.0, 0.0
+    state = at.TURN_STATES + 3 * (count - 2)
+    rising = wires[i, at.TREND] > 0.0
+    phase = wires[i, state] if rising else 1.0 - wires[i, state]
+    share = wires[i, state + 1] if rising else wires[i, state + 2]
+    return wires[i, at.RETURN_POINT] * phase, wires[i, at.RETURN_POINT] * share
+
+
+@compiled
+def towards_turn(wires, i, share, share_slope):
+    """Phase left on the line to where the loop was opened, and its slope."""
+    count, phase, begin = loop_of(wires, i, share)
+    aim, aim_share = aim_of(wires, i, count)
+    if begin - aim_share <= TINY:
+        return phase, 0.0
+    slope = (phase - aim) / (begin - aim_share)
+    left = aim + slope * (share - aim_share)
+    if left < 0.0:
+        return 0.0, 0.0
+    return left, slope * share_slope
+
+
+@compiled
+def forget_closed(wires, i, share):
+    """After a step: loops that the wire has run out of are forgotten."""
+    count, phase, begin = loop_of(wires, i, share)
+    wires[i, at.TURNS] = count
+    wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED] = phase, begin
