@@ -23,7 +23,7 @@ HEAT = (
 # Standard deviation about what is believed, lowest and highest value, in the parameter's unit.
 SHAPES = {
     "wire.transition_spread": (1.5, 0.0, 12.0),
-    "wire.transition_tail": (0.1, 0.0, 0.8),
+    "wire.transition_tail": (0.3, 0.0, 1.0),
     "effect.partial_transformation.memory": (0.04, -0.1, 0.1),
 }
 # A record knows h A_c and m c_p only: what is known of A_c and m is carried by h and c_p.

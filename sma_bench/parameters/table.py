@@ -63,9 +63,10 @@ WIRE = (
     ),
     Parameter(
         "wire.transition_tail", "1", 0.0,
-        "Share of the wire that transforms over two and a half times the range.",
+        "Share of the wire whose transition temperatures are normally distributed, with the mean "
+        "and the deviation of the cosine's.",
         "assumed: a polycrystal transforms more smoothly than a cosine", 0.0, 1.0,
-        uncertainty=0.1,
+        uncertainty=0.3,
     ),
     Parameter(
         "wire.martensite_modulus", "Pa", 22.8e9,
@@ -191,6 +192,32 @@ BENCH = (
         "bench.command_timeout", "s", 0.5,
         "Silence of voltage_command after which the outputs go to 0 V.",
         "assumed: ten periods of a 20 Hz command", 0.02, 5.0,
+    ),
+    Parameter(
+        "bench.maximum_power", "W", 30.0,
+        "More power in a wire switches the outputs off.",
+        "section IV: 10 V and 3 A", 0.01, 1000.0,
+    ),
+    Parameter(
+        "bench.maximum_heating_rate", "K/s", 1500.0,
+        "A wire that warms faster, over 50 ms, switches the outputs off.",
+        "assumed: half above what 30 W give the wire of Table I", 1.0, 1e5,
+    ),
+    Parameter(
+        "bench.voltage_tolerance", "V", 0.5,
+        "A wire's voltage may differ from the commanded one by this.",
+        "assumed: 5 % of the range", 0.05, 60.0,
+    ),
+    Parameter(
+        "bench.resistance_tolerance", "1", 0.3,
+        "A wire's current may differ from that of wire.resistance by this share, and 0.1 A.",
+        "assumed: martensite to austenite changes it by 15 %; one of two wires off by 50 %",
+        0.05, 10.0,
+    ),
+    Parameter(
+        "bench.temperature_tolerance", "K", 60.0,
+        "A wire's temperature may differ from that of eq. (1) by this.",
+        "assumed: twice what latent heat and an under-filled camera spot make", 5.0, 500.0,
     ),
 )
 

@@ -36,7 +36,10 @@ from sma_bench.physics.effects.partial_transformation import (
     towards_turn,
 )
 from sma_bench.physics.effects.transition_drift import shift_transition
-from sma_bench.physics.phase import TAIL_WIDTH
+from sma_bench.physics.phase import NORMAL_DEVIATION, NORMAL_REACH
+
+SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
 
 
 @compiled
@@ -59,10 +62,24 @@ def smooth_ramp(position, spread, tail):
         late, late_slope = ramp(position - spread)
         share, slope = 0.5 * (early + late), 0.5 * (early_slope + late_slope)
     if tail != 0.0:
-        wide, wide_slope = ramp(0.5 + (position - 0.5) / TAIL_WIDTH)
-        share += tail * (wide - share)
-        slope += tail * (wide_slope / TAIL_WIDTH - slope)
+        normal, normal_slope = normal_ramp(position)
+        share += tail * (normal - share)
+        slope += tail * (normal_slope - slope)
     return share, slope
+
+
+@compiled
+def normal_ramp(position):
+    """Ramp of normally distributed grains from 0 to 1, cut off where next to none are left."""
+    deviations = (position - 0.5) / NORMAL_DEVIATION
+    if deviations <= -NORMAL_REACH:
+        return 0.0, 0.0
+    if deviations >= NORMAL_REACH:
+        return 1.0, 0.0
+    scale = 1.0 / (1.0 - 2.0 * NORMAL_REST)
+    share = (0.5 * math.erfc(-deviations / SQRT_2) - NORMAL_REST) * scale
+    slope = math.exp(-0.5 * deviations * deviations) / (SQRT_2_PI * NORMAL_DEVIATION)
+    return share, slope * scale
 
 
 @compiled

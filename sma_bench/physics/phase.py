@@ -24,12 +24,16 @@ eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooli
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from sma_bench.parameters import Parameters
 
 Array = NDArray[np.float64]
 
-TAIL_WIDTH = 2.5  # of the range of `wire.transition_tail`, relative to the others'
+# Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
+# normal distribution of the same deviation is cut off, in deviations.
+NORMAL_DEVIATION = float(np.sqrt(0.25 - 2.0 / np.pi**2))
+NORMAL_REACH = 5.0
 
 
 def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
@@ -105,14 +109,21 @@ def _left(
 
 def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array:
     """Ramp of grains that do not transform alike: two groups `wire.transition_spread` before and
-    behind the others' mean, and a share `wire.transition_tail` over a wider range."""
+    behind the others' mean, and a share `wire.transition_tail` whose transition temperatures are
+    normally distributed, which the cosine's are nearly."""
     spread, tail = parameters["wire.transition_spread"], parameters["wire.transition_tail"]
     share = _ramp(distance / width)
     if spread > 0.0:
         share = 0.5 * (_ramp((distance + spread) / width) + _ramp((distance - spread) / width))
     if tail > 0.0:
-        share = share + tail * (_ramp(0.5 + (distance / width - 0.5) / TAIL_WIDTH) - share)
+        share = share + tail * (_normal_ramp(distance / width) - share)
     return share
+
+
+def _normal_ramp(position: Array) -> Array:
+    deviations = np.clip((position - 0.5) / NORMAL_DEVIATION, -NORMAL_REACH, NORMAL_REACH)
+    least = ndtr(-NORMAL_REACH)
+    return np.asarray((ndtr(deviations) - least) / (1.0 - 2.0 * least))
 
 
 def _ramp(position: Array) -> Array:
