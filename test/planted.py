@@ -43,6 +43,7 @@ _OFF = {  # of the truth from the belief, in standard deviations
     "wire.specific_heat": 0.6,
     "wire.austenite_start_temperature": 0.5,
     "composite.stress_per_deflection_front": -0.8,
+    "composite.stress_per_deflection_back": -0.8,
 }
 _STD = {
     "wire.resistance": 0.02,

@@ -72,6 +72,7 @@ def print_result(result: Diagnosis) -> None:
     console.print(f"{result.decision.verdict}: {headline(result)}\n", soft_wrap=True)
     console.print(_candidates(result))
     console.print(_where(result))
+    console.print(_chain(result))
     console.print(_shrinkage(result))
     for sentence in what_next(result):
         console.print(f"{sentence}\n", soft_wrap=True)
@@ -99,6 +100,14 @@ def _where(result: Diagnosis) -> Table:
         table.add_row(
             cell.signal, cell.phase, cell.side, f"{cell.gap:.2f}", f"{100.0 * cell.share:.0f} %"
         )
+    return table
+
+
+def _chain(result: Diagnosis) -> Table:
+    table = _table("block, no effect", "gap/noise", "90 % interval")
+    for link in result.chain:
+        low, high = link.ci90
+        table.add_row(link.block, f"{link.gap:.2f}", f"{low:.2f} to {high:.2f}")
     return table
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.diagnose.chain import Link, break_chain
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
 from sma_bench.diagnose.fit import Fit, fit
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
@@ -40,7 +41,9 @@ class Diagnosis:
     Attributes:
         decision: candidates and verdict; search: all fits behind them.
         model: the fit that the improved parameters are of; improved: these parameters.
-        where: cells of the gap, the largest share first; shrinkage: by quantity.
+        where: cells of the gap, the largest share first; chain: its blocks, each driven by what
+            was measured before it.
+        shrinkage: by quantity.
         views: all records; fitted, held_out: those, or the parts of them, that the fit of the
             shrinkage has seen and has not.
         findings: of the records and parameters, and what a missing sensor would have added.
@@ -52,6 +55,7 @@ class Diagnosis:
     model: Fit
     improved: Parameters
     where: tuple[Cell, ...]
+    chain: tuple[Link, ...]
     shrinkage: dict[str, Shrinkage]
     views: tuple[View, ...]
     fitted: tuple[View, ...]
@@ -80,6 +84,7 @@ class Diagnosis:
             "where": {
                 "signal": top.signal, "phase": top.phase, "side": top.side, "stage": self.stage,
                 "table": [asdict(cell) for cell in self.where],
+                "chain": [{**asdict(link), "ci90": list(link.ci90)} for link in self.chain],
             },
             "shrinkage": {
                 name: {**asdict(s), "ci90": list(s.ci90)} for name, s in self.shrinkage.items()
@@ -142,7 +147,7 @@ def diagnose(
     blind = _fitted_to(fitted, model)
     return Diagnosis(
         parameters, decision, found, model, improved,
-        tuple(_where(found, model, decision.verdict)),
+        tuple(_where(found, model, decision.verdict)), tuple(break_chain(found.recalibrated)),
         shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
         (*seen, *unseen), tuple(fitted), tuple(unfitted),
         (*audit(parameters), *_missing([*seen, *unseen])),

@@ -200,6 +200,7 @@ class _State:
         covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         freedom = float(np.linalg.slogdet(information)[1])
         evidence = -0.5 * self.cost() - 0.5 * freedom - self.problem.log_scale()
+        evidence += self.problem.log_prior()
         return Fit(
             self.problem, self.unknowns, self.x, self.z, covariance[:k, :k], evidence,
             self.predicted, self.slopes, self.left(),

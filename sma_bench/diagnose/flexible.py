@@ -45,7 +45,7 @@ def flexible_residual(fitted: Fit) -> Flexible:
     features = [
         _features(view, view.simulate(fitted.parameters)) for view in fitted.problem.views
     ]
-    own = -0.5 * _power(fitted.problem, fitted.left) - fitted.problem.log_scale()
+    own = _likelihood(fitted.problem, fitted.left)
     problem = replace(
         fitted.problem,
         noise={
@@ -56,7 +56,7 @@ def flexible_residual(fitted: Fit) -> Flexible:
     best = Flexible(0.0, [[np.zeros_like(r) for r in rs] for rs in fitted.left])
     for _ in range(_ROUNDS):
         marginal, weights = _most_likely(problem, fitted, features)
-        gain = -0.5 * _power(problem, fitted.left) - problem.log_scale() + marginal - own
+        gain = _likelihood(problem, fitted.left) + marginal - own
         response = [[f @ weights for f in fs] for fs in features]
         if gain > best.gain:
             best = Flexible(gain, response)
@@ -91,9 +91,10 @@ def _most_likely(
     return best, weights
 
 
-def _power(problem: Problem, parts: Sequence[Sequence[Array]]) -> float:
+def _likelihood(problem: Problem, parts: Sequence[Sequence[Array]]) -> float:
+    """Log of the probability of a residual and of its noise."""
     white = problem.stack(parts)
-    return float(white @ white)
+    return float(-0.5 * white @ white) - problem.log_scale() + problem.log_prior()
 
 
 def _features(view: View, simulation: Simulation) -> list[Array]:

@@ -24,18 +24,21 @@ class Left:
         size: of the part that is not noise, over the white noise of a sample, which is the same
             for all fits; 0 where the ratio is not sure.
         outlier: largest whitened residual, in standard deviations: a single event shows there.
+        drift: nats, how improbable the drift is that sensors had to be credited with.
     """
 
     ratio: float
     signal: str
     size: float
     outlier: float
+    drift: float
 
 
 def left_over(fitted: Fit) -> Left:
     """Compare what a fit leaves in motion and at rest."""
     problem = fitted.problem
-    found = Left(-np.inf, "", 0.0, 0.0)
+    drift = -problem.log_prior()
+    found = Left(-np.inf, "", 0.0, 0.0, drift)
     for view, left in zip(problem.views, fitted.left, strict=True):
         rates = view.rates(view.simulate(fitted.parameters))
         for signal, residual, rate in zip(view.signals, left, rates, strict=True):
@@ -56,7 +59,7 @@ def left_over(fitted: Fit) -> Left:
                 size = excess * float(np.hypot(noise.drift, noise.white))
                 size /= signal.noise * np.sqrt(float(np.median(signal.count)))
             if ratio > found.ratio:
-                found = Left(ratio, signal.name, max(size, found.size), outlier)
+                found = Left(ratio, signal.name, max(size, found.size), outlier, drift)
             else:
-                found = Left(found.ratio, found.signal, max(size, found.size), outlier)
+                found = Left(found.ratio, found.signal, max(size, found.size), outlier, drift)
     return found

@@ -19,6 +19,8 @@ from sma_bench.compiled import compiled
 Array = NDArray[np.float64]
 
 _TIMES = np.geomspace(0.3, 200.0, 8)  # s
+_SLOW = 3.0  # s: drift of a longer time than that must be of the usual size
+_UNUSUAL = 0.35  # standard deviation of the log of an unusual drift
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 13)])  # drift over white
 
 
@@ -29,12 +31,19 @@ class Noise:
     Attributes:
         white: of a bin, in the signal's unit; drift: standard deviation of u; time: tau [s].
         period: s between bins.
+        usual: the drift that an instrument may have; a larger slow one costs probability.
     """
 
     white: float
     drift: float
     time: float
     period: float
+    usual: float = np.inf
+
+    @property
+    def log_prior(self) -> float:
+        """Log of how probable such a drift is of a sensor; 0 up to the usual one."""
+        return float(_log_prior(self.drift, self.time, self.usual))
 
     @property
     def total(self) -> float:
@@ -73,17 +82,26 @@ class Noise:
         return (bins - 1) * float(np.log(self.innovation)) + float(np.log(self.total))
 
 
-def first_guess(white: float, period: float) -> Noise:
+def _log_prior(drift: Array | float, time: Array | float, usual: float) -> Array:
+    excess = np.log(np.maximum(np.asarray(drift) / usual, 1.0)) / _UNUSUAL
+    return np.asarray(np.where(np.asarray(time) < _SLOW, 0.0, -0.5 * excess**2))
+
+
+def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
     """Noise before anything has been fitted: generous with drift."""
-    return Noise(white, 3.0 * white, 5.0, period)
+    return Noise(white, 3.0 * white, 5.0, period, usual)
 
 
-def estimate_noise(residuals: Sequence[Array], white: float, period: float) -> Noise:
+def estimate_noise(
+    residuals: Sequence[Array], white: float, period: float, usual: float = np.inf
+) -> Noise:
     """Most likely noise of what a fit leaves; the white part is at least nearly `white`.
 
     Args:
         residuals: (b_i,) one a record, of the same sensor.
         white: noise of a bin from sample to sample, which no fit can lower.
+        usual: drift that costs nothing. A sensor that wanders slowly by many times that is not
+            noisy, it is faulty, and what it seems to do may be the bench's doing.
     """
     shapes = _shapes(period)
     powers = np.zeros(len(shapes))
@@ -93,9 +111,11 @@ def estimate_noise(residuals: Sequence[Array], white: float, period: float) -> N
     scales = np.maximum(np.sqrt(powers / total), 0.9 * white)
     bulk = np.array([sum(shape.log_scale(len(r)) for r in residuals) for shape in shapes])
     likelihood = -0.5 * powers / scales**2 - total * np.log(scales) - bulk
+    drifts = scales * np.array([shape.drift for shape in shapes])
+    likelihood += _log_prior(drifts, np.array([shape.time for shape in shapes]), usual)
     best = int(np.argmax(likelihood))
     scale, shape = float(scales[best]), shapes[best]
-    return Noise(scale, shape.drift * scale, shape.time, period)
+    return Noise(scale, shape.drift * scale, shape.time, period, usual)
 
 
 @cache

@@ -43,7 +43,8 @@ class Problem:
     def of(cls, views: Sequence[View]) -> Self:
         """Noise as yet unknown, nuisances none."""
         noise = {
-            s.name: first_guess(s.noise, s.period) for view in views for s in view.signals
+            s.name: first_guess(s.noise, s.period, s.usual_drift)
+            for view in views for s in view.signals
         }
         none = tuple(tuple(np.zeros((len(s.time), 0)) for s in v.signals) for v in views)
         return cls(tuple(views), noise, none)
@@ -63,7 +64,9 @@ class Problem:
                 if s.name == name
             ]
             white = float(np.median([s.noise for _, s in own]))
-            found[name] = estimate_noise([r for r, _ in own], white, own[0][1].period)
+            found[name] = estimate_noise(
+                [r for r, _ in own], white, own[0][1].period, own[0][1].usual_drift
+            )
         return replace(self, noise=found)
 
     def predict(self, parameters: Parameters) -> list[list[Array]]:
@@ -143,6 +146,10 @@ class Problem:
         return sum(
             self.noise[s.name].log_scale(len(s.time)) for v in self.views for s in v.signals
         )
+
+    def log_prior(self) -> float:
+        """Log of how probable such noise is of these sensors."""
+        return sum(noise.log_prior for noise in self.noise.values())
 
 
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:

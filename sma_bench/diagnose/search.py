@@ -207,9 +207,11 @@ def _pairs(
         for partner in singles:
             if partner != name:
                 unknowns = baseline.with_effects([name, partner])
-                starts.append((partner, unknowns, find_start(remainder, unknowns, partner)))
+                quick = find_start(remainder, unknowns, partner, quick=True)
+                starts.append((partner, unknowns, quick))
         starts.sort(key=lambda s: s[2].gain, reverse=True)
-        for partner, unknowns, start in starts[:_PARTNERS]:
+        for partner, unknowns, _ in starts[:_PARTNERS]:
+            start = find_start(remainder, unknowns, partner)
             key = (min(name, partner), max(name, partner))
             frozen = [
                 [d[:, : baseline.baseline] for d in own] for own in singles[name].derivatives

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 # Prior deviations of the number that switches an effect on: what a large one does says little
 # about a small one.
 _SIZES = (0.012, 0.06, 0.3, 1.5)
+_QUICK = (0.3,)
 _STRETCH = (0.3, 2.0)  # of a tried size that is still believed
 # Numbers that shape an effect are tried over their range; the others start at their default.
 _SHAPES = {
@@ -63,11 +64,14 @@ class Remainder:
         return float(share * (change @ self._projected) - 0.5 * share**2 * power), share
 
 
-def find_start(remainder: Remainder, unknowns: Unknowns, name: str) -> Start:
+def find_start(
+    remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False
+) -> Start:
     """Best of the tried sizes of one effect, added to a fit.
 
     Args:
         remainder: of the fit without this effect; unknowns: with this effect's numbers last.
+        quick: one size only, and every shape at its default.
 
     Where no size promises anything the fit begins with the effect off.
     """
@@ -77,7 +81,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str) -> Start:
     low, high = unknowns.bounds()
     first = len(unknowns.names) - len(effect.parameters)
     trials = []
-    for offset in _offsets(name):
+    for offset in _offsets(name, quick):
         x = np.concatenate([fitted.x, offset])
         trials.append(np.clip(x, low, high))
 
@@ -106,11 +110,12 @@ def start_off(fitted: Fit, unknowns: Unknowns, name: str) -> Array:
     return np.clip(np.concatenate([fitted.x, offset]), *unknowns.bounds())
 
 
-def _offsets(name: str) -> list[Array]:
+def _offsets(name: str, quick: bool) -> list[Array]:
     """Trial values of an effect's numbers: one switch at a time, every shape."""
     effect = EFFECTS[name]
+    known = {} if quick else _SHAPES
     shapes = [
-        [x_of(p, value) for value in _SHAPES.get(p.name, (default_of(p),))]
+        [x_of(p, value) for value in known.get(p.name, (default_of(p),))]
         if p not in effect.switches else [0.0]
         for p in effect.parameters
     ]
@@ -119,7 +124,7 @@ def _offsets(name: str) -> list[Array]:
         if number not in effect.switches:
             continue
         signs = (1.0, -1.0) if number.low is not None and number.low < 0.0 else (1.0,)
-        for shape, size, sign in product(product(*shapes), _SIZES, signs):
+        for shape, size, sign in product(product(*shapes), _QUICK if quick else _SIZES, signs):
             offset = np.array(shape)
             offset[k] = sign * size
             trials.append(offset)

@@ -34,6 +34,8 @@ _SAMPLES_A_BIN = 2.0
 _KNOWN = ("current", "temperature", "deflection")
 _DRIVEN = 0.02  # of the largest voltage
 _ZERO_STD = {"current": 0.005, "temperature": 0.2, "deflection": 5e-4}
+# Slow drift of a good instrument; one of the size of a sample's scatter is usual in any case.
+_DRIFT = {"current": 0.01, "temperature": 0.5, "deflection": 5e-5}
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 
 
@@ -64,6 +66,11 @@ class Binned:
     def zero_std(self) -> float:
         """Standard deviation of the sensor's unknown zero."""
         return _ZERO_STD[self.quantity]
+
+    @property
+    def usual_drift(self) -> float:
+        """Slow drift that a good instrument may have."""
+        return max(_DRIFT[self.quantity], self.noise * float(np.sqrt(np.median(self.count))))
 
     @property
     def clock_std(self) -> float:

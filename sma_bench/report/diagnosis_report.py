@@ -27,7 +27,7 @@ from sma_bench.report.diagnosis_words import (
     with_error,
 )
 from sma_bench.report.page import Picture, Section, Table, write_report
-from sma_bench.report.quantities import scale_of
+from sma_bench.report.quantities import in_print, scale_of
 
 _LEAST_SHOWN = 0.005
 
@@ -59,8 +59,15 @@ def _gap(result: Diagnosis) -> Section:
 
 
 def _where(result: Diagnosis) -> Section:
+    rows = [
+        (link.block, f"{link.gap:.2f}", f"{link.ci90[0]:.2f} to {link.ci90[1]:.2f}",
+         in_print(link.block.rpartition(" ")[2], link.rms))
+        for link in result.chain
+    ]
+    header = ("block, driven by what was measured", "gap over noise", "90 % interval", "rms")
     return Section(
-        "Where is it?", where_is_it(result), pictures=[gap_picture(result), stage_picture(result)]
+        "Where is it?", where_is_it(result), tables=[Table(header, rows, frozenset({1, 2, 3}))],
+        pictures=[gap_picture(result), stage_picture(result)],
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.chain import reading_of
 from sma_bench.diagnose.decision import (
     FLEXIBLE,
     LEFT_OUTLIER,
@@ -95,7 +96,8 @@ def where_is_it(result: Diagnosis) -> list[str]:
             f"The chain breaks at this stage: {sure}. All signals are fitted together, so what an "
             "upstream signal explains is not counted again downstream."
         )
-    return said
+    told = reading_of(result.chain)
+    return [*said, told] if told else said
 
 
 def which_effect(result: Diagnosis) -> list[str]:
