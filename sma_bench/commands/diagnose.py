@@ -8,6 +8,7 @@ from rich.table import Table
 from sma_bench.commands.output import print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.diagnose import Diagnosis, diagnose
+from sma_bench.diagnose.view import QUANTITIES
 from sma_bench.parameters import write_parameters
 from sma_bench.records import read_record
 from sma_bench.report.diagnosis_words import headline, what_next
@@ -25,6 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hold-out", metavar="RECORD", nargs="+", action="extend", default=[],
         help="bags on which the shrinkage is measured, unseen by its fit",
     )
+    parser.add_argument(
+        "--signals", metavar="QUANTITY", nargs="+", choices=QUANTITIES, default=QUANTITIES,
+        help="compare these only, of current, temperature, deflection: what would the record "
+        "have told without the others?",
+    )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
     parser.add_argument("--report", metavar="DIR", help="write a page with figures")
     parser.add_argument(
@@ -40,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
     console = Console(stderr=True)
     with console.status("diagnosing") as status:
         result = diagnose(
-            records, parameters, held_out, lambda text: status.update(f"diagnosing: {text}")
+            records, parameters, held_out,
+            lambda text: status.update(f"diagnosing: {text}"), args.signals,
         )
     if args.json:
         write_json(args.json, result.to_json())

@@ -1,12 +1,16 @@
 """sma-bench simulate: the paper's model on a protocol or on the voltages of a bag."""
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.errors import InputError
+from sma_bench.hardware.instruments import Instrument
+from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.physics.effects import effect_values
 from sma_bench.physics.simulate import Simulation, simulate
 from sma_bench.protocols import load_protocol
@@ -31,11 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="switch an effect on by its size, e.g. --effect latent_heat=12e3; NAME.NUMBER=VALUE "
         "for its other numbers (repeatable; sma-bench effects lists them)",
     )
+    parser.add_argument(
+        "--noise", metavar="SEED", type=int,
+        help="read through the simulator node's instruments: their noise, drawn from this seed, "
+        "and their steps; exact values when not given",
+    )
     add_parameter_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a bag of the contract with exact (noise-free) simulated signals."""
+    """Write a bag of the contract with simulated signals, exact or as instruments read them."""
     parameters = parameters_from_options(args)
     for text in args.effects:
         parameters = parameters.replace(_effect(text), where="--effect")
@@ -49,8 +58,13 @@ def run(args: argparse.Namespace) -> int:
         start_ns = record.start_ns
         time, voltage = held_voltages(record, parameters["bench.channels"])
     simulation = simulate(parameters, time, voltage)
-    write_record(Path(args.out), simulated_signals(simulation), start_ns=start_ns)
-    print(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, no noise")
+    signals, noise = simulated_signals(simulation), "no noise"
+    if args.noise is not None:
+        if args.noise < 0:
+            raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
+        signals, noise = read_signals(signals, args.noise), f"synthetic noise, seed {args.noise}"
+    write_record(Path(args.out), signals, start_ns=start_ns)
+    print(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
     return 0
 
 
@@ -82,3 +96,30 @@ def simulated_signals(simulation: Simulation) -> list[Signal]:
         Signal("elongation", "m", time, np.zeros_like(time)),
         Signal("force", "N", time, simulation.force[:, 0]),
     ]
+
+
+def read_signals(signals: Sequence[Signal], seed: int) -> list[Signal]:
+    """The same signals as the simulator node's instruments would read them.
+
+    A deflection is half the difference of two distances; an elongation is clamped.
+    """
+    settings = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
+    seeds = iter(np.random.SeedSequence(seed).spawn(2 * len(signals)))
+
+    def read(quantity: str, values: np.ndarray) -> np.ndarray:
+        noise, step = f"sensor.{quantity}_noise", f"sensor.{quantity}_resolution"
+        instrument = Instrument(settings[noise], settings.get(step, 0.0), next(seeds))
+        return np.array([instrument.read(value) for value in values.tolist()])
+
+    found = []
+    for signal in signals:
+        quantity, values = signal.name.rpartition(".")[2], np.asarray(signal.values)
+        if quantity == "elongation":
+            found.append(signal)
+        elif quantity == "deflection":
+            away = settings["sensor.range_standoff"]
+            front, back = read("range", away - values), read("range", away + values)
+            found.append(replace(signal, values=0.5 * (back - front)))
+        else:
+            found.append(replace(signal, values=read(quantity, values)))
+    return found

@@ -16,7 +16,7 @@ from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
 from sma_bench.diagnose.sizes import Cell, locate, without_effects
 from sma_bench.diagnose.unknowns import SHAPES, Unknowns
-from sma_bench.diagnose.view import Binned, View, shared_bin, view_record
+from sma_bench.diagnose.view import QUANTITIES, Binned, View, shared_bin, view_record
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
@@ -27,7 +27,7 @@ from sma_bench.records.record import Record
 Array = NDArray[np.float64]
 
 _FIT_SHARE = 0.6  # of a single record without another to hold out
-_QUANTITIES = {
+_WOULD_ADD = {
     "current": "heat and resistance could not be told apart by the current",
     "temperature": "thermal and mechanical causes could not be told apart by the temperature",
     "deflection": "nothing mechanical could be seen",
@@ -118,6 +118,7 @@ def diagnose(
     parameters: Parameters,
     hold_out: Sequence[Record] = (),
     progress: Progress = lambda text: None,
+    quantities: Sequence[str] = QUANTITIES,
 ) -> Diagnosis:
     """Diagnose the gap between a bench's records and its model.
 
@@ -128,6 +129,7 @@ def diagnose(
         records: bags of one bench; parameters: as believed, `uncertainty.` as priors.
         hold_out: further bags of the same bench.
         progress: told what is being done.
+        quantities: that are compared, of current, temperature and deflection.
 
     Raises:
         InputError: no records, or one that cannot be compared with the model.
@@ -136,8 +138,8 @@ def diagnose(
         raise InputError("diagnose: no record, expected at least one")
     progress("records")
     shortest = shared_bin([*records, *hold_out], parameters)
-    seen = [view_record(record, parameters, shortest) for record in records]
-    unseen = [view_record(record, parameters, shortest) for record in hold_out]
+    seen = [view_record(record, parameters, shortest, quantities) for record in records]
+    unseen = [view_record(record, parameters, shortest, quantities) for record in hold_out]
     found = search([*seen, *unseen], parameters, progress)
     decision = decide(found)
     model = _model(decision, found)
@@ -258,9 +260,9 @@ def _kept(signal: Binned, keep: NDArray[np.intp]) -> Binned:
 def _missing(views: Sequence[View]) -> list[Finding]:
     held = {q for view in views for q in view.quantities}
     composite = any(len(view.channels) > 1 for view in views)
-    wanted = [q for q in _QUANTITIES if composite or q != "deflection"]
+    wanted = [q for q in _WOULD_ADD if composite or q != "deflection"]
     return [
-        Finding("info", quantity, f"not recorded: {_QUANTITIES[quantity]}")
+        Finding("info", quantity, f"not compared: {_WOULD_ADD[quantity]}")
         for quantity in wanted if quantity not in held
     ]
 

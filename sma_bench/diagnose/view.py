@@ -1,6 +1,6 @@
 """A record as the diagnosis sees it: the drive on a uniform grid, every signal in bins of time."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,9 +31,11 @@ _BIN = 0.2  # s, shorter than any time constant of a wire in air
 _MOST_BINS = 1500  # a signal
 _MOST_CELLS = 12_000
 _SAMPLES_A_BIN = 2.0
-_KNOWN = ("current", "temperature", "deflection")
+QUANTITIES = ("current", "temperature", "deflection")
 _DRIVEN = 0.02  # of the largest voltage
 _ZERO_STD = {"current": 0.005, "temperature": 0.2, "deflection": 5e-4}
+# Of a bin: no bench is simulated, and no voltage known, to less.
+_LEAST = {"current": 5e-4, "temperature": 0.02, "deflection": 5e-6}
 # Slow drift of a good instrument; one of the size of a sample's scatter is usual in any case.
 _DRIFT = {"current": 0.01, "temperature": 0.5, "deflection": 5e-5}
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
@@ -159,25 +161,28 @@ def shared_bin(records: Sequence[Record], parameters: Parameters) -> float:
     return max([_BIN, *(_own_bin(m) for m in measured)])
 
 
-def view_record(record: Record, parameters: Parameters, shortest_bin: float = _BIN) -> View:
+def view_record(
+    record: Record,
+    parameters: Parameters,
+    shortest_bin: float = _BIN,
+    quantities: Collection[str] = QUANTITIES,
+) -> View:
     """Prepare a record.
 
     Args:
         record: the bag; parameters: as believed, for the channels.
-        shortest_bin: s, of `shared_bin`.
+        shortest_bin: s, of `shared_bin`; quantities: to compare, all that are there.
 
     Raises:
         InputError: no voltage of some channel, or nothing to compare with.
     """
     rig = rig_record(record, parameters)
     grid = _grid(rig)
-    known = [m for m in rig.measured if m.quantity in _KNOWN]
+    known = [m for m in rig.measured if m.quantity in quantities]
     if not known:
         held = ", ".join(m.name for m in rig.measured)
-        raise InputError(
-            f"{record.path}: only {held}, expected currents, temperatures or a deflection"
-        )
-    left_out = tuple(m.name for m in rig.measured if m.quantity not in _KNOWN)
+        raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
+    left_out = tuple(m.name for m in rig.measured if m.quantity not in quantities)
     place = np.zeros(len(rig.voltage.early))
     return View(
         str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
@@ -224,7 +229,7 @@ def _binned(measured: Measured, rig: RigRecord, grid: Array, shortest: float) ->
     which = np.floor((time - time[0]) / period).astype(np.intp)
     kept, which, count = np.unique(which, return_inverse=True, return_counts=True)
     bins = len(kept)
-    noise = float(noise_floor(value) / np.sqrt(np.median(count)))
+    noise = max(_LEAST[measured.quantity], noise_floor(value) / float(np.sqrt(np.median(count))))
     return Binned(
         measured.name, measured.quantity, measured.wire,
         np.bincount(which, time, bins) / count, np.bincount(which, value, bins) / count,

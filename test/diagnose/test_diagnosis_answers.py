@@ -101,7 +101,7 @@ def test_a_sensor_that_is_missing_is_named_with_what_it_would_add(tmp_path):
     record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
     with few_effects(("residual_strain",)):
         result = diagnose([record], believed())
-    missing = {f.subject: f.text for f in result.findings if f.text.startswith("not recorded")}
+    missing = {f.subject: f.text for f in result.findings if f.text.startswith("not compared")}
     assert set(missing) == {"current", "temperature"}
     assert "thermal and mechanical" in missing["temperature"]
 
