@@ -1,0 +1,289 @@
+"""A wire's temperature from pictures whose truth is known, painted by brute force."""
+
+import math
+
+import numpy as np
+import pytest
+import thermal_scene
+from thermal_scene import ROOM, bent, photograph, straight
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
+from sma_bench.hardware.thermal_radiance import Surface
+from sma_bench.hardware.thermal_ridge import Region
+from sma_bench.hardware.thermal_wire import Optics, read_wire
+
+WIDTH, HEIGHT = 60, 120
+WHOLE = Region.parse("", WIDTH, HEIGHT, "regions")
+BLACK = Surface(1.0, ROOM)
+HOT = 350.0
+
+
+def optics(width, **changes):
+    return Optics(
+        **{"width": width, "width_std": 0.0, "lowest": 253.15, "highest": 523.15, "accuracy": 0.0}
+        | changes
+    )
+
+
+def readings(truth, how, surface=BLACK, region=WHOLE, n=20, noise=0.08, seed=1):
+    random = np.random.default_rng(seed)
+    return [
+        read_wire(photograph(truth, random, noise), region, how, surface) for _ in range(n)
+    ]
+
+
+def errors(found, kelvin):
+    assert [reading.reason for reading in found if reading.reason] == []
+    return np.array([reading.kelvin for reading in found]) - kelvin
+
+
+# --- the fill factor ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [0.3, 0.5, 0.75, 1.5, 4.0])
+@pytest.mark.parametrize("blur", [0.4, 1.0])
+def test_a_wire_thinner_than_a_pixel_reads_right_whatever_the_blur(width, blur):
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(28.3, 0.07), width, HOT, blur=blur)
+    off = errors(readings(truth, optics(width)), HOT)
+    # The pixel sees less than half of the excess that is read, where the wire is thin.
+    if width < 0.6:
+        assert truth.max() - ROOM < 0.55 * (HOT - ROOM)
+    assert abs(off.mean()) < 0.03 + 0.03 / width
+
+
+@pytest.mark.parametrize("statistic", ["mean", "median"])
+def test_the_stated_deviation_covers_the_error_of_noise_and_steps(statistic):
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(25.0, 0.11), 0.5, HOT)
+    found = readings(truth, optics(0.5, statistic=statistic), n=150)
+    off = errors(found, HOT)
+    stated = np.array([reading.std for reading in found])
+    assert (np.abs(off) < 2 * stated).mean() > 0.93
+    # And is no more than twice what it should be.
+    assert stated.mean() < 2.0 * np.sqrt((off**2).mean())
+
+
+def test_the_steps_of_a_quiet_camera_are_in_the_deviation():
+    """Without noise to dither it the error of rounding is the same in all lines."""
+    off, stated = [], []
+    for x in np.linspace(25.0, 26.0, 15):
+        truth = thermal_scene.scene(WIDTH, HEIGHT, straight(x), 0.5, HOT)
+        (reading,) = readings(truth, optics(0.5), n=1, noise=0.0)
+        off.append(reading.kelvin - HOT)
+        stated.append(reading.std)
+    assert max(np.abs(off)) < 3 * np.mean(stated)
+    assert np.mean(stated) < 0.5
+
+
+def test_a_wrong_width_is_in_the_deviation():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(28.0), 0.5, HOT)
+    (reading,) = readings(truth, optics(0.52, width_std=0.04), n=1)
+    error = reading.kelvin - HOT
+    assert error == pytest.approx(-1.7, abs=0.3)
+    assert abs(error) == pytest.approx(reading.std, rel=0.3)
+
+
+def test_a_background_that_slopes_does_not_matter_and_one_that_bends_is_in_the_deviation():
+    columns = np.arange(WIDTH)
+    slope = thermal_scene.scene(
+        WIDTH, HEIGHT, straight(30.0), 0.75, HOT,
+        background=np.broadcast_to(ROOM + 0.1 * columns, (HEIGHT, WIDTH)),
+    )
+    assert abs(errors(readings(slope, optics(0.75)), HOT).mean()) < 0.1
+    bend = thermal_scene.scene(
+        WIDTH, HEIGHT, straight(30.0), 0.75, HOT,
+        background=np.broadcast_to(ROOM + 0.01 * (columns - 30.0) ** 2, (HEIGHT, WIDTH)),
+    )
+    found = readings(bend, optics(0.75))
+    off = errors(found, HOT)
+    assert -8.0 < off.mean() < -1.0
+    assert abs(off.mean()) < 2 * np.mean([reading.std for reading in found])
+
+
+def test_a_wire_narrower_than_stated_is_held_back_where_its_blur_shows_it():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 1.0, HOT, blur=0.4)
+    (reading,) = readings(truth, optics(4.0), n=1)
+    assert "narrower in the picture than its 4 pixels" in reading.reason
+    assert math.isnan(reading.kelvin)
+
+
+def test_a_wide_wire_needs_no_correction_and_a_thin_one_does():
+    for width, low in ((6.0, 0.0), (0.75, 20.0)):
+        truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), width, HOT)
+        off = errors(readings(truth, optics(width, correct_fill=False)), HOT).mean()
+        assert -off == pytest.approx(low, abs=0.15 + low)
+        assert (-off > 10.0) == (low > 0.0)
+
+
+# --- emissivity, camera ---------------------------------------------------------------------------
+
+
+def test_emissivity_and_fill_are_corrected_together():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.2), 0.75, HOT, emissivity=0.3)
+    assert abs(errors(readings(truth, optics(0.75), Surface(0.3, ROOM)), HOT).mean()) < 0.2
+    uncertain = Surface(0.3, ROOM, emissivity_std=0.02)
+    (reading,) = readings(truth, optics(0.75), uncertain, n=1)
+    # dT = (T excess) de/e, about.
+    assert reading.std == pytest.approx((HOT - ROOM) * 0.02 / 0.3, rel=0.3)
+
+
+def test_the_cameras_accuracy_grows_with_the_emissivity_correction():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.2), 0.75, HOT, emissivity=0.3)
+    (reading,) = readings(truth, optics(0.75, accuracy=1.2), Surface(0.3, ROOM), n=1)
+    assert 2.5 < reading.std < 4.5
+
+
+def test_pixels_at_the_end_of_the_range_are_held_back():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 4.0, 420.0)
+    (reading,) = readings(truth, optics(4.0, highest=373.15), n=1)
+    assert "end of the camera's range (100 degC)" in reading.reason and reading.seen
+    (cold,) = readings(truth, optics(4.0, lowest=300.0), n=1)
+    assert "end of the camera's range (26.85 degC)" in cold.reason
+
+
+# --- where the wire is ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sideways", [-18.0, 10.0, 25.0])
+def test_a_bent_wire_is_followed(sideways):
+    truth = thermal_scene.scene(WIDTH, HEIGHT, bent(28.0, sideways, HEIGHT), 0.75, HOT)
+    found = readings(truth, optics(0.75))
+    assert abs(errors(found, HOT).mean()) < 0.1
+    assert found[0].centre == pytest.approx(28.0 + sideways / 3.0, abs=0.5)
+
+
+def test_a_moving_wire_is_read_in_every_frame():
+    wire = SyntheticWire((30.0, 40.0), (350.0, 44.0), 0.75)
+    camera = SyntheticCamera(382, 90, [wire], BLACK, unevenness=3.0)
+    region = Region.parse("", 382, 90, "regions")
+    found = [
+        read_wire(camera.picture([HOT], 20.0 * math.sin(k / 3.0)), region, optics(0.75), BLACK)
+        for k in range(40)
+    ]
+    assert np.abs(errors(found, HOT)).max() < 0.2
+
+
+def test_a_hot_spot_elsewhere_does_not_attract_the_reading():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, HOT)
+    truth[40:52, 6:14] = 480.0
+    assert abs(errors(readings(truth, optics(0.75)), HOT).mean()) < 0.1
+
+
+def test_a_clamp_across_the_wire_moves_the_median_little_and_the_hottest_is_the_hottest():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, HOT)
+    hotter = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, HOT + 20.0)
+    truth[60:84] = hotter[60:84]
+    assert abs(errors(readings(truth, optics(0.75)), HOT).mean()) < 0.2
+    off = errors(readings(truth, optics(0.75, statistic="hottest")), HOT + 20.0)
+    assert 0.0 < off.mean() < 0.6
+
+
+def test_a_short_wire_is_read_where_it_is_and_a_very_short_one_is_not():
+    wire = SyntheticWire((30.0, 8.0), (31.0, 85.0), 0.75)
+    camera = SyntheticCamera(WIDTH, HEIGHT, [wire], BLACK)
+    reading = read_wire(camera.picture([HOT]), WHOLE, optics(0.75), BLACK)
+    assert abs(reading.kelvin - HOT) < 0.3 and 0.5 < reading.visible < 0.65
+    strict = read_wire(camera.picture([HOT]), WHOLE, optics(0.75, least_visible=0.8), BLACK)
+    assert "expected 80 % or more" in strict.reason and math.isnan(strict.kelvin)
+
+
+def test_what_lies_beyond_the_wires_ends_is_not_averaged_in():
+    wire = SyntheticWire((40.0, 90.0), (340.0, 100.0), 0.75)
+    camera = SyntheticCamera(382, 288, [wire], BLACK, unevenness=3.0)
+    whole, mean = Region.parse("", 382, 288, "regions"), optics(0.75, statistic="mean")
+    found = [read_wire(camera.picture([HOT]), whole, mean, BLACK) for _ in range(15)]
+    assert np.abs(errors(found, HOT)).max() < 0.3
+    assert all(0.7 < reading.visible < 0.8 for reading in found)
+
+
+def test_a_wire_that_leaves_its_region_is_not_read():
+    region = Region.parse("10 0 30 120", WIDTH, HEIGHT, "regions")
+    inside = thermal_scene.scene(WIDTH, HEIGHT, straight(25.0), 0.75, HOT)
+    outside = thermal_scene.scene(WIDTH, HEIGHT, straight(50.0), 0.75, HOT)
+    assert not readings(inside, optics(0.75), region=region, n=1)[0].reason
+    assert readings(outside, optics(0.75), region=region, n=1)[0].reason
+    for slope in (0.15, 0.2, 0.25, 0.3, 0.4):
+        leaving = thermal_scene.scene(WIDTH, HEIGHT, straight(26.0, slope), 0.75, HOT)
+        for reading in readings(leaving, optics(0.75), region=region, n=3):
+            assert reading.reason or abs(reading.kelvin - HOT) < 0.5
+            assert bool(reading.reason) or slope < 0.3
+
+
+@pytest.mark.parametrize("place", range(40, 54, 2))
+def test_a_hot_wire_beside_its_region_is_not_taken_for_a_cold_one(place):
+    region = Region.parse("10 0 30 120", WIDTH, HEIGHT, "regions")
+    outside = thermal_scene.scene(WIDTH, HEIGHT, straight(place), 0.75, HOT)
+    frame = photograph(outside, np.random.default_rng(place))
+    reading = read_wire(frame, region, optics(0.75), BLACK, cold=True)
+    assert reading.reason
+
+
+def test_a_second_wire_in_the_background_is_told():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, HOT)
+    truth += thermal_scene.scene(WIDTH, HEIGHT, straight(37.0), 0.75, HOT - 10.0) - ROOM
+    (reading,) = readings(truth, optics(0.75), n=1)
+    assert "another line within 11 pixels" in reading.reason
+
+
+# --- nothing to be seen ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kelvin", [ROOM, ROOM - 0.02])
+def test_a_wire_as_warm_as_its_background_is_not_invented(kelvin):
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, kelvin)
+    for reading in readings(truth, optics(0.75), n=60):
+        assert "no wire stands out from the background of 23.0 degC" in reading.reason
+        assert math.isnan(reading.kelvin) and math.isnan(reading.std)
+
+
+def test_a_wire_colder_than_its_background_is_not_read_unless_that_is_asked_for():
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, 280.0)
+    for reading in readings(truth, optics(0.75)):
+        assert "colder than its background" in reading.reason and math.isnan(reading.kelvin)
+    frame = photograph(truth, np.random.default_rng(3))
+    assert abs(read_wire(frame, WHOLE, optics(0.75), BLACK, cold=True).kelvin - 280.0) < 0.3
+
+
+@pytest.mark.parametrize("shape", [(288, 382), (40, 300), (30, 60)])
+def test_noise_is_no_wire(shape):
+    height, width = shape
+    camera = SyntheticCamera(width, height, [], unevenness=4.0, seed=7)
+    region = Region.parse("", width, height, "regions")
+    seen = [read_wire(camera.empty(), region, optics(0.75), BLACK).seen for _ in range(100)]
+    assert sum(seen) == 0
+
+
+def test_a_faint_wire_is_either_read_right_or_not_at_all():
+    """No bias from reading only what stands out."""
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, ROOM + 0.9)
+    found = [r for r in readings(truth, optics(0.75), n=80) if not r.reason]
+    assert found
+    off = np.array([r.kelvin for r in found]) - ROOM - 0.9
+    assert abs(off.mean()) < np.mean([r.std for r in found])
+
+
+# --- regions --------------------------------------------------------------------------------------
+
+BAD_REGIONS = {
+    "1 2 3": "expected 'X Y WIDTH HEIGHT'",
+    "1 2 3 x": "expected 'X Y WIDTH HEIGHT'",
+    "a 0 30 30": "expected 'X Y WIDTH HEIGHT'",
+    "-1 0 30 30": "expected 'X Y WIDTH HEIGHT'",
+    "40 0 30 100": "beyond the frame of 60 x 120",
+    "0 0 60 8 x": "expected 18 pixels or more along the wire and 14 across",
+    "0 0 10 0": "expected 18 pixels or more",
+}
+
+
+@pytest.mark.parametrize("text", BAD_REGIONS)
+def test_a_bad_region_is_one_line(text):
+    with pytest.raises(InputError, match=BAD_REGIONS[text]) as error:
+        Region.parse(text, WIDTH, HEIGHT, "regions: wire")
+    assert str(error.value).startswith("regions: wire") and "\n" not in str(error.value)
+
+
+def test_a_region_runs_along_its_longer_side_unless_told():
+    assert Region.parse("5 6 40 20", WIDTH, HEIGHT, "").along_x
+    assert not Region.parse("5 6 20 40", WIDTH, HEIGHT, "").along_x
+    assert Region.parse("5 6 40 40 x", WIDTH, HEIGHT, "").shape == (40, 40)
+    assert not Region.parse("5 6 40 20 y", WIDTH, HEIGHT, "").along_x

@@ -1,0 +1,268 @@
+"""Thermal pictures of a synthetic camera, in processes, become temperatures or are held back."""
+
+import array
+import os
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import BatteryState, Image, Temperature
+from std_msgs.msg import Float64MultiArray, String
+
+from sma_bench.hardware.safety import Freshness
+from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
+from sma_bench.hardware.thermal_radiance import Surface
+
+COMPOSITE = "config/composite_rig.yaml"
+CHANNELS = ("front_1", "front_2", "back_1", "back_2")
+ROOM = 23.0
+# A picture small enough for a loaded machine.
+SMALL = {"image_width": 120, "image_height": 80}
+QUIET = {"sensor__temperature_noise": 0.0, "sensor__temperature_resolution": 0.0}
+
+
+def celsius(value):
+    return Temperature(temperature=float(value))
+
+
+def seconds(message):
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
+class Diagnostics:
+    """Newest status of each part of the node, and all messages ever seen."""
+
+    def __init__(self, bench):
+        self._arrays = bench.listen("/diagnostics", DiagnosticArray)
+
+    def newest(self, part):
+        for message in reversed(self._arrays):
+            for status in message.status:
+                if status.name == f"/bench/ir_camera: {part}":
+                    return status
+        return None
+
+    def says(self, part, text, level):
+        status = self.newest(part)
+        return status is not None and text in status.message and status.level == level
+
+
+class Camera:
+    """The test's own camera: one small picture at a time."""
+
+    def __init__(self, bench):
+        self._bench = bench
+        self._scene = SyntheticCamera(
+            120, 80, [SyntheticWire((5.0, 40.0), (115.0, 42.0), 0.75)], Surface(0.95, 296.15),
+            unevenness=3.0,
+        )
+        self._publisher = bench.talk("thermal_image", Image)
+
+    def show(self, kelvin=350.0, frame=None, **fields):
+        frame = self._scene.picture([kelvin]) if frame is None else frame
+        message = Image(width=120, height=80, step=240, encoding="mono16")
+        message.data = array.array("B", frame.astype("<u2").tobytes())
+        message.header.stamp = self._bench.node.get_clock().now().to_msg()
+        for name, value in fields.items():
+            setattr(message, name, value)
+        self._publisher.publish(message)
+
+    def frame(self, kelvin=350.0):
+        return self._scene.picture([kelvin])
+
+
+def test_a_simulated_wire_seen_by_the_camera_reads_its_true_temperature(bench):
+    truth = bench.listen("wire/true_temperature", Temperature)
+    read = bench.listen("wire/temperature", Temperature)
+    bench.start("simulator", remap={"wire/temperature": "wire/true_temperature"}, **QUIET)
+    bench.start("synthetic_camera", **SMALL)
+    bench.start("ir_camera", read_cold_wires=True, **SMALL)
+    command = bench.talk("voltage_command", Float64MultiArray)
+
+    def drive(volts):
+        command.publish(Float64MultiArray(data=[volts]))
+
+    def both_above(limit):
+        drive(4.0)
+        return truth and read and read[-1].temperature > limit and truth[-1].temperature > limit
+
+    bench.until(lambda: drive(0.0) or len(read) > 20)
+    assert read[-1].temperature == pytest.approx(ROOM, abs=3.0)
+    assert read[-1].header.frame_id == "wire"
+    bench.until(lambda: both_above(50.0))
+    settled = len(read)
+    bench.until(lambda: both_above(50.0) and len(read) > settled + 150)
+    stamps = np.array([seconds(message) for message in truth])
+    true_values = np.array([message.temperature for message in truth])
+    late = read[settled + 100 :]
+    expected = np.interp([seconds(message) for message in late], stamps, true_values)
+    off = np.array([message.temperature for message in late]) - expected
+    deviation = np.array([message.variance for message in late]) ** 0.5
+    assert (np.abs(off) < 2 * deviation).all()
+    assert np.abs(off).mean() < 0.5 < deviation.mean() < 4.0
+
+
+def test_an_experiment_stops_when_the_camera_freezes(bench, tmp_path):
+    protocol = tmp_path / "long.yaml"
+    protocol.write_text("name: long\nsteps: [{kind: hold, level: 3.0, duration: 1000.0}]\n")
+    states = bench.latched("experiment/state", String)
+    power = bench.listen("wire/power", BatteryState)
+    bench.start("simulator", remap={"wire/temperature": "wire/true_temperature"}, **QUIET)
+    bench.start("synthetic_camera", **SMALL)
+    bench.start("ir_camera", read_cold_wires=True, **SMALL)
+    bench.start("experiment", protocol=protocol, feedback_timeout=2.0)
+    bench.until(lambda: states and states[-1].data == "idle")
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: power and power[-1].voltage > 2.9)
+    assert bench.set_parameter("synthetic_camera", "fault", "frozen").successful
+    bench.until(lambda: "stale feedback" in states[-1].data and "temperature" in states[-1].data)
+    bench.until(lambda: power[-1].voltage < 0.1)
+
+
+def test_four_wires_that_bend_are_read_each_by_itself(bench):
+    read = {channel: bench.listen(f"{channel}/temperature", Temperature) for channel in CHANNELS}
+    regions = "[" + ", ".join(f"'0 {40 * k} 200 40 x'" for k in range(4)) + "]"
+    size = {"image_width": 200, "image_height": 160}
+    # As on a robot: there message classes copy what they are given.
+    unchecked = {"env": {**os.environ, "ROS_PYTHON_CHECK_FIELDS": "0"}}
+    bench.start(
+        "synthetic_camera", COMPOSITE, options=unchecked, rate=20.0, unevenness=0.0, **size
+    )
+    bench.start("ir_camera", COMPOSITE, regions=regions, shutter_spread=0.5, **size)
+    talkers = [bench.talk(f"{channel}/true_temperature", Temperature) for channel in CHANNELS]
+
+    def told():
+        for k, talker in enumerate(talkers):
+            talker.publish(celsius(60.0 + 10.0 * k))
+        return all(len(messages) > 10 for messages in read.values())
+
+    bench.until(told)
+    for k, channel in enumerate(CHANNELS):
+        for message in read[channel]:
+            assert message.temperature == pytest.approx(60.0 + 10.0 * k, abs=1.0)
+            assert message.header.frame_id == channel
+
+
+@pytest.mark.parametrize(
+    ("fault", "part", "said"),
+    [
+        ("silent", "camera", "no frame for"),
+        ("frozen", "camera", "frozen: frame equal to the one before"),
+        ("shutter", "camera", "shutter: the flag covers the detector"),
+        ("moved", "wire", "no wire stands out"),
+    ],
+)
+def test_readings_stop_and_the_diagnostics_say_why(bench, fault, part, said):
+    read = bench.listen("wire/temperature", Temperature)
+    diagnostics = Diagnostics(bench)
+    bench.start("synthetic_camera", **SMALL)
+    bench.start("ir_camera", **SMALL)
+    told = bench.talk("wire/true_temperature", Temperature)
+    told.publish(celsius(80.0))
+    bench.until(lambda: told.publish(celsius(80.0)) or len(read) > 20)
+    bench.until(lambda: diagnostics.says("wire", "degC", DiagnosticStatus.OK))
+    freshness = Freshness("wire/temperature", 1.0)
+    assert bench.set_parameter("synthetic_camera", "fault", fault).successful
+    bench.until(lambda: diagnostics.says(part, said, DiagnosticStatus.ERROR))
+    stopped = len(read)
+    freshness.seen(seconds(read[-1]), 0.0)
+    bench.until(lambda: diagnostics.says("wire", "", DiagnosticStatus.ERROR))
+    assert len(read) == stopped
+    # Nothing fresh comes: the experiment's rule for stale feedback trips.
+    assert "stale feedback" in freshness.fault(1.1)
+    assert bench.set_parameter("synthetic_camera", "fault", "none").successful
+    bench.until(lambda: len(read) > stopped + 20)
+    assert read[-1].temperature == pytest.approx(80.0, abs=1.0)
+
+
+def test_a_lost_camera_stops_the_readings(bench):
+    read = bench.listen("wire/temperature", Temperature)
+    diagnostics = Diagnostics(bench)
+    camera = bench.start("synthetic_camera", **SMALL)
+    node = bench.start("ir_camera", **SMALL)
+    told = bench.talk("wire/true_temperature", Temperature)
+    bench.until(lambda: told.publish(celsius(80.0)) or len(read) > 20)
+    bench.until(lambda: diagnostics.says("wire", "degC", DiagnosticStatus.OK))
+    assert camera.end() == 0
+    bench.until(lambda: diagnostics.says("camera", "no frame for", DiagnosticStatus.ERROR))
+    stopped = len(read)
+    assert diagnostics.says("wire", "no good frames", DiagnosticStatus.ERROR)
+    bench.until(lambda: diagnostics.says("camera", "no frame for 3", DiagnosticStatus.ERROR))
+    assert len(read) == stopped
+    assert node.end() == 0
+
+
+def test_wrong_pictures_are_rejected_in_one_line_and_good_ones_are_read(bench):
+    read = bench.listen("wire/temperature", Temperature)
+    diagnostics = Diagnostics(bench)
+    node = bench.start("ir_camera", **SMALL)
+    camera = Camera(bench)
+    wrong = {
+        "thermal_image has encoding 'bgr8'": {"encoding": "bgr8"},
+        "thermal_image is 60 x 80, expected 120 x 80": {"width": 60},
+        "thermal_image has step 100": {"step": 100},
+    }
+    for said, fields in wrong.items():
+        bench.until(
+            lambda: camera.show(**fields)  # noqa: B023
+            or diagnostics.says("camera", said, DiagnosticStatus.ERROR)  # noqa: B023
+        )
+    assert read == []
+    bench.until(lambda: camera.show() or len(read) > 5)
+    assert read[-1].temperature == pytest.approx(350.0 - 273.15, abs=1.0)
+    bench.until(
+        lambda: camera.show(frame=camera.frame(340.0).byteswap(), is_bigendian=1)
+        or read[-1].temperature < 70.0
+    )
+    assert read[-1].temperature == pytest.approx(340.0 - 273.15, abs=1.0)
+    assert "Traceback" not in node.output
+
+
+def test_an_unseen_wire_is_withheld_and_a_cold_one_read_only_while_it_is_not_heated(bench):
+    read = bench.listen("wire/temperature", Temperature)
+    diagnostics = Diagnostics(bench)
+    node = bench.start("ir_camera", **SMALL)
+    camera = Camera(bench)
+    bench.until(
+        lambda: camera.show(297.65)  # the background's
+        or diagnostics.says("wire", "no wire stands out", DiagnosticStatus.ERROR)
+    )
+    assert read == []
+    assert node.end() == 0
+
+    bench.start("ir_camera", read_cold_wires=True, **SMALL)
+    power = bench.talk("wire/power", BatteryState)
+    bench.until(lambda: camera.show(297.65) or len(read) > 5)
+    assert bench.trigger("ir_camera/reset").success
+    assert read[-1].temperature == pytest.approx(24.5, abs=0.5)
+    assert read[-1].variance > 0.2**2
+
+    def heated():
+        power.publish(BatteryState(voltage=4.0))
+        camera.show(297.65)
+        return diagnostics.says("wire", "its voltage makes it", DiagnosticStatus.ERROR)
+
+    bench.until(heated)
+
+
+BAD = {
+    "regions": ({"regions": "['0 0 500 80']"}, "regions: wire: '0 0 500 80' goes beyond"),
+    "count": ({"regions": "['', '']"}, "regions has 2 entries"),
+    "statistic": ({"statistic": "mode"}, "statistic: 'mode', expected mean, median, hottest"),
+    "range": ({"camera_lowest": 500.0, "camera_highest": 400.0}, "camera_lowest 500 K must lie"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_setting_is_one_line_and_status_2(bench, case):
+    parameters, expected = BAD[case]
+    node = bench.start("ir_camera", **SMALL, **parameters)
+    assert node.process.wait(30) == 2
+    lines = [line for line in node.output.splitlines() if line.startswith("ir_camera: ")]
+    assert len(lines) == 1 and expected in lines[0]
+
+
+def test_the_synthetic_camera_refuses_an_unknown_fault(bench):
+    bench.start("synthetic_camera", **SMALL)
+    answer = bench.set_parameter("synthetic_camera", "fault", "upside_down")
+    assert not answer.successful and "expected none, frozen" in answer.reason
