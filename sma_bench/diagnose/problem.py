@@ -1,5 +1,6 @@
 """Simulated readings of all records, their derivatives, and the residual they leave."""
 
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ T = TypeVar("T")
 
 _STEP = 0.02  # prior deviations, of a derivative
 _THREADS = 2
+_WORKER = threading.local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +155,19 @@ class Problem:
 
 
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
-    """Results in the order of the arguments; the core lets go of the interpreter's lock."""
+    """Results in the order of the arguments; the core lets go of the interpreter's lock.
+
+    What such a call calls in its turn runs in the one thread that it has.
+    """
+    if getattr(_WORKER, "busy", False):
+        return [function(*args) for args in arguments]
+
+    def work(args: tuple[Any, ...]) -> T:
+        _WORKER.busy = True
+        return function(*args)
+
     with ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(lambda args: function(*args), arguments))
+        return list(pool.map(work, arguments))
 
 
 def _nuisances(view: View, parameters: Parameters) -> tuple[Array, ...]:

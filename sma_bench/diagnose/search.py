@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from sma_bench.diagnose.fit import Fit, fit
 from sma_bench.diagnose.flexible import Flexible, flexible_residual
 from sma_bench.diagnose.left_over import Left, left_over
-from sma_bench.diagnose.problem import Problem
-from sma_bench.diagnose.starts import Remainder, Start, find_start, start_off
+from sma_bench.diagnose.problem import Problem, in_threads
+from sma_bench.diagnose.starts import Remainder, find_start, start_off
 from sma_bench.diagnose.unknowns import Unknowns, baseline_unknowns
 from sma_bench.diagnose.view import View
 from sma_bench.parameters import Parameters
@@ -78,7 +78,10 @@ def search(
     progress("recalibration")
     problem = Problem.of(views).with_nuisances(parameters)
     first = max(
-        (fit(problem, baseline, baseline.start(spread), far=True) for spread in _SPREADS),
+        in_threads(
+            lambda spread: fit(problem, baseline, baseline.start(spread), far=True),
+            [(spread,) for spread in _SPREADS],
+        ),
         key=lambda f: f.evidence,
     )
     problem = problem.with_nuisances(first.parameters)
@@ -96,10 +99,15 @@ def search(
         for name, found in _from_belief(problem, baseline, recalibrated, list(singles)).items():
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("the best again, carefully")
-    for name in _worth_refining(singles, recalibrated):
-        again = fit(singles[name].problem, singles[name].unknowns, singles[name].x, rounds=2)
-        if again.evidence > singles[name].evidence:
-            singles[name] = again
+    again = in_threads(
+        lambda name: fit(
+            singles[name].problem, singles[name].unknowns, singles[name].x, rounds=2
+        ),
+        [(name,) for name in _worth_refining(singles, recalibrated)],
+    )
+    for found in again:
+        (name,) = found.unknowns.effects
+        singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
     best = max([recalibrated, *singles.values(), *pairs.values()], key=lambda f: f.evidence)
@@ -117,16 +125,17 @@ def _singles(
 ) -> dict[str, Fit]:
     """Every effect, begun where recalibration ended."""
     remainder = Remainder(recalibrated)
-    singles = {}
-    for name in names:
+
+    def single(name: str) -> Fit:
         progress(name)
         unknowns = baseline.with_effects([name])
-        start = find_start(remainder, unknowns, name)
-        singles[name] = _fit_from(recalibrated, unknowns, start.x)
-        if singles[name].evidence < recalibrated.evidence - _LOST:
+        found = _fit_from(recalibrated, unknowns, find_start(remainder, unknowns, name).x)
+        if found.evidence < recalibrated.evidence - _LOST:
             off = _fit_from(recalibrated, unknowns, start_off(recalibrated, unknowns, name))
-            singles[name] = max(singles[name], off, key=lambda f: f.evidence)
-    return singles
+            return max(found, off, key=lambda f: f.evidence)
+        return found
+
+    return dict(zip(names, in_threads(single, [(name,) for name in names]), strict=True))
 
 
 def _fit_from(recalibrated: Fit, unknowns: Unknowns, x: Array) -> Fit:
@@ -152,14 +161,19 @@ def _from_belief(
     way back to them can be long and winding."""
     believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
     remainder = Remainder(believed)
-    starts = {
-        name: find_start(remainder, baseline.with_effects([name]), name) for name in names
-    }
-    best = sorted(names, key=lambda name: starts[name].gain, reverse=True)[:_MOST_FROM_BELIEF]
-    return {
-        name: fit(problem, baseline.with_effects([name]), starts[name].x, rounds=2, far=True)
-        for name in best
-    }
+    starts = in_threads(
+        lambda name: find_start(remainder, baseline.with_effects([name]), name),
+        [(name,) for name in names],
+    )
+    ranked = sorted(zip(names, starts, strict=True), key=lambda s: s[1].gain, reverse=True)
+    best = ranked[:_MOST_FROM_BELIEF]
+    fits = in_threads(
+        lambda name, start: fit(
+            problem, baseline.with_effects([name]), start.x, rounds=2, far=True
+        ),
+        best,
+    )
+    return {name: found for (name, _), found in zip(best, fits, strict=True)}
 
 
 def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
@@ -202,21 +216,28 @@ def _pairs(
     for name in ranked[:2]:
         if singles[name].evidence - recalibrated.evidence < _WORTH_PAIRING:
             break
-        remainder = Remainder(singles[name])
-        starts: list[tuple[str, Unknowns, Start]] = []
-        for partner in singles:
-            if partner != name:
-                unknowns = baseline.with_effects([name, partner])
-                quick = find_start(remainder, unknowns, partner, quick=True)
-                starts.append((partner, unknowns, quick))
-        starts.sort(key=lambda s: s[2].gain, reverse=True)
-        for partner, unknowns, _ in starts[:_PARTNERS]:
-            start = find_start(remainder, unknowns, partner)
-            key = (min(name, partner), max(name, partner))
-            frozen = [
-                [d[:, : baseline.baseline] for d in own] for own in singles[name].derivatives
-            ]
-            found = fit(singles[name].problem, unknowns, start.x, rounds=2, frozen=frozen)
-            if key not in pairs or found.evidence > pairs[key].evidence:
-                pairs[key] = found
+        for found in _pairs_with(name, baseline, singles):
+            one, other = sorted(found.unknowns.effects)
+            if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
+                pairs[one, other] = found
     return pairs
+
+
+def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[Fit]:
+    """One effect with each of the partners that promise most beside it."""
+    remainder = Remainder(singles[name])
+    frozen = [[d[:, : baseline.baseline] for d in own] for own in singles[name].derivatives]
+
+    def promise(partner: str) -> float:
+        unknowns = baseline.with_effects([name, partner])
+        return find_start(remainder, unknowns, partner, quick=True).gain
+
+    def pair(partner: str) -> Fit:
+        unknowns = baseline.with_effects([name, partner])
+        start = find_start(remainder, unknowns, partner)
+        return fit(singles[name].problem, unknowns, start.x, rounds=2, frozen=frozen)
+
+    partners = [partner for partner in singles if partner != name]
+    promises = in_threads(promise, [(partner,) for partner in partners])
+    order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
+    return in_threads(pair, [(partners[k],) for k in order])
