@@ -14,21 +14,25 @@ import numpy as np
 
 from sma_bench.diagnose.fit import Fit
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import largest_gap, without_effects
+from sma_bench.diagnose.sizes import between, contribution, largest_gap
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
 JOIN = "+"
 
-SCALE = 2.0  # nats
-SHARE = 0.02
-THRESHOLD = 6.0  # nats that an effect must gain over recalibration
-SMALLEST_OF_INTEREST = 0.4  # of the noise of a sample
-PAIR_THRESHOLD, PAIR_SHARE = 10.0, 0.06  # nats over the single, and of the single's gain
+SCALE = 2.6  # nats
+SHARE = 0.012
+THRESHOLD = 5.1  # nats that an effect must gain over recalibration
+SMALLEST_OF_INTEREST = 0.7  # of the noise of a sample
+PAIR_THRESHOLD, PAIR_SHARE = 10.5, 0.2  # nats over the single, and of the single's gain
 PARTNER_OF_INTEREST = 0.5
-# Of what is left and is no noise: standard deviations, share of what recalibration leaves, size
-# in noise, and of a single outlier.
-LEFT_RATIO, LEFT_SHARE, LEFT_SIZE, LEFT_OUTLIER = 5.0, 0.5, 0.4, 7.0
-FLEXIBLE = 15.0  # nats
+# Signs of something unexplained. Of what is left: motion against rest in standard deviations,
+# share of what recalibration leaves, size in noise, largest outlier in standard deviations.
+LEFT_RATIO, LEFT_SHARE, LEFT_SIZE, LEFT_OUTLIER = 5.6, 0.35, 0.42, 6.9
+LEFT_DRIFT = 5.0  # nats that the sensors' drift is improbable
+FLEXIBLE = 16.0  # nats of a smooth response
+SURPRISE = 45.0  # sum of squared deviations of some 16 parameters
+LARGEST_SIGN = 6.0
+UNSEEN = -1.9  # log odds, to recalibration, of what is there and leaves no sign
 NAMED = 0.65  # probability from which one candidate is named
 SET_MASS = 0.9
 
@@ -88,8 +92,8 @@ def decide(search: Search) -> Decision:
     }
     logits[UNEXPLAINED] = _unexplained_logit(search, logits, best)
     moved = _moved(search)
-    logits[RECALIBRATION] = -_softplus(-4.0 * np.log(max(moved, 1e-3)))
-    logits[NO_GAP] = -_softplus(4.0 * np.log(max(moved, 1e-3)))
+    logits[RECALIBRATION] = _worth(moved, 1.0, 4.0)
+    logits[NO_GAP] = _worth(1.0, moved, 4.0)
     probability = _softmax(logits)
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
     candidates = sorted(
@@ -108,13 +112,12 @@ def _effect_fits(search: Search) -> dict[str, Fit]:
 
 def _own_gap(fitted: Fit, names: tuple[str, ...] | None = None) -> float:
     """What the effects of a candidate do, the rest of its model as it is."""
-    problem = fitted.problem
-    off = without_effects(fitted.parameters, names or fitted.unknowns.effects)
-    return largest_gap(problem, fitted.predicted, problem.predict(off))
+    effects = names or fitted.unknowns.effects
+    return largest_gap(fitted.problem, contribution(fitted, effects))
 
 
 def _effect_logit(search: Search, name: str, gain: float, gap: float, scale: float) -> float:
-    worth = -_softplus(-6.0 * np.log(max(gap, 1e-3) / SMALLEST_OF_INTEREST))
+    worth = _worth(gap, SMALLEST_OF_INTEREST, 3.0)
     logit = (gain - THRESHOLD) / scale + worth
     if JOIN not in name:
         return float(logit)
@@ -122,33 +125,37 @@ def _effect_logit(search: Search, name: str, gain: float, gap: float, scale: flo
     single = max(search.gain(part) for part in parts)
     extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
     smaller = min(_own_gap(search.pairs[parts[0], parts[1]], (part,)) for part in parts)
-    worth = -_softplus(-6.0 * np.log(max(smaller, 1e-3) / PARTNER_OF_INTEREST))
+    worth = _worth(smaller, PARTNER_OF_INTEREST, 6.0)
     # A pair stands on its better half: it must be worth more than that.
     return float((single - THRESHOLD) / scale + min(extra / scale, 20.0) + worth)
 
 
 def _unexplained_logit(search: Search, logits: Mapping[str, float], best: float) -> float:
-    """What is left knows when the bench moves, and no candidate takes most of it away."""
-    top = max([0.0, *logits.values()])
+    """Signs that the best candidate is not the whole truth: what it leaves knows when the bench
+    moves, or holds a single event or a smooth response; it needs a sensor that drifts as none
+    does, or parameters that nobody believes in."""
     left = search.left_by_best
-    signs = [
-        left.ratio - LEFT_RATIO,
-        2.0 * (left.outlier - LEFT_OUTLIER),
-        (search.beyond.gain - FLEXIBLE) / SCALE,
-    ]
-    sign = min(max(signs), 6.0)
+    moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
     if best <= THRESHOLD:
-        worth = -_softplus(-4.0 * np.log(max(left.size, 1e-3) / LEFT_SIZE))
-        # A single event, or a smooth response, is a sign of its own; scatter must be of a size.
-        return float(max(min(left.ratio - LEFT_RATIO, 6.0) + worth, max(signs[1:])))
-    share = left.size / max(search.left.size, 1e-3)
-    return float(top + min(sign, 4.0 * np.log(max(share, 1e-3) / LEFT_SHARE)))
+        moving += _worth(left.size, LEFT_SIZE, 4.0)
+    else:
+        share = left.size / max(search.left.size, 1e-3)
+        moving = min(moving, 4.0 * np.log(max(share, 1e-3) / LEFT_SHARE))
+    signs = [
+        moving,
+        2.0 * (left.outlier - LEFT_OUTLIER),
+        (search.beyond.gain - FLEXIBLE) / 2.0,
+        left.drift - LEFT_DRIFT,
+        (search.best.surprise - SURPRISE) / 4.0,
+    ]
+    sign = min(max(signs), LARGEST_SIGN)
+    return float(np.logaddexp(max([0.0, *logits.values()]) + sign, UNSEEN))
 
 
 def _moved(search: Search) -> float:
     """Gap between the parameters as believed and as recalibrated, in noise."""
-    problem = search.recalibrated.problem
-    return largest_gap(problem, search.nominal.predicted, search.recalibrated.predicted)
+    moved = between(search.recalibrated.predicted, search.nominal.predicted)
+    return largest_gap(search.recalibrated.problem, moved)
 
 
 def _verdict(candidates: tuple[Candidate, ...]) -> Decision:
@@ -163,8 +170,9 @@ def _verdict(candidates: tuple[Candidate, ...]) -> Decision:
     return Decision(first.name, (), candidates)
 
 
-def _softplus(x: float) -> float:
-    return float(np.logaddexp(0.0, x))
+def _worth(size: float, wanted: float, steepness: float) -> float:
+    """0 where a size is above the wanted one, and down with its logarithm below."""
+    return -float(np.logaddexp(0.0, -steepness * np.log(max(size, 1e-3) / max(wanted, 1e-3))))
 
 
 def _softmax(logits: Mapping[str, float]) -> dict[str, float]:

@@ -14,7 +14,7 @@ from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.problem import Problem
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
-from sma_bench.diagnose.sizes import Cell, locate, without_effects
+from sma_bench.diagnose.sizes import Cell, between, contribution, locate
 from sma_bench.diagnose.unknowns import SHAPES, Unknowns
 from sma_bench.diagnose.view import QUANTITIES, Binned, View, shared_bin, view_record
 from sma_bench.errors import InputError
@@ -211,15 +211,8 @@ def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:
     if verdict == UNEXPLAINED:
         return locate(problem, _missing_term(found))
     if model.unknowns.effects:
-        off = problem.predict(without_effects(model.parameters, model.unknowns.effects))
-        first = model.predicted
-    else:
-        off, first = found.nominal.predicted, found.recalibrated.predicted
-    difference = [
-        [a - b for a, b in zip(one, two, strict=True)]
-        for one, two in zip(first, off, strict=True)
-    ]
-    return locate(problem, difference)
+        return locate(problem, contribution(model, model.unknowns.effects))
+    return locate(problem, between(found.recalibrated.predicted, found.nominal.predicted))
 
 
 def _missing_term(found: Search) -> list[list[Array]]:

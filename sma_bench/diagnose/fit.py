@@ -53,6 +53,13 @@ class Fit:
         return self.unknowns.parameters(self.x)
 
     @property
+    def surprise(self) -> float:
+        """Sum of the squared prior deviations of the bench's parameters: about their number where
+        the model is right."""
+        moved = self.x[: len(self.unknowns.prior.names)]
+        return float(moved @ moved)
+
+    @property
     def std(self) -> Array:
         """(k,) standard errors in the parameters' units."""
         return self.unknowns.scales(self.x) * np.sqrt(np.diag(self.covariance))
@@ -96,9 +103,10 @@ class _State:
     def __init__(
         self, problem: Problem, unknowns: Unknowns, x: Array, frozen: list[list[Array]] | None
     ) -> None:
-        self.problem, self.unknowns, self.given = problem, unknowns, frozen
+        self.problem = problem.for_effects(unknowns.effects)
+        self.unknowns, self.given = unknowns, frozen
         self.x = np.clip(x, *unknowns.bounds())
-        self.predicted = problem.predict(unknowns.parameters(self.x))
+        self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
         self.linearise()
 

@@ -12,6 +12,7 @@ from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 from scipy.signal import lfilter
 
 from sma_bench.compiled import compiled
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 
 _TIMES = np.geomspace(0.3, 200.0, 8)  # s
 _SLOW = 3.0  # s: drift of a longer time than that must be of the usual size
+_WANDERING = 25.0  # s: no faster is a zero that wanders
 _UNUSUAL = 0.35  # standard deviation of the log of an unusual drift
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 13)])  # drift over white
 
@@ -32,6 +34,7 @@ class Noise:
         white: of a bin, in the signal's unit; drift: standard deviation of u; time: tau [s].
         period: s between bins.
         usual: the drift that an instrument may have; a larger slow one costs probability.
+        wanders: the sensor's zero is taken to wander, which then costs nothing.
     """
 
     white: float
@@ -39,11 +42,24 @@ class Noise:
     time: float
     period: float
     usual: float = np.inf
+    wanders: bool = False
 
     @property
     def log_prior(self) -> float:
         """Log of how probable such a drift is of a sensor; 0 up to the usual one."""
-        return float(_log_prior(self.drift, self.time, self.usual))
+        return float(_log_prior(self.drift, self.time, self.usual, self.wanders))
+
+    def drift_in(self, residual: Array) -> Array:
+        """Most probable u (b,) in a residual (b,): what is slow of it."""
+        if self.drift == 0.0:
+            return np.zeros_like(residual)
+        phi = np.exp(-self.period / self.time)
+        driven = self.drift**2 * (1.0 - phi**2)
+        diagonal = np.full(len(residual), (1.0 + phi**2) / driven)
+        diagonal[[0, -1]] = 1.0 / driven
+        bands = np.zeros((2, len(residual)))
+        bands[0, 1:], bands[1] = -phi / driven, diagonal + 1.0 / self.white**2
+        return np.asarray(solveh_banded(bands, residual / self.white**2))
 
     @property
     def total(self) -> float:
@@ -82,9 +98,13 @@ class Noise:
         return (bins - 1) * float(np.log(self.innovation)) + float(np.log(self.total))
 
 
-def _log_prior(drift: Array | float, time: Array | float, usual: float) -> Array:
+def _log_prior(
+    drift: Array | float, time: Array | float, usual: float, wanders: bool
+) -> Array:
     excess = np.log(np.maximum(np.asarray(drift) / usual, 1.0)) / _UNUSUAL
-    return np.asarray(np.where(np.asarray(time) < _SLOW, 0.0, -0.5 * excess**2))
+    seconds = np.asarray(time)
+    free = (seconds < _SLOW) | (wanders & (seconds > _WANDERING))
+    return np.asarray(np.where(free, 0.0, -0.5 * excess**2))
 
 
 def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
@@ -93,14 +113,18 @@ def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
 
 
 def estimate_noise(
-    residuals: Sequence[Array], white: float, period: float, usual: float = np.inf
+    residuals: Sequence[Array],
+    white: float,
+    period: float,
+    usual: float = np.inf,
+    wanders: bool = False,
 ) -> Noise:
     """Most likely noise of what a fit leaves; the white part is at least nearly `white`.
 
     Args:
         residuals: (b_i,) one a record, of the same sensor.
         white: noise of a bin from sample to sample, which no fit can lower.
-        usual: drift that costs nothing. A sensor that wanders slowly by many times that is not
+        usual, wanders: of `Noise`. A sensor that wanders slowly by many times that is not
             noisy, it is faulty, and what it seems to do may be the bench's doing.
     """
     shapes = _shapes(period)
@@ -112,10 +136,11 @@ def estimate_noise(
     bulk = np.array([sum(shape.log_scale(len(r)) for r in residuals) for shape in shapes])
     likelihood = -0.5 * powers / scales**2 - total * np.log(scales) - bulk
     drifts = scales * np.array([shape.drift for shape in shapes])
-    likelihood += _log_prior(drifts, np.array([shape.time for shape in shapes]), usual)
+    times = np.array([shape.time for shape in shapes])
+    likelihood += _log_prior(drifts, times, usual, wanders)
     best = int(np.argmax(likelihood))
     scale, shape = float(scales[best]), shapes[best]
-    return Noise(scale, shape.drift * scale, shape.time, period, usual)
+    return Noise(scale, shape.drift * scale, shape.time, period, usual, wanders)
 
 
 @cache

@@ -22,6 +22,8 @@ T = TypeVar("T")
 _STEP = 0.02  # prior deviations, of a derivative
 _THREADS = 2
 _WORKER = threading.local()
+# Its numbers are the straight part of a wander whose rest is the sensor's noise.
+DRIFT_EFFECT = "deflection_drift"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +69,21 @@ class Problem:
             ]
             white = float(np.median([s.noise for _, s in own]))
             found[name] = estimate_noise(
-                [r for r, _ in own], white, own[0][1].period, own[0][1].usual_drift
+                [r for r, _ in own], white, own[0][1].period, own[0][1].usual_drift,
+                self.noise[name].wanders,
             )
         return replace(self, noise=found)
+
+    def for_effects(self, effects: Sequence[str]) -> Self:
+        """The same, the deflection's zero wandering if that is one of the effects."""
+        wanders = DRIFT_EFFECT in effects
+        return replace(
+            self,
+            noise={
+                name: replace(noise, wanders=wanders and name == "deflection")
+                for name, noise in self.noise.items()
+            },
+        )
 
     def predict(self, parameters: Parameters) -> list[list[Array]]:
         """Readings, per view and signal (b,)."""

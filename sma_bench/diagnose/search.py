@@ -26,6 +26,7 @@ _PARTNERS = 3
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _LOST = 5.0  # nats below the same model without the effect: the fit went astray
 _STUCK = 5.0  # nats that show a fit had not arrived
+_WORTH_A_LOOK = 3.0  # nats
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats of a single
 
@@ -40,6 +41,7 @@ class Search:
         nominal: the parameters as believed, only the sensors' noise and zeros fitted.
         recalibrated: the same model, parameters moved under their priors.
         singles: by effect; pairs: by two effects, those that were worth a fit.
+        best: of all these, the one with the largest evidence.
         flexible: of what recalibration leaves; beyond: of what the best candidate leaves.
         left, left_by_best: whether that still depends on what the bench does.
     """
@@ -49,6 +51,7 @@ class Search:
     recalibrated: Fit
     singles: dict[str, Fit]
     pairs: dict[tuple[str, str], Fit]
+    best: Fit
     flexible: Flexible
     beyond: Flexible
     left: Left
@@ -90,9 +93,10 @@ def search(
     possible = _possible(parameters, quantities)
     singles = _singles(baseline, recalibrated, possible, progress)
     better = _again(problem, baseline, recalibrated, singles)
-    if better.evidence > recalibrated.evidence + _STUCK:
+    stuck = better.evidence > recalibrated.evidence + _STUCK
+    recalibrated = max(recalibrated, better, key=lambda f: f.evidence)
+    if stuck:
         progress("recalibration was stuck: once more")
-        recalibrated = better
         singles = _singles(baseline, recalibrated, possible, progress)
     if np.max(np.abs(recalibrated.x[: len(baseline.prior.names)])) > _SURPRISING:
         progress("effects instead of surprising parameters")
@@ -114,7 +118,7 @@ def search(
     progress("what is left")
     flexible = flexible_residual(recalibrated)
     return Search(
-        problem, nominal, recalibrated, singles, pairs, flexible,
+        problem, nominal, recalibrated, singles, pairs, best, flexible,
         flexible_residual(best) if best is not recalibrated else flexible,
         left_over(recalibrated), left_over(best),
     )
@@ -149,7 +153,7 @@ def _again(
     if not singles:
         return recalibrated
     best = max(singles.values(), key=lambda f: f.evidence)
-    if best.evidence < recalibrated.evidence + _STUCK:
+    if best.evidence < recalibrated.evidence + _WORTH_A_LOOK:
         return recalibrated
     return fit(best.problem, baseline, best.x[: baseline.baseline], rounds=2, far=True)
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.problem import Problem
+from sma_bench.diagnose.fit import Fit
+from sma_bench.diagnose.problem import DRIFT_EFFECT, Problem
 from sma_bench.diagnose.view import View
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
@@ -39,21 +40,43 @@ def without_effects(parameters: Parameters, names: Iterable[str]) -> Parameters:
     return parameters.replace({p.name: p.default for p in numbers})
 
 
+def contribution(fitted: Fit, names: Iterable[str]) -> list[list[Array]]:
+    """What effects of a fit add to the readings, per view and signal (b,)."""
+    problem, chosen = fitted.problem, tuple(names)
+    off = problem.predict(without_effects(fitted.parameters, chosen))
+    added = between(fitted.predicted, off)
+    if DRIFT_EFFECT in chosen:
+        for view, own, left in zip(problem.views, added, fitted.left, strict=True):
+            for k, signal in enumerate(view.signals):
+                if signal.name == "deflection":
+                    own[k] = own[k] + problem.noise[signal.name].drift_in(left[k])
+    return added
+
+
 def sample_noise(problem: Problem, name: str) -> float:
-    """Standard deviation of a sample of a signal: what scatters, and what drifts."""
+    """Standard deviation of a sample of a signal: what scatters, and what drifts unless it is an
+    effect that it drifts."""
     signal = next(s for v in problem.views for s in v.signals if s.name == name)
     noise = problem.noise[name]
     white = noise.white * np.sqrt(float(np.median(signal.count)))
-    return float(np.hypot(white, noise.drift))
+    return float(white if noise.wanders else np.hypot(white, noise.drift))
 
 
-def largest_gap(problem: Problem, first: Readings, second: Readings) -> float:
-    """Largest root mean square difference over the noise, over signals and records."""
+def largest_gap(problem: Problem, difference: Readings) -> float:
+    """Largest root mean square over the noise, over signals and records."""
     return max(
-        float(np.sqrt(np.mean((a - b) ** 2))) / sample_noise(problem, s.name)
-        for view, one, two in zip(problem.views, first, second, strict=True)
-        for s, a, b in zip(view.signals, one, two, strict=True)
+        float(np.sqrt(np.mean(part**2))) / sample_noise(problem, s.name)
+        for view, own in zip(problem.views, difference, strict=True)
+        for s, part in zip(view.signals, own, strict=True)
     )
+
+
+def between(first: Readings, second: Readings) -> list[list[Array]]:
+    """First less second, per view and signal."""
+    return [
+        [a - b for a, b in zip(one, two, strict=True)]
+        for one, two in zip(first, second, strict=True)
+    ]
 
 
 def locate(problem: Problem, difference: Readings) -> list[Cell]:

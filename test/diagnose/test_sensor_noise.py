@@ -78,3 +78,32 @@ def test_the_likeliest_noise_is_likelier_than_the_first_guess():
     found = estimate_noise([residual], 0.3, PERIOD)
     guess = first_guess(0.3, PERIOD)
     assert found.log_likelihood(residual) > guess.log_likelihood(residual) + 3.0
+
+
+def test_a_drift_that_no_sensor_has_costs_probability_unless_its_zero_wanders():
+    residual = drawn(Noise(0.1, 6.0, 60.0, PERIOD), 1500, 4)
+    free = estimate_noise([residual], 0.1, PERIOD)
+    held = estimate_noise([residual], 0.1, PERIOD, usual=0.3)
+    wandering = estimate_noise([residual], 0.1, PERIOD, usual=0.3, wanders=True)
+    assert free.log_prior == wandering.log_prior == 0.0
+    assert held.log_prior < -3.0
+    assert held.drift < free.drift
+    whole = held.log_likelihood(residual) + held.log_prior
+    assert whole < free.log_likelihood(residual)
+
+
+def test_a_usual_drift_costs_nothing():
+    residual = drawn(Noise(0.1, 0.25, 12.0, PERIOD), 1500, 4)
+    found = estimate_noise([residual], 0.1, PERIOD, usual=0.6)
+    assert found.drift > 0.15
+    assert found.log_prior == 0.0
+
+
+def test_the_drift_in_a_residual_is_its_mean_under_the_noise():
+    noise = Noise(0.4, 1.0, 8.0, PERIOD)
+    residual = drawn(noise, 200, 9)
+    white = noise.white**2 * np.eye(200)
+    slow = covariance(noise, 200) - white
+    exact = slow @ np.linalg.solve(slow + white, residual)
+    np.testing.assert_allclose(noise.drift_in(residual), exact, atol=1e-9)
+    assert not Noise(0.4, 0.0, 8.0, PERIOD).drift_in(residual).any()

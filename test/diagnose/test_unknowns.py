@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from planted import believed
 
-from sma_bench.diagnose.unknowns import SHAPES, baseline_unknowns, value_of, x_of
+from sma_bench.diagnose.unknowns import BACK, FRONT, SHAPES, baseline_unknowns, value_of, x_of
 from sma_bench.physics.effects import EFFECTS
 
 QUANTITIES = ("current", "temperature", "deflection")
@@ -37,3 +37,21 @@ def test_an_effects_number_comes_back_from_its_deviation(number):
     assert value_of(number, 0.0) == number.default
     for x in (0.2, 0.7):
         assert x_of(number, value_of(number, x)) == pytest.approx(x)
+
+
+def test_sides_believed_alike_are_recalibrated_together():
+    unknowns = baseline_unknowns(believed(), QUANTITIES)
+    assert BACK not in unknowns.prior.names
+    x = np.zeros(unknowns.baseline)
+    x[unknowns.prior.names.index(FRONT)] = 2.0
+    moved = unknowns.parameters(x)
+    assert moved[FRONT] == moved[BACK] > 1.05 * believed()[FRONT]
+
+
+def test_sides_believed_to_differ_are_recalibrated_apart():
+    unknowns = baseline_unknowns(believed().replace({BACK: 5.2e9}), QUANTITIES)
+    x = np.zeros(unknowns.baseline)
+    x[unknowns.prior.names.index(FRONT)] = 2.0
+    moved = unknowns.parameters(x)
+    assert moved[FRONT] > 1.05 * believed()[FRONT]
+    assert moved[BACK] == pytest.approx(5.2e9)

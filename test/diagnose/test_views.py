@@ -6,6 +6,7 @@ from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_re
 
 from sma_bench.diagnose.view import view_record
 from sma_bench.errors import InputError
+from sma_bench.physics import simulate
 from sma_bench.records import Record, Signal
 
 
@@ -77,3 +78,51 @@ def test_what_cannot_be_compared_is_named():
         view_record(record_of(*volts(), force), believed())
     with pytest.raises(InputError, match="voltage"):
         view_record(record_of(Signal("deflection", "m", time, 0.0 * time)), believed())
+
+
+def test_cells_begin_at_the_jumps_and_are_short_after_them(jumping):
+    view = view_record(record_of(*jumping), believed())
+    edges = np.concatenate([view.drive.early, view.drive.late])
+    assert len(edges) == 8
+    assert np.isin(edges, view.grid).all()
+    after = view.grid[(view.grid > view.drive.late[0]) & (view.grid < view.drive.late[0] + 0.4)]
+    assert np.max(np.diff(after)) < 0.011
+    assert np.max(np.diff(view.grid)) < 0.11
+    # What a step does is read to a tenth of the noise of a fine simulation.
+    fine = np.arange(0.0, 30.0, 1e-3)
+    course = view.simulate(true_bench())
+    held = np.interp(fine, view.grid, np.arange(len(view.grid)))
+    volts = view.voltage[held.astype(int)]
+    exact = simulate(true_bench(), fine, volts).temperature[:, 0]
+    assert np.max(np.abs(np.interp(view.grid, fine, exact) - course.temperature[:, 0])) < 0.05
+
+
+def test_a_held_level_between_two_steps_of_the_converter_is_not_known(jumping):
+    scatter = np.random.default_rng(2).standard_normal(len(jumping[0].time))
+    coarse = [
+        Signal(s.name, s.unit, s.time, np.round((s.values + 2e-3 * scatter) / 0.01) * 0.01)
+        if s.name.endswith("voltage") else s for s in jumping
+    ]
+    view = view_record(record_of(*coarse), believed())
+    assert len(view.levels) == 2
+    for moved, level in zip(view.levels, (1.8, 2.2), strict=True):
+        change = moved - view.voltage
+        held = np.abs(view.voltage - level) < 0.02
+        assert np.all((change[held] > 1e-3) & (change[held] < 1.1 * 0.01 / np.sqrt(12.0)))
+        other = np.abs(view.voltage - (4.0 - level)) < 0.02
+        assert not change[other | (view.voltage < 0.02)].any()
+    assert view_record(record_of(*jumping), believed()).levels == []
+
+
+@pytest.fixture(scope="module")
+def jumping():
+    """Two held levels of both channels, and a deflection."""
+    time = np.arange(0.0, 30.0, 0.02)
+    first = 2.2 * ((time > 3.0) & (time < 8.0))
+    second = 1.8 * ((time > 14.0) & (time < 20.0))
+    noise = 1e-4 * np.random.default_rng(1).standard_normal((2, len(time)))
+    return [
+        Signal(f"{CHANNELS[0]}.voltage", "V", time, first + noise[0] * (first > 0)),
+        Signal(f"{CHANNELS[1]}.voltage", "V", time, second + noise[1] * (second > 0)),
+        Signal("deflection", "m", time, 0.0 * time),
+    ]
