@@ -1,19 +1,23 @@
 """The command line `sma-bench`."""
 
 import argparse
+import difflib
 import importlib
 import os
+import shlex
 import sys
 import warnings
 from collections.abc import Sequence
 
 from sma_bench import __version__
+from sma_bench.commands.parser import CommandParser, command_parser
 from sma_bench.errors import InputError
 
 COMMANDS = {
     "info": "what a record holds and whether it can be trusted",
     "identify": "parameters of Table I from bags and instrument files",
     "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
+    "report": "records and results as one page, with figures, tables and provenance",
     "audit": "do a lab's own numbers fit each other, and physics?",
     "parameters": "every parameter with unit, default, range and source",
     "effects": "what the paper's model leaves out: stage, size, how it shows",
@@ -23,6 +27,7 @@ COMMANDS = {
     "calibrate": "gain and offset of a sensor of the Uno from known loads",
     "run": "run a node: sma-bench run NODE [--ros-args ...]",
     "demo": "simulated benches, bags, identification, diagnosis, in one go",
+    "completion": "a script that completes commands and options in bash or zsh",
 }
 
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
@@ -63,22 +68,27 @@ def _show_warning(
 
 
 def _dispatch(arguments: list[str]) -> int:
-    if not arguments or arguments[0] not in COMMANDS:
+    if not arguments or arguments[0].startswith("-"):
         _top_parser().parse_args(arguments)
         return 0
     name, *rest = arguments
+    if name not in COMMANDS:
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {close[0]}?" if close else "sma-bench --help lists them"
+        raise InputError(f"no command {name!r}, {hint}")
     module = importlib.import_module(f"sma_bench.commands.{name}")
-    parser = argparse.ArgumentParser(prog=f"sma-bench {name}", description=COMMANDS[name])
+    parser = command_parser(name, COMMANDS[name])
     if name == "run":
         return module.run(rest)
     module.add_arguments(parser)
+    parser.set_defaults(command_line=shlex.join(["sma-bench", *arguments]))
     return module.run(parser.parse_args(rest))
 
 
-def _top_parser() -> argparse.ArgumentParser:
+def _top_parser() -> CommandParser:
     width = max(map(len, COMMANDS))
     lines = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="sma-bench",
         usage="sma-bench COMMAND [options]",
         description=f"Test bench for shape-memory-alloy actuators.\n\ncommands:\n{lines}",

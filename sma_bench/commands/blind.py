@@ -3,6 +3,8 @@
 import argparse
 import importlib
 
+from sma_bench.commands.parser import command_parser
+
 COMMANDS = {
     "make": "bags with effects that only a sealed file names",
     "run": "put every case to the diagnosis, or to a naive rival",
@@ -19,9 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     lines = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
     parser.usage = "sma-bench blind COMMAND [options]"
     parser.epilog = (
-        f"commands:\n{lines}\n\nsma-bench blind COMMAND --help shows the options of a command."
+        f"commands:\n{lines}\n\n{parser.epilog or ''}\n\n"
+        "sma-bench blind COMMAND --help shows the options of a command."
     )
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("command", choices=[*COMMANDS, *HIDDEN], metavar="COMMAND")
     parser.add_argument(
         "rest", nargs=argparse.REMAINDER, metavar="[options]", help=argparse.SUPPRESS
@@ -31,8 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Hand over to the sub-command."""
     module = importlib.import_module(f"sma_bench.commands.blind_{args.command}")
-    parser = argparse.ArgumentParser(
-        prog=f"sma-bench blind {args.command}", description=COMMANDS.get(args.command)
-    )
+    parser = command_parser(f"blind {args.command}", COMMANDS.get(args.command))
     module.add_arguments(parser)
     return int(module.run(parser.parse_args(args.rest)))

@@ -6,6 +6,7 @@ from rich.progress import track
 
 from sma_bench.blind.figures import NAMES, write_page, write_symptom
 from sma_bench.blind.make import new_folder
+from sma_bench.commands.output import write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=1, metavar="S", help="of the rig and its drive (default 1)"
     )
+    parser.add_argument("--json", metavar="FILE", help="write what was drawn as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,5 +26,7 @@ def run(args: argparse.Namespace) -> int:
             for name in track(NAMES, description="effects", transient=True)
         ]
         write_page(folder, seen, args.seed)
+    if args.json:
+        write_json(args.json, {"folder": args.out, "seed": args.seed, "effects": list(NAMES)})
     print(f"{args.out}: {len(seen)} figures and README.md")
     return 0

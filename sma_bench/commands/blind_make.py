@@ -20,6 +20,7 @@ from rich.progress import (
 )
 
 from sma_bench.blind.make import make
+from sma_bench.commands.output import write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="J",
         help="processes (default: one a core); the result does not depend on it",
     )
+    parser.add_argument("--json", metavar="FILE", help="write the set's manifest as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
         manifest = make(
             args.out, args.seed, args.n, args.jobs, lambda done: bar.update(task, completed=done)
         )
+    if args.json:
+        write_json(args.json, {"set": args.out, **manifest})
     print(
         f"{args.out}: {args.n} cases of seed {args.seed} ({manifest['split']}) "
         f"in {time.monotonic() - started:.0f} s"

@@ -21,6 +21,7 @@ from sma_bench.blind.examination import examine, open_cases
 from sma_bench.blind.examinee import Examinee
 from sma_bench.blind.kept import Examination, write_examination
 from sma_bench.blind.rivals import RIVALS
+from sma_bench.commands.output import write_json
 from sma_bench.errors import InputError
 
 DIAGNOSIS = "diagnosis"
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--again", action="store_true", help="ask failed cases again; answers are always kept"
     )
+    parser.add_argument("--json", metavar="FILE", help="write how far the set is as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -64,6 +66,11 @@ def run(args: argparse.Namespace) -> int:
     waiting = open_cases(cases.names, answers, args.again)[: args.limit]
     failed = _ask(cases, Examinee(program, args.time_limit), waiting, answers, args.jobs)
     left = len(open_cases(cases.names, answers))
+    if args.json:
+        write_json(args.json, {
+            "answers": str(answers), "cases": len(cases.names), "asked": len(waiting),
+            "failed": failed, "open": left,
+        })  # fmt: skip
     print(
         f"{answers}: {len(waiting)} of {len(cases.names)} cases asked, {failed} failed, "
         f"{left} still open"

@@ -2,10 +2,12 @@
 
 import argparse
 
+from sma_bench.commands.output import write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
-from sma_bench.parameters import write_parameters
+from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import parameter_page
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.table import TABLE
 
 DESCRIPTION = "show every parameter with unit, default, range and source, or write a file of them"
@@ -16,14 +18,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     parser.add_argument("--markdown", action="store_true", help="print the documentation page")
     parser.add_argument("--out", metavar="P.yaml", help="write a ROS 2 parameter file")
+    parser.add_argument("--json", metavar="FILE", help="write the table, machine-readable")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the table, the page, or write the file."""
+    parameters = parameters_from_options(args)
+    if args.json:
+        write_json(args.json, {"parameters": [_entry(p, parameters) for p in TABLE]})
     if args.markdown:
         print(parameter_page(NODE_TABLES), end="")
         return 0
-    parameters = parameters_from_options(args)
     if args.out:
         comment = "Parameters of an SMA bench in SI units.\nLoad with: --ros-args --params-file"
         write_parameters(args.out, parameters, comment)
@@ -34,3 +39,17 @@ def run(args: argparse.Namespace) -> int:
         shown = f"{value:.6g}" if isinstance(value, float) else str(value)
         print(f"{parameter.name:45} {shown:>12} {parameter.unit:10} {parameter.provenance}")
     return 0
+
+
+def _entry(parameter: Parameter, parameters: Parameters) -> dict[str, object]:
+    value = parameters[parameter.name]
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "value": list(value) if isinstance(value, tuple) else value,
+        "std": parameters.std(parameter.name) if parameter.uncertainty is not None else None,
+        "low": parameter.low,
+        "high": parameter.high,
+        "description": parameter.description,
+        "source": parameter.provenance,
+    }

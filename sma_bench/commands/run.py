@@ -3,6 +3,8 @@
 import importlib
 from collections.abc import Sequence
 
+from sma_bench.commands.examples import EXAMPLES
+from sma_bench.commands.parser import example_text
 from sma_bench.errors import InputError
 from sma_bench.parameters.node_tables import NODE_TABLES
 
@@ -15,7 +17,8 @@ def run(arguments: Sequence[str]) -> int:
     """
     nodes = ", ".join(sorted(NODE_TABLES))
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"usage: sma-bench run NODE [--ros-args ...]\n\nnodes: {nodes}")
+        examples = example_text(EXAMPLES["run"])
+        print(f"usage: sma-bench run NODE [--ros-args ...]\n\nnodes: {nodes}\n\n{examples}")
         return 0
     name, *rest = arguments
     if name not in NODE_TABLES:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sma_bench.commands.output import write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.errors import InputError
 from sma_bench.hardware.instruments import Instrument
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="read through the simulator node's instruments: their noise, drawn from this seed, "
         "and their steps; exact values when not given",
     )
+    parser.add_argument("--json", metavar="FILE", help="write what was simulated as JSON")
     add_parameter_options(parser)
 
 
@@ -64,6 +66,13 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
         signals, noise = read_signals(signals, args.noise), f"synthetic noise, seed {args.noise}"
     write_record(Path(args.out), signals, start_ns=start_ns)
+    if args.json:
+        write_json(args.json, {
+            "bag": args.out, "protocol": args.protocol, "input": args.input,
+            "effects": list(args.effects), "noise_seed": args.noise, "samples": len(time),
+            "duration": float(time[-1] - time[0]),
+            "signals": {signal.name: signal.unit for signal in signals},
+        })  # fmt: skip
     print(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
     return 0
 

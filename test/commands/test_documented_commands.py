@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import itertools
 import re
 import shlex
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from sma_bench.cli import COMMANDS
+from sma_bench.nodes import replay_plan
+from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
 
@@ -19,6 +22,11 @@ HEADINGS = ("Purpose", "Wiring", "Command", "Result", "What can go wrong")
 DEVELOPER = {"test", "perf", "check"}
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
+LAUNCH_ARGUMENTS = {
+    "wire_bench.launch.py": WIRE.arguments,
+    "composite_bench.launch.py": COMPOSITE.arguments,
+    "replay.launch.py": replay_plan.ARGUMENTS,
+}
 PLACEHOLDERS = {"NODE": "simulator"}
 
 
@@ -35,7 +43,10 @@ def documented(*programs: str) -> list[tuple[str, list[str]]]:
     for page in PAGES:
         for line in commands(page):
             if line.startswith(tuple(f"{program} " for program in programs)):
-                words = [PLACEHOLDERS.get(w, w) for w in shlex.split(line, comments=True)]
+                taken = itertools.takewhile(
+                    lambda word: word not in (">", ">>"), shlex.split(line, comments=True)
+                )
+                words = [PLACEHOLDERS.get(w, w) for w in taken]
                 found.append((f"{page.relative_to(ROOT)}: {line}", words[1:]))
     return found
 
@@ -79,7 +90,7 @@ def check_ros(words: list[str]) -> str:
         launch = ROOT / "launch" / words[2]
         if not launch.is_file():
             return f"no {launch}"
-        unknown = [name for name in settings if f'"{name}": (' not in launch.read_text()]
+        unknown = [name for name in settings if name not in LAUNCH_ARGUMENTS[words[2]]]
         return f"no launch argument {unknown}" if unknown else ""
     return ""
 

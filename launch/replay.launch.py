@@ -1,0 +1,14 @@
+"""A record played back, with nodes beside it; its commands drive nothing.
+
+ros2 launch sma_bench replay.launch.py bag:=my_record rate:=2.0
+ros2 launch sma_bench replay.launch.py bag:=my_record namespace:=bench description:=true
+"""
+
+from launch import LaunchDescription
+
+from sma_bench.nodes.bench_launch import replay_launch
+
+
+def generate_launch_description() -> LaunchDescription:
+    """`ros2 bag play` and what was asked for beside it."""
+    return replay_launch()

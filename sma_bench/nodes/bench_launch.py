@@ -1,0 +1,70 @@
+"""Plans of the launch files as actions of ROS's `launch`. The only module that needs it."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from sma_bench.nodes import replay_plan
+from sma_bench.nodes.bench_plan import Argument, PlannedNode, Rig, plan_bench
+
+
+def bench_launch(rig: Rig) -> LaunchDescription:
+    """Launch description of a rig."""
+
+    def actions(values: dict[str, str]) -> list[Any]:
+        return [_node(node, values["namespace"]) for node in plan_bench(values)]
+
+    return _description(rig.arguments, actions)
+
+
+def replay_launch() -> LaunchDescription:
+    """Launch description of a record that is played; it ends with the record."""
+
+    def actions(values: dict[str, str]) -> list[Any]:
+        command, nodes = replay_plan.plan_replay(values)
+        player = ExecuteProcess(
+            cmd=command, name="player", output="screen",
+            on_exit=Shutdown(reason="the record is over"),
+        )
+        return [*(_node(node, values["namespace"]) for node in nodes), player]
+
+    return _description(replay_plan.ARGUMENTS, actions)
+
+
+def _description(
+    arguments: Mapping[str, Argument], actions: Callable[[dict[str, str]], list[Any]]
+) -> LaunchDescription:
+    def start(context: LaunchContext) -> list[Any]:
+        return actions({name: LaunchConfiguration(name).perform(context) for name in arguments})
+
+    declared = [_declared(name, argument) for name, argument in arguments.items()]
+    return LaunchDescription([*declared, OpaqueFunction(function=start)])
+
+
+def _declared(name: str, argument: Argument) -> DeclareLaunchArgument:
+    # No empty list of choices: launch would refuse every value.
+    choices = {"choices": list(argument.choices)} if argument.choices else {}
+    return DeclareLaunchArgument(
+        name, default_value=argument.default, description=argument.description, **choices
+    )
+
+
+def _node(planned: PlannedNode, namespace: str) -> Node:
+    own = {name: _parameter(value) for name, value in planned.parameters.items()}
+    files = [planned.file] if planned.file else []
+    end = Shutdown(reason=f"{planned.executable} has ended") if planned.vital else None
+    return Node(
+        package=planned.package, executable=planned.executable, name=planned.executable,
+        namespace=namespace, parameters=[*files, *([own] if own else [])],
+        remappings=list(planned.remappings.items()), output="screen", on_exit=end,
+    )
+
+
+def _parameter(value: Any) -> Any:
+    """A text stays one: launch_ros would read '10' as a number and '' as nothing."""
+    return ParameterValue(value, value_type=str) if isinstance(value, str) else value

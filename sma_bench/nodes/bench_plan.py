@@ -1,0 +1,243 @@
+"""What a launch file of a bench starts: nodes with their parameters and remappings. No ROS.
+
+The launch files turn a plan into launch_ros actions (`bench_launch`); a test reads it, or starts
+it without `launch`.
+"""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.thermal_settings import regions_side_by_side
+from sma_bench.nodes.beam_model import beam_urdf
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.yaml_file import read_parameter_names
+from sma_bench.share import share_directory
+
+PACKAGE = "sma_bench"
+MODES = ("simulated", "hardware", "emulated")
+SWITCH = ("true", "false", "True", "False")
+# These hold the outputs, or are what the outputs are judged by: without one the bench stops.
+VITAL = frozenset({
+    "simulator", "serial_bridge", "emulated_bench", "experiment", "ir_camera", "synthetic_camera",
+})  # fmt: skip
+
+# Work on records when asked to, and drive nothing.
+SERVICES = ("identification", "diagnosis")
+
+# Pictures of the synthetic camera, small enough for a laptop. Four wires need room to bend:
+# 45 mm either way in the shipped protocols.
+_WIRE_PICTURE = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
+_COMPOSITE_PICTURE = {"image_width": 382, "image_height": 288, "pixel_size": 2.0e-3}
+_PIXEL_ERROR = 0.02
+_PICTURE_RATE = 25.0
+_EXACT = {"sensor.temperature_noise": 0.0, "sensor.temperature_resolution": 0.0}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument of a launch file; `choices` empty for any text."""
+
+    default: str
+    description: str
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlannedNode:
+    """One process: `parameters` are its own, over those of the rig's `file`."""
+
+    executable: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    remappings: Mapping[str, str] = field(default_factory=dict)
+    package: str = PACKAGE
+    file: str = ""
+
+    @property
+    def vital(self) -> bool:
+        """Whether its end ends the bench."""
+        return self.executable in VITAL
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A bench of the paper: its parameter file in config/ and the protocol to begin with."""
+
+    file: str
+    protocol: str
+    bends: bool
+
+    @property
+    def arguments(self) -> dict[str, Argument]:
+        """Arguments of its launch file, by name."""
+        found = {
+            "mode": Argument(
+                "simulated", "simulated, hardware (an Uno), or emulated (its firmware on an "
+                "emulated Uno).", MODES,
+            ),
+            "namespace": Argument("bench", "Namespace of all topics and nodes."),
+            "params": Argument(
+                str(share_directory() / "config" / self.file),
+                "ROS parameter file: Table I, or what an identification wrote.",
+            ),
+            "protocol": Argument(
+                self.protocol, "Name in config/protocols, or the path of a .yaml file."
+            ),
+            "autostart": Argument(
+                "false", "Start the protocol as soon as the bench answers; simulated only.", SWITCH
+            ),
+            "speed": Argument(
+                "1.0", "Simulated seconds per second; above 1 the nodes run on /clock."
+            ),
+            "camera": Argument(
+                "auto", "Temperatures by ir_camera: of the driver's pictures on hardware, of "
+                "synthetic ones otherwise. auto: on hardware only.", ("auto", *SWITCH),
+            ),
+            "record": Argument("true", "Record all topics of the bench.", SWITCH),
+            "output": Argument("", "New folder for the bag; empty for record_<date>_<time>."),
+            "nodes": Argument(
+                "identification", f"Further nodes, separated by commas: {', '.join(SERVICES)}."
+            ),
+            "port": Argument("", "Serial port of the Uno; empty for the only one."),
+        }  # fmt: skip
+        if self.bends:
+            found["description"] = Argument(
+                "false", "Publish the beam's URDF, so that RViz shows it bend.", SWITCH
+            )
+        return found
+
+
+WIRE = Rig("wire_rig.yaml", "staircase", bends=False)
+COMPOSITE = Rig("composite_rig.yaml", "composite_triangle", bends=True)
+
+
+def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
+    """The nodes of a bench, those that others listen to first.
+
+    Args:
+        values: every argument of the rig's launch file, as text.
+
+    Raises:
+        InputError: arguments that exclude each other, or a bad parameter file; one line.
+    """
+    mode = chosen(values, "mode", MODES)
+    speed = number(values, "speed")
+    if chosen(values, "camera", ("auto", *SWITCH)) == "auto":
+        with_camera = mode == "hardware"
+    else:
+        with_camera = switch(values, "camera")
+    if speed > 1.0 and (mode != "simulated" or with_camera):
+        raise InputError(f"speed is {speed:g}, expected 1.0 on hardware or with a camera")
+    if mode != "simulated" and switch(values, "autostart"):
+        raise InputError(f"autostart: expected false, a bench that is {mode} is enabled by hand")
+    clock = {"use_sim_time": speed > 1.0}
+    nodes = _bench(values, mode, speed, with_camera)
+    nodes.append(PlannedNode("experiment", {
+        "protocol": values["protocol"], "autostart": switch(values, "autostart"), **clock,
+    }))  # fmt: skip
+    if switch(values, "record"):
+        nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))
+    nodes += services(values)
+    planned = [PlannedNode(n.executable, n.parameters, n.remappings, file=values["params"])
+               for n in nodes]  # fmt: skip
+    if "description" in values and switch(values, "description"):
+        planned.append(robot_description(values["params"], clock))
+    return planned
+
+
+def services(values: Mapping[str, str]) -> list[PlannedNode]:
+    """The nodes that the argument `nodes` names; InputError for one that it may not."""
+    names = [name.strip() for name in values["nodes"].split(",") if name.strip()]
+    for name in names:
+        if name not in SERVICES:
+            raise InputError(f"nodes: {name!r}, expected {', '.join(SERVICES)}, or nothing")
+    return [PlannedNode(name) for name in dict.fromkeys(names)]
+
+
+def robot_description(params: str, clock: Mapping[str, Any]) -> PlannedNode:
+    """The node that turns the joint `tip` into frames for RViz."""
+    urdf = beam_urdf(read_parameters(params, ignore=node_groups()))
+    return PlannedNode(
+        "robot_state_publisher", {"robot_description": urdf, **clock},
+        package="robot_state_publisher",
+    )
+
+
+def node_groups() -> set[str]:
+    """Groups of names that a rig's file may hold for single nodes, beside the contract's."""
+    own = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
+    return own - {name.split(".")[0] for name in BY_NAME}
+
+
+def _bench(
+    values: Mapping[str, str], mode: str, speed: float, with_camera: bool
+) -> list[PlannedNode]:
+    """What stands for the bench, and its camera."""
+    params = values["params"]
+    if mode == "hardware":
+        nodes = [PlannedNode("serial_bridge", {"port": values["port"]})]
+        return [*nodes, PlannedNode("ir_camera")] if with_camera else nodes
+    rig = read_parameters(params, ignore=node_groups())
+    aside = {f"{c}/temperature": f"{c}/true_temperature" for c in rig["bench.channels"]}
+    exact, moved = (_EXACT, aside) if with_camera else ({}, {})
+    if mode == "simulated":
+        nodes = [PlannedNode("simulator", {"speed": speed, **exact}, moved)]
+    else:
+        port = values["port"] or _link()
+        nodes = [
+            PlannedNode("emulated_bench", {"port": port, **exact}, moved),
+            PlannedNode("serial_bridge", {"port": port}),
+        ]
+    return nodes + (_synthetic_pictures(rig, params) if with_camera else [])
+
+
+def _synthetic_pictures(rig: Parameters, params: str) -> list[PlannedNode]:
+    """Synthetic camera and reader, alike; what the rig's file says of either stays."""
+    channels = rig["bench.channels"]
+    picture: dict[str, Any] = dict(_WIRE_PICTURE if len(channels) == 1 else _COMPOSITE_PICTURE)
+    given = read_parameter_names(params, "ir_camera")
+    picture |= {name: given[name] for name in picture if name in given}
+    error = _PIXEL_ERROR * float(picture["pixel_size"])
+    reader = {**picture, "read_cold_wires": True, "pixel_size_std": error}
+    if "regions" not in given:
+        reader["regions"] = regions_side_by_side(
+            len(channels), picture["image_width"], picture["image_height"]
+        )
+    return [
+        PlannedNode("synthetic_camera", {**picture, "rate": _PICTURE_RATE}),
+        PlannedNode("ir_camera", {k: v for k, v in reader.items() if k not in given}),
+    ]
+
+
+def _link() -> str:
+    """Where the emulator links its port for the bridge."""
+    return str(Path(tempfile.gettempdir()) / f"sma_bench_uno_{os.getpid()}")
+
+
+def chosen(values: Mapping[str, str], name: str, choices: tuple[str, ...]) -> str:
+    """One of several words; InputError for any other."""
+    if values[name] not in choices:
+        raise InputError(f"{name} is {values[name]!r}, expected {', '.join(choices)}")
+    return values[name]
+
+
+def switch(values: Mapping[str, str], name: str) -> bool:
+    """Whether an argument says true; InputError where it says neither."""
+    return chosen(values, name, SWITCH).lower() == "true"
+
+
+def number(values: Mapping[str, str], name: str) -> float:
+    """A number above 0; InputError otherwise."""
+    try:
+        found = float(values[name])
+    except ValueError:
+        found = float("nan")
+    if not 0.0 < found < float("inf"):
+        raise InputError(f"{name} is {values[name]!r}, expected a number above 0")
+    return found

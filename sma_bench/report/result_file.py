@@ -1,0 +1,198 @@
+"""Result files of `sma-bench identify` and `diagnose`, read back and checked (docs/topics.md)."""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sma_bench.errors import InputError
+
+LARGEST = 1 << 26
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number with one standard deviation, both in `unit`."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    method: str
+    n: int
+
+
+@dataclass(frozen=True)
+class IdentifyResult:
+    """What identify has written; `experiments`: title, source and further numbers of each."""
+
+    path: Path
+    parameters: tuple[Number, ...]
+    experiments: tuple[tuple[str, str, tuple[Number, ...]], ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A candidate: its numbers are those of its effects."""
+
+    name: str
+    stage: str
+    probability: float
+    gap: float
+    gain: float
+    numbers: tuple[Number, ...]
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """Root mean squares of one held-out quantity in SI units; `ci90` of the fraction."""
+
+    quantity: str
+    before: float
+    after: float
+    noise: float
+    fraction: float
+    ci90: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DiagnoseResult:
+    """What diagnose has written.
+
+    `where`: signal, phase, side, gap over noise, share, rms; `chain`: block, gap over noise, its
+    90 % interval.
+    """
+
+    path: Path
+    verdict: str
+    cause: tuple[str, ...]
+    stage: str
+    candidates: tuple[Shown, ...]
+    where: tuple[tuple[str, str, str, float, float, float], ...]
+    chain: tuple[tuple[str, float, float, float], ...]
+    shrinkage: tuple[Shrunk, ...]
+    next_experiment: str
+    warnings: tuple[str, ...]
+
+
+def read_result(path: str | Path) -> IdentifyResult | DiagnoseResult:
+    """Read a result file, whichever command has written it.
+
+    Raises:
+        InputError: unreadable, not JSON, or not a result; one line that names what is missing.
+    """
+    path = Path(path)
+    document = _document(path)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: not a result of identify or diagnose: expected an object")
+    read = _diagnosis if "verdict" in document else _identification
+    if read is _identification and "parameters" not in document:
+        raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
+                         "verdict in it")
+    try:
+        return read(path, document)
+    except (KeyError, IndexError) as error:
+        raise InputError(f"{path}: damaged result: no {error.args[0]} in it") from None
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: damaged result: {reason}") from None
+
+
+def _document(path: Path) -> Any:
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"{path}: larger than {LARGEST >> 20} MB, not a result file")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
+    except (json.JSONDecodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not JSON: {reason}") from None
+
+
+def _identification(path: Path, document: dict[str, Any]) -> IdentifyResult:
+    experiments = []
+    for found in document["experiments"]:
+        title = f"{_text(found['name'])} {_text(found['title'])}"
+        details = _numbers({**found["estimates"], **found["details"]})
+        experiments.append((title, _text(found["source"]), details))
+    return IdentifyResult(
+        path, _numbers(document["parameters"]), tuple(experiments),
+        _each(_text, document["warnings"]),
+    )
+
+
+def _diagnosis(path: Path, document: dict[str, Any]) -> DiagnoseResult:
+    where = document["where"]
+    following = document["next_experiment"]
+    return DiagnoseResult(
+        path, _text(document["verdict"]), _each(_text, document["cause"]), _text(where["stage"]),
+        _each(_candidate, document["candidates"]), _each(_cell, where["table"]),
+        _each(_link, where.get("chain", [])),
+        tuple(_shrunk(name, s) for name, s in document["shrinkage"].items()),
+        _text(following["why"]) if following else "",
+        _each(_text, document.get("findings", [])),
+    )
+
+
+def _candidate(found: dict[str, Any]) -> Shown:
+    return Shown(
+        _text(found["name"]), _text(found["stage"]), _number(found["probability"]),
+        _number(found.get("gap_over_noise")), _number(found.get("log_evidence")),
+        _numbers(found["parameters"]),
+    )
+
+
+def _cell(found: dict[str, Any]) -> tuple[str, str, str, float, float, float]:
+    names = ("gap", "share", "rms")
+    gap, share, rms = (_number(found[name]) for name in names)
+    return _text(found["signal"]), _text(found["phase"]), _text(found["side"]), gap, share, rms
+
+
+def _link(found: dict[str, Any]) -> tuple[str, float, float, float]:
+    low, high = _each(_number, found["ci90"])
+    return _text(found["block"]), _number(found["gap"]), low, high
+
+
+def _shrunk(quantity: str, found: dict[str, Any]) -> Shrunk:
+    low, high = _each(_number, found["ci90"])
+    names = ("rmse_before", "rmse_after", "noise_floor", "fraction")
+    before, after, noise, fraction = (_number(found[name]) for name in names)
+    return Shrunk(quantity, before, after, noise, fraction, (low, high))
+
+
+def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:
+    return tuple(
+        Number(
+            name, _number(entry["value"]), _number(entry["std"]), _text(entry["unit"]),
+            _text(entry.get("method", "")), int(entry.get("n", 0)),
+        )
+        for name, entry in found.items()
+    )
+
+
+def _each(read: Callable[[Any], T], found: list[Any]) -> tuple[T, ...]:
+    if not isinstance(found, list):
+        raise TypeError(f"{found!r:.40} is not a list")
+    return tuple(read(entry) for entry in found)
+
+
+def _text(found: Any) -> str:
+    if not isinstance(found, str):
+        raise TypeError(f"{found!r:.40} is not a text")
+    return found
+
+
+def _number(found: Any) -> float:
+    """A number; null, which stands for what is not finite, becomes NaN."""
+    if found is None:
+        return math.nan
+    if isinstance(found, bool) or not isinstance(found, (int, float)):
+        raise TypeError(f"{found!r:.40} is not a number")
+    return float(found)

@@ -1,0 +1,136 @@
+"""Every command's help ends in examples that its own parser takes; errors and colours."""
+
+import importlib
+import json
+import shlex
+
+import pytest
+
+from sma_bench.cli import COMMANDS, main
+from sma_bench.commands import blind
+from sma_bench.commands.examples import EXAMPLES
+from sma_bench.commands.parser import command_parser
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.protocols import protocol_names
+
+ESCAPE = "\x1b"
+ALL = [*COMMANDS, *(f"blind {name}" for name in blind.COMMANDS)]
+
+
+def help_of(name, capsys):
+    try:
+        assert main([*name.split(), "--help"]) == 0
+    except SystemExit as ended:
+        assert ended.code == 0
+    return capsys.readouterr().out
+
+
+def examples(text):
+    """Command lines below `examples:`, without the program and what the shell takes."""
+    lines = text.partition("\nexamples:\n")[2].splitlines()
+    shown = [line.strip() for line in lines if line.startswith("  sma-bench ")]
+    return [shlex.split(line.partition(">")[0])[1:] for line in shown]
+
+
+def objection(words):
+    """Why sma-bench would not take these words, or ""."""
+    name, *rest = words
+    if name == "run":
+        return "" if rest[0] in NODE_TABLES else f"no node {rest[0]}"
+    if name == "blind":
+        name, rest = f"blind {rest[0]}", rest[1:]
+    if name not in [*ALL, "blind rival"]:
+        return f"no command {name}"
+    module = importlib.import_module(f"sma_bench.commands.{name.replace(' ', '_')}")
+    parser = command_parser(name, None)
+    module.add_arguments(parser)
+    try:
+        options = parser.parse_args(rest)
+    except ValueError as error:
+        return str(error)
+    protocol = getattr(options, "protocol", None)
+    return "" if protocol in [None, *protocol_names()] else f"no protocol {protocol}"
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_help_shows_examples_that_the_command_takes(name, capsys):
+    shown = examples(help_of(name, capsys))
+    assert shown, f"no examples in the help of {name}"
+    for words in shown:
+        assert words[: len(name.split())] == name.split()
+        assert objection(words) == "", words
+
+
+def test_there_are_no_examples_of_other_commands():
+    assert set(EXAMPLES) == {*ALL, "blind rival"}
+
+
+def test_a_wrong_example_would_be_found():
+    for line in ("identify", "identfy x", "run simulatr", "simulate --protocol none --out x",
+                 "blind make --seed many --out x"):  # fmt: skip
+        assert objection(line.split()) != "", line
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["identfy", "x"], "did you mean identify?"),
+        (["identify"], "identify: the following arguments are required: RECORD"),
+        (["simulate", "--rate", "fast"], "argument --rate: invalid float value: 'fast'"),
+        (["audit", "--nothing"], "unrecognized arguments: --nothing"),
+        (["blind", "run"], "sma-bench blind run --help"),
+        (["blind", "nothing"], "invalid choice: 'nothing'"),
+        (["--nothing"], "--help"),
+    ],
+)
+def test_a_mistyped_command_line_is_one_line(words, said, capsys):
+    assert main(words) == 2
+    printed = capsys.readouterr()
+    assert said in printed.err and printed.err.count("\n") == 1
+    assert printed.err.startswith("sma-bench: ") and printed.out == ""
+
+
+@pytest.mark.parametrize("words", [["effects"], ["audit"], ["parameters"]])
+def test_there_are_no_colours_outside_a_terminal(words, capsys, monkeypatch):
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    assert main(words) == 0
+    assert ESCAPE not in capsys.readouterr().out
+
+
+def test_a_terminal_gets_colours(capsys, monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    assert main(["audit"]) == 0
+    assert ESCAPE in capsys.readouterr().out
+
+
+def test_parameters_as_json_are_the_table(tmp_path, capsys):
+    target = tmp_path / "p.json"
+    words = ["parameters", "--set", "wire.resistance=2.8", "--json", str(target)]
+    assert main(words) == 0
+    entries = {entry["name"]: entry for entry in json.loads(target.read_text())["parameters"]}
+    assert entries["wire.resistance"]["value"] == 2.8
+    assert entries["wire.resistance"]["unit"] == "ohm"
+    assert entries["wire.resistance"]["std"] > 0.0
+    assert entries["bench.channels"]["value"] == ["wire"]
+
+
+def test_a_simulation_as_json_says_what_was_simulated(tmp_path, capsys):
+    target, bag = tmp_path / "s.json", tmp_path / "bag"
+    words = ["simulate", "--protocol", "ramp", "--rate", "10", "--noise", "3",
+             "--effect", "latent_heat=12e3", "--out", str(bag), "--json", str(target)]  # fmt: skip
+    assert main(words) == 0
+    found = json.loads(target.read_text())
+    assert found["protocol"] == "ramp" and found["noise_seed"] == 3
+    assert found["effects"] == ["latent_heat=12e3"]
+    assert found["signals"]["wire.temperature"] == "K"
+    assert found["samples"] == pytest.approx(10.0 * found["duration"], abs=2)
+
+
+def test_a_set_of_cases_as_json_is_its_manifest(tmp_path, capsys):
+    target, folder = tmp_path / "m.json", tmp_path / "cases"
+    words = ["blind", "make", "--seed", "7", "--n", "1", "--jobs", "1"]
+    assert main([*words, "--out", str(folder), "--json", str(target)]) == 0
+    found = json.loads(target.read_text())
+    assert found["set"] == str(folder) and found["sha256"]

@@ -1,0 +1,319 @@
+"""`sma-bench report`: one page of records and result files, whole or not at all."""
+
+import copy
+import csv
+import hashlib
+import json
+import xml.etree.ElementTree as Xml
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from sma_bench.cli import main
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+from sma_bench.records import Signal, open_record
+from sma_bench.records.write import write_record
+from sma_bench.report.provenance import digest
+from sma_bench.report.record_pictures import thinned
+from sma_bench.report.record_section import record_section
+from sma_bench.report.result_file import read_result
+
+EVIL = "<script>alert(1)</script> & $\\frac{$"
+IDENTIFIED = {
+    "parameters": {
+        "wire.resistance": {
+            "value": 2.75, "std": 0.01, "unit": "ohm", "method": EVIL, "n": 50,
+        },
+        "own.number": {"value": 1.0, "std": None, "unit": EVIL, "method": "", "n": 0},
+    },
+    "experiments": [
+        {
+            "name": "E1", "title": "resistance", "source": EVIL,
+            "estimates": {"wire.resistance": {"value": 2.75, "std": 0.01, "unit": "ohm"}},
+            "details": {}, "findings": [],
+        }
+    ],
+    "warnings": ["E1 plateau: not settled"],
+}  # fmt: skip
+DIAGNOSED = {
+    "verdict": "effect", "cause": ["side_heat_coupling"],
+    "candidates": [
+        {
+            "name": "side_heat_coupling", "stage": "thermal", "probability": 0.93,
+            "gap_over_noise": 2.5, "log_evidence": 41.0,
+            "parameters": {
+                "effect.side_heat_coupling.conductance":
+                    {"value": 2e-3, "std": 1e-4, "unit": "W/K"},
+            },
+        },
+        {"name": "recalibration", "stage": "", "probability": 0.07, "gap_over_noise": 1.0,
+         "log_evidence": 0.0, "parameters": {}},
+    ],
+    "where": {
+        "signal": "deflection", "phase": "rest", "side": "back", "stage": "thermal",
+        "table": [{"signal": "deflection", "phase": "rest", "side": "back", "gap": 2.5,
+                   "share": 0.6, "rms": 1.2e-3}],
+        "chain": [{"block": "V -> deflection", "gap": 2.0, "ci90": [1.5, 2.5], "rms": 1e-3}],
+    },
+    "shrinkage": {
+        "deflection": {"rmse_before": 1.2e-3, "rmse_after": 2e-4, "fraction": 0.9,
+                       "ci90": [0.8, 0.95], "noise_floor": 1e-4},
+    },
+    "next_experiment": {"why": "drive the front " + EVIL, "separates": [], "protocol": {}},
+    "findings": ["info: nothing", "warning: wire.mass: odd"],
+}  # fmt: skip
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text between them."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.tags, self.texts = [], []
+        self.feed(path.read_text())
+        self.text = " ".join(" ".join(self.texts).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    time = np.arange(0.0, 20.0, 0.01)
+    levels = {"voltage": ("V", 2.0), "current": ("A", 0.7), "temperature": ("K", 320.0)}
+    signals = [
+        Signal(f"wire.{name}", unit, time, value * (1.0 + 0.1 * np.sin(time)))
+        for name, (unit, value) in levels.items()
+    ]
+    path = tmp_path / "bag"
+    write_record(path, signals, markers=[(1.0, EVIL)])
+    return path
+
+
+@pytest.fixture
+def results(tmp_path):
+    paths = []
+    for name, document in (("identified", IDENTIFIED), ("diagnosis", DIAGNOSED)):
+        path = tmp_path / f"{name}.json"
+        path.write_text(json.dumps(document))
+        paths.append(path)
+    return paths
+
+
+def report(tmp_path, *words):
+    out = tmp_path / "out"
+    assert main(["report", *map(str, words), "--out", str(out)]) == 0
+    return out
+
+
+def test_a_page_of_everything_stands_alone_and_is_escaped(tmp_path, bag, results, capsys):
+    params = tmp_path / "lab.yaml"
+    params.write_text("/**:\n  ros__parameters:\n    wire:\n      resistance: 2.8\n")
+    out = report(tmp_path, bag, *results, "--params", params, "--title", EVIL)
+    page = Page(out / "index.html")
+    assert "script" not in [tag for tag, _ in page.tags]
+    for tag, attributes in page.tags:
+        assert not attributes.get("src", "data:").startswith(("http", "/"))
+        assert tag not in ("link", "iframe") and "href" not in attributes
+    assert " ".join(EVIL.split()) in page.text
+    pictures = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
+    assert len(pictures) == 4
+    assert all(src.startswith("data:image/png;base64,iVBOR") for src in pictures)
+    for said in ("Summary", "Provenance", "2.75 0.01 ohm", "side_heat_coupling", "1.2 mm",
+                 "0.002 ± 0.0001 W/K", "2.8", "80 to 95 %"):  # fmt: skip
+        assert said in page.text, said
+
+
+def test_warnings_of_all_inputs_come_first(tmp_path, bag, results, capsys):
+    text = Page(report(tmp_path, *results) / "index.html").text
+    summary = text[: text.index("Identification ")]
+    assert "E1 plateau: not settled" in summary and "wire.mass: odd" in summary
+    assert "info: nothing" not in summary
+    assert "warnings 2" in capsys.readouterr().out
+
+
+def test_provenance_names_hashes_versions_and_the_command(tmp_path, bag, results, capsys):
+    target = tmp_path / "report.json"
+    out = report(tmp_path, bag, results[0], "--json", target)
+    found = json.loads(target.read_text())
+    assert found["inputs"][1]["sha256"] == hashlib.sha256(results[0].read_bytes()).hexdigest()
+    assert found["inputs"][0]["kind"] == "bag"
+    assert found["command"].startswith("sma-bench report ") and str(bag) in found["command"]
+    assert {"sma_bench", "Python", "numpy"} <= set(found["versions"])
+    text = Page(out / "index.html").text
+    for one in found["inputs"]:
+        assert one["sha256"] in text
+    assert found["versions"]["numpy"] in text and found["command"] in text
+
+
+def test_a_bags_hash_follows_its_contents_and_names(bag, tmp_path):
+    before, size = digest(bag)
+    assert size == sum(path.stat().st_size for path in bag.iterdir())
+    assert digest(bag) == (before, size)
+    storage = next(bag.glob("*.mcap"))
+    content = bytearray(storage.read_bytes())
+    content[100] ^= 1
+    storage.write_bytes(content)
+    assert digest(bag)[0] != before
+    content[100] ^= 1
+    storage.write_bytes(content)
+    assert digest(bag)[0] == before
+    storage.rename(bag / "other.mcap")
+    assert digest(bag)[0] != before
+
+
+def test_figures_and_tables_are_there_for_papers(tmp_path, bag, results, capsys):
+    out = report(tmp_path, bag, *results)
+    pictures = {path.stem for path in out.glob("*.png")}
+    assert len(pictures) == 4 and pictures == {path.stem for path in out.glob("*.svg")}
+    for path in out.glob("*.svg"):
+        assert Xml.parse(path).getroot().tag.endswith("svg")
+    with (out / "input_2_parameters.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert rows[0]["value"] == "2.75" and rows[0]["unit"] == "ohm" and rows[0]["method"] == EVIL
+    with (out / "input_1_signals_over_time.csv").open(newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["signal"] == "wire.temperature"]
+    assert max(float(row["value"]) for row in rows) == pytest.approx(352.0, abs=0.01)
+
+
+def test_a_second_report_replaces_the_first(tmp_path, bag, results, capsys):
+    report(tmp_path, bag)
+    out = report(tmp_path, results[0])
+    assert "Identification" in Page(out / "index.html").text
+    assert [path.name for path in out.iterdir() if path.name.startswith(".")] == []
+
+
+def without(*keys):
+    def spoil(document):
+        part = document
+        for key in keys[:-1]:
+            part = part[key]
+        del part[keys[-1]]
+
+    return spoil
+
+
+def with_value(value, *keys):
+    def spoil(document):
+        part = document
+        for key in keys[:-1]:
+            part = part[key]
+        part[keys[-1]] = value
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("document", "spoil", "said"),
+    [
+        (IDENTIFIED, without("parameters"), "not a result"),
+        (IDENTIFIED, without("parameters", "wire.resistance", "std"), "no std"),
+        (IDENTIFIED, with_value("2.7", "parameters", "wire.resistance", "value"), "not a number"),
+        (IDENTIFIED, with_value([], "parameters"), "damaged result"),
+        (IDENTIFIED, with_value("none", "warnings"), "not a list"),
+        (DIAGNOSED, without("where", "table"), "no table"),
+        (DIAGNOSED, with_value([1.0], "shrinkage", "deflection", "ci90"), "damaged result"),
+        (DIAGNOSED, with_value(3, "verdict"), "not a text"),
+        (DIAGNOSED, with_value(None, "where"), "damaged result"),
+    ],
+)
+def test_a_damaged_result_is_one_line_and_nothing_is_written(
+    document, spoil, said, tmp_path, bag, capsys
+):
+    spoiled = copy.deepcopy(document)
+    spoil(spoiled)
+    path = tmp_path / "spoiled.json"
+    path.write_text(json.dumps(spoiled))
+    assert main(["report", str(bag), str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and said in error and str(path) in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.json", "{", "not JSON"), ("a.json", "[1]", "expected an object"),
+        ("a.json", b"\xff\xfe", "not a text file"), ("a.txt", "hello", "neither a bag"),
+        ("none.json", None, "cannot read"),
+    ],
+)
+def test_what_is_neither_is_one_line(name, content, said, tmp_path, capsys):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert main(["report", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_written_keeps_the_last_report(
+    tmp_path, bag, results, capsys, monkeypatch
+):
+    out = report(tmp_path, bag)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("sma_bench.report.page.os.replace", full)
+    assert main(["report", str(results[0]), "--out", str(out)]) == 2
+    assert "No space left" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_target_that_is_a_file_is_one_line(tmp_path, bag, capsys):
+    (tmp_path / "out").write_text("mine")
+    assert main(["report", str(bag), "--out", str(tmp_path / "out")]) == 2
+    assert "cannot write the report" in capsys.readouterr().err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_instrument_files_are_drawn(shared_data, tmp_path, capsys):
+    folder = shared_data / "sma_react" / "input"
+    records = [folder / "preprocessor_samples" / "DSC.txt", folder / "cal_sample_1" / "50 MPa.txt"]
+    page = Page(report(tmp_path, *records) / "index.html")
+    assert len([tag for tag, _ in page.tags if tag == "img"]) == 2
+    assert "isobaric test at 50" in page.text
+
+
+def test_a_tensile_file_is_drawn(tmp_path):
+    path = tmp_path / "tensile.csv"
+    strain = np.linspace(0.0, 0.05, 60)
+    rows = [f"{a:.5f},{b:.3f}" for a, b in zip(strain, 4e4 * strain, strict=True)]
+    path.write_text("\n".join(["Strain,Stress (MPa)", *rows]) + "\n")
+    section, said, _ = record_section(open_record(path), "one")
+    assert "tensile test" in said and len(section.pictures) == 1
+
+
+def test_thinning_keeps_every_peak():
+    time = np.arange(100_000.0)
+    values = np.zeros_like(time)
+    values[[17, 54_321]] = (3.0, -2.0)
+    t, v = thinned(time, values)
+    assert len(t) <= 3000 and v.max() == 3.0 and v.min() == -2.0
+    assert (np.diff(t) > 0.0).all()
+
+
+def test_what_identify_and_diagnose_write_is_read_back(tmp_path, planted_diagnosis):
+    path = tmp_path / "d.json"
+    path.write_text(json.dumps(planted_diagnosis.to_json()))
+    result = read_result(path)
+    assert result.verdict == planted_diagnosis.decision.verdict
+    assert [c.name for c in result.candidates] == [
+        c.name for c in planted_diagnosis.decision.candidates
+    ]
+    assert len(result.shrinkage) == len(planted_diagnosis.shrinkage)
+
+
+def test_parameters_are_shown_only_where_given(tmp_path, bag, capsys):
+    text = Page(report(tmp_path, bag) / "index.html").text
+    assert "As given in" not in text
+    with pytest.raises(InputError):
+        Parameters({"wire.nothing": 1.0})
