@@ -11,6 +11,10 @@ PACKAGE = MANIFEST.findtext("name")
 MAINTAINER = MANIFEST.find("maintainer")
 NODES = [
     "simulator",
+    "serial_bridge",
+    "emulated_bench",
+    "ir_camera",
+    "synthetic_camera",
     "experiment",
     "recorder",
     "identification",
@@ -38,11 +42,11 @@ setup(
     license=MANIFEST.findtext("license"),
     python_requires=">=3.11",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.j2"]},
+    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.j2", "**/*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        *shared_files("config", "launch"),
+        *shared_files("config", "launch", "firmware"),
     ],
     install_requires=["setuptools"],
     zip_safe=False,

@@ -33,11 +33,12 @@ uint8_t reset_flags(void)
     return flags_at_reset & (_BV(PORF) | _BV(EXTRF) | _BV(BORF) | _BV(WDRF));
 }
 
+/* To four bytes: looking at every one would take half a millisecond. */
 uint16_t stack_never_used(void)
 {
     uint16_t free = 0;
-    for (const uint8_t *at = &_end; at <= (uint8_t *)RAMEND && *at == PAINT; at++)
-        free++;
+    for (const uint8_t *at = &_end; at <= (uint8_t *)RAMEND && *at == PAINT; at += 4)
+        free += 4;
     return free;
 }
 

@@ -80,20 +80,22 @@ static void write_binary(const struct frame *frame, const struct telemetry *tele
 bool report(uint16_t sequence)
 {
     struct telemetry telemetry;
-    const struct frame *frame = sampling_take();
-    if (!frame)
-        return false;
     struct safety safety;
+    const struct frame *taken = sampling_take();
+    if (!taken)
+        return false;
+    /* Given back before the work: at 500 Hz the next one may end meanwhile. */
+    const struct frame frame = *taken;
+    sampling_release();
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         safety = *safety_now();
     }
-    convert(frame, &telemetry);
+    convert(&frame, &telemetry);
     if (answers_are_binary())
-        write_binary(frame, &telemetry, &safety, sequence);
+        write_binary(&frame, &telemetry, &safety, sequence);
     else
-        write_text(frame, &telemetry, &safety, sequence);
-    sampling_release();
+        write_text(&frame, &telemetry, &safety, sequence);
     send_message();
     return true;
 }

@@ -1,8 +1,9 @@
-"""What every test may ask for: the shared data, a diagnosis, and a ROS domain of its own."""
+"""What every test may ask for: shared data, a diagnosis, an Uno, a ROS domain of its own."""
 
 import fcntl
 import os
 import random
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -51,6 +52,34 @@ def planted_diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Any:
     seen, unseen = planted_pair(tmp_path_factory.mktemp("planted"), effect)
     with few_effects():
         return diagnose(seen, believed(), unseen)
+
+
+@pytest.fixture(scope="session")
+def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The image that is flashed into the Uno."""
+    from sma_bench.emulation.build import build_firmware
+
+    if shutil.which("avr-gcc") is None:
+        pytest.skip("no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
+    return build_firmware(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture(scope="session")
+def emulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The emulated Uno, built."""
+    from sma_bench.emulation.build import build_emulator, missing_tools
+
+    if missing := missing_tools():
+        pytest.skip(missing)
+    return build_emulator(tmp_path_factory.mktemp("emulator"))
+
+
+@pytest.fixture
+def uno(emulator: Path, firmware_image: Path) -> Any:
+    """An Uno with the real image, just powered up."""
+    from sma_bench.emulation.emulated_uno import EmulatedUno
+
+    return EmulatedUno(emulator, firmware_image)
 
 
 @pytest.fixture

@@ -28,6 +28,7 @@ ARROWS = {
     "identify": LEAVES | {"records", "physics", "parameters"},
     "control": LEAVES | {"parameters", "physics"},
     "hardware": LEAVES | {"parameters"},
+    "emulation": LEAVES | {"parameters", "physics", "share"},
     "synthetic": LEAVES
     | {"records", "physics", "parameters", "protocols", "control", "hardware"},
     "diagnose": LEAVES | {"identify", "records", "physics", "parameters", "protocols"},

@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sma_bench.commands.demo_gap import gap_act
+from sma_bench.commands.demo_hardware import hardware_act
 from sma_bench.commands.demo_stage import make_folder
 from sma_bench.commands.demo_table import simulated_truth, table_act
 from sma_bench.errors import InputError
@@ -30,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
         "the effect of this draw instead of one by the clock",
     )
+    parser.add_argument(
+        "--hardware", action="store_true",
+        help="instead of both acts, the nodes of a real bench on the real firmware in an emulated "
+        "Uno, in real time (four minutes)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -41,6 +47,11 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
     make_folder(out)
+    if args.hardware:
+        console.print("[bold]Table I over a serial port: emulated Uno, real firmware[/]")
+        holds = hardware_act(console, out, simulated_truth(args.draw))
+        console.print(f"{time.monotonic() - started:.0f} s")
+        return 0 if holds else 1
     console.print("[bold]1. From a commanded volt to Table I[/]")
     identified = table_act(console, out, args.speed, simulated_truth(args.draw))
     console.print("\n[bold]2. The gap between simulation and bench[/]")

@@ -28,6 +28,9 @@ class Stage:
     In the folder: `bags`, one of each protocol, and `logs`, one of each node.
     """
 
+    simulated = True
+    """Whether time is the simulator's, on /clock."""
+
     def __init__(self, console: Console, folder: Path, namespace: str) -> None:
         """The folder is made; InputError where it cannot be."""
         self.bags, self._logs = folder / "bags", folder / "logs"
@@ -72,10 +75,14 @@ class Stage:
         Args:
             simulator: parameters of the simulator node alone.
         """
-        self._bench = read_parameters(bench_file)
         self._nodes.start("simulator", simulator, (bench_file,))
+        self.start_experiment(bench_file, protocol)
+
+    def start_experiment(self, bench_file: Path, protocol: str) -> None:
+        """The experiment node at its protocol."""
+        self._bench = read_parameters(bench_file)
         self._nodes.start(
-            "experiment", {"protocol": protocol, "use_sim_time": True}, (bench_file,)
+            "experiment", {"protocol": protocol, "use_sim_time": self.simulated}, (bench_file,)
         )
         self._client.follow("experiment")
         self._client.follow("recorder")
@@ -93,19 +100,20 @@ class Stage:
             InputError: a node ended, or the experiment was aborted.
         """
         duration = load_protocol(protocol, self._bench).duration
-        task = self._progress.add_task(f"{protocol} ({duration:.0f} simulated s)", total=duration)
+        kind = "simulated s" if self.simulated else "s"
+        task = self._progress.add_task(f"{protocol} ({duration:.0f} {kind})", total=duration)
         bag = self.bags / protocol
-        self._nodes.start("recorder", {"output": str(bag), "use_sim_time": True})
+        self._nodes.start("recorder", {"output": str(bag), "use_sim_time": self.simulated})
         needed = self._topics()
         self._client.wait(
             "recorder", lambda: needed <= set(self._client.recorded(str(bag))), PATIENCE
         )
         self._client.set_parameters("experiment", {"protocol": protocol}, PATIENCE)
         self._start_experiment()
-        begin = self._client.simulated_seconds
+        begin = self._seconds()
 
         def finished() -> bool:
-            elapsed = self._client.simulated_seconds - begin
+            elapsed = self._seconds() - begin
             self._progress.update(task, completed=min(elapsed, duration))
             state = self._client.state("experiment")
             if state.startswith("aborted"):
@@ -136,6 +144,9 @@ class Stage:
         self._progress.update(task, total=1, completed=1)
         found: dict[str, Any] = json.loads(answer)
         return found
+
+    def _seconds(self) -> float:
+        return self._client.simulated_seconds if self.simulated else time.monotonic()
 
     def _start_experiment(self) -> None:
         """Just begun, the node may not have heard the simulator's clock yet."""

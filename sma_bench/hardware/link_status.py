@@ -30,8 +30,13 @@ class LinkStatus:
     damaged: int = 0
     not_understood: int = 0
     refused: int = 0
+    last_refusal: str = ""
+    counters: dict[str, int] = field(default_factory=dict)
+    """the device's own (S line), once a second"""
     connections: int = 0
     round_trip: float = float("nan")
+    command_latency: float = float("nan")
+    """s from sending a command to the telemetry that echoes it"""
     drift: float = 0.0
     clock_uncertainty: float = float("inf")
     problem: str = ""

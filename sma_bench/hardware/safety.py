@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from sma_bench.hardware.expectation import WireModel, WireWatch
 from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
@@ -15,12 +16,15 @@ CELSIUS_ZERO = 273.15
 
 @dataclass(frozen=True)
 class Limits:
-    """What a bench allows: V, A, K, and s of silence."""
+    """What a bench allows: V, A, K, s of silence, W, K/s; and what its wires should do."""
 
     maximum_voltage: float
     maximum_current: float
     maximum_temperature: float
     command_timeout: float
+    maximum_power: float
+    maximum_heating_rate: float
+    model: WireModel
 
     @classmethod
     def from_parameters(cls, parameters: Parameters) -> "Limits":
@@ -30,6 +34,9 @@ class Limits:
             maximum_current=parameters["bench.maximum_current"],
             maximum_temperature=parameters["bench.maximum_temperature"],
             command_timeout=parameters["bench.command_timeout"],
+            maximum_power=parameters["bench.maximum_power"],
+            maximum_heating_rate=parameters["bench.maximum_heating_rate"],
+            model=WireModel.from_parameters(parameters),
         )
 
 
@@ -62,6 +69,17 @@ def current_fault(channel: str, current: float, limits: Limits) -> str:
     if abs(current) > limits.maximum_current:
         return (
             f"over-current: {channel} at {current:.2f} A, limit {limits.maximum_current:g} A"
+        )
+    return ""
+
+
+def power_fault(channel: str, volt: float, ampere: float, limits: Limits) -> str:
+    """Over-voltage or too much power at a wire, or ""; NaN is no reading and no fault."""
+    if volt > limits.maximum_voltage + limits.model.voltage_tolerance:
+        return f"over-voltage: {channel} gets {volt:.2f} V, limit {limits.maximum_voltage:g} V"
+    if volt * ampere > limits.maximum_power:
+        return (
+            f"over-power: {channel} takes {volt * ampere:.1f} W, limit {limits.maximum_power:g} W"
         )
     return ""
 
@@ -112,14 +130,23 @@ class CommandGate:
         """Take a command at `now` s; the reason when it is rejected and changes nothing."""
         reason = command_fault(values, len(self._zero), self._limits)
         if reason:
-            self.rejected += 1
-            self.last_rejection = reason
-            return reason
+            return self.refuse(reason)
         self._watchdog.feed(now)
         self._outputs = tuple(float(value) for value in values)
         self._live = True
         self.accepted += 1
         return ""
+
+    def refuse(self, reason: str) -> str:
+        """Count a command that cannot be obeyed now; the reason."""
+        self.rejected += 1
+        self.last_rejection = reason
+        return reason
+
+    def clear(self) -> None:
+        """Outputs to 0 V until the next command."""
+        self._live = False
+        self._outputs = self._zero
 
     def outputs(self, now: float) -> tuple[float, ...]:
         """Volts of every channel at `now` s."""
@@ -178,18 +205,28 @@ class Interlock:
 
 
 class Guard:
-    """Watches every channel's readings and knows why an experiment must not go on."""
+    """Watches every channel's commands and readings and knows why driving must not go on."""
 
     def __init__(
         self, channels: Iterable[str], feedback: Iterable[str], timeout: float
     ) -> None:
-        """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s."""
+        """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s.
+
+        A disagreement between model and readings is a fault when it lasts as long.
+        """
+        channels = tuple(channels)
         self._fresh = {
             f"{channel}/{kind}": Freshness(f"{channel}/{kind}", timeout)
             for channel in channels
             for kind in feedback
         }
+        self._wires = {channel: WireWatch(channel, timeout) for channel in channels}
         self._readings: dict[str, str] = {}
+
+    def commanded(self, voltage: Sequence[float]) -> None:
+        """Note the volts that were sent, one a channel: readings must follow them."""
+        for wire, volt in zip(self._wires.values(), voltage, strict=True):
+            wire.commanded(volt)
 
     def temperature(
         self, channel: str, kelvin: float, stamp: float, now: float, limits: Limits
@@ -197,7 +234,12 @@ class Guard:
         """Note a temperature in K; NaN is not a reading and makes nothing fresh."""
         if not math.isnan(kelvin):
             self._note(f"{channel}/temperature", stamp, now)
-        self._readings[f"{channel}/temperature"] = temperature_fault(channel, kelvin, limits)
+        wire = self._wires[channel]
+        rate = wire.rate(kelvin, stamp, limits.maximum_heating_rate)
+        disagreement = wire.temperature(kelvin, now, limits.model)
+        self._readings[f"{channel}/temperature"] = (
+            temperature_fault(channel, kelvin, limits) or rate or disagreement
+        )
 
     def power(
         self, channel: str, volt: float, ampere: float, stamp: float, now: float, limits: Limits
@@ -205,7 +247,12 @@ class Guard:
         """Note voltage in V and current in A; both NaN is not a reading."""
         if not (math.isnan(volt) and math.isnan(ampere)):
             self._note(f"{channel}/power", stamp, now)
-        self._readings[f"{channel}/power"] = current_fault(channel, ampere, limits)
+        disagreement = self._wires[channel].power(volt, ampere, stamp, now, limits.model)
+        self._readings[f"{channel}/power"] = (
+            current_fault(channel, ampere, limits)
+            or power_fault(channel, volt, ampere, limits)
+            or disagreement
+        )
 
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""

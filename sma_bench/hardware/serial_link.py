@@ -20,6 +20,7 @@ from sma_bench.hardware.serial_messages import (
     CHANNELS,
     STOP,
     Message,
+    Named,
     Pong,
     Refused,
     State,
@@ -32,6 +33,7 @@ BINARY_ABOVE = 100
 """Hz: text telemetry up to here, binary above."""
 
 _ASKS = 3
+_LONGEST_WAIT = 0.1
 _NUMBERS = 1 << 16
 
 
@@ -42,6 +44,7 @@ class LinkOptions:
     rate: int = 100
     # No multiple of a telemetry period: pings must meet the pauses between frames too.
     ping_period: float = 0.0837
+    counters_period: float = 1.0
     greeting_timeout: float = 2.5
     silence_limit: float = 0.5
     first_back_off: float = 0.5
@@ -75,6 +78,7 @@ class SerialLink:
         self._driving = threading.Lock()
         self._session: int | None = None
         self._sequence = 0
+        self._unheard: tuple[int, float] | None = None
         self._ping = (0, 0.0)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._live, name="serial link", daemon=True)
@@ -112,8 +116,9 @@ class SerialLink:
         conversation = self._connected()
         greeting = conversation.ask_named("?", "H")["H"]
         session = conversation.ask_for_consent("A", int(greeting.values["nonce"]))
+        self._status.last_refusal = ""
         with self._driving:
-            self._session, self._sequence = session, 0
+            self._session, self._sequence, self._unheard = session, 0, None
 
     def drive(self, millivolts: Sequence[int]) -> int:
         """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
@@ -130,6 +135,7 @@ class SerialLink:
             sequence = (self._sequence + 1) % _NUMBERS
             self._connected().say("V", self._session, sequence, *millivolts)
             self._sequence = sequence
+            self._unheard = self._unheard or (sequence, self._now())
         return sequence
 
     def stop(self) -> None:
@@ -157,6 +163,9 @@ class SerialLink:
         """
         self._session = None
         self._connected().ask_for_consent("R")
+        with self._changed:
+            # The next telemetry says the same, a little later.
+            self._status.state, self._status.cause = State.IDLE, 0
 
     def counters(self) -> dict[str, int]:
         """The device's own counters (S line).
@@ -222,20 +231,27 @@ class SerialLink:
         raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
 
     def _serve(self, conversation: Conversation) -> None:
-        heard = next_ping = self._now()
+        last = next_ping = self._now()
+        next_count = last + self._options.counters_period
+        silence = 0.0
         while not self._closing.is_set():
             messages, now = conversation.receive(next_ping - self._now())
             for message in messages:
                 self._act(message, now)
             self._status.damaged = conversation.damaged
             self._status.not_understood = conversation.not_understood
-            if messages:
-                heard = now
-            elif now - heard > self._options.silence_limit:
-                raise LinkError(f"the device is silent for {now - heard:.2f} s")
+            # A host that was stopped itself has not listened: no wait counts for longer than asked.
+            silence = 0.0 if messages else silence + min(now - last, _LONGEST_WAIT)
+            last = now
+            if silence > self._options.silence_limit:
+                raise LinkError(f"the device is silent for {silence:.2f} s")
             if now >= next_ping:
                 next_ping = now + self._options.ping_period
                 self._send_ping(conversation)
+            # Not together with a ping: at 500 Hz there is no time for two answers in a window.
+            if now >= next_count and next_ping - now < 0.5 * self._options.ping_period:
+                next_count = now + self._options.counters_period
+                conversation.say("S")
 
     def _act(self, message: Message, now: float) -> None:
         if isinstance(message, Telemetry):
@@ -244,6 +260,9 @@ class SerialLink:
             self._synchronise(message, now)
         elif isinstance(message, Refused):
             self._status.refused += 1
+            self._status.last_refusal = str(message)
+        elif isinstance(message, Named) and message.letter == "S":
+            self._status.counters = {key: int(value) for key, value in message.values.items()}
 
     def _take(self, telemetry: Telemetry, now: float) -> None:
         if self._status.went_back(telemetry):
@@ -254,10 +273,19 @@ class SerialLink:
         if self._status.state == State.STOPPED and not stopped_already:
             self._session = None
             self._on_event(f"the device stopped: {self._status.cause_text}")
+        self._time_command(telemetry.echo, now)
         if self._device_clock.synchronised:
             # A window cannot end after it was received.
             ended = min(self._device_clock.host_time(telemetry.time_us), now)
             self._on_reading(Reading(telemetry, ended - 0.5 / self._options.rate))
+
+    def _time_command(self, echo: int, now: float) -> None:
+        if self._unheard is None:
+            return
+        sequence, sent = self._unheard
+        if (echo - sequence) % _NUMBERS < _NUMBERS // 2:
+            self._status.command_latency = now - sent
+            self._unheard = None
 
     def _send_ping(self, conversation: Conversation) -> None:
         number = (self._ping[0] + 1) % _NUMBERS

@@ -18,6 +18,7 @@ CAUSES = (
     "over-current of the back board", "duty above its limit", "on for longer than allowed",
     "supply out of range", "main loop hung", "converter dead",
 )
+TIMEOUT_CAUSE = CAUSES.index("command timeout")
 REASONS = (
     "accepted", "wrong checksum", "bad format", "line too long", "not armed",
     "wrong nonce or session", "old sequence number", "above the voltage limit",

@@ -4,7 +4,8 @@ Every message object is built once and only its stamp and numbers change: at a m
 time, building messages would cost more than the physics.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -18,34 +19,61 @@ NAN = float("nan")
 _NEAREST, _FARTHEST = 0.02, 0.3
 
 
-class BenchTopics:
-    """Publishers of one bench, relative names."""
+class PowerTopics:
+    """`<channel>/power` of every channel."""
 
-    def __init__(self, node: Node, channels: tuple[str, ...], composite: bool) -> None:
-        self._counts = {"power": 0, "temperature": 0, "mechanics": 0, "ambient": 0}
-        self._power = [
+    def __init__(self, node: Node, channels: Sequence[str]) -> None:
+        self._pairs = [
             (node.create_publisher(BatteryState, f"{channel}/power", MEASURED), _power(channel))
             for channel in channels
         ]
+
+    def publish(self, powers: Sequence[tuple[float, float]], stamp: int) -> None:
+        """Send (V, A) of every channel, acquired at `stamp` ns of ROS time."""
+        for (publisher, message), (volt, ampere) in zip(self._pairs, powers, strict=True):
+            message.voltage = float(volt)
+            message.current = float(ampere)
+            _send(publisher, message, stamp)
+
+
+class RangeTopics:
+    """`front/range`, `back/range`, and the deflection they give as the joint `tip`."""
+
+    def __init__(self, node: Node, sides: Sequence[str] = ("front", "back")) -> None:
+        self._ranges = {
+            side: (node.create_publisher(Range, f"{side}/range", MEASURED), _range(side))
+            for side in sides
+        }
+        self._joint = node.create_publisher(JointState, "joint_states", MEASURED)
+        self._tip = JointState(name=["tip"])
+
+    def publish(self, distances: Mapping[str, float], deflection: float, stamp: int) -> None:
+        """Send distances (m) by side, and a deflection (m) unless it is NaN."""
+        for side, (publisher, message) in self._ranges.items():
+            message.range = _rep_117(float(distances[side]))
+            _send(publisher, message, stamp)
+        if not math.isnan(deflection):
+            self._tip.position = [float(deflection)]
+            _send(self._joint, self._tip, stamp)
+
+
+class BenchTopics:
+    """Publishers of one simulated bench, relative names."""
+
+    def __init__(self, node: Node, channels: tuple[str, ...], composite: bool) -> None:
+        self._counts = {"power": 0, "temperature": 0, "mechanics": 0, "ambient": 0}
+        power = PowerTopics(node, channels)
         self._temperature = [
             (_temperature_publisher(node, channel), _temperature(channel)) for channel in channels
         ]
         self._ambient = [(_temperature_publisher(node, "ambient"), _temperature("ambient"))]
-        self._joint = (
-            node.create_publisher(JointState, "joint_states", MEASURED),
-            JointState(name=["tip" if composite else "wire"]),
-        )
-        self._ranges = [
-            (node.create_publisher(Range, f"{side}/range", MEASURED), _range(side))
-            for side in (("front", "back") if composite else ())
-        ]
         self._send: dict[str, Callable[[list, int], None]] = {
-            "power": self._send_power,
+            "power": power.publish,
             "temperature": lambda values, stamp: _send_temperatures(
                 self._temperature, values, stamp
             ),
             "ambient": lambda values, stamp: _send_temperatures(self._ambient, values, stamp),
-            "mechanics": self._send_ranges if composite else self._send_load_frame,
+            "mechanics": _range_sender(node) if composite else _load_frame_sender(node),
         }
 
     def publish(self, reading: Reading, epoch: int) -> None:
@@ -57,27 +85,28 @@ class BenchTopics:
         """Readings published so far, by kind."""
         return dict(self._counts)
 
-    def _send_power(self, values: list, stamp: int) -> None:
-        for (publisher, message), (volt, ampere) in zip(self._power, values, strict=True):
-            message.voltage = float(volt)
-            message.current = float(ampere)
-            _send(publisher, message, stamp)
 
-    def _send_load_frame(self, values: list, stamp: int) -> None:
-        publisher, message = self._joint
+def _range_sender(node: Node) -> Callable[[list, int], None]:
+    topics = RangeTopics(node)
+
+    def send(values: list, stamp: int) -> None:
+        front, back = values
+        topics.publish({"front": front, "back": back}, (back - front) / 2.0, stamp)
+
+    return send
+
+
+def _load_frame_sender(node: Node) -> Callable[[list, int], None]:
+    publisher = node.create_publisher(JointState, "joint_states", MEASURED)
+    message = JointState(name=["wire"])
+
+    def send(values: list, stamp: int) -> None:
         elongation, force = values
         message.position = [float(elongation)]
         message.effort = [float(force)]
         _send(publisher, message, stamp)
 
-    def _send_ranges(self, values: list, stamp: int) -> None:
-        for (publisher, message), distance in zip(self._ranges, values, strict=True):
-            message.range = _rep_117(float(distance))
-            _send(publisher, message, stamp)
-        front, back = values
-        publisher, message = self._joint
-        message.position = [(back - front) / 2.0]
-        _send(publisher, message, stamp)
+    return send
 
 
 def _send(publisher: Publisher, message: object, stamp: int) -> None:

@@ -203,6 +203,7 @@ class Experiment(BenchNode):
             self._marker.publish(String(data=f"{self._protocol.name}/{step}"))
 
     def _send(self, voltage: list[float]) -> None:
+        self._guard.commanded(voltage)
         self._command.publish(Float64MultiArray(data=voltage))
 
     # Services

@@ -42,11 +42,16 @@ class NodeProcesses:
             self.end(name)
 
     def start(
-        self, name: str, parameters: Mapping[str, Any], files: tuple[str | Path, ...] = ()
+        self,
+        name: str,
+        parameters: Mapping[str, Any],
+        files: tuple[str | Path, ...] = (),
+        remappings: Mapping[str, str] | None = None,
     ) -> None:
         """Start a node with parameter files and, over them, single parameters."""
         command = [sys.executable, "-m", f"sma_bench.nodes.{name}", "--ros-args"]
-        command += ["-r", f"__ns:={self._namespace}"]
+        for old, new in {"__ns": self._namespace, **(remappings or {})}.items():
+            command += ["-r", f"{old}:={new}"]
         for file in files:
             command += ["--params-file", str(file)]
         for key, value in parameters.items():
@@ -61,6 +66,10 @@ class NodeProcesses:
         for name, process in self._running.items():
             if process.poll() is not None:
                 raise InputError(f"node {name} ended: {self._last_words(name)}")
+
+    def pid(self, name: str) -> int:
+        """Process of a running node."""
+        return self._running[name].pid
 
     def end(self, name: str) -> None:
         """End a node as Ctrl-C would; insist after a while."""

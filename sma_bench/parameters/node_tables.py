@@ -1,5 +1,7 @@
 """Each node's own parameters, beside the contract's (table.py)."""
 
+from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
+from sma_bench.parameters.camera_tables import IR_CAMERA, SYNTHETIC_CAMERA
 from sma_bench.parameters.parameter import Parameter
 
 _ADC_10_BIT = 1023
@@ -87,6 +89,19 @@ SIMULATOR = (
     Parameter(
         "sensor.force_noise", "N", 0.02, "Standard deviation of the measured wire force.",
         "assumed: 0.05 % of a 50 N load cell", 0.0, 10.0, read_only=True,
+    ),
+)
+
+EMULATED_BENCH = (
+    Parameter(
+        "port", "", "",
+        "Path of a link to make to the emulated port, for a bridge to open; empty for none.",
+        "choice", kind="string", read_only=True,
+    ),
+    *(
+        p for p in SIMULATOR
+        if p.name in ("seed", "rate.temperature")
+        or p.name.startswith("sensor.temperature")
     ),
 )
 
@@ -216,6 +231,10 @@ DEFLECTION_CONTROLLER = (
 
 NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
     "simulator": SIMULATOR,
+    "serial_bridge": SERIAL_BRIDGE,
+    "emulated_bench": EMULATED_BENCH,
+    "ir_camera": IR_CAMERA,
+    "synthetic_camera": SYNTHETIC_CAMERA,
     "experiment": EXPERIMENT,
     "recorder": RECORDER,
     "identification": IDENTIFICATION,

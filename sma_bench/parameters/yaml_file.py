@@ -143,6 +143,22 @@ def write_parameters(
     for name, std in sorted(parameters.given_uncertainty.items()):
         if name in chosen:
             _insert(body, UNCERTAINTY_PREFIX + name, float(std))
+    _write_body(path, body, comment)
+
+
+def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str = "") -> None:
+    """Write values by dotted name as a ROS parameter file, whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    body: dict[str, Any] = {}
+    for name, value in values.items():
+        _insert(body, name, value)
+    _write_body(path, body, comment)
+
+
+def _write_body(path: str | Path, body: dict[str, Any], comment: str) -> None:
     text = "".join(f"# {line}\n" for line in comment.splitlines())
     text += yaml.safe_dump({WILDCARD: {"ros__parameters": body}}, sort_keys=False)
     write_text_atomically(path, text)

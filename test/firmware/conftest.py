@@ -1,15 +1,13 @@
-"""The firmware, built once for all tests: for this computer, and for the Uno."""
+"""The firmware's logic, built once for all tests, and hosts of an Uno with the real image."""
 
 import shutil
 from pathlib import Path
 
 import pytest
-from emulated_uno import EmulatedUno, build_emulator, build_firmware
 from host_firmware import HostFirmware, build_host_firmware, build_program
 from virtual_host import VirtualHost
 
-SIMAVR = Path("/usr/include/simavr/sim_avr.h")
-ELF_LIBRARY = Path("/usr/include/libelf.h")
+from sma_bench.emulation.emulated_uno import EmulatedUno
 
 
 @pytest.fixture(scope="session")
@@ -52,26 +50,6 @@ def host_library(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def host_firmware(host_library: Path) -> HostFirmware:
     """The firmware's logic on this computer, just started; one at a time."""
     return HostFirmware(host_library)
-
-
-@pytest.fixture(scope="session")
-def firmware_image(avr_toolchain: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The image that is flashed."""
-    return build_firmware(tmp_path_factory.mktemp("firmware"))
-
-
-@pytest.fixture(scope="session")
-def emulator(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """uno.c, built."""
-    if not (SIMAVR.exists() and ELF_LIBRARY.exists()):
-        pytest.skip("no simavr here (Debian packages libsimavr-dev, libelf-dev)")
-    return build_emulator(tmp_path_factory.mktemp("emulator"))
-
-
-@pytest.fixture
-def uno(emulator: Path, firmware_image: Path) -> EmulatedUno:
-    """An Uno with the real image, just powered up."""
-    return EmulatedUno(emulator, firmware_image)
 
 
 @pytest.fixture

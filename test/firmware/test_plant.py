@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from plant import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
 from virtual_host import VirtualHost
 
+from sma_bench.emulation.plant import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
 from sma_bench.hardware.calibration import fit_range_calibration
 from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
 from sma_bench.parameters import Parameters
@@ -26,7 +26,7 @@ def test_pulses_heat_a_wire_as_the_commanded_direct_voltage_would(host: VirtualH
     plant = Plant(host.uno, Parameters.defaults())
     reference = Bench(Parameters.defaults())
     host.arm()
-    plant.advance(1e-3)
+    plant.advance()
     hold(host, plant, 1.5, 3000, 0, 0, 0)
     for _ in range(30):
         reference.advance(np.array([3.0]), PERIOD)
@@ -44,7 +44,7 @@ def test_staircase_gives_the_wires_resistance(host: VirtualHost) -> None:
     for millivolts in (1500, 3000, 4500, 6000):
         hold(host, plant, 0.1, millivolts, 0, 0, 0)
         start = len(host.telemetry)
-        hold(host, plant, 0.3, millivolts, 0, 0, 0)
+        hold(host, plant, 1.0, millivolts, 0, 0, 0)
         powers = [channel_powers(frame, PowerCalibration())[0] for frame in host.telemetry[start:]]
         volts.append(np.mean([power.voltage for power in powers]))
         amperes.append(np.mean([power.current for power in powers]))

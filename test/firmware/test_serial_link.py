@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from host_firmware import HostFirmware
-from pty_bench import PtyBench, on_a_port
 
+from sma_bench.emulation.pty_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading
@@ -258,3 +258,22 @@ def test_port_is_found_by_its_stable_name(tmp_path: Path) -> None:
     (tmp_path / "usb-Arduino_2").touch()
     with pytest.raises(InputError, match="usb-Arduino_1, .*usb-Arduino_2"):
         find_port(tmp_path)
+
+
+def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(
+    bench: PtyBench, link: Watched
+) -> None:
+    """It finds nothing to read, and its clock 0.7 s on, as after SIGSTOP and SIGCONT."""
+    conversation = link._conversation
+    receive, leaps = conversation.receive, [0.7]
+
+    def receive_after_a_leap(patience: float) -> tuple[list, float]:
+        if leaps:
+            return [], time.monotonic() + leaps.pop()
+        return receive(patience)
+
+    conversation.receive = receive_after_a_leap
+    frames = link.status.telemetry
+    wait_for(lambda: link.status.telemetry > frames + 20)
+    assert not leaps
+    assert link.status.connections == 1

@@ -3,9 +3,9 @@
 import time
 
 import pytest
-from emulated_uno import EmulatedUno
 from virtual_port import VirtualPort
 
+from sma_bench.emulation.emulated_uno import EmulatedUno
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 

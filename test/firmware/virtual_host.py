@@ -1,7 +1,6 @@
 """A host in virtual time: no threads, no waiting, every run the same."""
 
-from emulated_uno import EmulatedUno
-
+from sma_bench.emulation.emulated_uno import EmulatedUno
 from sma_bench.hardware.serial_framing import Splitter, line
 from sma_bench.hardware.serial_messages import (
     Accepted,

@@ -1,6 +1,6 @@
 """A serial port in virtual time: the real link runs on it as fast as the machine can."""
 
-from emulated_uno import EmulatedUno
+from sma_bench.emulation.emulated_uno import EmulatedUno
 
 USB_FRAME = 1e-3
 
@@ -27,7 +27,7 @@ class VirtualPort:
     def read(self, size: int = 1) -> bytes:
         """Up to `size` bytes; what one frame brings."""
         if not self._pending:
-            self._uno.run(USB_FRAME)
+            self._uno.run(USB_FRAME / self._rate)
             self._pending = self._uno.read()
         read, self._pending = self._pending[:size], self._pending[size:]
         return read

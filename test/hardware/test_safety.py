@@ -23,7 +23,9 @@ LIMITS = Limits.from_parameters(Parameters.defaults())
 
 
 def test_limits_are_those_of_the_contract():
-    assert Limits(10.0, 3.0, 423.15, 0.5) == LIMITS
+    assert (LIMITS.maximum_voltage, LIMITS.maximum_current) == (10.0, 3.0)
+    assert (LIMITS.maximum_temperature, LIMITS.command_timeout) == (423.15, 0.5)
+    assert (LIMITS.maximum_power, LIMITS.maximum_heating_rate) == (30.0, 1500.0)
 
 
 @pytest.mark.parametrize(

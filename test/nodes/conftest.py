@@ -59,10 +59,17 @@ class TestBench:
         self._clients: dict[str, Any] = {}
 
     def start(
-        self, name: str, *files: str, options: dict[str, Any] | None = None, **parameters: Any
+        self,
+        name: str,
+        *files: str,
+        options: dict[str, Any] | None = None,
+        remap: dict[str, str] | None = None,
+        **parameters: Any,
     ) -> RunningNode:
         """Start a node; `__` in a parameter's name stands for a dot."""
         arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
+        for old, new in (remap or {}).items():
+            arguments += ["-r", f"{old}:={new}"]
         for file in files:
             arguments += ["--params-file", str(file)]
         for key, value in parameters.items():
@@ -100,6 +107,10 @@ class TestBench:
 
     def trigger(self, service: str) -> Trigger.Response:
         return self._call(Trigger, service, Trigger.Request())
+
+    def know(self, service: str) -> None:
+        """Match a Trigger service now, so that a later call takes no time for it."""
+        self._client(Trigger, service)
 
     def trigger_later(self, service: str) -> Any:
         """The future of a call that takes its time."""

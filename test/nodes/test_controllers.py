@@ -1,6 +1,7 @@
 """The controllers as processes: they track on the simulator, and leave the wires cold."""
 
 import signal
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,6 +28,10 @@ def reference(tmp_path):
     return write
 
 
+# Its temperatures are what the test says, whatever is commanded.
+UNHEATED = {"bench__temperature_tolerance": 500.0}
+
+
 class FakeBench:
     """Readings of the bench, as the test wants them, every 20 ms while the test spins."""
 
@@ -38,8 +43,9 @@ class FakeBench:
         self.states = bench.latched(f"{controller}/state", String)
         self._node = bench.node
         self._publishers = [
-            ("power", bench.node.create_publisher(BatteryState, f"{c}/power", 10), self._power)
-            for c in channels
+            ("power", bench.node.create_publisher(BatteryState, f"{c}/power", 10),
+             partial(self._power, k))
+            for k, c in enumerate(channels)
         ] + [
             ("temperature", bench.node.create_publisher(Temperature, f"{c}/temperature", 10),
              self._temperature)
@@ -55,8 +61,10 @@ class FakeBench:
     def volts(self):
         return list(self.commands[-1].data) if self.commands else [0.0] * self._channels
 
-    def _power(self):
-        return BatteryState(voltage=1.0, current=0.1)
+    def _power(self, channel):
+        """What was commanded; the supply gives no more than the bench allows."""
+        volt = self.volts[channel]
+        return BatteryState(voltage=volt, current=min(volt / 2.6987, 2.9))
 
     def _temperature(self):
         return Temperature(temperature=float(self.celsius))
@@ -174,7 +182,7 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, reference):
 
 def test_temperatures_come_from_a_topic_in_celsius_and_bad_ones_are_refused(bench):
     fake = FakeBench(bench, "temperature_controller")
-    node = bench.start("temperature_controller", reference="''", autostart=True)
+    node = bench.start("temperature_controller", **UNHEATED, reference="''", autostart=True)
     bench.until(lambda: fake.state == "running: topic")
     topic = bench.talk("temperature_controller/reference", Float64MultiArray)
     bench.until(lambda: fake.volts == [0.0])
@@ -195,7 +203,7 @@ def test_temperatures_come_from_a_topic_in_celsius_and_bad_ones_are_refused(benc
 def test_controller_obeys_the_safety_rules_of_the_experiment(bench):
     fake = FakeBench(bench, "temperature_controller")
     bench.start(
-        "temperature_controller", reference="''", autostart=True, feedback_timeout=0.5
+        "temperature_controller", **UNHEATED, reference="''", autostart=True, feedback_timeout=0.5
     )
     bench.until(lambda: fake.state == "running: topic")
     topic = bench.talk("temperature_controller/reference", Float64MultiArray)
@@ -221,7 +229,7 @@ def test_deflection_controller_stops_when_the_deflection_stops_coming(bench):
     channels = ("front_1", "front_2", "back_1", "back_2")
     fake = FakeBench(bench, "deflection_controller", channels)
     bench.start(
-        "deflection_controller", COMPOSITE_RIG, reference="''", autostart=True,
+        "deflection_controller", COMPOSITE_RIG, **UNHEATED, reference="''", autostart=True,
         feedback_timeout=0.5,
     )
     bench.until(lambda: fake.state == "running: topic")

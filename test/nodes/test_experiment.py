@@ -18,6 +18,7 @@ SHORT = {
         {"kind": "rest", "name": "cool", "duration": 1.0},
     ],
 }
+RESISTANCE = 2.6987
 LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
 
 
@@ -32,11 +33,13 @@ def protocol(tmp_path):
 
 
 class FakeBench:
-    """Readings of a wire, as the test wants them, every 20 ms while the test spins."""
+    """Readings of a wire that gets what is commanded, or else what the test wants, every 20 ms
+    while the test spins."""
 
     def __init__(self, bench):
         self.celsius = 25.0
-        self.ampere = 0.1
+        self.ampere = None
+        self.deaf = False
         self.frozen = False
         self._node = bench.node
         self._power = bench.node.create_publisher(BatteryState, "wire/power", 10)
@@ -56,7 +59,9 @@ class FakeBench:
     def _publish(self):
         if not self.frozen:
             self._stamp = self._node.get_clock().now().to_msg()
-        power = BatteryState(voltage=1.0, current=float(self.ampere))
+        volt = 0.0 if self.deaf or not self.commands else self.commands[-1].data[0]
+        ampere = volt / RESISTANCE if self.ampere is None else self.ampere
+        power = BatteryState(voltage=volt, current=ampere)
         power.header.stamp = self._stamp
         self._power.publish(power)
         temperature = Temperature(temperature=float(self.celsius))
@@ -155,6 +160,15 @@ def test_over_current_aborts(bench, running):
     fake, _ = running
     fake.ampere = 3.5
     bench.until(lambda: fake.state.startswith("aborted: over-current: wire at 3.50 A, limit 3 A"))
+    until_zero(bench, fake)
+
+
+def test_a_bench_that_does_not_what_is_commanded_aborts(bench, running):
+    fake, _ = running
+    fake.deaf = True
+    bench.until(lambda: fake.state.startswith(
+        "aborted: disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.5 V"
+    ))
     until_zero(bench, fake)
 
 

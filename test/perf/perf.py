@@ -1,14 +1,19 @@
-"""How long the simulation and the readers take, side by side: `./bench perf [--json FILE]`."""
+"""How long simulation, readers and camera take, side by side: `./bench perf [--json FILE]`."""
 
 import argparse
 import json
 import sys
 from pathlib import Path
 
+import camera_frames
 import read_bags
 import run_simulation
 
-PARTS = {"simulation": run_simulation.measure, "bags": read_bags.measure}
+PARTS = {
+    "simulation": run_simulation.measure,
+    "bags": read_bags.measure,
+    "camera": camera_frames.measure,
+}
 
 
 def main(argv: list[str]) -> int:

@@ -1,11 +1,13 @@
-/* An Uno for Python: simavr's ATmega328P with the bench's electrics at its pins. Built at test
- * time; simavr is GPL-3, and nothing of it is shipped. */
+/* An Uno for Python: simavr's ATmega328P with the bench's electrics at its pins. Built where it is
+ * used; simavr is GPL-3, and nothing of it is shipped. */
 #include <math.h>
+#include <stdarg.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include <avr_adc.h>
+#include <avr_extint.h>
 #include <avr_ioport.h>
 #include <avr_uart.h>
 #include <sim_avr.h>
@@ -53,6 +55,7 @@ struct uno {
     double filtered[BOARDS]; /* A, behind the low pass */
     double sagging;          /* V, now */
     avr_cycle_count_t settled;
+    avr_cycle_count_t due; /* how far it was told to run; sleep steps beyond it */
     avr_cycle_count_t blocked_since, longest_blocked;
     uint64_t random;
 };
@@ -180,6 +183,14 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
     (void)cycles;
 }
 
+static void say_nothing(avr_t *avr, const int level, const char *format, va_list arguments)
+{
+    (void)avr;
+    (void)level;
+    (void)format;
+    (void)arguments;
+}
+
 static void wire_up(struct uno *uno)
 {
     avr_t *avr = uno->avr;
@@ -204,6 +215,7 @@ struct uno *uno_new(const char *elf_path, uint64_t seed)
 {
     static elf_firmware_t elf; /* too large for a small stack */
     struct uno *uno = calloc(1, sizeof *uno);
+    avr_global_logger_set(say_nothing); /* what fails shows in what is returned */
     if (!uno || elf_read_firmware(elf_path, &elf) || !(uno->avr = avr_make_mcu_by_name("atmega328p")))
         return NULL;
     avr_init(uno->avr);
@@ -212,6 +224,9 @@ struct uno *uno_new(const char *elf_path, uint64_t seed)
     uno->avr->log = 0;
     uno->avr->vcc = uno->avr->avcc = uno->avr->aref = 5000;
     uno->avr->sleep = no_sleep;
+    /* simavr would poll two pins every cycle for interrupts that the firmware never enables. */
+    avr_extint_set_strict_lvl_trig(uno->avr, EXTINT_IRQ_OUT_INT0, 0);
+    avr_extint_set_strict_lvl_trig(uno->avr, EXTINT_IRQ_OUT_INT1, 0);
     uno->random = seed * 0x9E3779B97F4A7C15u + 1;
     for (int c = 0; c < CHANNELS; c++)
         uno->electrics.resistance[c] = 2.7;
@@ -233,10 +248,10 @@ static void watch_interrupts(struct uno *uno)
         uno->longest_blocked = now - uno->blocked_since;
 }
 
-/* Run `seconds`; false when the processor gave up. */
+/* Run until `seconds` later than told before; false when the processor gave up. */
 int uno_run(struct uno *uno, double seconds)
 {
-    avr_cycle_count_t end = uno->avr->cycle + (avr_cycle_count_t)llround(seconds * FREQUENCY);
+    avr_cycle_count_t end = uno->due += (avr_cycle_count_t)llround(seconds * FREQUENCY);
     settle(uno);
     switch_over(uno);
     if (uno->to_device.in != uno->to_device.out &&

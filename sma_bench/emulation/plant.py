@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from emulated_uno import CHANNELS, EmulatedUno
 
+from sma_bench.emulation.emulated_uno import CHANNELS, EmulatedUno
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
 
@@ -24,14 +24,19 @@ class Plant:
         self._wires = len(parameters["bench.channels"])
         self.bench = Bench(parameters)
         self._squares = np.array(uno.electrics.square_time)
+        self._time = uno.time
         resistance = parameters["wire.resistance"]
         uno.electrics.resistance[:] = [
             resistance if channel < self._wires else math.inf for channel in range(CHANNELS)
         ]
         self._show_deflection()
 
-    def advance(self, dt: float) -> None:
-        """Let the `dt` s pass that the Uno has just run."""
+    def advance(self) -> None:
+        """Let the time pass that the Uno has just run."""
+        dt = self._uno.time - self._time
+        if dt <= 0.0:
+            return
+        self._time = self._uno.time
         squares = np.array(self._uno.electrics.square_time)
         heating = np.sqrt((squares - self._squares) / dt)
         self._squares = squares
@@ -42,7 +47,7 @@ class Plant:
         """Uno and wires together."""
         for _ in range(round(seconds / step)):
             self._uno.run(step)
-            self.advance(step)
+            self.advance()
 
     def _show_deflection(self) -> None:
         deflection = self.bench.deflection

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 SLICE = 5e-4
+_PRIORITY = 1
 
 
 class Device(Protocol):
@@ -28,52 +29,80 @@ class Device(Protocol):
 class PtyBench:
     """Runs a device at the speed of the wall clock; `path` is the port to open."""
 
-    def __init__(self, device: Device, each_slice: Callable[[float], None] | None = None) -> None:
-        """`each_slice(dt)` lets a plant pass the same time, in the same thread."""
+    def __init__(self, device: Device, each_slice: Callable[[], None] | None = None) -> None:
+        """`each_slice()` lets a plant pass the same time, in the same thread."""
         self.device = device
         self._each_slice = each_slice
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self._master, False)
-        self._slave = slave
-        self.path = os.ttyname(slave)
+        self.plug()
         self._jobs: list[Callable[[], None]] = []
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="emulated bench", daemon=True)
         self.began = 0.0
+        self.lag = 0.0
+        """s that the device's time is behind the wall's: a loaded computer"""
+        self.largest_lag = 0.0
 
     def start(self) -> None:
         """Time begins."""
+        self.began = time.monotonic()
         self._thread.start()
 
     def stop(self) -> None:
         """Time ends, and the port is gone as if its cable were pulled."""
         self._stopping.set()
         self._thread.join()
-        os.close(self._slave)
-        os.close(self._master)
+        self.unplug()
+
+    def plug(self) -> None:
+        """A new cable, with a `path` of its own. Between two slices (`do`), or before `start`."""
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self._plugged = True
+        self.path = os.ttyname(self._slave)
+
+    def unplug(self) -> None:
+        """Pull the cable; the device goes on. Between two slices (`do`), or after the end."""
+        if self._plugged:
+            self._plugged = False
+            os.close(self._slave)
+            os.close(self._master)
 
     def do(self, job: Callable[[], None]) -> None:
         """Run `job` between two slices and wait for it."""
         done = threading.Event()
-        self._jobs.append(lambda: (job(), done.set()))  # type: ignore[func-returns-value]
+
+        def announced() -> None:
+            job()
+            done.set()
+
+        self._jobs.append(announced)
         done.wait()
 
     def _run(self) -> None:
-        self.began = due = time.monotonic()
+        # A late emulator is a device whose clock stumbles. Not everybody may ask for this.
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        due = self.began
         while not self._stopping.is_set():
             while self._jobs:
                 self._jobs.pop(0)()
             self._carry()
             self.device.run(SLICE)
             if self._each_slice is not None:
-                self._each_slice(SLICE)
+                self._each_slice()
             # Every delay is caught up: the device's clock must not slip against the wall's.
             due += SLICE
-            time.sleep(max(0.0, due - time.monotonic()))
+            early = due - time.monotonic()
+            self.lag = max(0.0, -early)
+            self.largest_lag = max(self.largest_lag, self.lag)
+            time.sleep(max(0.0, early))
 
     def _carry(self) -> None:
         # Nobody may have opened the port, and nobody may read: bytes are then lost, as on a cable.
+        if not self._plugged:
+            self.device.read()
+            return
         if select.select([self._master], [], [], 0.0)[0]:
             with contextlib.suppress(OSError):
                 self.device.write(os.read(self._master, 4096))
@@ -85,7 +114,7 @@ class PtyBench:
 
 @contextlib.contextmanager
 def on_a_port(
-    device: Device, each_slice: Callable[[float], None] | None = None
+    device: Device, each_slice: Callable[[], None] | None = None
 ) -> Iterator[PtyBench]:
     """The device behind a port, for as long as the context lasts."""
     bench = PtyBench(device, each_slice)

@@ -1,0 +1,169 @@
+"""sma-bench calibrate SENSOR: gain and offset of a sensor of the Uno from known loads.
+
+Pairs come from the command line, from a CSV file, or from the device while somebody applies one
+known load after the other. The outputs stay off.
+"""
+
+import argparse
+import csv
+import math
+import statistics
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from sma_bench.commands.output import write_json
+from sma_bench.errors import InputError
+from sma_bench.hardware.known_loads import SENSORS, SensorFit, fit_sensor
+from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.serial_link import SerialLink
+from sma_bench.hardware.serial_port import open_port
+from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
+from sma_bench.parameters.yaml_file import read_parameter_names, write_named_values
+
+_TABLE = {parameter.name: parameter for parameter in SERIAL_BRIDGE}
+_CONNECTING = 10.0
+_AVERAGED = 100
+"""readings of one known load, at 100 Hz"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("sensor", choices=sorted(SENSORS), help="sensor of the Uno")
+    parser.add_argument(
+        "pairs", nargs="*", metavar="READING=KNOWN",
+        help="device's reading (V, A) and known load (V, A, m)",
+    )
+    parser.add_argument("--csv", metavar="FILE", help="two columns: reading, known load")
+    parser.add_argument("--device", metavar="PORT", help="read the device at this port")
+    parser.add_argument(
+        "--known", nargs="+", type=float, metavar="LOAD",
+        help="with --device: the known loads, in the order in which they will be applied",
+    )
+    parser.add_argument(
+        "--shift", type=float, metavar="M",
+        help="depth of a range sensor's lens behind its face in m (default: the parameter's)",
+    )
+    parser.add_argument(
+        "--out", metavar="P.yaml", help="parameter file to write; others' names in it stay"
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, print, write."""
+    pairs = _pairs(args)
+    readings, known = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    shift = _shift(args)
+    fit = fit_sensor(args.sensor, readings, known, shift)
+    for name, value in fit.parameters.items():
+        _TABLE[name].validated(value, "calibrate")
+    _show(args.sensor, fit, pairs)
+    if args.json:
+        std = {name: _finite(value) for name, value in fit.std.items()}
+        rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
+        write_json(args.json, rest)
+    if args.out:
+        kept = read_parameter_names(args.out) if Path(args.out).exists() else {}
+        write_named_values(args.out, {**kept, **fit.parameters}, "Calibration of the bench's Uno.")
+        print(args.out)
+    return 0
+
+
+def _shift(args: argparse.Namespace) -> float:
+    if not SENSORS[args.sensor].is_range:
+        if args.shift is not None:
+            raise InputError(f"--shift: {args.sensor} is no range sensor")
+        return 0.0
+    default = float(_TABLE[f"calibration.{args.sensor}.shift"].default)  # type: ignore[arg-type]
+    return default if args.shift is None else float(args.shift)
+
+
+def _pairs(args: argparse.Namespace) -> list[tuple[float, float]]:
+    sources = [bool(args.pairs), bool(args.csv), bool(args.device)]
+    if sum(sources) != 1:
+        raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")
+    if args.device:
+        if not args.known:
+            raise InputError("--device: expected the known loads too, --known LOAD LOAD ...")
+        return list(_measured(args.sensor, args.device, args.known))
+    if args.csv:
+        return _read_csv(args.csv)
+    return [_pair(text.split("="), text) for text in args.pairs]
+
+
+def _pair(words: Sequence[str], where: str) -> tuple[float, float]:
+    try:
+        reading, known = (float(word) for word in words)
+    except ValueError:
+        raise InputError(f"{where}: expected two numbers, reading and known load") from None
+    return reading, known
+
+
+def _read_csv(path: str) -> list[tuple[float, float]]:
+    """Rows of two numbers; the first row may be a header."""
+    try:
+        rows = list(csv.reader(Path(path).read_text(encoding="utf-8").splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read: {error}") from None
+    numbered = [(k, row) for k, row in enumerate(rows, 1) if row and not row[0].startswith("#")]
+    if numbered and not _is_number(numbered[0][1][0]):
+        del numbered[0]
+    return [_pair(row, f"{path} line {k}") for k, row in numbered]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _measured(sensor: str, port: str, known: Sequence[float]) -> Iterator[tuple[float, float]]:
+    """A pair for each load, once the person at the bench has applied it."""
+    readings: list[Reading] = []
+    link = SerialLink(lambda: open_port(port), on_reading=readings.append)
+    link.start()
+    try:
+        if not link.wait_connected(_CONNECTING):
+            raise InputError(f"{port}: {link.status.problem or 'no answer'}")
+        for load in known:
+            print(f"apply {load:g} {SENSORS[sensor].known_unit}, then Enter: ", end="", flush=True)
+            if not sys.stdin.readline():
+                raise InputError("calibrate: ended before the last load")
+            yield _mean(sensor, link, readings), load
+    finally:
+        link.close()
+
+
+def _mean(sensor: str, link: SerialLink, readings: list[Reading]) -> float:
+    """Mean of the next second of readings."""
+    readings.clear()
+    end = time.monotonic() + _CONNECTING
+    while len(readings) < _AVERAGED:
+        if time.monotonic() > end:
+            raise InputError(f"calibrate: readings stopped: {link.status.problem or 'silence'}")
+        time.sleep(0.01)
+    values = [SENSORS[sensor].reading(reading.telemetry) for reading in readings[:_AVERAGED]]
+    mean, unit = statistics.fmean(values), SENSORS[sensor].unit
+    print(f"  {mean:.5g} {unit}, scatter {statistics.stdev(values):.2g} {unit}")
+    return mean
+
+
+def _show(sensor: str, fit: SensorFit, pairs: Sequence[tuple[float, float]]) -> None:
+    for name, value in fit.parameters.items():
+        std = fit.std.get(name, math.nan)
+        error = f" +- {std:.2g}" if math.isfinite(std) else ""
+        print(f"{name:32} {value:.6g}{error} {_TABLE[name].unit}")
+    low, high = min(known for _, known in pairs), max(known for _, known in pairs)
+    unit = SENSORS[sensor].known_unit
+    print(
+        f"{len(pairs)} pairs from {low:g} to {high:g} {unit}, rms of what is left {fit.rest:.2g} "
+        f"{unit}"
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,66 @@
+"""Uno, wires, pins and a port in one: what a host opens instead of a bench."""
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from sma_bench.emulation.build import build_uno
+from sma_bench.emulation.emulated_uno import EmulatedUno
+from sma_bench.emulation.pin_watch import PinWatch
+from sma_bench.emulation.plant import Plant
+from sma_bench.emulation.pty_bench import PtyBench, on_a_port
+from sma_bench.parameters import Parameters
+
+_WARM_UP = 0.01
+
+
+class EmulatedBench:
+    """A rig on an emulated Uno, in real time; `path` is the port to open."""
+
+    def __init__(self, uno: EmulatedUno, plant: Plant, pins: PinWatch, port: PtyBench) -> None:
+        self.uno = uno
+        self.plant = plant
+        self.pins = pins
+        self.port = port
+
+    @property
+    def path(self) -> str:
+        """The port."""
+        return self.port.path
+
+    def do(self, job: Callable[[], None]) -> float:
+        """Run `job` between two slices of time; when that was, in s of the Uno's clock."""
+        times: list[float] = []
+
+        def timed() -> None:
+            times.append(self.uno.time)
+            job()
+
+        self.port.do(timed)
+        return times[0]
+
+
+@contextlib.contextmanager
+def emulated_bench(
+    parameters: Parameters, uno: EmulatedUno | None = None
+) -> Iterator[EmulatedBench]:
+    """A bench that is what the parameters say, as long as the context lasts.
+
+    Args:
+        uno: one just powered up; None to build one.
+
+    Raises:
+        InputError: the tools to build one are missing.
+    """
+    with tempfile.TemporaryDirectory(prefix="emulated_uno_") as folder:
+        uno = uno or build_uno(Path(folder))
+        plant, pins = Plant(uno, parameters), PinWatch(uno)
+        plant.run(_WARM_UP)  # compiles the physics before time begins
+
+        def each_slice() -> None:
+            plant.advance()
+            pins.look()
+
+        with on_a_port(uno, each_slice) as port:
+            yield EmulatedBench(uno, plant, pins, port)

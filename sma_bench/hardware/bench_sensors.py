@@ -1,0 +1,126 @@
+"""What the device measures as readings of the bench: which wire and which sensor hang where."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.calibration import Calibration, RangeCalibration
+from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.power_channels import (
+    ChannelPower,
+    PowerCalibration,
+    channel_powers,
+    commanded_millivolts,
+)
+from sma_bench.hardware.serial_messages import CHANNELS
+
+SIDES = ("front", "back")
+_PER_SIDE = CHANNELS // len(SIDES)
+
+
+@dataclass(frozen=True)
+class BenchReading:
+    """One window of telemetry in the bench's own terms.
+
+    `time` is the host's monotonic clock in s, the middle of the window. `powers` are in the order
+    of bench.channels, `distances` (m) in that of SIDES: infinite beyond a sensor's sight.
+    `deflection` (m, positive toward the front) is NaN when no sensor sees the tip.
+    """
+
+    time: float
+    powers: tuple[ChannelPower, ...]
+    distances: tuple[float, float]
+    deflection: float
+
+
+def device_channels(sides: Sequence[str]) -> tuple[int, ...]:
+    """The device's channel of every bench channel: the sides' outputs in the order of the names.
+
+    Raises:
+        InputError: more channels on a side than the device has there.
+    """
+    used = dict.fromkeys(SIDES, 0)
+    found = []
+    for side in sides:
+        if side not in used or used[side] == _PER_SIDE:
+            raise InputError(
+                f"bench.channel_sides: {', '.join(sides)}, the device has {_PER_SIDE} channels "
+                f"at the front and {_PER_SIDE} at the back"
+            )
+        found.append(SIDES.index(side) * _PER_SIDE + used[side])
+        used[side] += 1
+    return tuple(found)
+
+
+class BenchSensors:
+    """Telemetry in, readings out; volts in, the device's millivolts out."""
+
+    def __init__(self, sides: Sequence[str], settings: Mapping[str, Any]) -> None:
+        """`settings` are the bridge's `calibration.` and `range.` parameters.
+
+        Raises:
+            InputError: as `device_channels`; a gain of zero; an unknown range sensor.
+        """
+        self._channels = device_channels(sides)
+        front, back = (_line(f"{side}_current", settings) for side in SIDES)
+        self._power = PowerCalibration(_line("supply", settings), (front, back))
+        self._range = tuple(_range_calibration(side, settings) for side in SIDES)
+        self._standoff = tuple(settings[f"range.{side}_standoff"] for side in SIDES)
+        for sensor in settings["range.sensors"]:
+            if sensor not in SIDES:
+                raise InputError(f"range.sensors: {sensor!r}, expected front or back")
+        # One clamped wire bends nothing.
+        composite = len(sides) > 1
+        self.range_sensors: tuple[str, ...] = settings["range.sensors"] if composite else ()
+
+    def reading(self, reading: Reading) -> BenchReading:
+        """The bench behind one window of telemetry."""
+        telemetry = reading.telemetry
+        powers = channel_powers(telemetry, self._power)
+        front, back = (
+            sensor.distance(volt)
+            for sensor, volt in zip(self._range, telemetry.range_voltage, strict=True)
+        )
+        return BenchReading(
+            reading.time,
+            tuple(powers[channel] for channel in self._channels),
+            (front, back),
+            self._deflection(front, back),
+        )
+
+    def supply(self, measured: float) -> float:
+        """The supply's voltage (V) behind the device's reading of it."""
+        return self._power.supply.apply(measured)
+
+    def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
+        """What to command for `voltage` V at the bench's wires; other outputs stay off."""
+        command = [0] * CHANNELS
+        for channel, volt in zip(self._channels, voltage, strict=True):
+            command[channel] = commanded_millivolts(volt, supply_reading, self._power.supply)
+        return command
+
+    def _deflection(self, front: float, back: float) -> float:
+        """Mean over the mounted sensors that see the tip; bending to the front nears the front."""
+        towards_front = {
+            "front": self._standoff[0] - front,
+            "back": back - self._standoff[1],
+        }
+        seen = [towards_front[sensor] for sensor in self.range_sensors]
+        seen = [deflection for deflection in seen if math.isfinite(deflection)]
+        return sum(seen) / len(seen) if seen else math.nan
+
+
+def _line(sensor: str, settings: Mapping[str, Any]) -> Calibration:
+    gain = settings[f"calibration.{sensor}.gain"]
+    if gain == 0.0:
+        raise InputError(f"calibration.{sensor}.gain is 0, expected a gain")
+    return Calibration(gain, settings[f"calibration.{sensor}.offset"])
+
+
+def _range_calibration(side: str, settings: Mapping[str, Any]) -> RangeCalibration:
+    gain, offset, shift = (
+        settings[f"calibration.{side}_range.{name}"] for name in ("gain", "offset", "shift")
+    )
+    return RangeCalibration(gain, offset, shift)

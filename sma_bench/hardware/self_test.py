@@ -1,0 +1,116 @@
+"""What can be said about a bench without driving it: each check with its finding."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from sma_bench.hardware.bench_sensors import BenchReading
+from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.link_status import LinkStatus
+from sma_bench.hardware.serial_messages import State
+
+_MOST_CURRENT_AT_REST = 0.15
+_MOST_CLOCK_UNCERTAINTY = 2e-3
+_STOP_WITHIN = 0.3
+
+
+class Link(Protocol):
+    """What driving and testing need of a SerialLink."""
+
+    @property
+    def status(self) -> LinkStatus:
+        """Present state and counts."""
+
+    def arm(self) -> None:
+        """Have the device accept voltages; LinkError when it will not."""
+
+    def drive(self, millivolts: Sequence[int]) -> int:
+        """Send a command; LinkError when it cannot be."""
+
+    def stop(self) -> None:
+        """Emergency stop; never fails."""
+
+    def reset(self) -> None:
+        """Forget the latched cause; LinkError when the device does not answer."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check: what, how it ended, and the number behind it."""
+
+    check: str
+    passed: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.check}: {'ok' if self.passed else 'FAILED'}, {self.text}"
+
+
+def self_test(
+    link: Link,
+    newest: BenchReading | None,
+    supply: float,
+    range_sensors: tuple[str, ...],
+    pause: Callable[[float], None] = time.sleep,
+) -> list[Finding]:
+    """Every check, in under a second; ends with the device stopped and reset, outputs at 0 V.
+
+    Args:
+        newest: last reading, None before the first.
+        supply: supply in V, calibrated.
+        range_sensors: the mounted ones ("front", "back").
+    """
+    status = link.status
+    if not status.connected or newest is None:
+        text = status.problem or "no reading yet"
+        return [Finding("connection", False, text)]
+    return [
+        *_link_findings(status),
+        *_sensor_findings(status, newest, supply, range_sensors),
+        _stop_finding(link, pause),
+    ]
+
+
+def _link_findings(status: LinkStatus) -> Iterator[Finding]:
+    device = status.device
+    if device is not None:
+        yield Finding("connection", True, f"{device.name} {device.build}, reset: {device.reset}")
+    bad = status.lost + status.damaged + status.not_understood
+    text = f"{status.telemetry} frames, {status.lost} lost, {status.damaged} damaged"
+    yield Finding("link", bad == 0, text)
+    uncertainty = status.clock_uncertainty
+    text = f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"
+    yield Finding("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY, text)
+
+
+def _sensor_findings(
+    status: LinkStatus, newest: BenchReading, supply: float, range_sensors: tuple[str, ...]
+) -> Iterator[Finding]:
+    if status.device is not None:
+        low, high = status.device.supply_range
+        text = f"{supply:.2f} V, expected {low:g} to {high:g} V"
+        yield Finding("supply", low <= supply <= high, text)
+    most = max(abs(power.current) for power in newest.powers)
+    text = f"at most {most:.2f} A at rest, expected under {_MOST_CURRENT_AT_REST:g} A"
+    yield Finding("currents", most < _MOST_CURRENT_AT_REST, text)
+    for side, distance in zip(("front", "back"), newest.distances, strict=True):
+        if side in range_sensors:
+            yield Finding(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
+
+
+def _stop_finding(link: Link, pause: Callable[[float], None]) -> Finding:
+    """The emergency stop must be heard, and be forgotten on request only."""
+    link.stop()
+    waited = 0.0
+    while link.status.state != State.STOPPED and waited < _STOP_WITHIN:
+        pause(0.005)
+        waited += 0.005
+    if link.status.state != State.STOPPED:
+        return Finding("stop", False, f"the device does not stop within {_STOP_WITHIN:g} s")
+    try:
+        link.reset()
+    except LinkError as error:
+        return Finding("stop", False, f"no reset after the stop: {error}")
+    return Finding("stop", True, f"stopped within {waited:.3f} s")

@@ -1,0 +1,61 @@
+"""What happens to the heaters when something fails: every fault on the emulated bench, as a table.
+
+The real firmware on an emulated Uno, the real serial_bridge node, a wire at the pins. Each line is
+a fault: how long the outputs were still on, measured at the pins on the Uno's clock, and the cause
+that the bench reported. Two minutes.
+
+    ./bench check faults [-k NAME]
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TESTS = "test/nodes/test_bridge_faults.py"
+HEADER = ("fault", "off within", "measured", "", "reported")
+ROW = "{:48.48} {:>10} {:>9}  {:4} {}"
+
+
+class FaultTable:
+    """Prints a line for every fault that was tried."""
+
+    def __init__(self) -> None:
+        self.failed = 0
+        self.tried = 0
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Of each test three reports come: of its setup, its call, its end."""
+        if report.failed or (report.skipped and report.when == "setup"):
+            self.failed += 1
+            print(ROW.format(report.nodeid.split("[")[-1].rstrip("]"), "", "", "FAIL", ""))
+            print(str(report.longrepr).strip().splitlines()[-1])
+        if report.when != "call":
+            return
+        found = dict(report.user_properties)
+        if "fault" in found:
+            self.tried += 1
+            fault, word = found["fault"], "ok" if report.passed else "FAIL"
+            print(
+                ROW.format(
+                    fault.hazard, f"{1e3 * fault.limit:.0f} ms",
+                    f"{1e3 * found['measured']:.0f} ms", word, found["told"],
+                ),
+                flush=True,
+            )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """0 when the outputs went to 0 V in time at every fault."""
+    print(ROW.format(*HEADER))
+    table = FaultTable()
+    options = ["-q", "-s", "-p", "no:terminalreporter", "--rootdir", str(ROOT)]
+    status = pytest.main([*options, str(ROOT / TESTS), *arguments], plugins=[table])
+    print(f"{table.tried - table.failed} of {table.tried} faults ended with outputs at 0 V in time")
+    return 0 if status == 0 and table.tried and not table.failed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

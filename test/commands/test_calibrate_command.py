@@ -1,0 +1,91 @@
+"""sma-bench calibrate: from known loads to a parameter file that the bridge loads."""
+
+import io
+import json
+import time
+
+import pytest
+
+from sma_bench.cli import main
+from sma_bench.emulation.pty_bench import on_a_port
+from sma_bench.hardware.calibration import RangeCalibration
+from sma_bench.parameters.yaml_file import read_parameter_names
+
+
+def test_pairs_become_gain_and_offset_with_errors(tmp_path, capsys):
+    out, result = tmp_path / "lab.yaml", tmp_path / "fit.json"
+    command = ["calibrate", "front_current", "0.02=0.0", "1.03=1.1", "1.99=2.1", "3.02=3.2"]
+    assert main([*command, "--out", str(out), "--json", str(result)]) == 0
+    values = read_parameter_names(out)
+    assert values["calibration.front_current.gain"] == pytest.approx(1.067, abs=0.005)
+    assert values["calibration.front_current.offset"] == pytest.approx(-0.017, abs=0.01)
+    fit = json.loads(result.read_text())
+    assert 0.0 < fit["std"]["calibration.front_current.gain"] < 0.02
+    assert "4 pairs from 0 to 3.2 A" in capsys.readouterr().out
+
+
+def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_path):
+    out, table = tmp_path / "lab.yaml", tmp_path / "range.csv"
+    out.write_text("/**:\n  ros__parameters:\n    wire: {resistance: 2.5}\n")
+    sensor = RangeCalibration(8.1, -0.2, 0.004)
+    rows = [(1.0 / (d + 0.004) + 0.2, d) for d in (0.05, 0.1, 0.2)]
+    table.write_text("volt,metre\n" + "".join(f"{v / 8.1},{d}\n" for v, d in rows))
+    command = ["calibrate", "back_range", "--csv", str(table), "--shift", "0.004"]
+    assert main([*command, "--out", str(out)]) == 0
+    values = read_parameter_names(out)
+    assert values["wire.resistance"] == 2.5
+    found = [values[f"calibration.back_range.{key}"] for key in ("gain", "offset", "shift")]
+    assert found == pytest.approx([sensor.gain, sensor.offset, sensor.shift], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["supply"], "expected pairs, or --csv FILE, or --device PORT"),
+        (["supply", "5=6", "--csv", "x.csv"], "expected pairs, or --csv FILE, or --device PORT"),
+        (["supply", "5=6", "7"], "7: expected two numbers"),
+        (["supply", "5=6", "5=7"], "1 different readings, expected at least 2"),
+        (["supply", "5=6", "9=10", "--shift", "0.1"], "supply is no range sensor"),
+        (["supply", "5=600", "9=10000"], "calibration.supply.gain is 2350 1, expected -100 to 100"),
+        (["supply", "--csv", "absent.csv"], "absent.csv: cannot read"),
+        (["supply", "--device", "absent"], "expected the known loads too"),
+        (["front_range", "1=0.1", "2=-0.1"], "distance -0.1 m"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_writes_nothing(tmp_path, capsys, words, reason):
+    out = tmp_path / "lab.yaml"
+    assert main(["calibrate", *words, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert reason in error and error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_known_loads_are_read_from_the_device_one_after_the_other(uno, tmp_path, monkeypatch):
+    """The supply is set to what the prompt asks for; the divider is off by 2 %."""
+    out = tmp_path / "lab.yaml"
+    loads = [8.0, 10.0, 12.0]
+    uno.electrics.divider = 4.0 * 1.02
+    waiting = iter(loads)
+
+    class Person(io.StringIO):
+        def readline(self, *_):
+            bench.do(lambda: setattr(uno.electrics, "supply", next(waiting)))
+            settled = uno.time + 0.2
+            while uno.time < settled:
+                time.sleep(0.01)
+            return "\n"
+
+    monkeypatch.setattr("sys.stdin", Person())
+    with on_a_port(uno) as bench:
+        known = ["--known", *map(str, loads)]
+        command = ["calibrate", "supply", "--device", bench.path, *known, "--out", str(out)]
+        assert main(command) == 0
+    values = read_parameter_names(out)
+    assert values["calibration.supply.gain"] == pytest.approx(1.02, abs=0.01)
+    assert sum(uno.electrics.on_time) == 0.0
+
+
+def test_a_device_that_is_not_there_is_named(capsys, monkeypatch):
+    monkeypatch.setattr("sma_bench.commands.calibrate._CONNECTING", 0.3)
+    assert main(["calibrate", "supply", "--device", "/dev/absent", "--known", "1", "2"]) == 2
+    assert "/dev/absent" in capsys.readouterr().err

@@ -1,0 +1,71 @@
+"""sma-bench demo --hardware: refused in one line without its tools, right with them."""
+
+import pytest
+
+from sma_bench.cli import main
+from sma_bench.commands import demo_hardware
+from sma_bench.emulation import build
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+
+TRUTH = Parameters.defaults()
+
+
+def estimates(**factors):
+    return {
+        name: {"value": TRUTH[name] * factors.get(symbol, 1.0), "std": 0.1}
+        for name, symbol in demo_hardware.TABLE_ONE.items()
+        if factors.get(symbol, 1.0)
+    }
+
+
+def test_without_the_tools_it_says_which_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(build.shutil, "which", lambda name: None)
+    assert main(["demo", "--hardware", "--out", str(tmp_path / "demo")]) == 2
+    error = capsys.readouterr().err
+    assert "the emulated Uno needs the Debian packages gcc-avr" in error
+    assert error.count("\n") == 1
+
+
+def test_a_uno_cannot_be_built_without_the_tools_either(tmp_path, monkeypatch):
+    monkeypatch.setattr(build.shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match="needs the Debian packages"):
+        build.build_uno(tmp_path)
+
+
+def test_firmware_that_does_not_compile_is_one_line(firmware_image, tmp_path):
+    with pytest.raises(InputError, match="^make: [^\n]+$"):
+        build.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
+
+
+def test_numbers_hold_within_three_percent_and_only_when_all_are_there():
+    assert demo_hardware.numbers_hold(estimates(), TRUTH)
+    assert demo_hardware.numbers_hold(estimates(R=1.029, h=0.971), TRUTH)
+    assert not demo_hardware.numbers_hold(estimates(c_p=1.031), TRUTH)
+    assert not demo_hardware.numbers_hold(estimates(c_p=0.0), TRUTH)
+
+
+def test_a_call_is_retried_until_it_succeeds_or_patience_ends():
+    answers = [InputError("not yet"), InputError("not yet"), "ready"]
+
+    def call():
+        answer = answers.pop(0)
+        if isinstance(answer, InputError):
+            raise answer
+        return answer
+
+    assert demo_hardware.retried(call, 5.0, 0.001) == "ready"
+    answers[:] = [InputError("never")] * 1000
+    with pytest.raises(InputError, match="never"):
+        demo_hardware.retried(call, 0.02, 0.001)
+
+
+@pytest.mark.slow
+def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(emulator, tmp_path, capfd):
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    out = tmp_path / "demo"
+    status = main(["demo", "--hardware", "--out", str(out)])
+    said = capfd.readouterr()
+    assert status == 0, said.out + said.err
+    assert "within 3% of the truth: yes" in said.out
+    assert (out / "identified.yaml").is_file()

@@ -1,0 +1,236 @@
+"""Who may drive the bench, and what stops it: the driver on a link that obeys the test."""
+
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.bench_driver import BenchDriver
+from sma_bench.hardware.bench_sensors import BenchSensors, device_channels
+from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.link_status import LinkStatus, Reading
+from sma_bench.hardware.safety import Guard, Limits
+from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
+
+SETTINGS = {parameter.name: parameter.default for parameter in SERIAL_BRIDGE}
+DEVICE = DeviceIdentity(
+    "sma-uno", "0", "power-on", 1, 10.0, 0.2, 0.9, 6.5, 12.0, 900.0, (6.0, 15.0)
+)
+SUPPLY = 12.0
+RESISTANCE = 2.6987
+
+
+class FakeLink:
+    """Does as it is told and remembers it."""
+
+    def __init__(self):
+        self.status = LinkStatus(connected=True, device=DEVICE)
+        self.sent = []
+        self.armed = False
+        self.deaf = False
+
+    def arm(self):
+        self.armed = True
+
+    def drive(self, millivolts):
+        if not self.armed:
+            raise LinkError("not armed")
+        self.sent.append(list(millivolts))
+        return len(self.sent)
+
+    def stop(self):
+        self.armed = False
+        self.sent.append("stop")
+        if not self.deaf:
+            self.status.state, self.status.cause = State.STOPPED, CAUSES.index("stop byte")
+
+    def reset(self):
+        self.status.state = State.IDLE
+
+
+class Bench:
+    """A driver of one wire; `pass_time` lets readings come that agree with the last command."""
+
+    def __init__(self, **contract):
+        self.link = FakeLink()
+        self.now = 100.0
+        parameters = Parameters({f"bench.{name}": value for name, value in contract.items()})
+        guard = Guard(["wire"], ["power", "temperature"], 1.0)
+        self.driver = BenchDriver(
+            self.link, BenchSensors(["front"], SETTINGS), guard, ["wire"],
+            Limits.from_parameters(parameters),
+        )
+
+    def read(self, volt=0.0, ampere=None, kelvin=300.0):
+        duty = (volt / SUPPLY) ** 2
+        mean = duty**0.5 * (volt / RESISTANCE if ampere is None else ampere)
+        telemetry = Telemetry(
+            0, 0, 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5), (duty, 0.0, 0.0, 0.0), 0
+        )
+        taken = self.driver.take(Reading(telemetry, self.now), self.now)
+        self.driver.temperature("wire", kelvin, self.now, self.now)
+        return taken
+
+    def pass_time(self, seconds, command=None, **reading):
+        for _ in range(round(seconds / 0.01)):
+            self.now += 0.01
+            if command is not None:
+                self.driver.command([command], self.now)
+            sent = [s for s in self.link.sent if s != "stop"]
+            volt = sent[-1][0] / 1e3 if sent and self.link.armed else 0.0
+            self.read(**{"volt": volt, **reading})
+            if reason := self.driver.tick(self.now):
+                return reason
+        return ""
+
+
+@pytest.fixture
+def bench():
+    made = Bench()
+    made.pass_time(0.1)
+    return made
+
+
+@pytest.fixture
+def driving(bench):
+    bench.driver.enable(bench.now)
+    assert bench.pass_time(0.5, command=3.0) == ""
+    assert bench.link.sent[-1] == [3000, 0, 0, 0]
+    return bench
+
+
+def test_nothing_is_driven_before_somebody_enables(bench):
+    assert bench.driver.state == "idle"
+    assert "not enabled (idle)" in bench.driver.command([2.0], bench.now)
+    assert bench.driver.command([0.0], bench.now) == ""
+    bench.pass_time(0.1)
+    assert bench.link.sent == []
+    assert bench.driver.gate.rejected == 1
+
+
+def test_enabling_leaves_the_outputs_at_zero_until_a_command(bench):
+    bench.driver.enable(bench.now)
+    bench.pass_time(0.1)
+    assert {tuple(s) for s in bench.link.sent} == {(0, 0, 0, 0)}
+    with pytest.raises(LinkError, match="enabled already"):
+        bench.driver.enable(bench.now)
+
+
+def test_a_command_is_repeated_until_its_timeout_then_zero_is_sent(driving):
+    driving.link.sent.clear()
+    assert driving.pass_time(1.0) == ""
+    assert driving.link.sent[0] == [3000, 0, 0, 0]
+    assert driving.link.sent[-1] == [0, 0, 0, 0]
+    assert driving.driver.gate.timeouts == 1
+    assert driving.driver.state == "enabled"
+
+
+def test_a_stop_is_kept_until_reset_and_resetting_does_not_enable(driving):
+    driving.driver.stop("stopped on request")
+    assert driving.link.sent[-1] == "stop"
+    assert driving.driver.state == "stopped: stopped on request"
+    with pytest.raises(LinkError, match="stopped on request; reset first"):
+        driving.driver.enable(driving.now)
+    driving.driver.reset()
+    driving.pass_time(1.0, command=3.0)
+    assert driving.driver.state == "idle" and driving.link.sent[-1] == "stop"
+    driving.driver.enable(driving.now)
+
+
+@pytest.mark.parametrize(
+    ("reading", "reason"),
+    [
+        ({"ampere": 3.4}, "over-current: wire at 3.40 A, limit 3 A"),
+        ({"kelvin": 430.0}, "over-temperature: wire at 156.9 degC, limit 150.0 degC"),
+        ({"ampere": 0.0}, "disagreement: wire carries 0.00 A at 3.00 V"),
+        ({"volt": 0.0}, "disagreement: wire gets 0.00 V, commanded 3.00 V"),
+        ({"kelvin": 390.0}, "heating rate: wire rises by 1800 K/s"),
+        ({"volt": 10.8}, "over-current"),
+    ],
+)
+def test_a_reading_that_breaks_a_rule_stops_and_says_why(driving, reading, reason):
+    assert driving.pass_time(2.0, command=3.0, **reading).startswith(reason)
+    assert driving.link.sent[-1] == "stop"
+    assert driving.driver.state.startswith(f"stopped: {reason}")
+
+
+def test_too_much_power_and_too_many_volts_stop():
+    hot = Bench(maximum_power=3.0)
+    hot.pass_time(0.1)
+    hot.driver.enable(hot.now)
+    assert hot.pass_time(1.0, command=3.0) == "over-power: wire takes 3.3 W, limit 3 W"
+    low = Bench(maximum_voltage=2.0)
+    low.pass_time(0.1)
+    low.driver.enable(low.now)
+    assert low.pass_time(1.0, volt=2.6).startswith("over-voltage: wire gets 2.60 V, limit 2 V")
+
+
+def test_missing_feedback_is_an_obstacle_and_stale_feedback_a_reason(driving):
+    with pytest.raises(LinkError, match="no feedback: wire/power was never received"):
+        Bench().driver.enable(100.0)
+    driving.now += 1.2
+    assert driving.driver.tick(driving.now).startswith("stale feedback: nothing new from wire/")
+
+
+def test_a_device_that_stopped_or_left_is_the_reason(driving):
+    driving.link.status.state = State.STOPPED
+    driving.link.status.cause = CAUSES.index("command timeout")
+    driving.link.status.last_refusal = "device refused V: above the duty limit"
+    reason = driving.pass_time(0.1, command=3.0)
+    assert reason == (
+        "command timeout, found by the device (device refused V: above the duty limit)"
+    )
+
+
+def test_a_lost_connection_is_the_reason(driving):
+    driving.link.status.connected = False
+    driving.link.status.problem = "the device is silent for 0.51 s"
+    assert driving.pass_time(0.1) == "not connected: the device is silent for 0.51 s"
+    driving.link.status.connected = True
+    assert driving.driver.state.startswith("stopped: not connected")
+
+
+def test_a_limit_beyond_the_devices_is_refused():
+    bench = Bench(maximum_voltage=12.0)
+    bench.pass_time(0.1)
+    with pytest.raises(LinkError, match="maximum_voltage is 12 V, the device allows 10 V"):
+        bench.driver.enable(bench.now)
+
+
+def test_self_test_needs_a_bench_that_is_not_driven_and_finds_a_stop_that_fails(bench):
+    assert [f.check for f in bench.driver.self_test() if not f.passed] == ["clock"]
+    assert bench.driver.state == "idle"
+    bench.link.deaf = True
+    assert not bench.driver.self_test()[-1].passed
+    bench.driver.enable(bench.now)
+    with pytest.raises(LinkError, match="enabled: stop first"):
+        bench.driver.self_test()
+
+
+def test_channels_are_the_sides_outputs_in_their_order():
+    assert device_channels(["front"]) == (0,)
+    assert device_channels(["front", "front", "back", "back"]) == (0, 1, 2, 3)
+    assert device_channels(["back", "front", "back"]) == (2, 0, 3)
+    with pytest.raises(InputError, match="2 channels at the front"):
+        device_channels(["front", "front", "front"])
+
+
+def test_deflection_is_the_mean_of_the_sensors_that_see_the_tip():
+    def deflection(front, back, sensors=("front", "back")):
+        settings = {**SETTINGS, "range.sensors": sensors, "range.front_standoff": 0.09}
+        return BenchSensors(["front", "back"], settings)._deflection(front, back)
+
+    inf, nan = float("inf"), float("nan")
+    assert deflection(0.08, 0.112) == pytest.approx(0.011)
+    assert deflection(inf, 0.112) == pytest.approx(0.012)
+    assert deflection(0.08, 0.2, ("front",)) == pytest.approx(0.010)
+    assert BenchSensors(["front"], SETTINGS).range_sensors == ()
+    assert deflection(inf, inf) == pytest.approx(nan, nan_ok=True)
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match="calibration.supply.gain is 0"):
+        BenchSensors(["front"], {**SETTINGS, "calibration.supply.gain": 0.0})
+    with pytest.raises(InputError, match="'top', expected front or back"):
+        BenchSensors(["front"], {**SETTINGS, "range.sensors": ("top",)})

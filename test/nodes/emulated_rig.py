@@ -1,0 +1,153 @@
+"""A bridge process on an emulated bench, and a commander of the test's own."""
+
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import BatteryState, Temperature
+from std_msgs.msg import Float64MultiArray, String
+
+from sma_bench.emulation.emulated_bench import EmulatedBench, emulated_bench
+from sma_bench.parameters import Parameters
+
+COMMAND_PERIOD = 0.05
+CELSIUS_ZERO = 273.15
+WARM = (3.0,)
+
+
+class BridgedRig:
+    """One emulated bench, one serial_bridge, and the topics between them and the test.
+
+    While the test waits with `until`, commands and temperatures are published 20 times a second.
+    """
+
+    def __init__(self, bench, hardware: EmulatedBench, **parameters) -> None:
+        self.bench = bench
+        self.hardware = hardware
+        self.states = bench.latched("serial_bridge/state", String)
+        self.power = bench.listen("wire/power", BatteryState)
+        self.diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+        self.node = bench.start("serial_bridge", port=hardware.path, **parameters)
+        self._command = bench.talk("voltage_command", Float64MultiArray)
+        self._camera = bench.talk("wire/temperature", Temperature)
+        self._due = 0.0
+        self.voltage: tuple[float, ...] | None = (0.0,)
+        self.fever: float | None = 0.0
+        """K that the camera is wrong by; None without a camera"""
+        self.kelvin: float | None = None
+        """what the camera sees instead of the wire"""
+        self.said = b""
+        """all bytes from the host"""
+        self._tap(hardware)
+
+    def _tap(self, hardware: EmulatedBench) -> None:
+        write = hardware.uno.write
+
+        def tapped(data: bytes) -> None:
+            self.said += data
+            write(data)
+
+        # Only what comes through the port; what a fault writes is not said by the host.
+        hardware.port.device = SimpleNamespace(
+            run=hardware.uno.run, read=hardware.uno.read, write=tapped
+        )
+
+    @property
+    def state(self) -> str:
+        """Newest state, "" before the first."""
+        return self.states[-1].data if self.states else ""
+
+    def value(self, key: str) -> str:
+        """Newest diagnostic value, "" before the first."""
+        for array in reversed(self.diagnostics):
+            for item in array.status[0].values:
+                if item.key == key:
+                    return item.value
+        return ""
+
+    def until(self, condition, patience: float = 30.0):
+        """Wait for a condition as `bench.until`, commanding and looking at the wire meanwhile."""
+
+        def step():
+            self._keep_alive()
+            return condition()
+
+        return self.bench.until(step, patience)
+
+    def for_a_while(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > end)
+
+    def enable(self) -> None:
+        """Wait until all readings are there, then enable."""
+        self.until(lambda: self.state == "idle" and self.power)
+        self.for_a_while(0.3)
+        answer = self.ask("enable")
+        assert answer.success, answer.message
+
+    def ask(self, service: str):
+        """Answer of one of the bridge's services; commands go on meanwhile."""
+        future = self.bench.trigger_later(f"serial_bridge/{service}")
+        self.until(future.done)
+        return future.result()
+
+    def find(self, service: str) -> None:
+        """Get to know a service, so that asking it takes no time."""
+        self.bench.know(f"serial_bridge/{service}")
+        self.for_a_while(0.2)
+
+    def drive(self, *voltage: float) -> None:
+        """Command and wait until the wire has it."""
+        self.voltage = voltage
+        self.until(
+            lambda: self.power and abs(self.power[-1].voltage - voltage[0]) < 0.1
+        )
+
+    def off_after(self, moment: float, patience: float = 30.0) -> float:
+        """s of the Uno's clock from `moment` until its last pulse; 0 when none came after it.
+
+        Waits until there was none for 0.5 s.
+        """
+        pins = self.hardware.pins
+        self.until(lambda: self.hardware.uno.time - max(moment, pins.last_on) > 0.5, patience)
+        return max(0.0, pins.last_on - moment)
+
+    def send(self, *values: float) -> None:
+        """One command, whatever is in it."""
+        self._command.publish(Float64MultiArray(data=[float(value) for value in values]))
+
+    def _keep_alive(self) -> None:
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + COMMAND_PERIOD
+        if self.voltage is not None:
+            self.send(*self.voltage)
+        if self.fever is not None:
+            message = Temperature()
+            message.header.stamp = self.bench.node.get_clock().now().to_msg()
+            kelvin = self.kelvin or float(self.hardware.plant.bench.temperature[0])
+            message.temperature = kelvin - CELSIUS_ZERO + self.fever
+            self._camera.publish(message)
+
+
+@contextmanager
+def bridged_rig(
+    bench, uno, parameters: Parameters | None = None, **settings
+) -> Iterator[BridgedRig]:
+    """The wire rig behind a serial_bridge, enabled by nobody yet."""
+    # The emulator's thread must get its turn between two slices, every half a millisecond.
+    sys.setswitchinterval(1e-4)
+    with emulated_bench(parameters or Parameters.defaults(), uno) as hardware:
+        rig = BridgedRig(bench, hardware, **settings)
+        try:
+            yield rig
+        finally:
+            rig.node.process.send_signal(signal.SIGCONT)
+            if rig.node.process.poll() is None:
+                rig.node.process.kill()
+                rig.node.process.wait()

@@ -1,0 +1,190 @@
+"""Every hazard that the bridge and the firmware must survive: how it is made, seen and ended.
+
+The test, `./bench check faults` and the table of docs/safety.md are this list.
+"""
+
+import math
+import random
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from emulated_rig import BridgedRig
+
+STOP = ord("!")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One hazard on a bench that drives `volts`.
+
+    `make` brings it about and returns the moment in s of the Uno's clock; within `limit` s of it
+    the last pulse has passed. `cause` is a part of the reason that `told` (the bridge's state,
+    unless it is given) reports. `quick` ones belong to the short run of the tests.
+    """
+
+    name: str
+    hazard: str
+    detection: str
+    limit: float
+    cause: str
+    make: Callable[[BridgedRig], float]
+    volts: float = 3.0
+    quick: bool = False
+    reaction: str = "0 V until a reset"
+    told: Callable[[BridgedRig], str] = lambda rig: rig.state
+
+    @property
+    def by_host(self) -> bool:
+        """True where the bridge, not the device, has to notice."""
+        return self.detection.startswith("bridge")
+
+    @property
+    def row(self) -> str:
+        """The line of docs/safety.md."""
+        limit = f"{1e3 * self.limit:.0f} ms"
+        return f"| {self.hazard} | {self.detection} | {self.reaction} | {limit} | `{self.name}` |"
+
+
+def _signal(number: int) -> Callable[[BridgedRig], float]:
+    return lambda rig: rig.hardware.do(lambda: rig.node.process.send_signal(number))
+
+
+def _electrics(**values: object) -> Callable[[BridgedRig], float]:
+    def change(rig: BridgedRig) -> None:
+        for name, value in values.items():
+            if isinstance(value, float):
+                setattr(rig.hardware.uno.electrics, name, value)
+            else:
+                getattr(rig.hardware.uno.electrics, name)[0] = value[0]
+
+    return lambda rig: rig.hardware.do(lambda: change(rig))
+
+
+def _now(rig: BridgedRig) -> float:
+    return rig.hardware.do(lambda: None)
+
+
+def _after_restart(rig: BridgedRig) -> str:
+    """State of a new bridge, which asks the device why it had stopped."""
+    rig.node = rig.bench.start("serial_bridge", port=rig.hardware.path)
+    rig.until(lambda: rig.state.startswith("stopped"))
+    return rig.state
+
+
+def _after_waking(rig: BridgedRig) -> str:
+    rig.node.process.send_signal(signal.SIGCONT)
+    rig.until(lambda: rig.state.startswith("stopped"))
+    return rig.state
+
+
+def _noise(rig: BridgedRig) -> float:
+    """Garbage that leaves no pause for a command, for half a second of the Uno's time."""
+    draw = random.Random(1)
+    noise = bytes(b for _ in range(12000) if (b := draw.randrange(256)) not in (STOP, 10, 13))
+    return rig.hardware.do(lambda: rig.hardware.uno.write(noise))
+
+
+def _replay(rig: BridgedRig) -> float:
+    """All that the host said so far, again, after a stop and a reset."""
+    said = bytes(b for b in rig.said if b != STOP)
+    assert b"V " in said
+    rig.ask("stop")
+    rig.ask("reset")
+    return rig.hardware.do(lambda: rig.hardware.uno.write(said))
+
+
+def _fever(rig: BridgedRig) -> float:
+    rig.fever = 200.0
+    return _now(rig)
+
+
+def _blindness(rig: BridgedRig) -> float:
+    rig.fever = None
+    return _now(rig)
+
+
+def _camera_looks_elsewhere(rig: BridgedRig) -> float:
+    rig.kelvin = 296.0
+    return _now(rig)
+
+
+def _silence(rig: BridgedRig) -> float:
+    rig.voltage = None
+    return _now(rig)
+
+
+def _nonsense(rig: BridgedRig) -> float:
+    """Only commands that must be rejected."""
+    moment = _silence(rig)
+    for bad in ((math.nan,), (math.inf,), (), (1.0, 2.0), (10.5,), (-1.0,)):
+        rig.send(*bad)
+    return moment
+
+
+def _request(service: str) -> Callable[[BridgedRig], float]:
+    def ask(rig: BridgedRig) -> float:
+        rig.find(service)
+        moment = _now(rig)
+        rig.ask(service)
+        return moment
+
+    return ask
+
+
+def _value(key: str) -> Callable[[BridgedRig], str]:
+    def told(rig: BridgedRig) -> str:
+        seen, end = len(rig.diagnostics), time.monotonic() + 5.0
+        rig.until(lambda: len(rig.diagnostics) > seen + 1 or time.monotonic() > end)
+        return rig.value(key)
+
+    return told
+
+
+FAULTS = (
+    Fault("host_killed", "host process killed (-9)", "device: command timeout 0.2 s", 0.25,
+          "command timeout", _signal(signal.SIGKILL), told=_after_restart, quick=True),
+    Fault("host_hung", "bridge hangs (SIGSTOP)", "device: command timeout 0.2 s", 0.25,
+          "command timeout", _signal(signal.SIGSTOP), told=_after_waking, quick=True),
+    Fault("host_ended", "bridge ended (SIGTERM)", "bridge: stop byte at its end", 0.25,
+          "stop byte", _signal(signal.SIGTERM), told=_after_restart),
+    Fault("cable_pulled", "serial cable pulled", "device: command timeout 0.2 s", 0.25,
+          "not connected", lambda rig: rig.hardware.do(rig.hardware.port.unplug)),
+    Fault("commander_silent", "commanding node dies", "bridge: bench.command_timeout 0.5 s", 0.7,
+          "1", _silence, told=_value("command_timeouts"),
+          reaction="0 V until the next command"),
+    Fault("nonsense_commanded", "NaN, infinite, too many or too large volts",
+          "bridge: rejected, counted, then its command timeout", 0.7,
+          "voltage_command has -1 V", _nonsense, told=_value("last_rejection"),
+          reaction="outputs unchanged, then 0 V until the next command"),
+    Fault("stop_requested", "somebody calls ~/stop", "bridge: stop byte", 0.25,
+          "stopped on request", _request("stop")),
+    Fault("line_noise", "garbage on the line", "device: checksums, then its command timeout",
+          0.25, "command timeout", _noise, quick=True),
+    Fault("commands_replayed", "recorded commands sent again", "device: session and sequence",
+          0.01, "idle", _replay, reaction="refused, nothing is driven"),
+    Fault("firmware_hung", "firmware's main loop hangs", "device: 30 ms without its loop", 0.04,
+          "the device restarted", lambda rig: rig.hardware.do(
+              lambda: rig.hardware.uno.hang(interrupts=True)), quick=True),
+    Fault("firmware_dead", "firmware hangs, interrupts off", "device: watchdog 64 ms", 0.08,
+          "the device restarted", lambda rig: rig.hardware.do(
+              lambda: rig.hardware.uno.hang(interrupts=False))),
+    Fault("short_circuit", "wire short-circuited", "device: peak current, in each conversion",
+          0.003, "over-current", _electrics(resistance=(0.3,)), volts=6.0,
+          quick=True),
+    Fault("over_current", "wire draws more than bench.maximum_current",
+          "bridge: current of each reading", 0.25, "over-current: wire", _electrics(
+              resistance=(0.9,))),
+    Fault("wire_broken", "wire breaks", "bridge: current against the model for 1 s", 1.4,
+          "disagreement: wire carries", _electrics(resistance=(math.inf,))),
+    Fault("over_temperature", "wire hotter than bench.maximum_temperature",
+          "bridge: each temperature", 0.3, "over-temperature: wire", _fever, quick=True),
+    Fault("camera_lost", "temperatures stop coming", "bridge: feedback_timeout 1 s", 1.4,
+          "stale feedback: nothing new from wire/temperature", _blindness),
+    Fault("camera_astray", "camera does not look at the wire",
+          "bridge: temperature against the model for 1 s", 1.7,
+          "disagreement: wire measured at", _camera_looks_elsewhere, volts=6.0),
+    Fault("supply_lost", "supply below 6 V", "device: supply in each conversion", 0.1,
+          "supply out of range", _electrics(supply=3.0)),
+)

@@ -1,0 +1,180 @@
+"""The bridge as a process on the real firmware in an emulated Uno: topics, services, rates."""
+
+import math
+import time
+
+import pytest
+from emulated_rig import bridged_rig
+from sensor_msgs.msg import JointState, Range
+from std_msgs.msg import Float64MultiArray, String
+
+from sma_bench.emulation.emulated_bench import emulated_bench
+from sma_bench.hardware.serial_port import open_port
+from sma_bench.parameters import Parameters
+
+
+@pytest.fixture
+def rig(bench, uno):
+    with bridged_rig(bench, uno) as rig:
+        yield rig
+
+
+def test_wire_rig_speaks_the_contract_with_acquisition_stamps(rig):
+    rig.until(lambda: len(rig.power) > 50)
+    assert rig.power[0].location == "wire" and math.isnan(rig.power[0].percentage)
+    assert rig.power[-1].voltage == 0.0
+    assert abs(rig.power[-1].current) < 0.05
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in rig.power]
+    assert stamps == sorted(set(stamps))
+    assert abs(stamps[-1] / 1e9 - time.time()) < 5.0
+
+
+def test_enabled_it_drives_what_is_commanded_and_echoes_what_was_applied(rig):
+    rig.enable()
+    rig.drive(3.0)
+    driven = len(rig.power)
+    rig.until(lambda: len(rig.power) > driven + 60)
+    newest = rig.power[-50:]
+    assert sum(m.voltage for m in newest) / 50 == pytest.approx(3.0, rel=0.02)
+    assert sum(m.current for m in newest) / 50 == pytest.approx(3.0 / 2.6987, rel=0.03)
+    answer = rig.ask("stop")
+    assert answer.success and answer.message == "stopped: stopped on request"
+    rig.until(lambda: rig.power[-1].voltage == 0.0)
+
+
+def test_nothing_is_driven_before_enabling_and_requests_say_why_not(rig):
+    rig.until(lambda: rig.state == "idle" and rig.power)
+    rig.voltage = (3.0,)
+    rig.for_a_while(1.0)
+    assert sum(rig.hardware.uno.electrics.on_time) == 0.0
+    rig.until(lambda: rig.value("last_rejection") == "not enabled (idle)")
+    rig.enable()
+    refused = rig.ask("reset")
+    assert not refused.success and refused.message == "enabled: stop first"
+    rig.drive(3.0)
+    assert not rig.ask("self_test").success
+    rig.ask("stop")
+    refused = rig.ask("enable")
+    assert not refused.success and "stopped on request; reset first" in refused.message
+    assert rig.ask("reset").message == "idle"
+    rig.enable()
+
+
+def test_self_test_names_each_check_and_drives_nothing(rig):
+    rig.until(lambda: rig.state == "idle" and len(rig.power) > 200)
+    answer = rig.ask("self_test")
+    for check in ("connection", "link", "supply", "currents", "stop"):
+        assert f"{check}: ok" in answer.message
+    assert sum(rig.hardware.uno.electrics.on_time) == 0.0
+    rig.hardware.uno.electrics.supply = 3.0
+    rig.until(lambda: float(rig.value("supply_volts") or 12.0) < 4.0)
+    answer = rig.ask("self_test")
+    assert not answer.success and "supply: FAILED, 3.0" in answer.message
+
+
+def test_bad_commands_are_counted_and_leave_the_outputs_unchanged(bench, uno):
+    with bridged_rig(bench, uno, bench__command_timeout=5.0) as rig:
+        rig.enable()
+        rig.drive(2.0)
+        rig.voltage = None
+        for bad in ((math.nan,), (math.inf,), (), (1.0, 2.0), (10.5,), (-1.0,)):
+            rig.send(*bad)
+        rig.until(lambda: rig.value("rejected_commands") == "6")
+        assert rig.power[-1].voltage == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_second_host_cannot_open_the_port_and_the_first_goes_on(bench, rig):
+    rig.enable()
+    rig.drive(2.0)
+    with pytest.raises(OSError, match="exclusively lock"):
+        open_port(rig.hardware.path)
+    other = bench.start("serial_bridge", port=rig.hardware.path)
+    rig.until(lambda: "not connected" in other.output and "exclusively lock" in other.output)
+    rig.for_a_while(0.5)
+    assert rig.power[-1].voltage == pytest.approx(2.0, abs=0.1)
+
+
+def test_diagnostics_tell_rates_losses_temperature_and_latency(rig):
+    rig.enable()
+    rig.drive(2.0)
+    rig.until(lambda: rig.value("device_rejected") and float(rig.value("command_latency_ms")) > 0)
+    assert rig.value("crc_errors") == rig.value("not_understood") == "0"
+    assert float(rig.value("wire_degC")) == pytest.approx(32.0, abs=3.0)
+    assert float(rig.value("applied")) == pytest.approx(2.0, abs=0.1)
+    assert 0.0 < float(rig.value("power_rate")) < 250.0
+    assert 0.0 < float(rig.value("round_trip_ms")) < 1000.0
+    assert rig.diagnostics[-1].status[0].hardware_id.startswith("sma-uno ")
+
+
+def test_five_hundred_readings_a_second_come_whole(bench, uno):
+    with bridged_rig(bench, uno, telemetry_rate=500) as rig:
+        rig.until(lambda: len(rig.power) > 2500, 120.0)
+        seen = len(rig.diagnostics)
+        rig.until(lambda: len(rig.diagnostics) > seen)
+        assert rig.value("crc_errors") == rig.value("device_rejected") == "0"
+        assert int(rig.value("frames")) > 2500
+        # On a computer that keeps the host away for a fifth of a second the port overflows.
+        assert int(rig.value("lost_frames")) < 25
+
+
+def test_a_pulled_cable_that_comes_back_leaves_it_disabled(bench, uno, tmp_path):
+    link = tmp_path / "uno"
+    with emulated_bench(Parameters.defaults(), uno) as hardware:
+        link.symlink_to(hardware.path)
+        states = bench.latched("serial_bridge/state", String)
+        bench.start("serial_bridge", port=link, feedback=["power"])
+        bench.until(lambda: states and states[-1].data == "idle")
+        bench.until(lambda: bench.trigger("serial_bridge/enable").success)
+        hardware.do(hardware.port.unplug)
+        bench.until(lambda: states[-1].data.startswith("stopped: not connected"))
+        hardware.do(hardware.port.plug)
+        link.unlink()
+        link.symlink_to(hardware.path)
+        bench.until(lambda: bench.trigger("serial_bridge/reset").success)
+        assert states[-1].data != "enabled"
+        bench.until(lambda: states[-1].data == "idle")
+
+
+COMPOSITE = Parameters.defaults().replace(
+    {
+        "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+        "bench.channel_sides": ("front", "front", "back", "back"),
+    }
+)
+
+
+def test_composite_rig_bends_and_its_ranges_give_the_deflection(bench, uno):
+    with emulated_bench(COMPOSITE, uno) as hardware:
+        front = bench.listen("front/range", Range)
+        back = bench.listen("back/range", Range)
+        joints = bench.listen("joint_states", JointState)
+        bench.start("serial_bridge", "config/composite_rig.yaml", port=hardware.path,
+                    feedback=["power"])
+        command = bench.talk("voltage_command", Float64MultiArray)
+        bench.until(lambda: joints and front and back)
+        bench.until(lambda: bench.trigger("serial_bridge/enable").success)
+
+        def bent_as_seen():
+            command.publish(Float64MultiArray(data=[6.0, 6.0, 0.0, 0.0]))
+            truth = float(hardware.plant.bench.deflection)
+            return truth > 0.005 and abs(joints[-1].position[0] - truth) < 1e-3
+
+        bench.until(bent_as_seen)
+        assert joints[-1].name == ["tip"]
+        assert front[-1].range < front[0].range
+        assert back[-1].range > back[0].range
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"telemetry_rate": 300}, "telemetry_rate is 300 Hz, expected a divisor of 1000"),
+        ({"use_sim_time": True}, "use_sim_time is set, but hardware runs in real time"),
+        ({"calibration__supply__gain": 0.0}, "calibration.supply.gain is 0"),
+        ({"range__sensors": ["top"]}, "range.sensors: 'top', expected front or back"),
+    ],
+)
+def test_settings_that_cannot_be_end_the_node_with_one_line(bench, parameters, reason):
+    node = bench.start("serial_bridge", **parameters)
+    assert node.process.wait(30.0) == 2
+    assert reason in node.output and "Traceback" not in node.output
