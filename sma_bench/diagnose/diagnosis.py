@@ -15,6 +15,7 @@ from sma_bench.diagnose.problem import Problem
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
 from sma_bench.diagnose.sizes import Cell, between, contribution, locate
+from sma_bench.diagnose.stages import stage_of
 from sma_bench.diagnose.unknowns import SHAPES, Unknowns
 from sma_bench.diagnose.view import QUANTITIES, Binned, View, shared_bin, view_record
 from sma_bench.errors import InputError
@@ -41,8 +42,8 @@ class Diagnosis:
     Attributes:
         decision: candidates and verdict; search: all fits behind them.
         model: the fit that the improved parameters are of; improved: these parameters.
-        where: cells of the gap, the largest share first; chain: its blocks, each driven by what
-            was measured before it.
+        where: cells of the gap, the largest share first; stage: of the chain, "" without a gap;
+            chain: its blocks, each driven by what was measured before it.
         shrinkage: by quantity.
         views: all records; fitted, held_out: those, or the parts of them, that the fit of the
             shrinkage has seen and has not.
@@ -55,6 +56,7 @@ class Diagnosis:
     model: Fit
     improved: Parameters
     where: tuple[Cell, ...]
+    stage: str
     chain: tuple[Link, ...]
     shrinkage: dict[str, Shrinkage]
     views: tuple[View, ...]
@@ -62,17 +64,6 @@ class Diagnosis:
     held_out: tuple[View, ...]
     findings: tuple[Finding, ...]
     next_experiment: NextExperiment | None
-
-    @property
-    def stage(self) -> str:
-        """Stage with the largest probability; `sensor` or another, "" where no effect is."""
-        stages: dict[str, float] = {}
-        for candidate in self.decision.candidates:
-            for name in candidate.effects:
-                stage = EFFECTS[name].stage
-                share = candidate.probability / len(candidate.effects)
-                stages[stage] = stages.get(stage, 0.0) + share
-        return max(stages, key=lambda stage: stages[stage]) if stages else ""
 
     def to_json(self) -> dict[str, Any]:
         """The diagnosis result of contract section 5."""
@@ -149,7 +140,9 @@ def diagnose(
     blind = _fitted_to(fitted, model)
     return Diagnosis(
         parameters, decision, found, model, improved,
-        tuple(_where(found, model, decision.verdict)), tuple(break_chain(found.recalibrated)),
+        tuple(_where(found, model, decision.verdict)),
+        stage_of(decision, found, locate(found.recalibrated.problem, _missing_term(found))),
+        tuple(break_chain(found.recalibrated)),
         shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
         (*seen, *unseen), tuple(fitted), tuple(unfitted),
         (*audit(parameters), *_missing([*seen, *unseen])),

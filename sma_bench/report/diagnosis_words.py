@@ -76,8 +76,8 @@ def where_is_it(result: Diagnosis) -> list[str]:
         missing = locate(result.model.problem, result.search.recalibrated.left)[0]
         return [
             f"What is missing is largest in {_cell(missing)}: {missing.gap:.2g} times the noise, "
-            f"{in_print(missing.signal, missing.rms)} rms. Of all effects, those of the "
-            f"{result.stage} stage come nearest to it."
+            f"{in_print(missing.signal, missing.rms)} rms. It is most likely of the "
+            f"{result.stage} stage."
         ]
     top = result.where[0]
     named = result.model.unknowns.effects
@@ -89,8 +89,8 @@ def where_is_it(result: Diagnosis) -> list[str]:
         f"{_percent(top.share)} of {subject} lies in {_cell(top)}: "
         f"{top.gap:.2g} times the noise, {in_print(top.signal, top.rms)} rms."
     ]
-    if result.decision.verdict in ("effect", "ambiguous"):
-        stages: list[str] = list(dict.fromkeys(EFFECTS[n].stage for n in named)) or [result.stage]
+    if named:
+        stages: list[str] = list(dict.fromkeys(EFFECTS[n].stage for n in named))
         sure = " and ".join(f"{s} ({_percent(stage_probability(result, s))})" for s in stages)
         said.append(
             f"The chain breaks at this stage: {sure}. All signals are fitted together, so what an "
