@@ -28,6 +28,20 @@ LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
 SHARED_MEMORY = Path("/dev/shm")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--acceptance", action="store_true", help="the minutes in real time on the emulated Uno too"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("--acceptance"):
+        reason = pytest.mark.skip(reason="minutes in real time: only with --acceptance")
+        for item in items:
+            if item.get_closest_marker("acceptance"):
+                item.add_marker(reason)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of the measured data that lies beside the checkout."""

@@ -60,7 +60,7 @@ def test_a_call_is_retried_until_it_succeeds_or_patience_ends():
         demo_hardware.retried(call, 0.02, 0.001)
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(emulator, tmp_path, capfd):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     out = tmp_path / "demo"

@@ -38,7 +38,7 @@ def test_stamps_are_acquisition_times_within_a_millisecond(
     assert link.status.lost == link.status.damaged == 0
 
 
-@pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_minute_at_500_hz_loses_nothing(uno: EmulatedUno) -> None:
     port = VirtualPort(uno)
     count = [0]

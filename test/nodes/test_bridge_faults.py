@@ -10,7 +10,7 @@ from faults import FAULTS
 # with others.
 LOADED = 0.5
 MARKED = [
-    pytest.param(fault, id=fault.name, marks=[] if fault.quick else pytest.mark.slow)
+    pytest.param(fault, id=fault.name, marks=[] if fault.quick else pytest.mark.acceptance)
     for fault in FAULTS
 ]
 
