@@ -64,12 +64,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+class Terminated(KeyboardInterrupt):
+    """A polite kill. Python would end by SIGINT, whatever the exit code, had a plain
+    KeyboardInterrupt passed through code that a library compiles from text."""
+
+
 @contextmanager
 def _terminated_as_interrupted() -> Iterator[None]:
     """A polite kill tidies up as Ctrl-C does."""
 
     def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        raise KeyboardInterrupt
+        raise Terminated
 
     before = signal.signal(signal.SIGTERM, interrupt)
     try:

@@ -171,7 +171,7 @@ FAULTS = (
           "the device restarted", lambda rig: rig.hardware.do(
               lambda: rig.hardware.uno.hang(interrupts=False))),
     Fault("short_circuit", "wire short-circuited", "device: peak current, in each conversion",
-          0.003, "over-current", _electrics(resistance=(0.3,)), volts=6.0,
+          0.005, "over-current", _electrics(resistance=(0.3,)), volts=6.0,
           quick=True),
     Fault("over_current", "wire draws more than bench.maximum_current",
           "bridge: current of each reading", 0.25, "over-current: wire", _electrics(
