@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sma_bench.diagnose.unknowns import BACK, FRONT
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.effect_table import EFFECT_PREFIX
 from sma_bench.physics.effects import active_effects
@@ -12,7 +13,7 @@ from sma_bench.physics.effects import active_effects
 # config/demo_rig.yaml, of effects that currents, temperatures and deflection together tell apart.
 HIDEABLE: dict[str, dict[str, tuple[float, float]]] = {
     "phase_dependent_resistance": {"austenite_change": (0.05, 0.2)},
-    "supply_drop": {"resistance": (0.1, 0.5)},
+    "supply_drop": {"resistance": (0.25, 0.5)},
     "latent_heat": {"heat": (6e3, 25e3)},
     "side_heat_coupling": {"conductance": (1e-3, 6e-3)},
     "residual_strain": {"share": (0.04, 0.25)},
@@ -43,6 +44,8 @@ def hidden_bench(lab: Parameters, seed: int) -> Parameters:
         name: float(lab[name] + error * std)
         for (name, std), error in zip(lab.given_uncertainty.items(), errors, strict=True)
     }
+    if lab[FRONT] == lab[BACK]:  # sides that are built alike are off alike
+        off[BACK] = off[FRONT]
     return Parameters({name: lab[name] for name in lab.given} | off | numbers)
 
 

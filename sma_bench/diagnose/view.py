@@ -1,7 +1,7 @@
 """A record as the diagnosis sees it: the drive on a uniform grid, every signal in bins of time."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,6 +29,7 @@ _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
 _BIN = 0.2  # s, shorter than any time constant of a wire in air
 _MOST_BINS = 1500  # a signal
+_FULL = 0.5  # of the usual number of samples
 _MOST_CELLS = 12_000
 _SAMPLES_A_BIN = 2.0
 QUANTITIES = ("current", "temperature", "deflection")
@@ -224,10 +225,14 @@ def _own_bin(measured: Measured) -> float:
 
 
 def _binned(measured: Measured, rig: RigRecord, grid: Array, shortest: float) -> Binned:
-    time, value = measured.time, measured.values
     period = max(shortest, _own_bin(measured))
-    which = np.floor((time - time[0]) / period).astype(np.intp)
-    kept, which, count = np.unique(which, return_inverse=True, return_counts=True)
+    which = np.floor((measured.time - measured.time[0]) / period).astype(np.intp)
+    _, which, count = np.unique(which, return_inverse=True, return_counts=True)
+    # The mean of far fewer samples than usual would scatter like no other.
+    full = (count >= _FULL * np.median(count))[which]
+    measured = replace(measured, time=measured.time[full], values=measured.values[full])
+    time, value = measured.time, measured.values
+    kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
     bins = len(kept)
     noise = max(_LEAST[measured.quantity], noise_floor(value) / float(np.sqrt(np.median(count))))
     return Binned(

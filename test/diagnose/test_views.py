@@ -37,7 +37,8 @@ def test_bins_are_means_of_samples_with_their_mean_time_and_noise(view):
     temperature = next(s for s in view.signals if s.name == "front_1.temperature")
     assert temperature.period == pytest.approx(0.2)
     assert np.median(temperature.count) == 10
-    assert temperature.count.sum() == pytest.approx(RATE * DURATION, abs=1)
+    assert RATE * DURATION - 5 <= temperature.count.sum() <= RATE * DURATION
+    assert temperature.count.min() >= 5
     assert temperature.noise == pytest.approx(NOISE["temperature"] / np.sqrt(10.0), rel=0.15)
     assert np.all(np.diff(temperature.time) > 0.0)
 
