@@ -8,6 +8,7 @@ show.
 
 import math
 
+from sma_bench.hardware.expectation import WireModel
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_image import Frame
 from sma_bench.hardware.thermal_radiance import Surface, band_radiance, slope_at
@@ -27,16 +28,9 @@ class ExpectedWarmth:
 
     def __init__(self, parameters: Parameters) -> None:
         """Starts at the ambient temperature."""
-        self._loss = (
-            parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
-        )
-        self._resistance = parameters["wire.resistance"]
-        self._time_constant = (
-            parameters["wire.mass"] * parameters["wire.specific_heat"] / self._loss
-        )
-        self._ambient = parameters["environment.ambient_temperature"]
-        self._rise = 0.0
-        self._final = 0.0
+        self._model = WireModel.from_parameters(parameters)
+        self._kelvin = self._model.ambient
+        self._volts = 0.0
         self._time = math.nan
 
     def voltage(self, volts: float, time: float) -> None:
@@ -44,17 +38,18 @@ class ExpectedWarmth:
         if not math.isfinite(volts):
             return
         self._advance(time)
-        self._final = volts**2 / self._resistance / self._loss
+        self._volts = volts
 
     def kelvin(self, time: float) -> float:
         """Temperature in K at `time` s that can be relied upon: a share of the model's rise."""
         self._advance(time)
-        return self._ambient + _BELIEVED * self._rise
+        ambient = self._model.ambient
+        return ambient + _BELIEVED * (self._kelvin - ambient)
 
     def _advance(self, time: float) -> None:
         elapsed = time - self._time
         if elapsed > 0.0:
-            self._rise += (self._final - self._rise) * -math.expm1(-elapsed / self._time_constant)
+            self._kelvin = self._model.heated(self._kelvin, self._volts, elapsed)
         self._time = time
 
 

@@ -16,7 +16,7 @@ from sma_bench.diagnose.decision import (
     Candidate,
 )
 from sma_bench.diagnose.shrinkage import Shrinkage
-from sma_bench.diagnose.sizes import Cell, locate
+from sma_bench.diagnose.sizes import Cell
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.report.quantities import in_print
@@ -73,7 +73,7 @@ def where_is_it(result: Diagnosis) -> list[str]:
     if result.decision.verdict == NO_GAP:
         return ["There is no gap whose place could be told."]
     if result.decision.verdict == UNEXPLAINED:
-        missing = locate(result.model.problem, result.search.recalibrated.left)[0]
+        missing = result.where[0]
         return [
             f"What is missing is largest in {_cell(missing)}: {missing.gap:.2g} times the noise, "
             f"{in_print(missing.signal, missing.rms)} rms. It is most likely of the "
