@@ -6,9 +6,9 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.composite import bends
-from sma_bench.identify.load_frame import holds_frame, is_clamped_wire, isobaric_tests
 from sma_bench.identify.signals import find_drives, has_samples
+from sma_bench.identify.whole_model.composite import bends
+from sma_bench.identify.whole_model.load_frame import holds_frame, is_clamped_wire, isobaric_tests
 from sma_bench.parameters import Parameters
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord

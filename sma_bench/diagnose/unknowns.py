@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.identify.prior import BENDING, MATERIAL, Prior, prior_of
+from sma_bench.identify.whole_model.prior import BENDING, MATERIAL, Prior, prior_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics.effects import EFFECTS

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from sma_bench.errors import InputError
-from sma_bench.identify.applied_voltage import AppliedVoltage
-from sma_bench.identify.record_noise import noise_floor
-from sma_bench.identify.rig_record import Measured, RigRecord, rig_record
+from sma_bench.identify.whole_model.applied_voltage import AppliedVoltage
+from sma_bench.identify.whole_model.record_noise import noise_floor
+from sma_bench.identify.whole_model.rig_record import Measured, RigRecord, rig_record
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.electrical import current

@@ -7,23 +7,23 @@ from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify import composite, load_frame
-from sma_bench.identify.constitutive import fit_constitutive
+from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.estimate import Estimate, Experiment
-from sma_bench.identify.heating_rates import identify_heating_rates
-from sma_bench.identify.isobaric import identify_isobaric
+from sma_bench.identify.instruments.heating_rates import identify_heating_rates
+from sma_bench.identify.instruments.isobaric import identify_isobaric
+from sma_bench.identify.instruments.tensile import identify_tensile
+from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
+from sma_bench.identify.instruments.transition_temperatures import identify_transition_temperatures
 from sma_bench.identify.plateaus import FEWEST_LEVELS
 from sma_bench.identify.run import Run
 from sma_bench.identify.signals import Drive
-from sma_bench.identify.tensile import identify_tensile
-from sma_bench.identify.thermal_expansion import identify_thermal_expansion
-from sma_bench.identify.thermal_experiments import (
+from sma_bench.identify.thermal.experiments import (
     find_all_drives,
     run_heat_transfer,
     run_resistance,
     run_specific_heat,
 )
-from sma_bench.identify.transition_temperatures import identify_transition_temperatures
+from sma_bench.identify.whole_model import composite, load_frame
 from sma_bench.parameters import Parameters
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.isobaric import IsobaricRecord

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.rig_record import rig_record
+from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
 from sma_bench.records.held_voltages import held_voltages

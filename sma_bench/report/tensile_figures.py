@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.tensile import MODULUS, SYMBOL
-from sma_bench.identify.thermal_expansion import PARAMETER
+from sma_bench.identify.instruments.tensile import MODULUS, SYMBOL
+from sma_bench.identify.instruments.thermal_expansion import PARAMETER
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
 from sma_bench.report.page import Picture
 

@@ -10,10 +10,10 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
-from sma_bench.identify.composite import identify_composite
-from sma_bench.identify.output_error import fit_bench
-from sma_bench.identify.prior import BENDING, HEAT, MATERIAL
-from sma_bench.identify.rig_record import rig_record
+from sma_bench.identify.whole_model.composite import identify_composite
+from sma_bench.identify.whole_model.output_error import fit_bench
+from sma_bench.identify.whole_model.prior import BENDING, HEAT, MATERIAL
+from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
 from sma_bench.records import Record, Signal, read_record

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.constitutive import fit_constitutive
-from sma_bench.identify.constitutive_law import elastic, make_loops, martensite_fractions, strain_of
+from sma_bench.identify.constitutive.joint_fit import fit_constitutive
+from sma_bench.identify.constitutive.law import elastic, make_loops, martensite_fractions, strain_of
 from sma_bench.parameters import Parameters
 from sma_bench.physics.phase import (
     austenite_ramp,

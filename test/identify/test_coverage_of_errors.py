@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sma_bench.identify import identify
-from sma_bench.identify.resistance import SCALE_STD
+from sma_bench.identify.thermal.resistance import SCALE_STD
 from sma_bench.parameters import Parameters
 
 TRIALS = 100

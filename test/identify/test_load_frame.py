@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
 from sma_bench.errors import InputError
-from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
+from sma_bench.identify.whole_model.load_frame import identify_load_frame, isobaric_tests
 from sma_bench.parameters.audit import wire_length_from_mass
 from sma_bench.records import Record, Signal
 

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
-from sma_bench.identify.heat_response import course_from_samples, temperature_rise
+from sma_bench.identify.thermal.heat_response import course_from_samples, temperature_rise
 from sma_bench.parameters import Parameters
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"

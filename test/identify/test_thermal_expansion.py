@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.thermal_expansion import (
+from sma_bench.identify.instruments.thermal_expansion import (
     check_size,
     identify_thermal_expansion,
     steady_windows,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.transition_temperatures import identify_transition_temperatures
+from sma_bench.identify.instruments.transition_temperatures import identify_transition_temperatures
 from sma_bench.records import DscRecord, DscSegment, read_dsc
 
 KELVIN = 273.15

@@ -14,7 +14,7 @@ from sma_bench.cli import main
 from sma_bench.commands.paper import paper_page
 from sma_bench.commands.paper_records import sort_records
 from sma_bench.errors import InputError
-from sma_bench.identify.load_frame_drive import wire_length
+from sma_bench.identify.whole_model.load_frame_drive import wire_length
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.paper_numbers import DSC_CYCLES
 from sma_bench.physics import Boundary, simulate

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from sma_bench.identify import fit_report
 from sma_bench.identify.estimate import Experiment
-from sma_bench.identify.output_error import fit_bench
-from sma_bench.identify.prior import BENDING, HEAT, MATERIAL, SECTION
-from sma_bench.identify.rig_record import RigRecord
+from sma_bench.identify.whole_model import fit_report
+from sma_bench.identify.whole_model.output_error import fit_bench
+from sma_bench.identify.whole_model.prior import BENDING, HEAT, MATERIAL, SECTION
+from sma_bench.identify.whole_model.rig_record import RigRecord
 from sma_bench.parameters import Parameters
 
 _METHOD = "simulation fitted to {quantities}"

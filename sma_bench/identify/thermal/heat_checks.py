@@ -8,8 +8,8 @@ import numpy as np
 
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.heat_fit import HEAT_TRANSFER, SPECIFIC_HEAT, HeatFit, Window
 from sma_bench.identify.noise import autocorrelation, inflation
+from sma_bench.identify.thermal.heat_fit import HEAT_TRANSFER, SPECIFIC_HEAT, HeatFit, Window
 
 SUBJECT = "wire.specific_heat"
 _SIGNIFICANT = 3.0

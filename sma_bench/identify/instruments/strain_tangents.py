@@ -11,8 +11,8 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.outer_lines import OuterLine, outer_lines, scatter
-from sma_bench.identify.tangents import Line
+from sma_bench.identify.instruments.outer_lines import OuterLine, outer_lines, scatter
+from sma_bench.identify.instruments.tangents import Line
 from sma_bench.records.thermal_cycles import Branch
 
 # Of a cosine ramp the steepest tangent takes 2/pi of its width (eqs. 10, 11).

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sma_bench.findings import Finding, Severity
-from sma_bench.identify.constitutive_fit import STARTS, LawFit
+from sma_bench.identify.constitutive.fit import STARTS, LawFit
 from sma_bench.identify.estimate import Estimate
 from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
 

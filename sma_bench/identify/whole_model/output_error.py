@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sma_bench.identify.bounded_newton import minimise
 from sma_bench.identify.colour import Colour
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.prior import Prior, prior_of
-from sma_bench.identify.record_noise import RecordNoise
-from sma_bench.identify.rig_record import InputErrors, Measured, RigRecord
+from sma_bench.identify.whole_model.bounded_newton import minimise
+from sma_bench.identify.whole_model.prior import Prior, prior_of
+from sma_bench.identify.whole_model.record_noise import RecordNoise
+from sma_bench.identify.whole_model.rig_record import InputErrors, Measured, RigRecord
 from sma_bench.parameters import Parameters
 
 _STEP = 1e-3

@@ -6,8 +6,8 @@ import numpy as np
 
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate
-from sma_bench.identify.isobaric_levels import PHASES, Reading
-from sma_bench.identify.stress_temperature import TransitionLines
+from sma_bench.identify.instruments.isobaric_levels import PHASES, Reading
+from sma_bench.identify.instruments.stress_temperature import TransitionLines
 from sma_bench.parameters import Parameters
 
 _SIGNIFICANT = 3.0

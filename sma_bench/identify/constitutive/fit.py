@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from sma_bench.errors import InputError
-from sma_bench.identify.constitutive_law import (
+from sma_bench.identify.constitutive.law import (
     Elastic,
     Law,
     Loop,

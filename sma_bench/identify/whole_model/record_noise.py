@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from sma_bench.identify.colour import WHITE, Colour, estimate_colour, white_noise_level
 from sma_bench.identify.estimate import Array
 from sma_bench.identify.noise import resolution
-from sma_bench.identify.rig_record import Measured, RigRecord
+from sma_bench.identify.whole_model.rig_record import Measured, RigRecord
 
 _SMALLEST_MODE = 1e-6
 # A fit absorbs much of what the voltages' errors do: a small rest does not make them small.

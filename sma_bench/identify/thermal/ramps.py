@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from sma_bench.findings import Finding
-from sma_bench.identify.heat_fit import Window
 from sma_bench.identify.segments import Segment
 from sma_bench.identify.signals import Drive, samples
+from sma_bench.identify.thermal.heat_fit import Window
 from sma_bench.records import Record
 
 BEFORE = 3.0

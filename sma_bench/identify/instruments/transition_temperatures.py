@@ -9,7 +9,13 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.tangents import Onset, Scan, Transformation, find_transformation, make_scan
+from sma_bench.identify.instruments.tangents import (
+    Onset,
+    Scan,
+    Transformation,
+    find_transformation,
+    make_scan,
+)
 from sma_bench.records import DscRecord, DscSegment
 
 KELVIN = 273.15

@@ -15,8 +15,8 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.isobaric_levels import mean_and_deviation
-from sma_bench.identify.tensile_curve import Rise, TensileReading, read_curve
+from sma_bench.identify.instruments.isobaric_levels import mean_and_deviation
+from sma_bench.identify.instruments.tensile_curve import Rise, TensileReading, read_curve
 from sma_bench.parameters import Parameters
 from sma_bench.records.tensile import TensileRecord
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Experiment
-from sma_bench.identify.rig_record import rig_record
 from sma_bench.identify.signals import has_samples
-from sma_bench.identify.whole_model import fit_experiment
+from sma_bench.identify.whole_model.fit import fit_experiment
+from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters
 from sma_bench.records.record import Record
 

@@ -9,10 +9,11 @@ from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.differentiator import slope_of_rates
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.heat_checks import check_delay, check_gain, check_misfit
-from sma_bench.identify.heat_fit import (
+from sma_bench.identify.signals import Drive
+from sma_bench.identify.thermal.differentiator import slope_of_rates
+from sma_bench.identify.thermal.heat_checks import check_delay, check_gain, check_misfit
+from sma_bench.identify.thermal.heat_fit import (
     HEAT_TRANSFER,
     SPECIFIC_HEAT,
     HeatFit,
@@ -21,8 +22,7 @@ from sma_bench.identify.heat_fit import (
     fit_heat,
     rough_time_constant,
 )
-from sma_bench.identify.ramps import FEWEST_SAMPLES, choose_windows, cut_windows
-from sma_bench.identify.signals import Drive
+from sma_bench.identify.thermal.ramps import FEWEST_SAMPLES, choose_windows, cut_windows
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 

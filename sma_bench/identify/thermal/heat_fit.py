@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 
 from sma_bench.identify.estimate import Array, Indices
-from sma_bench.identify.heat_response import (
+from sma_bench.identify.noise import autocorrelation
+from sma_bench.identify.thermal.heat_response import (
     VoltageCourse,
     course_from_samples,
     temperature_rise,
 )
-from sma_bench.identify.noise import autocorrelation
 
 # Order of the unknowns that all windows share; each window adds its own after them.
 SPECIFIC_HEAT, HEAT_TRANSFER, RESISTANCE, DELAY = range(4)

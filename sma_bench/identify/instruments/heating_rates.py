@@ -16,8 +16,8 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.instruments.transition_temperatures import identify_transition_temperatures
 from sma_bench.identify.straight_line import fit_linear
-from sma_bench.identify.transition_temperatures import identify_transition_temperatures
 from sma_bench.records.dsc import DscRecord
 
 NAME = "E5"

@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate
-from sma_bench.identify.output_error import BenchFit, SignalFit
-from sma_bench.identify.resistance import PARAMETER as RESISTANCE
-from sma_bench.identify.resistance import SCALE_STD
+from sma_bench.identify.thermal.resistance import PARAMETER as RESISTANCE
+from sma_bench.identify.thermal.resistance import SCALE_STD
+from sma_bench.identify.whole_model.output_error import BenchFit, SignalFit
 from sma_bench.parameters.table import BY_NAME
 
 _UNTOLD = 0.9

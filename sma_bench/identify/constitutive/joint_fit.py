@@ -8,10 +8,10 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify import constitutive_findings as remarks
-from sma_bench.identify.constitutive_fit import LawFit, fit_law
-from sma_bench.identify.constitutive_law import REFERENCE_STRESS, Law, make_loops
-from sma_bench.identify.constitutive_starts import unknowns_of
+from sma_bench.identify.constitutive import findings as remarks
+from sma_bench.identify.constitutive.fit import LawFit, fit_law
+from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, make_loops
+from sma_bench.identify.constitutive.starts import unknowns_of
 from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
@@ -52,7 +52,7 @@ def fit_constitutive(
         records: isobaric tests.
         parameters: E_A and E_M with their uncertainties (isobaric tests cannot tell them from
             eps_L), and C_A, C_M in case all tests are at one stress; the table's when None.
-        law: "contract" (constant eps_L), "extended" (see constitutive_law), or "auto": the
+        law: "contract" (constant eps_L), "extended" (see law.py), or "auto": the
             contract's where its rms is below 5 % of the recovered strain at every stress, else
             the extended one, with both errors in the findings.
 

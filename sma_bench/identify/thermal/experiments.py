@@ -5,8 +5,6 @@ from dataclasses import replace
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Estimate, combine
-from sma_bench.identify.heat_transfer import AMBIENT, GAIN, coefficient, identify_heat_transfer
-from sma_bench.identify.resistance import SCALE_STD, identify_resistance
 from sma_bench.identify.run import Run
 from sma_bench.identify.signals import (
     Drive,
@@ -15,7 +13,14 @@ from sma_bench.identify.signals import (
     has_samples,
     missing_findings,
 )
-from sma_bench.identify.specific_heat import HeatLoss, identify_specific_heat
+from sma_bench.identify.thermal.heat_transfer import (
+    AMBIENT,
+    GAIN,
+    coefficient,
+    identify_heat_transfer,
+)
+from sma_bench.identify.thermal.resistance import SCALE_STD, identify_resistance
+from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.records import Record
 
 RESISTANCE = "wire.resistance"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.tangents import Line
+from sma_bench.identify.instruments.tangents import Line
 
 _SHORTEST_LINE = 5
 _SHORT_SHARE = 0.10

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sma_bench.identify.estimate import Array, Estimate
-from sma_bench.identify.heat_fit import Window
+from sma_bench.identify.thermal.heat_fit import Window
 
 FILTER_TIME = 0.1
 

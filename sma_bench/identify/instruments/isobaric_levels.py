@@ -9,7 +9,7 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.strain_tangents import StrainTangents, strain_tangents
+from sma_bench.identify.instruments.strain_tangents import StrainTangents, strain_tangents
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.thermal_cycles import Branch
 

@@ -13,11 +13,11 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment
-from sma_bench.identify.isobaric import identify_isobaric
-from sma_bench.identify.load_frame_drive import has_load_frame, is_clamped, wire_length
-from sma_bench.identify.rig_record import rig_record
+from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.signals import has_samples, samples
-from sma_bench.identify.whole_model import fit_experiment
+from sma_bench.identify.whole_model.fit import fit_experiment
+from sma_bench.identify.whole_model.load_frame_drive import has_load_frame, is_clamped, wire_length
+from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY
 from sma_bench.physics.bending import wire_section

@@ -11,9 +11,9 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify import isobaric_findings as remarks
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.isobaric_levels import (
+from sma_bench.identify.instruments import isobaric_findings as remarks
+from sma_bench.identify.instruments.isobaric_levels import (
     PHASES,
     Convention,
     Level,
@@ -22,7 +22,7 @@ from sma_bench.identify.isobaric_levels import (
     mean_and_deviation,
     read_tangents,
 )
-from sma_bench.identify.stress_temperature import (
+from sma_bench.identify.instruments.stress_temperature import (
     SMALLEST_STRESS_RANGE,
     Points,
     diagram_curves,

@@ -6,10 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.identify.applied_voltage import AppliedVoltage, CourseError, applied_voltage
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.load_frame_drive import Hold, find_holds, wire_length
 from sma_bench.identify.signals import has_samples, samples
+from sma_bench.identify.whole_model.applied_voltage import (
+    AppliedVoltage,
+    CourseError,
+    applied_voltage,
+)
+from sma_bench.identify.whole_model.load_frame_drive import Hold, find_holds, wire_length
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Boundary, Simulation, simulate
 from sma_bench.physics.bending import wire_section

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.identify.constitutive_fit import Unknown, has_several_stresses
-from sma_bench.identify.constitutive_law import REFERENCE_STRESS, Law, Loop
+from sma_bench.identify.constitutive.fit import Unknown, has_several_stresses
+from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, Loop
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.strain_tangents import strain_tangents
+from sma_bench.identify.instruments.strain_tangents import strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import STRONGEST
 from sma_bench.records.thermal_cycles import Branch

@@ -1,0 +1,1 @@
+"""E9 on isobaric tests: the whole constitutive law at once."""
