@@ -14,11 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from sma_bench.diagnose import search
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.electrical import current
 from sma_bench.physics.simulate import Simulation
+from sma_bench.protocols import Protocol
 from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.write import write_record
 
@@ -133,14 +135,19 @@ def planted_record(
     seed: int = 1,
     turned: bool = False,
     bench: Parameters | None = None,
+    protocol: Protocol | None = None,
 ) -> Record:
-    """Write a bag of the true bench, or of `bench`, and read it again."""
+    """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
     parameters = bench or true_bench(effects)
     channels = parameters["bench.channels"]
-    fine, volts = drive(turned, FINER * RATE)
+
+    def driven(rate: float) -> tuple[Array, Array]:
+        return protocol.sample(1.0 / rate) if protocol else drive(turned, rate)
+
+    fine, volts = driven(FINER * RATE)
     between = 0.5 * (volts + np.vstack([volts[1:], volts[-1:]]))
     found = simulate(parameters, fine, between[:, : len(channels)])
-    time, voltage = drive(turned)
+    time, voltage = driven(RATE)
     random = np.random.default_rng(seed)
     signals = []
     for k, channel in enumerate(channels):
@@ -181,7 +188,7 @@ def few_effects(names: Sequence[str] = FEW) -> Iterator[None]:
     """A library of some effects only, in which a diagnosis takes a third of the time."""
     chosen = {name: effect for name, effect in EFFECTS.items() if name in names}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sma_bench.diagnose.search.EFFECTS", chosen)
+        patch.setattr(search, "EFFECTS", chosen)
         yield
 
 

@@ -24,7 +24,7 @@ SCALE = 2.4  # nats
 SHARE = 0.013
 THRESHOLD = 5.0  # nats that an effect must gain over recalibration
 SMALLEST_OF_INTEREST = 0.57  # of the noise of a sample
-PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.17  # nats over the single, and of the single's gain
+PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.08  # nats over the single, and of the single's gain
 PARTNER_OF_INTEREST = 0.5
 # Signs of something unexplained. Of what is left: motion against rest in standard deviations,
 # share of what recalibration leaves, size in noise, largest outlier in standard deviations.
@@ -32,8 +32,9 @@ LEFT_RATIO, LEFT_SHARE, LEFT_SIZE, LEFT_OUTLIER = 5.5, 0.35, 0.4, 8.0
 LEFT_DRIFT = 5.0  # nats that the sensors' drift is improbable
 FLEXIBLE = 30.0  # nats of a smooth response
 SURPRISE, SURPRISE_SIGN = 50.0, 0.5  # squared deviations of some 16 parameters; largest sign
-# Log odds at most; where an effect explains much, what is left may be that effect's own, inexact.
-LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, 1.0, 15.0  # MUCH in nats
+# Log odds at most; where an effect explains much, what is left may be that effect's own, inexact,
+# or a second one: the effect stays ahead, but not far enough to be named alone.
+LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, -0.3, 15.0  # MUCH in nats
 # Log odds, to recalibration, of what is there and leaves no sign: a record without a sign is never
 # proof that only the parameters are off.
 UNSEEN = -1.45

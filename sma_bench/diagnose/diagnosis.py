@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sma_bench.diagnose.chain import Link, break_chain
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
 from sma_bench.diagnose.fit import Fit, fit
-from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
+from sma_bench.diagnose.next_experiment import ENOUGH, NextExperiment, next_experiment
 from sma_bench.diagnose.problem import Problem
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
@@ -138,6 +138,7 @@ def diagnose(
     progress("shrinkage on data that no fit saw")
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     blind = _fitted_to(fitted, model)
+    following = _next(decision, [*seen, *unseen], parameters, progress)
     return Diagnosis(
         parameters, decision, found, model, improved,
         tuple(_where(found, model, decision.verdict)),
@@ -145,8 +146,8 @@ def diagnose(
         tuple(break_chain(found.recalibrated)),
         shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
         (*seen, *unseen), tuple(fitted), tuple(unfitted),
-        (*audit(parameters), *_missing([*seen, *unseen])),
-        _next(decision, [*seen, *unseen], parameters, progress),
+        (*audit(parameters), *_missing([*seen, *unseen]), *_inseparable(following)),
+        following if following and following.distance >= ENOUGH else None,
     )
 
 
@@ -157,6 +158,18 @@ def _next(
         return None
     progress("the next experiment")
     return next_experiment(decision.candidates, views, parameters)
+
+
+def _inseparable(following: NextExperiment | None) -> list[Finding]:
+    if following is None or following.distance >= ENOUGH:
+        return []
+    causes = " and ".join(following.separates)
+    text = (
+        f"no protocol within the voltage that the bench has stood tells {causes} apart: at most "
+        f"{following.distance:.1f} standard deviations ({following.protocol['name']}); another "
+        "sensor or a tighter uncertainty of the parameters would"
+    )
+    return [Finding("info", "next experiment", text)]
 
 
 def _model(decision: Decision, found: Search) -> Fit:

@@ -52,11 +52,15 @@ class NextExperiment:
 def next_experiment(
     candidates: Sequence[Candidate], views: Sequence[View], parameters: Parameters
 ) -> NextExperiment | None:
-    """The most telling protocol of the menu; None when fewer than two causes can be simulated.
+    """The most telling protocol of the menu.
 
     Args:
         candidates: the most probable first; views: the records, for what is measured and how hard
             the bench was driven.
+
+    Returns:
+        None when fewer than two causes can be simulated; a `distance` below ENOUGH when no
+        protocol separates them.
     """
     tied = [
         c for c in candidates
@@ -73,12 +77,8 @@ def next_experiment(
             best = NextExperiment(why, tuple(c.name for c in tied), document, distance)
     if best is None:
         return None
-    return replace(best, why=_words(best))
-
-
-def _words(best: NextExperiment) -> str:
-    sure = "" if best.distance >= ENOUGH else ", the most that this bench can do with one protocol"
-    return f"{best.why}: tells them apart by {best.distance:.1f} standard deviations{sure}"
+    words = f"{best.why}: tells them apart by {best.distance:.1f} standard deviations"
+    return replace(best, why=words)
 
 
 def _highest(views: Sequence[View], parameters: Parameters) -> float:

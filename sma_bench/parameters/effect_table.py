@@ -123,7 +123,7 @@ MECHANICAL = (
     ),
     Parameter(
         "effect.opposing_wires.engagement", "1", 0.0,
-        "Share of the other side's wire stiffness that resists the bending; 0 is off.",
+        "Share of the other side's bending that reaches a wire; 0 is off.",
         "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2,
     ),
     Parameter(

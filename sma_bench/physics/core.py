@@ -13,13 +13,14 @@ A wire's temperature is monotone within the step, so reversals fall on samples.
 Everything lies in two plain arrays (columns.py) that all functions share: `wires` (w,
 WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS); `i` is a wire, `side` a side. Wires and sides that an
 effect marks go through otherwise.py before and after the common solution.
+
+`run` allocates nothing, so no function here counts references, and those of the innermost loops
+are compiled into it: together that halves its time.
 """
 
 import math
 
-import numpy as np
-
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing, inlined
 from sma_bench.physics.columns import (
     AMBIENT,
     AUSTENITE_MODULUS,
@@ -75,7 +76,7 @@ REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
 
 
-@compiled
+@inlined
 def constitutive(wires, i, contraction, xi):
     """T, sigma of eq. (6), E and sigma's elastic strain at the end of the step, given xi and e."""
     temperature = wires[i, START] + wires[i, LAG] * xi
@@ -85,7 +86,7 @@ def constitutive(wires, i, contraction, xi):
     return temperature, stress, modulus, stretch
 
 
-@compiled
+@inlined
 def residual(wires, i, contraction, xi):
     """How far xi is from the rule, its slopes in xi and e; sigma, its slope in xi; and E."""
     temperature, stress, modulus, stretch = constitutive(wires, i, contraction, xi)
@@ -96,7 +97,7 @@ def residual(wires, i, contraction, xi):
     return xi - target, slope, by_stress * modulus, stress, stress_slope, modulus
 
 
-@compiled
+@inlined
 def solve_wire(wires, i, contraction):
     """xi at a given contraction, from its guess: Newton within a shrinking bracket."""
     xi = wires[i, GUESS]
@@ -118,7 +119,7 @@ def solve_wire(wires, i, contraction):
     return min(max(xi, 0.0), 1.0)
 
 
-@compiled
+@borrowing
 def solve_jointly(wires, sides, side, contraction):
     """Newton on the fractions and the contraction of a side together; whether it converged."""
     for _ in range(NEWTON_LIMIT):
@@ -151,7 +152,7 @@ def solve_jointly(wires, sides, side, contraction):
     return False, contraction
 
 
-@compiled
+@borrowing
 def side_imbalance(wires, sides, side, contraction):
     """Sum of stresses beyond what the boundary takes, fractions solved; and minus its slope."""
     imbalance = -sides[side, LOAD] - sides[side, STIFFNESS] * contraction
@@ -170,7 +171,7 @@ def side_imbalance(wires, sides, side, contraction):
     return imbalance, total
 
 
-@compiled
+@borrowing
 def solve_nested(wires, sides, side, contraction):
     """Bracketed Newton on the contraction, the fractions solved within: slow and sure."""
     imbalance, total = side_imbalance(wires, sides, side, contraction)
@@ -199,7 +200,7 @@ def solve_nested(wires, sides, side, contraction):
     return contraction
 
 
-@compiled
+@inlined
 def set_step(wires, step):
     """Constants of a step of this length [s]."""
     for i in range(wires.shape[0]):
@@ -208,7 +209,7 @@ def set_step(wires, step):
         wires[i, LAG] = wires[i, LATENT_RISE] * math.expm1(exponent) / exponent
 
 
-@compiled
+@inlined
 def heat(wires, voltage, k, step):
     """Temperatures at the end of the step, as far as they do not depend on xi; reversals."""
     for i in range(wires.shape[0]):
@@ -224,7 +225,7 @@ def heat(wires, voltage, k, step):
             set_strain(wires, i)
 
 
-@compiled
+@borrowing
 def solve_side(wires, sides, side):
     """Fractions and contraction of a side at the end of the step; how far it contracted."""
     before = sides[side, CONTRACTION]
@@ -244,7 +245,7 @@ def solve_side(wires, sides, side):
     return after - before
 
 
-@compiled
+@inlined
 def solve(wires, sides):
     """Fractions, stresses and contractions of all sides at the end of the step."""
     for i in range(wires.shape[0]):
@@ -260,7 +261,7 @@ def solve(wires, sides):
         sides[side, CONTRACTION_CHANGE] = change
 
 
-@compiled
+@inlined
 def settle(wires, sides, step):
     """Write the solved step into the state of the wires and sides."""
     for side in range(sides.shape[0]):
@@ -282,7 +283,7 @@ def settle(wires, sides, step):
             wires[i, READING] = temperature
 
 
-@compiled
+@inlined
 def prepare(wires, sides, step):
     """What effects change before a step."""
     look_across(wires)
@@ -291,14 +292,19 @@ def prepare(wires, sides, step):
             prepare_side(wires, sides, side, step)
 
 
-@compiled
+@borrowing
 def any_effect(wires, sides):
     """Whether any wire or side is to be prepared before a step."""
-    heated = np.any(wires[:, HEATED_OTHERWISE] > 0.0)
-    return heated or np.any(sides[:, PULLS_OTHERWISE] > 0.0)
+    for i in range(wires.shape[0]):
+        if wires[i, HEATED_OTHERWISE] > 0.0:
+            return True
+    for side in range(sides.shape[0]):  # noqa: SIM110 (numba compiles no generators)
+        if sides[side, PULLS_OTHERWISE] > 0.0:
+            return True
+    return False
 
 
-@compiled
+@borrowing
 def run(time, voltage, wires, sides, history, strain):
     """Advance wires and sides over all samples, recording them at each.
 

@@ -46,7 +46,9 @@ class Kernel:
                 sides[:, column] = state.contraction
             for i in range(len(wires)):
                 wires[i, [at.READING, at.SEEN]] = see(wires, i)
-        wires[:, at.OFFSET] = 0.0  # of effects that may be off by now
+        # Of effects that may be off by now:
+        wires[:, at.OFFSET] = 0.0
+        sides[sides[:, at.ENGAGEMENT] == 0.0, at.PASSIVE_BENDING] = 0.0
         if self.boundary.contraction is not None:
             given = per_side("contraction", self.boundary.contraction, len(sides))
             sides[:, at.CONTRACTION], sides[:, at.CONTRACTION_CHANGE] = given, 0.0

@@ -3,7 +3,7 @@
 
 import math
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing, inlined
 from sma_bench.physics.columns import (
     AUSTENITE_FINISH,
     AUSTENITE_SHIFT,
@@ -42,7 +42,7 @@ SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
 
 
-@compiled
+@inlined
 def ramp(position):
     """sin^2 ramp from 0 to 1 over positions 0 to 1, and its slope."""
     if position <= 0.0:
@@ -53,7 +53,7 @@ def ramp(position):
     return root * root, math.pi * root * math.sqrt(1.0 - root * root)
 
 
-@compiled
+@inlined
 def smooth_ramp(position, spread, tail):
     """Ramp of grains that do not transform alike (phase.py), and its slope."""
     share, slope = ramp(position)
@@ -68,7 +68,7 @@ def smooth_ramp(position, spread, tail):
     return share, slope
 
 
-@compiled
+@borrowing
 def normal_ramp(position):
     """Ramp of normally distributed grains from 0 to 1, cut off where next to none are left."""
     deviations = (position - 0.5) / NORMAL_DEVIATION
@@ -82,7 +82,7 @@ def normal_ramp(position):
     return share, slope * scale
 
 
-@compiled
+@inlined
 def positions(wires, i, temperature, stress):
     """Where T, sigma lie on the ramps f and g."""
     of_f = wires[i, AUSTENITE_FINISH] - temperature + stress * wires[i, AUSTENITE_SHIFT]
@@ -90,7 +90,7 @@ def positions(wires, i, temperature, stress):
     return of_f * wires[i, AUSTENITE_SLOPE], of_g * wires[i, MARTENSITE_SLOPE]
 
 
-@compiled
+@inlined
 def phase_left(wires, i, own, other, own_spread, other_spread):
     """What is left of the vanishing phase (phase.py), its slopes along own and other position."""
     phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
@@ -125,7 +125,7 @@ def phase_left(wires, i, own, other, own_spread, other_spread):
     return left, by_own, by_other
 
 
-@compiled
+@inlined
 def fraction(wires, i, temperature, stress):
     """xi of wire i by the rule of phase.py, d xi/dT and d xi/d sigma."""
     of_f, of_g = positions(wires, i, temperature, stress)
@@ -140,7 +140,7 @@ def fraction(wires, i, temperature, stress):
     return xi, by_g - by_f, by_f * wires[i, AUSTENITE_SHIFT] - by_g * wires[i, MARTENSITE_SHIFT]
 
 
-@compiled
+@borrowing
 def reverse(wires, i, trend):
     """Make the present state of wire i the state of the last reversal."""
     if wires[i, FINAL_SHIFT] != 0.0:
@@ -160,7 +160,7 @@ def reverse(wires, i, trend):
     wires[i, OTHER_POSITION_REVERSED] = of_g if rising else of_f
 
 
-@compiled
+@borrowing
 def close_loops(wires, i):
     """After a step: forget the loops that wire i has run out of."""
     of_f, of_g = positions(wires, i, wires[i, TEMPERATURE], wires[i, STRESS])

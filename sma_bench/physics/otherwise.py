@@ -8,11 +8,16 @@ austenite so far or not) are tried as they were last, and changed where the solu
 
 import math
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.matrix_thermal_mass import warm_together
-from sma_bench.physics.effects.opposing_wires import detwin, look_at_passive, yield_sign
+from sma_bench.physics.effects.opposing_wires import (
+    give_way,
+    look_at_passive,
+    resist,
+    yield_sign,
+)
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
 from sma_bench.physics.effects.residual_strain import keep_strain, passes_most
 from sma_bench.physics.effects.slack import contact
@@ -25,7 +30,7 @@ from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
 from sma_bench.physics.kinetics import close_loops
 
 
-@compiled
+@borrowing
 def heat_balance(wires, i, voltage, step):
     """Steady temperature [K] of wire i with its surroundings held; sets its decay and lag."""
     air = air_temperature(wires, i)
@@ -41,13 +46,13 @@ def heat_balance(wires, i, voltage, step):
     return (heating + conductance * air + wires[i, at.ACROSS] * wires[i, at.OPPOSITE]) / total
 
 
-@compiled
+@borrowing
 def set_strain(wires, i):
     """Strain of wire i beyond the contract's, for the step to come."""
     wires[i, at.OFFSET] = keep_strain(wires, i) - plastic_strain(wires, i)
 
 
-@compiled
+@borrowing
 def prepare_side(wires, sides, side, step):
     """What a side pulls against in the step to come, in the regime that it was last in."""
     sides[side, at.MATRIX_STIFFNESS] = sides[side, at.OWN_STIFFNESS]
@@ -61,16 +66,14 @@ def prepare_side(wires, sides, side, step):
     set_regime(sides, side)
 
 
-@compiled
+@borrowing
 def set_regime(sides, side):
     """Stiffness and load of the beam in this regime, and of what the wires feel of it."""
     stiffness, load = sides[side, at.MATRIX_STIFFNESS], sides[side, at.MATRIX_LOAD]
     if sides[side, at.ENGAGEMENT] > 0.0:
-        if sides[side, at.YIELDING] != 0.0:
-            load += sides[side, at.YIELDING] * sides[side, at.PASSIVE_LIMIT]
-        else:
-            stiffness += sides[side, at.PASSIVE_MODULUS]
-            load -= sides[side, at.PASSIVE_MODULUS] * sides[side, at.DETWINNED]
+        passive_stiffness, passive_load = resist(sides, side)
+        stiffness += passive_stiffness
+        load -= passive_load
     sides[side, at.BEAM_STIFFNESS], sides[side, at.BEAM_LOAD] = stiffness, load
     if sides[side, at.SLACK] > 0.0:
         if sides[side, at.TAUT] == 0.0:
@@ -80,7 +83,7 @@ def set_regime(sides, side):
     sides[side, at.STIFFNESS], sides[side, at.LOAD] = stiffness, load
 
 
-@compiled
+@borrowing
 def bending(sides, side):
     """Bending of a side's beam at its present contraction and regime."""
     if sides[side, at.SLACK] > 0.0:
@@ -91,7 +94,7 @@ def bending(sides, side):
     return sides[side, at.CONTRACTION]
 
 
-@compiled
+@borrowing
 def change_regime(wires, sides, side):
     """After a solution: take another regime where it contradicts this one; whether it did."""
     changed = False
@@ -115,18 +118,19 @@ def change_regime(wires, sides, side):
     return False
 
 
-@compiled
+@borrowing
 def finish_side(sides, side):
     """Bending of a side after a step, and what relaxes and detwins with it."""
     bent = bending(sides, side)
+    if sides[side, at.ENGAGEMENT] > 0.0:
+        sides[side, at.PASSIVE_BENDING] = give_way(sides, side, bent)
+        bent += sides[side, at.ENGAGEMENT] * sides[side, at.PASSIVE_BENDING]
     if sides[side, at.RELAXATION] > 0.0:
         relax(sides, side, bent)
-    if sides[side, at.ENGAGEMENT] > 0.0:
-        detwin(sides, side, bent)
-    sides[side, at.BENDING] = bent
+    sides[side, at.BENDING] = bent - sides[side, at.PASSIVE_BENDING]
 
 
-@compiled
+@borrowing
 def finish_wire(wires, i, fraction_before, step):
     """Silicone, cycles and reading of wire i after a step."""
     xi = wires[i, at.FRACTION]
@@ -147,7 +151,7 @@ def finish_wire(wires, i, fraction_before, step):
         wires[i, at.READING] = wires[i, at.TEMPERATURE]
 
 
-@compiled
+@borrowing
 def see(wires, i):
     """Temperature [K] that a spot on wire i and its background look like."""
     background = air_temperature(wires, i)

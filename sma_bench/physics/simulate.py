@@ -170,6 +170,21 @@ class Bench:
         self._state = self._kernel.state(self._memory)
         return self._state
 
+    def follow(self, time: ArrayLike, voltage: ArrayLike) -> Simulation:
+        """Go on over samples as `simulate` takes them; time[0] is that of the present state.
+
+        Raises:
+            InputError: as `simulate`.
+        """
+        seconds, volts = _checked_input(time, voltage, self._kernel.wires)
+        started = self._state.clock
+        history, strain = self._kernel.run(seconds, volts, self._memory)
+        self._state = self._kernel.state(self._memory)
+        return Simulation(
+            self.parameters, self._kernel.boundary, seconds, volts, history[0], history[1],
+            history[2], strain[0], strain[1], history[3], self._state, started,
+        )
+
     @property
     def state(self) -> State:
         """The present state, to carry into another Bench or `simulate`."""

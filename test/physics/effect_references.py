@@ -114,17 +114,18 @@ def done(cycles: float, scale: float) -> float:
     return 1 - exp(-cycles / scale)
 
 
-def reactions_of_passive_wires(
-    bending: np.ndarray, stiffness: float, limit: float
-) -> tuple[np.ndarray, float]:
-    """Elastic, ideally plastic reaction along a path, by radial return; and the stretch left."""
+def forces_of_passive_wires(
+    felt: np.ndarray, modulus: float, limit: float, hardening: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force and stretch along a path of what the wires feel, hardening, by radial return."""
     stretch, path = 0.0, []
-    for bent in bending:
-        trial = stiffness * (bent - stretch)
-        reaction = min(max(trial, -limit), limit)
-        stretch += (trial - reaction) / stiffness
-        path.append(reaction)
-    return np.array(path), stretch
+    for reach in felt:
+        beyond = modulus * (reach - stretch) - hardening * stretch
+        if abs(beyond) > limit:
+            stretch += np.sign(beyond) * (abs(beyond) - limit) / (modulus + hardening)
+        path.append((modulus * (reach - stretch), stretch))
+    force, stretched = np.array(path).T
+    return force, stretched
 
 
 def steady(function: Callable[[float], float], low: float, high: float) -> float:

@@ -6,9 +6,9 @@ from effect_references import (
     Heat,
     creep,
     done,
+    forces_of_passive_wires,
     lagged_heating,
     pulses,
-    reactions_of_passive_wires,
     refined,
     steady,
 )
@@ -18,6 +18,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.physics import Boundary, initial_state, phase, simulate
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.matrix_thermal_mass import warm_together
+from sma_bench.physics.effects.opposing_wires import HARDENING
 from sma_bench.physics.effects.side_heat_coupling import look_across
 from sma_bench.physics.kernel import Kernel
 
@@ -394,34 +395,61 @@ def test_the_matrix_of_a_driven_side_follows_the_standard_linear_solid(composite
     assert pulled == pytest.approx(expected, abs=2e-5 * np.abs(expected).max())
 
 
+def passive_modulus(engagement):
+    """S' of two martensitic wires on the back's silicone."""
+    return 4.0e9 * 2 * E_M / (4.0e9 + (1.0 - engagement**2) * 2 * E_M)
+
+
 def test_passive_wires_resist_elastically_up_to_the_detwinning_stress(composite_rig):
     time, voltage = pulses(0.05)
     front_only = voltage * np.array([1.0, 1.0, 0.0, 0.0])
-    rig = effect(composite_rig, opposing_wires__engagement=0.5,
+    rig = effect(composite_rig, opposing_wires__engagement=1.0,
                  opposing_wires__detwinning_stress=1e9)
     run = simulate(rig, time, front_only)
-    stiffer = Boundary(stiffness=(5.0e9 + 0.5 * 2 * E_M, 4.0e9), lever=(1.0, -1.0))
+    # K_f/K_b of what acts on the back's silicone acts on the front's.
+    stiffer = Boundary(stiffness=(5.0e9 + 5.0 / 4.0 * 2 * E_M, 4.0e9), lever=(1.0, -1.0))
     assert run.deflection == pytest.approx(
         simulate(composite_rig, time, front_only, boundary=stiffer).deflection, abs=1e-12
     )
 
 
+@pytest.mark.parametrize("engagement", [0.3, 1.0])
+def test_both_sides_balance_with_what_reaches_the_other(composite_rig, engagement):
+    rig = effect(composite_rig, opposing_wires__engagement=engagement,
+                 opposing_wires__detwinning_stress=1e9)
+    time, voltage = pulses(0.05)
+    run = simulate(rig, time, voltage * np.array([1.0, 1.0, 0.0, 0.0]))
+    pulled, stiffness = sides(run)
+    front = pulled[:, 0] / stiffness[0]
+    back = front - run.bending[:, 0]
+    assert np.abs(back).max() > 1e-3
+    # The front's wires feel the share of the back's bending, the back's wires that of the front's.
+    assert run.contraction[:, 0] == pytest.approx(front - engagement * back, abs=1e-9)
+    assert stiffness[1] * back == pytest.approx(2 * E_M * (engagement * front - back), abs=100.0)
+
+
 @pytest.mark.parametrize("step", [0.005, 0.1])
 def test_beyond_the_detwinning_stress_passive_wires_yield_and_stay_stretched(composite_rig, step):
     rig = effect(composite_rig, opposing_wires__engagement=0.5,
-                 opposing_wires__detwinning_stress=60e6)
+                 opposing_wires__detwinning_stress=20e6)
     time, voltage = pulses(step)
     run = simulate(rig, time, voltage * np.array([1.0, 1.0, 0.0, 0.0]))
-    elastic, limit = 0.5 * 2 * E_M, 0.5 * 2 * 60e6
-    reaction, stretch = reactions_of_passive_wires(run.bending[:, 0], elastic, limit)
+    force, stretch = forces_of_passive_wires(
+        0.5 * run.contraction[:, 0], passive_modulus(0.5), 2 * 20e6, 2 * HARDENING
+    )
     pulled, stiffness = sides(run)
-    assert pulled[:, 0] == pytest.approx(stiffness[0] * run.bending[:, 0] + reaction, abs=10.0)
-    assert np.sum(reaction == limit) > 5 and np.sum(reaction == -limit) > 5
-    assert stretch > 1e-3
+    reaction = 0.5 * stiffness[0] / stiffness[1] * force
+    expected = stiffness[0] * run.contraction[:, 0] + reaction
+    assert pulled[:, 0] == pytest.approx(expected, abs=20.0)
+    assert run.bending[:, 0] == pytest.approx(
+        run.contraction[:, 0] - 0.5 * force / stiffness[1], abs=1e-9
+    )
+    assert np.sum(np.diff(stretch) > 0.0) > 5 and np.sum(np.diff(stretch) < 0.0) > 5
+    assert stretch.max() > 1e-3
 
 
 def test_the_stretch_bends_at_rest_and_is_recovered_by_heating_the_passive_side(composite_rig):
-    rig = effect(composite_rig, opposing_wires__engagement=0.5,
+    rig = effect(composite_rig, opposing_wires__engagement=1.0,
                  opposing_wires__detwinning_stress=60e6)
     time = np.arange(0.0, 24.0, 0.02)
     voltage = np.zeros((time.size, 4))
@@ -429,9 +457,11 @@ def test_the_stretch_bends_at_rest_and_is_recovered_by_heating_the_passive_side(
     voltage[(time >= 12.0) & (time < 16.0), 2:] = 7.0
     run = simulate(rig, time, voltage)
     before, after = np.searchsorted(time, 11.9), np.searchsorted(time, 15.9)
-    _, stretch = reactions_of_passive_wires(run.bending[:before, 0], 0.5 * 2 * E_M, 60e6)
-    elastic = 0.5 * 2 * E_M
-    expected = elastic * stretch / (5.0e9 + elastic + 2 * E_M)
+    _, stretch = forces_of_passive_wires(
+        run.contraction[:before, 0], 2 * E_M, 2 * 60e6, 2 * HARDENING
+    )
+    elastic = 5.0 / 4.0 * 2 * E_M
+    expected = elastic * stretch[-1] / (5.0e9 + elastic + 2 * E_M)
     assert run.bending[before, 0] == pytest.approx(expected, rel=1e-6)
     assert run.deflection[before] > 1e-3
     assert run.martensite_fraction[after, 2] == 0.0

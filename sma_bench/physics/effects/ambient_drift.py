@@ -10,7 +10,7 @@ that warms; two terms of its series.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
@@ -23,7 +23,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def air_temperature(wires, i):
     """T_inf at the wire's clock [K]."""
     clock = wires[i, at.CLOCK]

@@ -11,7 +11,7 @@ exactly over a step in which heat, air and the other side's silicone stay.
 
 import math
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -26,7 +26,7 @@ EFFECT = Effect(
 _LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range
 
 
-@compiled
+@borrowing
 def warm_together(wires, i, heating, loss, air, step):
     """Wire and silicone at the end of the step, as far as they do not depend on xi.
 

@@ -1,16 +1,24 @@
 # mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
-"""The passive side's wires resist the bending, and detwin.
+"""The passive side's wires are stretched by the bending, resist it, and detwin.
 
-    sum sigma_i = K e + k S (e - p),    |k S (e - p)| <= k n sigma_d,    S = sum of E_j(xi_j)
+A wire feels its own side's bending u and the share k of the other's: e = u - k u_o. The side o,
+without contraction of its own, is pulled along until its wires' force F balances its beam:
 
-over the n wires j of the other side. Beyond sigma_d the martensite gives way: p follows, and stays
-as a stretch until that side is heated, which recovers it: p falls with xi_j.
-Source: ideal plasticity of twinned martensite in the beam's equilibrium.
+    F = K_o u_o = S (k u - p - u_o) = S' (k e - p),    S' = K_o S/(K_o + (1 - k^2) S)
+    |F - n H p| <= n sigma_d,    S = sum of E_j(xi_j) over its n wires
+    sum sigma_i = K u = K e + k (K/K_o) F,    bending towards this side: u - u_o
+
+Beyond sigma_d the martensite gives way along a plateau that rises by H: p follows, and stays as a
+stretch until that side is heated, which recovers it: p falls with xi_j.
+Source: balance of both sides; plasticity with linear kinematic hardening, H of NiTi from Brinson
+(1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
+
+HARDENING = (170e6 - 100e6) / 0.067  # Pa
 
 EFFECT = Effect(
     "opposing_wires",
@@ -22,9 +30,9 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def look_at_passive(wires, sides, side):
-    """Note S and the limit k n sigma_d of the wires opposite; their recovery sets p back."""
+    """Note S', n sigma_d and n H of the wires opposite; their recovery sets p back."""
     modulus, fraction, count = 0.0, 0.0, 0
     for j in range(wires.shape[0]):
         if int(wires[j, at.SIDE]) != side:
@@ -38,30 +46,67 @@ def look_at_passive(wires, sides, side):
         if fraction < before:
             sides[side, at.DETWINNED] *= fraction / before
         sides[side, at.PASSIVE_FRACTION] = fraction
-    sides[side, at.PASSIVE_MODULUS] = sides[side, at.ENGAGEMENT] * modulus
-    limit = count * sides[side, at.DETWINNING_STRESS]
-    sides[side, at.PASSIVE_LIMIT] = sides[side, at.ENGAGEMENT] * limit
+    beam = passive_beam(sides, side)
+    give = 1.0 - sides[side, at.ENGAGEMENT] ** 2
+    sides[side, at.PASSIVE_MODULUS] = beam * modulus / (beam + give * modulus)
+    sides[side, at.PASSIVE_LIMIT] = count * sides[side, at.DETWINNING_STRESS]
+    sides[side, at.PASSIVE_HARDENING] = count * HARDENING
 
 
-@compiled
-def yield_sign(sides, side, bent):
-    """Sign of the yielding that fits a bending: 0 while the passive wires are elastic."""
-    stiffness, limit = sides[side, at.PASSIVE_MODULUS], sides[side, at.PASSIVE_LIMIT]
-    yielding = sides[side, at.YIELDING]
-    if stiffness <= 0.0:
+@borrowing
+def passive_beam(sides, side):
+    """K_o [Pa]."""
+    return sides[sides.shape[0] - 1 - side, at.OWN_STIFFNESS]
+
+
+@borrowing
+def passive_force(sides, side, felt):
+    """F [Pa] where the passive wires feel the stretch `felt` = k e, in the regime that is noted."""
+    modulus, hardening = sides[side, at.PASSIVE_MODULUS], sides[side, at.PASSIVE_HARDENING]
+    if sides[side, at.YIELDING] == 0.0:
+        return modulus * (felt - sides[side, at.DETWINNED])
+    limit = sides[side, at.YIELDING] * sides[side, at.PASSIVE_LIMIT]
+    return modulus / (modulus + hardening) * (hardening * felt + limit)
+
+
+@borrowing
+def resist(sides, side):
+    """Stiffness and load [Pa] with which they resist: k (K/K_o) F = stiffness e - load."""
+    engagement = sides[side, at.ENGAGEMENT]
+    share = engagement * sides[side, at.MATRIX_STIFFNESS] / passive_beam(sides, side)
+    at_rest = passive_force(sides, side, 0.0)
+    return share * (passive_force(sides, side, engagement) - at_rest), -share * at_rest
+
+
+@borrowing
+def stretch(sides, side, felt):
+    """p where the passive wires feel the stretch `felt`."""
+    if sides[side, at.YIELDING] == 0.0:
+        return sides[side, at.DETWINNED]
+    return felt - passive_force(sides, side, felt) / sides[side, at.PASSIVE_MODULUS]
+
+
+@borrowing
+def yield_sign(sides, side, contraction):
+    """Sign of the yielding that fits e = `contraction`: 0 while the passive wires are elastic."""
+    if sides[side, at.PASSIVE_MODULUS] <= 0.0:
         return 0.0
+    felt = sides[side, at.ENGAGEMENT] * contraction
+    yielding, left = sides[side, at.YIELDING], sides[side, at.DETWINNED]
     if yielding != 0.0:
-        onward = bent - yielding * limit / stiffness - sides[side, at.DETWINNED]
-        return yielding if onward * yielding >= 0.0 else 0.0
-    reaction = stiffness * (bent - sides[side, at.DETWINNED])
-    if abs(reaction) <= limit:
+        return yielding if (stretch(sides, side, felt) - left) * yielding >= 0.0 else 0.0
+    beyond = passive_force(sides, side, felt) - sides[side, at.PASSIVE_HARDENING] * left
+    if abs(beyond) <= sides[side, at.PASSIVE_LIMIT]:
         return 0.0
-    return 1.0 if reaction > 0.0 else -1.0
+    return 1.0 if beyond > 0.0 else -1.0
 
 
-@compiled
-def detwin(sides, side, bent):
-    """After a step: p keeps the reaction of yielding wires at its limit."""
-    if sides[side, at.YIELDING] != 0.0:
-        reach = sides[side, at.PASSIVE_LIMIT] / sides[side, at.PASSIVE_MODULUS]
-        sides[side, at.DETWINNED] = bent - sides[side, at.YIELDING] * reach
+@borrowing
+def give_way(sides, side, contraction):
+    """After a step with e = `contraction`: keep p; the bending u_o of the passive side."""
+    if sides[side, at.PASSIVE_MODULUS] <= 0.0:
+        return 0.0
+    felt = sides[side, at.ENGAGEMENT] * contraction
+    force = passive_force(sides, side, felt)
+    sides[side, at.DETWINNED] = stretch(sides, side, felt)
+    return force / passive_beam(sides, side)

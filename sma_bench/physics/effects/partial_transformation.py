@@ -14,7 +14,7 @@ then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
     xi = m xi_b + (xi_r - m xi_b) (f(T) - m f_b)/(f_r - m f_b)       down to f_b
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -30,7 +30,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def flat_then_outer(phase, share, share_slope, reversed_share):
     """Phase left by the rule of p = 1, and its slope; all of the arguments are above 0."""
     threshold = min(phase, reversed_share)
@@ -39,7 +39,7 @@ def flat_then_outer(phase, share, share_slope, reversed_share):
     return phase * share / threshold, phase * share_slope / threshold
 
 
-@compiled
+@borrowing
 def remember_turn(wires, i, f, g):
     """Note a reversal; when too many loops lie within each other the innermost is forgotten."""
     count = int(wires[i, at.TURNS])
@@ -50,7 +50,7 @@ def remember_turn(wires, i, f, g):
     wires[i, at.TURNS] = count + 1
 
 
-@compiled
+@borrowing
 def loop_of(wires, i, share):
     """The loop in which `share` of the own ramp lies: reversals that remain, and the line's start
     (phase, share)."""
@@ -69,7 +69,7 @@ def loop_of(wires, i, share):
     return count, phase, begin
 
 
-@compiled
+@borrowing
 def aim_of(wires, i, count):
     """Phase and share of the own ramp that a line aims at while `count` reversals are known."""
     if count < 2:
@@ -81,7 +81,7 @@ def aim_of(wires, i, count):
     return wires[i, at.RETURN_POINT] * phase, wires[i, at.RETURN_POINT] * share
 
 
-@compiled
+@borrowing
 def towards_turn(wires, i, share, share_slope):
     """Phase left on the line to where the loop was opened, and its slope."""
     count, phase, begin = loop_of(wires, i, share)
@@ -95,7 +95,7 @@ def towards_turn(wires, i, share, share_slope):
     return left, slope * share_slope
 
 
-@compiled
+@borrowing
 def forget_closed(wires, i, share):
     """After a step: loops that the wire has run out of are forgotten."""
     count, phase, begin = loop_of(wires, i, share)

@@ -8,7 +8,7 @@ Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seeleck
 strain's part of the geometry is within a.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -28,7 +28,7 @@ EFFECT = Effect(
 LEAST = 0.05  # of R, where a falling line would leave its physics
 
 
-@compiled
+@borrowing
 def resistance(wires, i):
     """R of wire i [ohm] at the start of a step."""
     of_phase = 1.0 + wires[i, at.AUSTENITE_RESISTANCE] * (1.0 - wires[i, at.FRACTION])

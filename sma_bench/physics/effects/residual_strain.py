@@ -7,7 +7,7 @@ The first heating is the paper's; after it, r of the strain stays at rest. Sourc
 and incomplete reorientation (detwinning) of the martensite under too small a load.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -20,7 +20,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def keep_strain(wires, i):
     """Strain of wire i that stays; how much of eps_L still follows xi is set on the way."""
     share, most = wires[i, at.RESIDUAL_SHARE], wires[i, at.MOST_AUSTENITE]
@@ -31,7 +31,7 @@ def keep_strain(wires, i):
     return wires[i, at.FULL_STRAIN] * share * most
 
 
-@compiled
+@borrowing
 def passes_most(wires, i):
     """After a solution: let the strain follow xi if wire i is now at its most; whether it did."""
     most = wires[i, at.MOST_AUSTENITE]

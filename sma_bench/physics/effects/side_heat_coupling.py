@@ -7,7 +7,7 @@ Where one side has more wires than the other, they share the G of the fewer.
 Source: conduction between parallel wires in a slab; G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -19,7 +19,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def look_across(wires):
     """Note for every wire the mean temperature of wire and silicone opposite."""
     for i in range(wires.shape[0]):

@@ -7,7 +7,7 @@
 Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -20,7 +20,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def contact(sides, side):
     """After a solution: 1 where the wires of a side are taut, 0 where they hang, -1 pushing."""
     free = -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]

@@ -6,7 +6,7 @@
 Source: Ohm's law.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -20,7 +20,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def power(wires, i, voltage, resistance):
     """Heat in wire i [W] when the driver reads `voltage`."""
     current = voltage / (resistance + wires[i, at.SUPPLY_RESISTANCE])

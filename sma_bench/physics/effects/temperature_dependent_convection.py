@@ -7,7 +7,7 @@ Linear in the excess: over 20 to 120 K natural convection (Churchill and Chu 197
 and radiation (T^4) are within a few percent of a line.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -21,7 +21,7 @@ EFFECT = Effect(
 _LEAST = 0.05
 
 
-@compiled
+@borrowing
 def loss(wires, i, excess):
     """Heat loss of wire i [W/K] at a surface `excess` K above the air."""
     return wires[i, at.LOSS] * max(1.0 + wires[i, at.CONVECTION_RISE] * excess, _LEAST)

@@ -8,7 +8,7 @@ Source: first-order sensor; averaging in a camera looks the same at a bench's ra
 
 import math
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -21,7 +21,7 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def follow(reading, before, now, step, lag):
     """The reading after a step in which the temperature went straight from `before` to `now`."""
     if lag <= 0.0:

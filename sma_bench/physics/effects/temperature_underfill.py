@@ -7,7 +7,7 @@ The background is the air's temperature or, with thermal mass of the matrix, the
 Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
 """
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -22,7 +22,7 @@ EFFECT = Effect(
 _EXPONENT = 4.5
 
 
-@compiled
+@borrowing
 def spot_temperature(wires, i, background):
     """What a spot on wire i reads [K]."""
     missing = wires[i, at.MISSING_SPOT]

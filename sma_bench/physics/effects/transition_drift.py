@@ -10,7 +10,7 @@ Source: functional fatigue of NiTi wires, saturating with the number of transfor
 
 import math
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -27,12 +27,12 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def _done(wires, i, cycles):
     return 1.0 - math.exp(-cycles / wires[i, at.SHIFT_CYCLES])
 
 
-@compiled
+@borrowing
 def shift_transition(wires, i):
     """Shift the transformation of wire i by the cycles that it had made when it last turned."""
     shift = _done(wires, i, wires[i, at.TURNED_CYCLES]) * wires[i, at.FINAL_SHIFT]
@@ -40,7 +40,7 @@ def shift_transition(wires, i):
     wires[i, at.MARTENSITE_FINISH] = wires[i, at.MARTENSITE_FINISH_FRESH] + shift
 
 
-@compiled
+@borrowing
 def plastic_strain(wires, i):
     """Elongation of wire i by the cycles that it has made."""
     if wires[i, at.FINAL_PLASTIC] == 0.0:

@@ -9,7 +9,7 @@ Source: Zener's three-parameter solid, solved for an e that goes straight over a
 
 import math
 
-from sma_bench.compiled import compiled
+from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.effect import Effect
 
@@ -22,19 +22,19 @@ EFFECT = Effect(
 )
 
 
-@compiled
+@borrowing
 def relaxing(sides, side, step):
     """Note stiffness and load of the relaxing part at the end of a step."""
     exponent = -step / sides[side, at.RELAXATION_TIME]
     stiffness = sides[side, at.RELAXATION] * sides[side, at.OWN_STIFFNESS]
     share = math.expm1(exponent) / exponent
-    before = sides[side, at.BENDING]
+    before = sides[side, at.BENDING] + sides[side, at.PASSIVE_BENDING]
     left = math.exp(exponent) * (before - sides[side, at.RELAXED])
     sides[side, at.RELAXING_STIFFNESS] = stiffness * share
     sides[side, at.RELAXING_LOAD] = stiffness * (left - share * before)
 
 
-@compiled
+@borrowing
 def relax(sides, side, bent):
     """Advance q to the end of a step, where the side bends by `bent`."""
     force = sides[side, at.RELAXING_STIFFNESS] * bent + sides[side, at.RELAXING_LOAD]

@@ -1,0 +1,43 @@
+"""A tie, the protocol that is proposed to break it, and what that protocol's record says."""
+
+import pytest
+from planted import believed, few_effects, planted_record
+
+from sma_bench.diagnose import diagnose, diagnosis, next_experiment
+from sma_bench.protocols import parse_protocol
+
+pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+# 0.6 K a minute hides in 20 s of deflection: other parameters explain it nearly as well.
+WARMING = {"effect.ambient_drift.rate": 0.01}
+LIBRARY = ("side_heat_coupling", "transition_drift", "ambient_drift", "viscoelastic_matrix")
+ONLY = {"quantities": ("deflection",)}
+
+
+@pytest.fixture(scope="module")
+def short_record(tmp_path_factory):
+    return planted_record(tmp_path_factory.mktemp("short") / "bag", WARMING, **ONLY)
+
+
+def diagnosed(records):
+    with few_effects(LIBRARY):
+        return diagnose(records, believed())
+
+
+def test_the_proposed_experiment_breaks_the_tie_when_it_is_run(short_record, tmp_path):
+    tied = diagnosed([short_record])
+    assert tied.decision.verdict == "ambiguous"
+    proposed = tied.next_experiment
+    assert {"recalibration", "ambient_drift"} <= set(proposed.separates)
+    assert proposed.distance >= next_experiment.ENOUGH
+    protocol = parse_protocol(proposed.protocol, believed())
+    longer = planted_record(tmp_path / "bag", WARMING, protocol=protocol, seed=3, **ONLY)
+    assert diagnosed([short_record, longer]).decision.cause == ("ambient_drift",)
+
+
+def test_a_protocol_that_separates_nothing_is_not_proposed(short_record, monkeypatch):
+    monkeypatch.setattr(diagnosis, "ENOUGH", 1e9)
+    tied = diagnosed([short_record])
+    assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
+    (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
+    assert "recalibration and ambient_drift apart" in remark and "another sensor" in remark
