@@ -103,12 +103,7 @@ def search(
         for name, found in _from_belief(problem, baseline, recalibrated, list(singles)).items():
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("the best again, carefully")
-    again = in_threads(
-        lambda name: fit(
-            singles[name].problem, singles[name].unknowns, singles[name].x, rounds=2
-        ),
-        [(name,) for name in _worth_refining(singles, recalibrated)],
-    )
+    again = in_threads(_refined, [(singles[n],) for n in _worth_refining(singles, recalibrated)])
     for found in again:
         (name,) = found.unknowns.effects
         singles[name] = max(singles[name], found, key=lambda f: f.evidence)
@@ -209,6 +204,12 @@ def _worth_refining(singles: dict[str, Fit], recalibrated: Fit) -> list[str]:
     best = gains[ranked[0]] if ranked else 0.0
     limit = best - max(_NEAR, _CLOSE * best)
     return [name for name in ranked[:_MOST_REFINED] if gains[name] >= limit]
+
+
+def _refined(found: Fit) -> Fit:
+    """The same model once more, with what its own jumps and delays do, not recalibration's."""
+    problem = found.problem.with_nuisances(found.parameters)
+    return fit(problem, found.unknowns, found.x, rounds=2)
 
 
 def _pairs(

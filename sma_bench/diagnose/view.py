@@ -15,6 +15,7 @@ from sma_bench.identify.whole_model.rig_record import Measured, RigRecord, rig_r
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.electrical import current
+from sma_bench.physics.heat import time_constant
 from sma_bench.physics.simulate import Simulation
 from sma_bench.records.record import Record
 
@@ -24,6 +25,8 @@ _CELL = 0.02  # s of the simulation; the voltages' energy over it is exact
 _LONG_CELL = 0.1
 # After a jump a wire is fast: what is read turns within a few hundredths of a second.
 _FINE_CELL, _FINE_SPAN = 0.0075, 0.45
+_CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
+_FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
 _NARROW = 1e-3  # s
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
@@ -178,8 +181,8 @@ def view_record(
         InputError: no voltage of some channel, or nothing to compare with.
     """
     rig = rig_record(record, parameters)
-    grid = _grid(rig)
-    known = [m for m in rig.measured if m.quantity in quantities]
+    grid = _grid(rig, time_constant(parameters) / _CELLS)
+    known = [m for m in _known_history(rig, parameters) if m.quantity in quantities]
     if not known:
         held = ", ".join(m.name for m in rig.measured)
         raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
@@ -191,12 +194,24 @@ def view_record(
     )
 
 
-def _grid(rig: RigRecord) -> Array:
+def _known_history(rig: RigRecord, parameters: Parameters) -> list[Measured]:
+    """What was measured; of a record that begins under voltage, after that has been forgotten."""
+    first = np.array([c.voltage[0] for c in rig.voltage.courses])
+    if np.max(np.abs(first)) <= _DRIVEN * max(np.max(c.voltage) for c in rig.voltage.courses):
+        return list(rig.measured)
+    begin = float(rig.grid[0]) + _FORGOTTEN * time_constant(parameters)
+    return [
+        replace(m, time=m.time[m.time >= begin], values=m.values[m.time >= begin])
+        for m in rig.measured if np.sum(m.time >= begin) > 1
+    ]
+
+
+def _grid(rig: RigRecord, finest: float) -> Array:
     start, stop = float(rig.grid[0]), float(rig.grid[-1])
     cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
     even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
     even = _thinned(even, rig.voltage, max(1, round(_LONG_CELL / cell)))
-    fine = np.arange(0.0, _FINE_SPAN, _FINE_CELL)
+    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(finest, 2.0 * _NARROW)))
     jumps = np.unique(np.concatenate([rig.voltage.early, rig.voltage.late]))
     jumps = jumps[(jumps > start) & (jumps < even[-1])]
     after = np.add.outer(rig.voltage.late, fine).ravel()
