@@ -1,3 +1,72 @@
-"""Test bench software for shape-memory-alloy actuators (Keshtkar et al.)."""
+"""Test bench software for shape-memory-alloy actuators (Keshtkar et al.).
+
+For notebooks: `sma_bench.load`, `simulate`, `measure`, `identify`, `diagnose`, `to_frame`, and what
+else `sma_bench.api` lists. It is imported at the first use, so `import sma_bench` itself is quick.
+"""
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sma_bench.api import (
+        Diagnosis,
+        Identification,
+        InputError,
+        Parameters,
+        Record,
+        Signal,
+        Simulation,
+        diagnose,
+        identify,
+        load,
+        load_parameters,
+        measure,
+        simulate,
+        to_frame,
+        write_parameters,
+        write_record,
+    )
 
 __version__ = "0.1.0"
+__all__ = [
+    "Diagnosis",
+    "Identification",
+    "InputError",
+    "Parameters",
+    "Record",
+    "Signal",
+    "Simulation",
+    "diagnose",
+    "identify",
+    "load",
+    "load_parameters",
+    "measure",
+    "simulate",
+    "to_frame",
+    "write_parameters",
+    "write_record",
+]
+
+
+class _Package(ModuleType):
+    """`sma_bench.identify` and `sma_bench.diagnose` are functions here, and rooms of the package:
+    an import of the room would put the room in the function's place, were it not for a property.
+    `from sma_bench.identify import ...` finds the room all the same."""
+
+
+def _on_first_use(name: str) -> property:
+    def get(package: ModuleType) -> Any:
+        return getattr(import_module("sma_bench.api"), name)
+
+    def put(package: ModuleType, value: object) -> None:
+        if not isinstance(value, ModuleType):
+            raise AttributeError(f"sma_bench.{name} cannot be set")
+
+    return property(get, put)
+
+
+for _name in __all__:
+    setattr(_Package, _name, _on_first_use(_name))
+sys.modules[__name__].__class__ = _Package

@@ -7,9 +7,7 @@ import yaml
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.node_tables import node_groups
 from sma_bench.parameters.yaml_file import load_yaml, split_names
 
 
@@ -32,19 +30,17 @@ def parameters_from_options(args: argparse.Namespace) -> Parameters:
     """
     parameters = Parameters.defaults()
     if args.params:
-        parameters = read_parameters(args.params, ignore=_node_groups())
-    values, uncertainty = split_names(dict(_override(text) for text in args.overrides))
+        parameters = read_parameters(args.params, ignore=node_groups())
+    values, uncertainty = split_names(dict(named_value(text) for text in args.overrides))
     return parameters.replace(values, uncertainty, "--set")
 
 
-def _node_groups() -> set[str]:
-    """Groups that only nodes declare: the same file may hold them beside the contract's."""
-    contract = {name.split(".")[0] for name in BY_NAME} | {UNCERTAINTY_PREFIX.rstrip(".")}
-    nodes = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
-    return nodes - contract
+def named_value(text: str) -> tuple[str, Any]:
+    """NAME=VALUE, the value as YAML has it.
 
-
-def _override(text: str) -> tuple[str, Any]:
+    Raises:
+        InputError: it is not that.
+    """
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise InputError(f"--set {text}: expected NAME=VALUE")

@@ -1,25 +1,22 @@
 """sma-bench simulate: the paper's model on a protocol or on the voltages of a bag."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
-from sma_bench.hardware.instruments import Instrument
-from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.physics.effects import effect_values
-from sma_bench.physics.simulate import Simulation, simulate
+from sma_bench.progress import part
 from sma_bench.protocols import load_protocol
-from sma_bench.records import Signal, read_record
+from sma_bench.records import read_record
 from sma_bench.records.held_voltages import held_voltages
 from sma_bench.records.write import write_record
+from sma_bench.synthetic.simulated import read_signals, signals_of, simulate_finely
 
 LARGEST_RATE = 10_000.0
+_INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="read through the simulator node's instruments: their noise, drawn from this seed, "
         "and their steps; exact values when not given",
     )
-    parser.add_argument("--json", metavar="FILE", help="write what was simulated as JSON")
+    add_json_option(parser, "what was simulated")
     add_parameter_options(parser)
 
 
@@ -59,13 +56,16 @@ def run(args: argparse.Namespace) -> int:
         record = read_record(args.input)
         start_ns = record.start_ns
         time, voltage = held_voltages(record, parameters["bench.channels"])
-    simulation = simulate(parameters, time, voltage)
-    signals, noise = simulated_signals(simulation), "no noise"
-    if args.noise is not None:
-        if args.noise < 0:
-            raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
-        signals, noise = read_signals(signals, args.noise), f"synthetic noise, seed {args.noise}"
-    write_record(Path(args.out), signals, start_ns=start_ns)
+    if args.noise is not None and args.noise < 0:
+        raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
+    with progress("simulate") as report:
+        report(0.0, "the model")
+        signals, noise = signals_of(simulate_finely(parameters, time, voltage)), "no noise"
+        if args.noise is not None:
+            signals = read_signals(signals, args.noise, part(report, *_INSTRUMENTS))
+            noise = f"synthetic noise, seed {args.noise}"
+        writing = part(report, _INSTRUMENTS[1], 1.0)
+        write_record(Path(args.out), signals, start_ns=start_ns, report=writing)
     if args.json:
         write_json(args.json, {
             "bag": args.out, "protocol": args.protocol, "input": args.input,
@@ -86,49 +86,3 @@ def _effect(text: str) -> dict[str, float]:
             raise InputError(f"--effect {text}: {error}") from None
         wanted = "expected NAME=VALUE" if not equals else f"{value!r} is not a number"
         raise InputError(f"--effect {text}: {wanted}") from None
-
-
-def simulated_signals(simulation: Simulation) -> list[Signal]:
-    """Signals of the contract that a bench would have measured."""
-    time, channels = simulation.time, simulation.parameters["bench.channels"]
-    signals = []
-    for k, channel in enumerate(channels):
-        signals += [
-            Signal(f"{channel}.voltage", "V", time, simulation.voltage[:, k]),
-            Signal(f"{channel}.current", "A", time, simulation.current[:, k]),
-            Signal(f"{channel}.temperature", "K", time, simulation.temperature_reading[:, k]),
-        ]
-    if len(channels) > 1:
-        return [*signals, Signal("deflection", "m", time, simulation.deflection_reading)]
-    return [
-        *signals,
-        Signal("elongation", "m", time, np.zeros_like(time)),
-        Signal("force", "N", time, simulation.force[:, 0]),
-    ]
-
-
-def read_signals(signals: Sequence[Signal], seed: int) -> list[Signal]:
-    """The same signals as the simulator node's instruments would read them.
-
-    A deflection is half the difference of two distances; an elongation is clamped.
-    """
-    settings = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
-    seeds = iter(np.random.SeedSequence(seed).spawn(2 * len(signals)))
-
-    def read(quantity: str, values: np.ndarray) -> np.ndarray:
-        noise, step = f"sensor.{quantity}_noise", f"sensor.{quantity}_resolution"
-        instrument = Instrument(settings[noise], settings.get(step, 0.0), next(seeds))
-        return np.array([instrument.read(value) for value in values.tolist()])
-
-    found = []
-    for signal in signals:
-        quantity, values = signal.name.rpartition(".")[2], np.asarray(signal.values)
-        if quantity == "elongation":
-            found.append(signal)
-        elif quantity == "deflection":
-            away = settings["sensor.range_standoff"]
-            front, back = read("range", away - values), read("range", away + values)
-            found.append(replace(signal, values=0.5 * (back - front)))
-        else:
-            found.append(replace(signal, values=read(quantity, values)))
-    return found

@@ -22,13 +22,14 @@ def parameter_page(node_tables: Mapping[str, tuple[Parameter, ...]]) -> str:
     Args:
         node_tables: node name to its own parameters.
     """
-    lines = [_HEAD, "## The bench: parameters of the contract", "", *_table(TABLE)]
+    lines = [_HEAD, "## The bench: parameters of the contract", "", *parameter_table(TABLE)]
     for node, table in node_tables.items():
-        lines += ["", f"## Node `{node}`", "", *_table(table)]
+        lines += ["", f"## Node `{node}`", "", *parameter_table(table)]
     return "\n".join(lines) + "\n"
 
 
-def _table(table: tuple[Parameter, ...]) -> list[str]:
+def parameter_table(table: tuple[Parameter, ...]) -> list[str]:
+    """Lines of a Markdown table, a row a parameter."""
     lines = [
         "| parameter | unit | default | std | range | meaning | source |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -60,4 +61,4 @@ def _range(parameter: Parameter) -> str:
 
 
 def _escape(cell: str) -> str:
-    return cell.replace("|", "\\|")
+    return cell.replace("|", "\\|").replace("<", "&lt;")

@@ -3,6 +3,9 @@
 from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
 from sma_bench.parameters.camera_tables import IR_CAMERA, SYNTHETIC_CAMERA
 from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.twin_table import TWIN
 
 _ADC_10_BIT = 1023
 
@@ -135,6 +138,21 @@ RECORDER = (
     ),
 )
 
+# Any program that finds the node may set its parameters and call its service.
+_ROOTS = (
+    Parameter(
+        "record_root", "", "",
+        "Folder that records must lie in; empty for the one the node is started in, / for any.",
+        "choice", kind="string", read_only=True,
+    ),
+    Parameter(
+        "output_root", "", "",
+        "Folder that results are written below; empty for the one the node is started in, / for "
+        "any.",
+        "choice", kind="string", read_only=True,
+    ),
+)
+
 IDENTIFICATION = (
     Parameter(
         "record", "", ("",),
@@ -145,11 +163,7 @@ IDENTIFICATION = (
         "experiments", "", ("",), "Experiments to run (E1, E2, ...); empty for all that apply.",
         "choice", kind="strings",
     ),
-    Parameter(
-        "record_root", "", "",
-        "Folder that records must lie in; empty for any place.",
-        "choice", kind="string", read_only=True,
-    ),
+    *_ROOTS,
     Parameter(
         "output_directory", "", "identified",
         "Folder for identified.yaml and identified.json.",
@@ -168,11 +182,7 @@ DIAGNOSIS = (
         "last part of each record.",
         "choice", kind="strings",
     ),
-    Parameter(
-        "record_root", "", "",
-        "Folder that records must lie in; empty for any place.",
-        "choice", kind="string", read_only=True,
-    ),
+    *_ROOTS,
     Parameter(
         "improved", "", "", "Parameter file to write with the improvement; empty for none.",
         "choice", kind="string",
@@ -239,6 +249,14 @@ NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
     "recorder": RECORDER,
     "identification": IDENTIFICATION,
     "diagnosis": DIAGNOSIS,
+    "twin": TWIN,
     "temperature_controller": TEMPERATURE_CONTROLLER,
     "deflection_controller": DEFLECTION_CONTROLLER,
 }
+
+
+def node_groups() -> set[str]:
+    """Groups that only nodes declare: the same file may hold them beside the contract's."""
+    contract = {name.split(".")[0] for name in BY_NAME} | {UNCERTAINTY_PREFIX.rstrip(".")}
+    nodes = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
+    return nodes - contract

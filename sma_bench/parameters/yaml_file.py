@@ -18,34 +18,48 @@ from sma_bench.parameters.table import TABLE
 WILDCARD = "/**"
 
 
-class _RosLoader(yaml.SafeLoader):
+class _NumberLoader(yaml.SafeLoader):
     """Safe loader that reads 1e-4 as the number it is to ROS (YAML 1.1 wants 1.0e-4)."""
 
 
-_RosLoader.add_implicit_resolver(
+_NumberLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z"),
     list("-+0123456789."),
 )
 
 
-def load_yaml(text: str) -> Any:
-    """Parse YAML as ROS does; raises yaml.YAMLError."""
-    loader = _RosLoader(text)
+class _RosLoader(_NumberLoader):
+    """Takes no aliases, like ROS's own: a kilobyte of them can stand for gigabytes."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not taken", mark)
+        return super().compose_node(parent, index)
+
+
+def load_yaml(text: str, aliases: bool = False) -> Any:
+    """Parse YAML as ROS does; raises yaml.YAMLError.
+
+    With `aliases`, what is loaded may hold one thing many times: ask for types before anything
+    walks through it.
+    """
+    loader = _NumberLoader(text) if aliases else _RosLoader(text)
     try:
         return loader.get_single_data()
     finally:
         loader.dispose()
 
 
-def read_document(path: str | Path) -> Any:
-    """What a YAML file holds.
+def read_document(path: str | Path, aliases: bool = False) -> Any:
+    """What a YAML file holds; of `aliases` see `load_yaml`.
 
     Raises:
         InputError: unreadable or not YAML, in one line.
     """
     try:
-        return load_yaml(Path(path).read_text(encoding="utf-8"))
+        return load_yaml(Path(path).read_text(encoding="utf-8"), aliases)
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror}") from None
     except UnicodeDecodeError:

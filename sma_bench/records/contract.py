@@ -35,6 +35,13 @@ NOT_DECODED = frozenset({IMAGE})
 
 CELSIUS_ZERO = 273.15
 
+# What lies below it is predicted, not measured: neither recorded nor read.
+TWIN = "twin"
+
+# SI units of signals, by the last part of `<channel>.<field>` and by joint.
+FIELD_UNITS = {"voltage": "V", "current": "A", "temperature": "K", "range": "m"}
+JOINT_UNITS = {"deflection": "m", "elongation": "m", "force": "N"}
+
 
 @dataclass(frozen=True)
 class Place:
@@ -53,9 +60,20 @@ def place_of(topic: str) -> Place | None:
         if len(tail) == len(suffix) and all(
             wanted in (ANY_CHANNEL, part) for wanted, part in zip(suffix, tail, strict=True)
         ):
+            if TWIN in parts[: len(parts) - len(suffix)]:
+                return None
             namespace = "/" + "/".join(parts[: len(parts) - len(suffix)])
             return Place("/".join(tail), namespace, msgtype)
     return None
+
+
+def unit_of(signal: str) -> str | None:
+    """SI unit of a signal by its name (`wire.voltage`), None for a name outside the contract."""
+    channel, _, field = signal.rpartition(".")
+    if not channel:
+        return "V" if signal == "voltage_command" else JOINT_UNITS.get(signal)
+    carried = place_of(f"{channel}/{'power' if field in ('voltage', 'current') else field}")
+    return FIELD_UNITS.get(field) if carried is not None else None
 
 
 def is_decoded(topic: str, msgtype: str) -> bool:

@@ -74,15 +74,20 @@ def check_files(words: list[str]) -> str:
     for word in words:
         if word.startswith("config/") and not (ROOT / word).is_file():
             return f"no file {word}"
-    if "--protocol" in words and words[words.index("--protocol") + 1] not in protocol_names():
+    if "--protocol" in words and not is_protocol(words[words.index("--protocol") + 1]):
         return "no such protocol"
     return ""
+
+
+def is_protocol(name: str) -> bool:
+    """Whether it names a shipped protocol, or a file of the reader's own."""
+    return name in protocol_names() or name.endswith(".yaml")
 
 
 def check_ros(words: list[str]) -> str:
     """Why ros2 would not know what these words name, or ""."""
     settings = dict(word.split(":=", 1) for word in words if ":=" in word)
-    if settings.get("protocol", protocol_names()[0]) not in protocol_names():
+    if not is_protocol(settings.get("protocol", protocol_names()[0])):
         return f"no protocol {settings['protocol']}"
     if words[:2] == ["run", "sma_bench"]:
         return "" if words[2] in NODE_TABLES else f"no node {words[2]}"

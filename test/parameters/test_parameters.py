@@ -181,3 +181,15 @@ def test_the_committed_page_is_the_one_the_tables_generate():
     assert page.read_text() == parameter_page(NODE_TABLES), (
         "run: ./bench parameters --markdown > docs/parameters.md"
     )
+
+
+def test_aliases_are_refused_as_ros_refuses_them(tmp_path):
+    """Nine maps of nine maps of ...: a kilobyte that took all memory when its names were joined."""
+    bomb = "    b0: &b0 {x: 1.0}\n" + "".join(
+        f"    b{k}: &b{k} {{{', '.join(f'k{n}: *b{k - 1}' for n in range(9))}}}\n"
+        for k in range(1, 12)
+    )
+    path = tmp_path / "bomb.yaml"
+    path.write_text("/**:\n  ros__parameters:\n" + bomb)
+    message = complaint(read_parameters, path)
+    assert "line 4" in message and "aliases (*name) are not taken" in message

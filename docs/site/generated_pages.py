@@ -1,0 +1,187 @@
+"""What mkdocs does with these pages beside showing them: a hook (`hooks:` in mkdocs.yml).
+
+Pages of the reference that the code itself tells are made here, at every build; patterns in the nav
+are filled in; pages that the nav does not name are put under "More".
+"""
+
+import ast
+import fnmatch
+import importlib
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+from sma_bench import api
+from sma_bench.cli import COMMANDS
+from sma_bench.commands import blind
+from sma_bench.commands.parser import command_parser
+from sma_bench.parameters.documentation import parameter_table
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.report.paper_errata import paper_errata
+
+ROOT = Path(__file__).resolve().parents[2]
+MORE = "More"
+_WIDTH = "96"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages, then complete the nav."""
+    for path, text in {
+        "reference/commands.md": commands_page(),
+        "reference/python.md": python_page(),
+        "reference/nodes.md": nodes_page(),
+        "explanation/errata.md": errata_page(),
+        **{
+            f.src_uri.replace(".ipynb", ".md"): notebook_page(Path(f.abs_src_path or ""))
+            for f in files
+            if f.src_uri.endswith(".ipynb")
+        },
+    }.items():
+        files.append(File.generated(config, path, content=text))
+    pages = [f.src_uri for f in files.documentation_pages()]
+    if config.nav is not None:
+        named: set[str] = set()
+        config.nav = list(_filled(config.nav, pages, named))
+        others = sorted(set(pages) - named)
+        if others:
+            config.nav.append({MORE: others})
+    return files
+
+
+def _filled(nav: list[Any], pages: list[str], named: set[str]) -> Iterator[Any]:
+    """The nav with every pattern replaced by pages not named before it, E10 after E9."""
+    for entry in nav:
+        if isinstance(entry, dict):
+            ((title, below),) = entry.items()
+            if isinstance(below, list):
+                yield {title: list(_filled(below, pages, named))}
+            else:
+                named.add(below)
+                yield entry
+        elif "*" in entry:
+            fitting = set(fnmatch.filter(pages, entry)) - named
+            found = sorted(fitting, key=_numbers_by_size)
+            named.update(found)
+            yield from found
+        else:
+            named.add(entry)
+            yield entry
+
+
+def _numbers_by_size(path: str) -> list[Any]:
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path)]
+
+
+def commands_page() -> str:
+    """Every command with what its --help prints."""
+    os.environ["COLUMNS"], os.environ["NO_COLOR"] = _WIDTH, "1"
+    lines = [
+        "# Commands", "",
+        "What `sma-bench COMMAND --help` prints. In a checkout `./bench` stands for `sma-bench`. "
+        "Commands end with 0 on success, and with 2 and one line on bad input; a file that was "
+        "asked for appears whole or not at all.",
+    ]  # fmt: skip
+    described = [*COMMANDS.items(), *((f"blind {n}", t) for n, t in blind.COMMANDS.items())]
+    for name, text in described:
+        lines += ["", f"## {name}", "", "```text", _help(name, text), "```"]
+    return "\n".join(lines) + "\n"
+
+
+def _help(name: str, text: str) -> str:
+    parser = command_parser(name, text)
+    if name == "run":
+        return f"{parser.format_usage().rstrip()}\n\n{text}\n\n{parser.epilog}"
+    module = importlib.import_module(f"sma_bench.commands.{name.replace(' ', '_')}")
+    module.add_arguments(parser)
+    return parser.format_help().rstrip()
+
+
+def python_page() -> str:
+    """Functions and results of the Python interface, from their docstrings."""
+    functions = [n for n in api.__all__ if n[0].islower()]
+    classes = [n for n in api.__all__ if n[0].isupper()]
+    lines = [
+        "# Python", "",
+        "`import sma_bench` gives these names, in SI units; they are imported at the first use. "
+        "[A notebook](../tutorials/notebook.md) shows them at work.",
+        "", "## Functions",
+    ]  # fmt: skip
+    for name in functions:
+        lines += ["", f"::: {_home(name)}"]
+    lines += ["", "## What they give"]
+    for name in classes:
+        lines += ["", f"::: {_home(name)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _home(name: str) -> str:
+    thing = getattr(api, name)
+    return f"{thing.__module__}.{thing.__qualname__}"
+
+
+
+def nodes_page() -> str:
+    """Every node: what it does and its topics (README.md), its own parameters (its table)."""
+    told = node_rows((ROOT / "README.md").read_text())
+    lines = [
+        "# Nodes", "",
+        "`ros2 run sma_bench NODE`, or `sma-bench run NODE` without a ROS 2 installation. Names "
+        "are relative to the namespace; `~` is the node itself. Every node takes "
+        "[the parameters of the bench](../parameters.md) too, and sends 0 V at its end if it "
+        "drives. [Topics](../topics.md) has types and units.",
+    ]  # fmt: skip
+    for node, table in NODE_TABLES.items():
+        lines += ["", f"## {node}"]
+        for text in told.get(node) or [_first_line(node)]:
+            lines += ["", f"{text[:1].upper()}{text[1:].rstrip('.')}."]
+        lines += ["", *parameter_table(table)]
+    return "\n".join(lines) + "\n"
+
+
+def _first_line(node: str) -> str:
+    """What a node says of itself, for one that shares its row of the table with another."""
+    source = (ROOT / "sma_bench" / "nodes" / f"{node}.py").read_text()
+    return (ast.get_docstring(ast.parse(source)) or "").partition("\n\n")[0].replace("\n", " ")
+
+
+def node_rows(readme: str) -> dict[str, list[str]]:
+    """What the README's table of nodes says of each, cell by cell."""
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", readme, re.MULTILINE)
+    return {node: [cell.replace("](docs/", "](../") for cell in cells] for node, *cells in rows}
+
+
+def errata_page() -> str:
+    """The paper's slips, printed and corrected, with the numbers that `sma-bench paper` prints."""
+    lines = [
+        "# Errata of the paper", "",
+        "Where the paper is wrong, and what the package computes instead; evaluated with the "
+        "paper's numbers at every build of these pages. Geometry, C_A and C_M, which the paper "
+        "does not give, are [assumed](../parameters.md).",
+    ]  # fmt: skip
+    for erratum in paper_errata():
+        lines += [
+            "", f"## {erratum.number}. {erratum.place}", "",
+            "| | as printed | corrected | independent check |", "| --- | --- | --- | --- |",
+            _row("form", erratum.printed, erratum.corrected, ""),
+            *(_row(*line) for line in erratum.lines), "", erratum.remark,
+        ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _row(*cells: str) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+
+
+def notebook_page(path: Path) -> str:
+    """The cells of a notebook as a page."""
+    lines = []
+    for cell in json.loads(path.read_text())["cells"]:
+        text = "".join(cell["source"])
+        lines += [text, ""] if cell["cell_type"] == "markdown" else ["```python", text, "```", ""]
+    return "\n".join([*lines, f"As a notebook: [{path.name}]({path.name}).", ""])

@@ -1,0 +1,79 @@
+"""Synthetic instrument files, written as the instruments' own programs would export them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from sma_bench.parameters import Parameters
+from sma_bench.records.contract import CELSIUS_ZERO
+from sma_bench.synthetic import paper_specimens
+from sma_bench.synthetic.load_frame import isobaric_test
+from sma_bench.synthetic.tensile_machine import tensile_test
+
+COLD, HOT = 293.15, 403.15  # K, Table III
+_DSC_HEAD = """Sample ID:\tsynthetic NiTi wire
+Sample Weight:\t{milligrams:.3f} mg
+Total Points in Run:\t{points}
+{steps}
+"""
+_DSC_COLUMNS = """\tTime\tUnsubtracted\tBaseline\tProgram\tSample\tApprox.
+\t\tHeat Flow\tHeat Flow\tTemperature\tTemperature\tGas Flow
+"""
+
+
+def write(name: str) -> None:
+    """`DSC.txt`, `50_MPa.txt`, `cold_1.csv`, `hot_2.csv` or `front_current.csv`, here."""
+    makers = {
+        r"DSC\.txt": lambda: _dsc(),
+        r"(\d+)_MPa\.txt": lambda megapascal: _isobaric(float(megapascal)),
+        r"(cold|hot)_(\d+)\.csv": lambda phase, number: _tensile(phase, int(number)),
+        r"\w+_current\.csv": lambda: "reading,known\n" + "".join(
+            f"{1.02 * amps + 0.03:.3f},{amps:.3f}\n" for amps in (0.0, 0.5, 1.0, 1.5, 2.0)
+        ),
+    }  # fmt: skip
+    for pattern, make in makers.items():
+        if found := re.fullmatch(pattern, name):
+            Path(name).write_text(make(*found.groups()))
+            return
+    raise ValueError(f"{name}: no instrument writes this")
+
+
+def _dsc() -> str:
+    run = paper_specimens.dsc_record(Parameters.defaults())
+    steps, blocks = [], []
+    for s in run.segments:
+        low, high = (t - CELSIUS_ZERO for t in sorted(s.temperature[[0, -1]]))
+        way = f"Heat from {low:.2f}" if s.kind == "heating" else f"Cool from {high:.2f}"
+        end = high if s.kind == "heating" else low
+        rate = abs(s.rate) * 60.0
+        steps.append(f"{s.number})\t{way}C to {end:.2f}C at {rate:.2f}C/min\n")
+        rows = np.column_stack([
+            s.time / 60.0, 1e3 * s.heat_flow, 1e3 * s.baseline,
+            s.program_temperature - CELSIUS_ZERO, s.temperature - CELSIUS_ZERO, 0.0 * s.time,
+        ])  # fmt: skip
+        lines = ["\t" + "\t".join(f"{value:.6f}" for value in row) for row in rows]
+        blocks.append(f"{s.number}) DSC Temperature Scan\n{_DSC_COLUMNS}" + "\n".join(lines) + "\n")
+    points = sum(len(s.time) for s in run.segments)
+    head = _DSC_HEAD.format(milligrams=1e6 * run.mass, points=points, steps="\n".join(steps))
+    return head + "".join(blocks)
+
+
+def _isobaric(megapascal: float) -> str:
+    wire = paper_specimens.wire_rig(Parameters.defaults())
+    test = isobaric_test(wire, 1e6 * megapascal, "made", seed=int(megapascal))
+    branches = [branch for cycle in test.cycles for branch in cycle.branches]
+    return "".join(
+        f"{t - CELSIUS_ZERO:.3f}\t{e:.6f}\t{1e-6 * s:.3f}\n"
+        for b in branches
+        for t, e, s in zip(b.temperature, b.strain, b.stress, strict=True)
+    )
+
+
+def _tensile(phase: str, number: int) -> str:
+    kelvin = COLD if phase == "cold" else HOT
+    test = tensile_test(Parameters.defaults(), kelvin, "made", seed=number)
+    rows = zip(test.strain[::3], test.stress[::3], strict=True)
+    return f"Temperature: {kelvin:.2f} K\nStrain (mm/mm),Stress (MPa)\n" + "".join(
+        f"{strain:.6f},{1e-6 * stress:.3f}\n" for strain, stress in rows
+    )

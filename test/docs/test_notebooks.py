@@ -1,0 +1,89 @@
+"""The example notebooks run from top to bottom, and lie in the repository without their outputs."""
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+from sma_bench import compiled
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
+
+
+def code_cells(path: Path) -> list[dict]:
+    cells = json.loads(path.read_text())["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
+def run(path: Path, show) -> dict:
+    """Run the cells in one namespace as Jupyter does; `show` gets the value at a cell's end."""
+    names: dict = {"__name__": "__main__"}
+    for number, cell in enumerate(code_cells(path), start=1):
+        where = f"{path.name}, code cell {number}"
+        tree = ast.parse("".join(cell["source"]), where)
+        last = tree.body[-1]
+        shown = isinstance(last, ast.Expr) and not "".join(cell["source"]).rstrip().endswith(";")
+        if shown:
+            tree.body.pop()
+        exec(compile(tree, where, "exec"), names)
+        if shown:
+            show(eval(compile(ast.Expression(last.value), where, "eval"), names))
+    return names
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_committed_without_outputs(path):
+    assert code_cells(path)
+    for cell in code_cells(path):
+        assert cell["outputs"] == [] and cell["execution_count"] is None
+
+
+@pytest.fixture(scope="module")
+def played():
+    """Names at the end of the notebook, what its cells showed, and its figures."""
+    pytest.importorskip("pandas")
+    if compiled.numba is None:
+        pytest.skip("without numba a diagnosis takes minutes")
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+    shown: list = []
+    names = run(ROOT / "docs" / "tutorials" / "notebook.ipynb", shown.append)
+    figures = [plt.figure(number) for number in plt.get_fignums()]
+    yield names, shown, figures
+    plt.close("all")
+
+
+def tables(shown: list) -> list:
+    return [thing for thing in shown if hasattr(thing, "columns")]
+
+
+@pytest.mark.slow
+def test_the_notebook_identifies_what_it_simulated(played):
+    names, shown, _ = played
+    table = next(t for t in tables(shown) if t.index.name == "parameter")
+    true = names["run"].parameters["wire.resistance"]
+    found = table.loc["wire.resistance"]
+    assert abs(found["value"] - true) < 4.0 * found["std"]
+    assert list(names["record"].signals) in [s for s in shown if isinstance(s, list)]
+
+
+@pytest.mark.slow
+def test_the_notebook_names_the_effect_and_the_gap_shrinks(played):
+    names, shown, _ = played
+    assert names["gap"].decision.cause == ("supply_drop",)
+    assert any("supply_drop" in t.index for t in tables(shown))
+    assert names["gap"].shrinkage["temperature"].fraction > 0.7
+    measured = names["arrays"]["wire.temperature"]
+    missed = [abs(measured - names[m].temperature[:, 0]).mean() for m in ("before", "after")]
+    assert missed[1] < 0.3 * missed[0]
+
+
+@pytest.mark.slow
+def test_the_notebook_draws_two_figures(played):
+    _, _, figures = played
+    assert len(figures) == 2
+    for figure in figures:
+        assert all(axes.lines and axes.get_ylabel() for axes in figure.axes)

@@ -1,0 +1,107 @@
+"""The documentation builds as a site, strictly, and what the code tells is on it."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sma_bench import api
+from sma_bench.cli import COMMANDS
+from sma_bench.parameters.node_tables import NODE_TABLES
+
+ROOT = Path(__file__).resolve().parents[2]
+CHECK = ROOT / "test" / "check" / "docs.py"
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    for needed in ("mkdocs", "material", "mkdocstrings"):
+        pytest.importorskip(needed)
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run([sys.executable, CHECK, folder], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.strip() == str(folder / "index.html")
+    return folder
+
+
+def text_of(page: Path) -> str:
+    return re.sub(r"<[^>]*>", "", page.read_text())
+
+
+def test_every_page_of_docs_is_on_the_site(site):
+    pages = [p.relative_to(ROOT / "docs") for p in (ROOT / "docs").rglob("*.md")]
+    assert len(pages) > 25
+    for page in pages:
+        name = page.with_name("index.html") if page.name == "README.md" else page.with_suffix(
+            ".html"
+        )
+        assert (site / name).is_file(), page
+
+
+def test_commands_are_what_their_help_prints(site):
+    page = text_of(site / "reference" / "commands.html")
+    for name in (*COMMANDS, "blind make"):
+        assert f"usage: sma-bench {name}" in page
+    assert "--hold-out RECORD" in page
+
+
+def test_nodes_are_those_of_the_package_and_each_is_told(site):
+    page = (site / "reference" / "nodes.html").read_text()
+    parts = re.split(r'<h2 id="(\w+)"[^\n]*\n', page)[1:]
+    told = dict(zip(parts[::2], parts[1::2], strict=True))
+    assert list(told) == list(NODE_TABLES)
+    for node, table in NODE_TABLES.items():
+        first = re.search(r"<p>(.*?)</p>", told[node])
+        assert first and len(first[1]) > 30, f"nothing is said of {node}"
+        assert all(f"<code>{parameter.name}</code>" in told[node] for parameter in table)
+    assert "~/enable" in told["serial_bridge"] and "voltage_command" in told["experiment"]
+
+
+def test_the_python_interface_is_explained(site):
+    page = text_of(site / "reference" / "python.html")
+    for name in api.__all__:
+        assert name in page
+    assert "DataFrame of a record or a result" in page and "Raises:" in page
+
+
+def test_the_errata_have_their_numbers(site):
+    page = text_of(site / "explanation" / "errata.html")
+    assert len(re.findall(r"^\s*\d+\. ", page, re.MULTILINE)) >= 11
+    assert "N m²" in page
+
+
+def test_the_notebook_is_a_page_and_a_file(site):
+    notebook = json.loads((site / "tutorials" / "notebook.ipynb").read_text())
+    assert notebook["nbformat"] == 4
+    assert "sma_bench.diagnose" in text_of(site / "tutorials" / "notebook.html")
+
+
+def test_nothing_is_fetched_from_elsewhere(site):
+    fetched = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', re.I)
+    pages = sorted(site.rglob("*.html"))
+    assert [p.name for p in pages if fetched.search(p.read_text())] == []
+
+
+def test_sources_of_the_site_are_not_on_it(site):
+    assert not (site / "site").exists()
+
+
+def test_a_link_that_leads_nowhere_fails_the_build(tmp_path):
+    for needed in ("mkdocs", "material", "mkdocstrings"):
+        pytest.importorskip(needed)
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text("[a](nowhere.md)\n")
+    settings = (ROOT / "docs" / "site" / "mkdocs.yml").read_text()
+    validation = settings[settings.index("validation:") : settings.index("# A page that")]
+    (tmp_path / "mkdocs.yml").write_text(f"site_name: x\n{validation}")
+    spec = importlib.util.spec_from_file_location("check_docs", CHECK)
+    check = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(check)
+    code, complaints = check.build(tmp_path / "mkdocs.yml", tmp_path / "site")
+    assert code == 1 and any("nowhere.md" in line for line in complaints)
