@@ -17,6 +17,7 @@ COMMANDS = {
     "info": "what a record holds and whether it can be trusted",
     "identify": "parameters of Table I from bags and instrument files",
     "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
+    "batch": "many records, each identified or diagnosed by itself, on all cores or a cluster",
     "report": "records and results as one page, with figures, tables and provenance",
     "audit": "do a lab's own numbers fit each other, and physics?",
     "parameters": "every parameter with unit, default, range and source",
@@ -25,6 +26,8 @@ COMMANDS = {
     "blind": "cases with withheld effects: make, examine, score",
     "paper": "the paper's figures, tables and errata redrawn from data",
     "calibrate": "gain and offset of a sensor of the Uno from known loads",
+    "dashboard": "a bench live in the browser, with a stop that works",
+    "call": "call a service of a running node: sma-bench call experiment/start",
     "run": "run a node: sma-bench run NODE [--ros-args ...]",
     "demo": "simulated benches, bags, identification, diagnosis, in one go",
     "completion": "a script that completes commands and options in bash or zsh",
@@ -82,7 +85,11 @@ def _dispatch(arguments: list[str]) -> int:
         return module.run(rest)
     module.add_arguments(parser)
     parser.set_defaults(command_line=shlex.join(["sma-bench", *arguments]))
-    return module.run(parser.parse_args(rest))
+    args = parser.parse_args(rest)
+    from sma_bench.commands.output import results_apart  # --help does without what it brings along
+
+    with results_apart(args):
+        return module.run(args)
 
 
 def _top_parser() -> CommandParser:

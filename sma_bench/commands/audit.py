@@ -2,7 +2,7 @@
 
 import argparse
 
-from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.errors import InputError
 from sma_bench.parameters import audit
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("file", nargs="?", metavar="P.yaml", help="ROS 2 parameter file")
     add_parameter_options(parser)
-    parser.add_argument("--json", metavar="FILE", help="write the findings as JSON")
+    add_json_option(parser, "the findings")
 
 
 def run(args: argparse.Namespace) -> int:

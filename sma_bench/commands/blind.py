@@ -3,6 +3,7 @@
 import argparse
 import importlib
 
+from sma_bench.commands.output import results_apart
 from sma_bench.commands.parser import command_parser
 
 COMMANDS = {
@@ -35,4 +36,6 @@ def run(args: argparse.Namespace) -> int:
     module = importlib.import_module(f"sma_bench.commands.blind_{args.command}")
     parser = command_parser(f"blind {args.command}", COMMANDS.get(args.command))
     module.add_arguments(parser)
-    return int(module.run(parser.parse_args(args.rest)))
+    own = parser.parse_args(args.rest)
+    with results_apart(own):
+        return int(module.run(own))

@@ -2,11 +2,11 @@
 
 import argparse
 
-from rich.progress import track
-
 from sma_bench.blind.figures import NAMES, write_page, write_symptom
 from sma_bench.blind.make import new_folder
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.progress_bar import progress
+from sma_bench.progress import in_turn
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,15 +15,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=1, metavar="S", help="of the rig and its drive (default 1)"
     )
-    parser.add_argument("--json", metavar="FILE", help="write what was drawn as JSON")
+    add_json_option(parser, "what was drawn")
 
 
 def run(args: argparse.Namespace) -> int:
     """Draw all effects; all of them appear, or nothing."""
-    with new_folder(args.out) as folder:
+    with new_folder(args.out) as folder, progress("blind figures") as report:
         seen = [
             write_symptom(folder, name, args.seed)
-            for name in track(NAMES, description="effects", transient=True)
+            for name in in_turn(NAMES, report, lambda name: name)
         ]
         write_page(folder, seen, args.seed)
     if args.json:

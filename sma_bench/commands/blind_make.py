@@ -2,25 +2,13 @@
 
 import argparse
 import os
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
-from typing import NoReturn
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from sma_bench.blind.make import make
-from sma_bench.commands.output import write_json
+from sma_bench.commands.interrupts import terminated_as_interrupted
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.progress_bar import progress
+from sma_bench.progress import counted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,25 +23,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="J",
         help="processes (default: one a core); the result does not depend on it",
     )
-    parser.add_argument("--json", metavar="FILE", help="write the set's manifest as JSON")
+    add_json_option(parser, "the manifest of the set")
 
 
 def run(args: argparse.Namespace) -> int:
     """Make the set; all of it appears, or nothing."""
     started = time.monotonic()
-    console = Console(highlight=False, stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with _terminated_as_interrupted(), Progress(*columns, console=console) as bar:
-        task = bar.add_task("cases", total=args.n)
-        manifest = make(
-            args.out, args.seed, args.n, args.jobs, lambda done: bar.update(task, completed=done)
-        )
+    with terminated_as_interrupted(), progress("blind make") as report:
+        cases = counted(report, args.n, "case")
+        manifest = make(args.out, args.seed, args.n, args.jobs, cases)
     if args.json:
         write_json(args.json, {"set": args.out, **manifest})
     print(
@@ -62,22 +40,3 @@ def run(args: argparse.Namespace) -> int:
     )
     print(f"labels sealed, sha256 {manifest['sha256']}")
     return 0
-
-
-class Terminated(KeyboardInterrupt):
-    """A polite kill. Python would end by SIGINT, whatever the exit code, had a plain
-    KeyboardInterrupt passed through code that a library compiles from text."""
-
-
-@contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """A polite kill tidies up as Ctrl-C does."""
-
-    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -3,7 +3,7 @@
 import argparse
 
 from sma_bench.blind.rivals import RIVALS, rival_answer
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.records import read_record
 
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORD")
     parser.add_argument("--params", metavar="FILE", required=True)
     parser.add_argument("--hold-out", metavar="RECORD", nargs="+", default=[])
-    parser.add_argument("--json", metavar="FILE", help="write the answer to the contract")
+    add_json_option(parser, "the answer to the contract")
     parser.add_argument("--out", metavar="FILE", help="write the improved parameters")
 
 

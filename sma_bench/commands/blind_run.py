@@ -7,22 +7,16 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from sma_bench.blind.case_set import CaseSet, read_case_set
 from sma_bench.blind.examination import examine, open_cases
 from sma_bench.blind.examinee import Examinee
 from sma_bench.blind.kept import Examination, write_examination
 from sma_bench.blind.rivals import RIVALS
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
+from sma_bench.progress import counted
 
 DIAGNOSIS = "diagnosis"
 _SMA_BENCH = (sys.executable, "-m", "sma_bench.cli")
@@ -49,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--again", action="store_true", help="ask failed cases again; answers are always kept"
     )
-    parser.add_argument("--json", metavar="FILE", help="write how far the set is as JSON")
+    add_json_option(parser, "how far the set is")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,25 +88,21 @@ def _ask(
     cases: CaseSet, examinee: Examinee, waiting: list[str], answers: Path, jobs: int
 ) -> int:
     """Examine under a progress bar; the number of failed cases."""
-    console = Console(highlight=False, stderr=True)
     failures = []
-    with progress_bar(console) as progress:
-        task = progress.add_task(answers.name, total=len(waiting))
+    with progress(f"blind run, {answers.name}") as report:
+        told = counted(report, len(waiting), "case")
 
-        def report(done: int, line: str) -> None:
+        def after(done: int, line: str) -> None:
             if line:
                 failures.append(line)
-                console.print(f"[yellow]failed[/] {escape(line)}", soft_wrap=True)
-            progress.update(task, completed=done)
+                print_failure(line)
+            told(done)
 
-        examine(examinee, waiting, cases.folder, answers, jobs, report)
+        examine(examinee, waiting, cases.folder, answers, jobs, after)
     return len(failures)
 
 
-def progress_bar(console: Console) -> Progress:
-    """Bar with the number of cases, time gone and time left."""
-    return Progress(
-        TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(),
-        TextColumn("gone"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-        console=console,
-    )  # fmt: skip
+def print_failure(line: str) -> None:
+    """One line on standard error; above a bar where there is one."""
+    console = Console(highlight=False, stderr=True)
+    console.print(f"[yellow]failed[/] {escape(line)}", soft_wrap=True)

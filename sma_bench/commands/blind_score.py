@@ -6,7 +6,6 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from sma_bench.blind.breakdown import COLUMNS, confusion, groups, reliability
 from sma_bench.blind.case_set import CaseSet, read_case_set
@@ -16,10 +15,12 @@ from sma_bench.blind.measure_table import OTHERS, TARGETS
 from sma_bench.blind.score import Labels, Paper, Score, handed_in, open_labels, score
 from sma_bench.blind.statistics import Measured
 from sma_bench.blind.wording import MEASURE_HEADER, measure_row, side_by_side, summary
-from sma_bench.commands.blind_run import progress_bar
-from sma_bench.commands.output import write_json
+from sma_bench.commands.blind_run import print_failure
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.tables import output_console, print_table
+from sma_bench.progress import counted
 
-_PAGE_WIDTH = 180
 _MET_STYLE = {"aim": "green", "floor": "yellow", "missed": "red", "": ""}
 
 
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-follow-up", action="store_true",
         help="do not perform the experiments that ambiguous answers ask for",
     )
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    add_json_option(parser, "the result")
     parser.add_argument("--page", metavar="DIR", help="write an HTML page with figures")
     parser.add_argument(
         "--markdown", metavar="FILE", help="write the result page that a repository keeps"
@@ -47,13 +48,11 @@ def run(args: argparse.Namespace) -> int:
     cases = read_case_set(args.set)
     papers = handed_in(cases, [Path(folder) for folder in args.answers])
     labels = open_labels(cases)
-    console = Console(highlight=False, stderr=True)
     if not args.no_follow_up:
         for paper in papers:
-            _follow_up(console, cases, labels, paper, args.jobs)
-    with progress_bar(console) as progress:
-        task = progress.add_task("judging", total=len(cases.names))
-        scores = score(cases, papers, labels, lambda done: progress.update(task, completed=done))
+            _follow_up(cases, labels, paper, args.jobs)
+    with progress("blind score") as report:
+        scores = score(cases, papers, labels, counted(report, len(cases.names), "case"))
     if args.json:
         write_json(args.json, result_document(cases, scores))
     print_scores(cases, scores)
@@ -74,22 +73,20 @@ def _write_pages(
         print(f"result {write_markdown(args.markdown, cases, papers, scores)}")
 
 
-def _follow_up(
-    console: Console, cases: CaseSet, labels: Labels, paper: Paper, jobs: int
-) -> None:
+def _follow_up(cases: CaseSet, labels: Labels, paper: Paper, jobs: int) -> None:
     asking = sum(asks_for_more(kept) for kept in paper.kept)
     if not asking:
         return
     examinee = Examinee(paper.examination.program, paper.examination.time_limit)
-    with progress_bar(console) as progress:
-        task = progress.add_task(f"follow {paper.name}", total=asking)
+    with progress(f"following up {paper.name}") as report:
+        told = counted(report, asking, "experiment")
 
-        def report(done: int, line: str) -> None:
+        def after(done: int, line: str) -> None:
             if line:
-                console.print(f"[yellow]failed[/] {escape(line)}", soft_wrap=True)
-            progress.update(task, completed=done)
+                print_failure(line)
+            told(done)
 
-        follow_up(cases, labels, paper.kept, examinee, paper.folder, jobs, report)
+        follow_up(cases, labels, paper.kept, examinee, paper.folder, jobs, after)
 
 
 def result_document(cases: CaseSet, scores: Sequence[Score]) -> dict:
@@ -103,9 +100,7 @@ def result_document(cases: CaseSet, scores: Sequence[Score]) -> dict:
 
 def print_scores(cases: CaseSet, scores: Sequence[Score]) -> None:
     """All tables, as wide as they are where no terminal sets a width."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_PAGE_WIDTH)
+    console = output_console()
     console.print(f"{len(cases.names)} cases, seed {cases.seed} ({cases.split})")
     for one in scores:
         _print_score(console, one)
@@ -161,10 +156,5 @@ def _print_table(
     rows: Sequence[Sequence[str]],
     styles: Sequence[str] = (),
 ) -> None:
-    table = Table(box=None, pad_edge=False)
-    for k, head in enumerate(header):
-        table.add_column(head, justify="right" if k else "left")
-    for k, row in enumerate(rows):
-        table.add_row(*(escape(cell) for cell in row), style=styles[k] if styles else None)
-    console.print(f"\n[bold]{escape(title)}[/]", soft_wrap=True)
-    console.print(table)
+    console.print()
+    print_table(console, header, rows, range(1, len(header)), title=title, styles=styles)

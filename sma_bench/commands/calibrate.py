@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.errors import InputError
 from sma_bench.hardware.known_loads import SENSORS, SensorFit, fit_sensor
 from sma_bench.hardware.link_status import Reading
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="P.yaml", help="parameter file to write; others' names in it stay"
     )
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    add_json_option(parser, "the result")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,14 +6,17 @@ diagnosis has to name (demo_gap).
 
 import argparse
 import time
+from collections.abc import Mapping
 from pathlib import Path
-
-from rich.console import Console
+from typing import Any
 
 from sma_bench.commands.demo_gap import gap_act
 from sma_bench.commands.demo_hardware import hardware_act
 from sma_bench.commands.demo_stage import make_folder
 from sma_bench.commands.demo_table import simulated_truth, table_act
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.progress_bar import Course
+from sma_bench.commands.tables import output_console
 from sma_bench.errors import InputError
 
 _SEEDS = 2**31
@@ -31,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
         "the effect of this draw instead of one by the clock",
     )
+    add_json_option(parser, "truth, estimates, diagnosis and the reports' paths")
     parser.add_argument(
         "--hardware", action="store_true",
         help="instead of both acts, the nodes of a real bench on the real firmware in an emulated "
@@ -41,21 +45,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
-    started = time.monotonic()
-    console = Console(highlight=False)
+    course, console = Course(), output_console()
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
     make_folder(out)
+    truth = simulated_truth(args.draw)
     if args.hardware:
         console.print("[bold]Table I over a serial port: emulated Uno, real firmware[/]")
-        holds = hardware_act(console, out, simulated_truth(args.draw))
-        console.print(f"{time.monotonic() - started:.0f} s")
-        return 0 if holds else 1
-    console.print("[bold]1. From a commanded volt to Table I[/]")
-    identified = table_act(console, out, args.speed, simulated_truth(args.draw))
-    console.print("\n[bold]2. The gap between simulation and bench[/]")
-    seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
-    diagnosed = gap_act(console, out / "simulated_gap", args.speed, seed)
-    console.print(f"{time.monotonic() - started:.0f} s")
-    return 0 if identified and diagnosed else 1
+        acts = {"table_one": hardware_act(console, out, truth, course)}
+    else:
+        console.print("[bold]1. From a commanded volt to Table I[/]")
+        acts = {"table_one": table_act(console, out, args.speed, truth, course)}
+        console.print("\n[bold]2. The gap between simulation and bench[/]")
+        seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
+        acts["gap"] = gap_act(console, out / "simulated_gap", args.speed, seed, course)
+    console.print(f"{course.gone:.0f} s")
+    if args.json:
+        write_json(args.json, _document(out, acts))
+    return 0 if all(act["holds"] for act in acts.values()) else 1
+
+
+def _document(out: Path, acts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Truth, what was found, and where to read on."""
+    kinds = {name: [act for act in acts if name in acts[act]] for name in ("truth", "report")}
+    return {
+        "synthetic": True, "folder": str(out),
+        "holds": {name: act["holds"] for name, act in acts.items()},
+        **{kind: {act: acts[act][kind] for act in given} for kind, given in kinds.items()},
+        "estimates": acts["table_one"]["estimates"],
+        **{key: acts["gap"][key] for key in ("diagnosis", "draw") if "gap" in acts},
+    }

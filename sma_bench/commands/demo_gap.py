@@ -6,14 +6,17 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from sma_bench.commands.demo_hidden import hidden_bench
+from sma_bench.commands.demo_hidden import hidden_bench, hidden_effect, hidden_numbers
 from sma_bench.commands.demo_reveal import confidently_wrong, reveal
-from sma_bench.commands.demo_stage import Stage
+from sma_bench.commands.demo_stage import Stage, recording_time
+from sma_bench.commands.demo_table import SHARE
 from sma_bench.commands.output import write_json
+from sma_bench.commands.progress_bar import Course, progress
+from sma_bench.commands.tables import print_table
 from sma_bench.nodes.diagnosis_job import gap_states
 from sma_bench.parameters import read_parameters, write_parameters
+from sma_bench.progress import part
 from sma_bench.report.quantities import in_print
 from sma_bench.share import share_directory
 
@@ -23,17 +26,29 @@ RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
 # held level would be off by what heats the wire as much as a small effect.
 INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
 _LEAST_SHOWN = 0.005
-# A diagnosis fits every effect of the library; it cannot report on the way.
+_DIAGNOSING = 60.0  # s, about
 _PATIENCE = 600.0
+_Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
-def gap_act(console: Console, out: Path, speed: float, seed: int) -> bool:
-    """Hide an effect, diagnose, print the argument, then reveal; False if confidently wrong."""
+def gap_act(
+    console: Console, out: Path, speed: float, seed: int, course: Course
+) -> dict[str, Any]:
+    """Hide an effect, diagnose, print the argument, then reveal.
+
+    Returns:
+        For the demo's JSON; `holds` is False if the diagnosis is confidently wrong.
+    """
     lab_file = share_directory() / "config" / "demo_rig.yaml"
     hidden_file = out / "hidden.yaml"
     console.print("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
-    with Stage(console, out, NAMESPACE) as stage:
-        lab = read_parameters(lab_file)
+    lab = read_parameters(lab_file)
+    plan = {name: recording_time(name, lab, speed) for name in (RECORD, HOLD_OUT)}
+    plan["diagnose"] = _DIAGNOSING
+    with (
+        progress("demo", course) as report,
+        Stage(out, NAMESPACE, part(report, SHARE, 1.0), plan) as stage,
+    ):
         write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
         answer = _diagnosed(stage, out, hidden_file, lab_file, speed)
     write_json(str(out / "diagnosis.json"), answer)
@@ -48,7 +63,11 @@ def gap_act(console: Console, out: Path, speed: float, seed: int) -> bool:
     for sentence in reveal(answer, hidden, lab, improved):
         console.print(escape(sentence), soft_wrap=True)
     console.print(f"The same again: --draw {seed}")
-    return not confidently_wrong(answer, hidden)
+    truth = {"effect": hidden_effect(hidden), "numbers": dict(hidden_numbers(hidden))}
+    return {
+        "holds": not confidently_wrong(answer, hidden), "truth": truth, "draw": seed,
+        "diagnosis": answer, "report": str(out / places["report"]),
+    }
 
 
 def _diagnosed(
@@ -76,36 +95,27 @@ def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
     console.print(
         f"where      {escape(where['signal'])}, {where['phase']}, {where['side']} side{stage}"
     )
-    console.print(_candidates(answer), _shrinkage(answer), sep="\n")
+    for headings, rows in (_candidates(answer), _shrinkage(answer)):
+        print_table(console, headings, rows, range(1, len(headings)))
 
 
-def _candidates(answer: Mapping[str, Any]) -> Table:
-    table = _table("candidate", "probability", "gap/noise")
+def _candidates(answer: Mapping[str, Any]) -> _Table:
+    rows: list[tuple[str, ...]] = []
     for candidate in answer["candidates"]:
         if candidate["probability"] >= _LEAST_SHOWN:
             gap = candidate["gap_over_noise"]
-            table.add_row(
-                candidate["name"], f"{candidate['probability']:.3f}",
-                "" if gap is None else f"{gap:.1f}",
-            )
-    return table
+            probability = f"{candidate['probability']:.3f}"
+            rows.append((candidate["name"], probability, "" if gap is None else f"{gap:.1f}"))
+    return ("candidate", "probability", "gap/noise"), rows
 
 
-def _shrinkage(answer: Mapping[str, Any]) -> Table:
-    table = _table("held out", "rms before", "after", "noise", "gap gone", "90 % interval")
+def _shrinkage(answer: Mapping[str, Any]) -> _Table:
+    rows = []
     for quantity, s in answer["shrinkage"].items():
         numbers = [in_print(quantity, s[n]) for n in ("rmse_before", "rmse_after", "noise_floor")]
         # JSON has null for a number that does not exist.
         fraction, low, high = (
             "" if share is None else f"{100.0 * share:.0f}" for share in (s["fraction"], *s["ci90"])
         )
-        table.add_row(quantity, *numbers, f"{fraction} %", f"{low} to {high} %")
-    return table
-
-
-def _table(*headings: str) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column(headings[0], overflow="fold")
-    for heading in headings[1:]:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
+        rows.append((quantity, *numbers, f"{fraction} %", f"{low} to {high} %"))
+    return ("held out", "rms before", "after", "noise", "gap gone", "90 % interval"), rows

@@ -11,10 +11,11 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table as RichTable
 
-from sma_bench.commands.demo_stage import PATIENCE, Stage
+from sma_bench.commands.demo_stage import PATIENCE, Stage, recording_time
 from sma_bench.commands.demo_table import TABLE_ONE
+from sma_bench.commands.progress_bar import Course, progress
+from sma_bench.commands.tables import print_table
 from sma_bench.emulation.build import missing_tools
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
@@ -22,12 +23,15 @@ from sma_bench.parameters.table import BY_NAME
 
 NAMESPACE = "/demo_hardware"
 PROTOCOLS = ("quick_staircase", "quick_ramp")
-LARGEST_ERROR = 0.03
-"""relative; an Uno's converter and a camera's emissivity leave this much"""
+WITHIN_SIGMAS = 3.0
+"""of each number's stated error: three true ones are all within it but once in 120 times"""
+LARGEST_RELATIVE_STD = 0.05
+"""an error larger than this would not be worth stating"""
 
 _CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 _PICTURE_RATE = 15.0
-_HEADER = ("", "unit", "truth", "identified", "std error", "off by")
+_IDENTIFYING = 6.0  # s
+_HEADER = ("", "unit", "truth", "identified", "std error", "off by", "deviation")
 
 
 class HardwareStage(Stage):
@@ -78,8 +82,13 @@ def retried(call: Callable[[], str], patience: float, pause: float = 0.5) -> str
         time.sleep(pause)
 
 
-def hardware_act(console: Console, out: Path, truth: Parameters) -> bool:
-    """Identify an emulated bench that is made of `truth`; whether the numbers are right.
+def hardware_act(
+    console: Console, out: Path, truth: Parameters, course: Course
+) -> dict[str, Any]:
+    """Identify an emulated bench that is made of `truth`.
+
+    Returns:
+        For the demo's JSON; `holds`, whether the numbers are right.
 
     Raises:
         InputError: the emulator cannot be built here, a node ended, or the experiment aborted.
@@ -88,39 +97,60 @@ def hardware_act(console: Console, out: Path, truth: Parameters) -> bool:
         raise InputError(f"demo --hardware: {missing}")
     truth_file = out / "truth.yaml"
     write_parameters(truth_file, truth, "What the emulated bench is made of.")
-    with HardwareStage(console, out, NAMESPACE) as stage:
+    plan = {protocol: recording_time(protocol, truth) for protocol in PROTOCOLS}
+    plan["identify"] = _IDENTIFYING
+    with (
+        progress("demo", course) as report,
+        HardwareStage(out, NAMESPACE, report, plan) as stage,
+    ):
         found = stage.start_hardware(truth_file, out / "uno", PROTOCOLS[0])
-        console.print(f"self test: {escape(found)}")
         stage.start_service("identification", {"output_directory": str(out)})
         bags = [str(stage.record(protocol)) for protocol in PROTOCOLS]
         answer = stage.ask("identification", "identify", {"record": bags})
+    console.print(f"self test: {escape(found)}")
     estimates = answer["parameters"]
-    console.print(_result_table(estimates, truth))
+    _print_table(console, estimates, truth)
     for warning in answer["warnings"]:
         console.print(f"[yellow]note[/] {escape(warning)}")
     holds = numbers_hold(estimates, truth)
-    console.print(f"within {LARGEST_ERROR:.0%} of the truth: {'yes' if holds else 'NO'}")
+    console.print(
+        f"within {WITHIN_SIGMAS:g} standard errors of the truth, errors under "
+        f"{LARGEST_RELATIVE_STD:.0%}: {'yes' if holds else 'NO'}"
+    )
     console.print(f"bags       {escape(str(out / 'bags'))}", soft_wrap=True)
-    return holds
+    return {
+        "holds": holds, "truth": {name: truth[name] for name in TABLE_ONE},
+        "estimates": estimates,
+        "deviation": {
+            name: deviation(estimates[name], truth[name]) for name in TABLE_ONE if name in estimates
+        },
+    }
 
 
 def numbers_hold(estimates: Mapping[str, Any], truth: Parameters) -> bool:
-    """Whether R, h and c_p are all there and right."""
+    """Whether R, h and c_p are all there, right within their stated errors, and these small."""
     return all(
-        name in estimates and abs(estimates[name]["value"] / truth[name] - 1.0) <= LARGEST_ERROR
+        name in estimates
+        and abs(deviation(estimates[name], truth[name])) <= WITHIN_SIGMAS
+        and estimates[name]["std"] <= LARGEST_RELATIVE_STD * estimates[name]["value"]
         for name in TABLE_ONE
     )
 
 
-def _result_table(estimates: Mapping[str, Any], truth: Parameters) -> RichTable:
-    table = RichTable(title="Table I, over a serial port", box=None, pad_edge=False)
-    for k, head in enumerate(_HEADER):
-        table.add_column(head, justify="right" if k > 1 else "left", no_wrap=True)
+def deviation(estimate: Mapping[str, Any], true: float) -> float:
+    """Estimate less truth, in stated standard errors."""
+    return float((estimate["value"] - true) / estimate["std"])
+
+
+def _print_table(console: Console, estimates: Mapping[str, Any], truth: Parameters) -> None:
+    rows = []
     for name, symbol in TABLE_ONE.items():
         true, found = truth[name], estimates.get(name)
-        cells = ("not found", "", "")
+        cells = ("not found", "", "", "")
         if found is not None:
             off = f"{found['value'] / true - 1.0:+.2%}"
-            cells = (f"{found['value']:.5g}", f"{found['std']:.2g}", off)
-        table.add_row(symbol, escape(BY_NAME[name].unit), f"{true:.5g}", *cells)
-    return table
+            std, z = f"{found['std']:.2g}", f"{deviation(found, true):+.2f}"
+            cells = (f"{found['value']:.5g}", std, off, z)
+        rows.append((symbol, BY_NAME[name].unit, f"{true:.5g}", *cells))
+    title = "Table I, over a serial port"
+    print_table(console, _HEADER, rows, range(2, len(_HEADER)), title=title)

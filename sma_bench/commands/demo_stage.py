@@ -8,16 +8,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
 from sma_bench.errors import InputError
+from sma_bench.nodes.job_process import told_share
 from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.progress import Report, part, shares, silent
 from sma_bench.protocols import load_protocol
 
 # Nothing may take longer than this without a sign of life, on however loaded a machine.
 PATIENCE = 60.0
 _BEGINNING = 10.0
+STARTING = 4.0
+"""s until a bench's nodes, or a recorder, are there"""
+
 _READINGS = ("power", "temperature")
 _COMMANDS = ("voltage_command", "experiment/marker")
 
@@ -31,14 +33,20 @@ class Stage:
     simulated = True
     """Whether time is the simulator's, on /clock."""
 
-    def __init__(self, console: Console, folder: Path, namespace: str) -> None:
-        """The folder is made; InputError where it cannot be."""
+    def __init__(
+        self, folder: Path, namespace: str, report: Report, plan: Mapping[str, float]
+    ) -> None:
+        """The folder is made; InputError where it cannot be.
+
+        Args:
+            report: told how far the stage's work is.
+            plan: seconds that each step takes, by protocol and service, in order.
+        """
         self.bags, self._logs = folder / "bags", folder / "logs"
         self._namespace = namespace
-        self._progress = Progress(
-            TextColumn("{task.description:42}"), BarColumn(),
-            TextColumn("{task.percentage:>4.0f} %"), TimeElapsedColumn(), console=console,
-        )
+        self._report, self._shares = report, shares(plan)
+        self._asked = self._service = ""
+        self._told: Report = silent
         self._bench = Parameters.defaults()
         for directory in (self.bags, self._logs):
             make_folder(directory)
@@ -53,9 +61,8 @@ class Stage:
         with ExitStack() as stack:
             self._nodes = stack.enter_context(NodeProcesses(self._namespace, self._logs))
             self._client = stack.enter_context(
-                BenchClient(self._namespace, meanwhile=self._nodes.check)
+                BenchClient(self._namespace, meanwhile=self._meanwhile)
             )
-            stack.enter_context(self._progress)
             self._stack = stack.pop_all()
         return self
 
@@ -100,8 +107,8 @@ class Stage:
             InputError: a node ended, or the experiment was aborted.
         """
         duration = load_protocol(protocol, self._bench).duration
-        kind = "simulated s" if self.simulated else "s"
-        task = self._progress.add_task(f"{protocol} ({duration:.0f} {kind})", total=duration)
+        told = self._part(protocol)
+        told(0.0, protocol)
         bag = self.bags / protocol
         self._nodes.start("recorder", {"output": str(bag), "use_sim_time": self.simulated})
         needed = self._topics()
@@ -110,18 +117,17 @@ class Stage:
         )
         self._client.set_parameters("experiment", {"protocol": protocol}, PATIENCE)
         self._start_experiment()
-        begin = self._seconds()
+        begin, kind = self._seconds(), "simulated s" if self.simulated else "s"
 
         def finished() -> bool:
             elapsed = self._seconds() - begin
-            self._progress.update(task, completed=min(elapsed, duration))
+            told(elapsed / duration, f"{protocol}, {elapsed:.0f} of {duration:.0f} {kind}")
             state = self._client.state("experiment")
             if state.startswith("aborted"):
                 raise InputError(f"experiment {state}")
             return state == f"done: {protocol}"
 
         self._client.wait(protocol, finished, timeout=duration + PATIENCE)
-        self._progress.update(task, completed=duration)
         self._nodes.end("recorder")
         return bag.resolve()
 
@@ -138,12 +144,24 @@ class Stage:
         Raises:
             InputError: it refused, failed, or took longer than `patience` s.
         """
-        task = self._progress.add_task(service, total=None)
+        self._told, self._service = self._part(service), service
+        self._told(0.0, service)
+        self._client.follow(node)
         self._client.set_parameters(node, settings, PATIENCE)
+        self._asked = node
         answer = self._client.trigger(f"{node}/{service}", timeout=patience)
-        self._progress.update(task, total=1, completed=1)
+        self._asked = ""
         found: dict[str, Any] = json.loads(answer)
         return found
+
+    def _part(self, step: str) -> Report:
+        return part(self._report, *self._shares[step])
+
+    def _meanwhile(self) -> None:
+        """While the client waits: do the nodes live, and how far is the service?"""
+        self._nodes.check()
+        if self._asked and (found := told_share(self._client.state(self._asked))):
+            self._told(found[0], f"{self._service}: {found[1]}")
 
     def _seconds(self) -> float:
         return self._client.simulated_seconds if self.simulated else time.monotonic()
@@ -176,3 +194,8 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"{folder}: exists already, expected a new folder") from None
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
+
+
+def recording_time(protocol: str, bench: Parameters, speed: float = 1.0) -> float:
+    """Seconds that a record of a protocol takes."""
+    return STARTING + load_protocol(protocol, bench).duration / speed

@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table as RichTable
 
-from sma_bench.commands.demo_stage import Stage
+from sma_bench.commands.demo_stage import Stage, recording_time
+from sma_bench.commands.progress_bar import Course, progress
+from sma_bench.commands.tables import print_table
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.progress import Report, part
 from sma_bench.share import share_directory
 
 NAMESPACE = "/demo"
@@ -23,19 +25,34 @@ TABLE_ONE = {
 }
 WITHIN_SIGMAS = 2.0
 LARGEST_RELATIVE_STD = 0.01
+SHARE = 0.5
+"""of the demo's time, about"""
+
+_DRAWING = 0.93  # share of this act's time at which the report is due
+_IDENTIFYING = 6.0  # s
 _HEADER = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
 
 
-def table_act(console: Console, out: Path, speed: float, truth: Parameters) -> bool:
-    """Simulate `truth`, identify it and print Table I; whether it holds what the demo promises."""
+def table_act(
+    console: Console, out: Path, speed: float, truth: Parameters, course: Course
+) -> dict[str, Any]:
+    """Simulate `truth`, identify it and print Table I.
+
+    Returns:
+        For the demo's JSON; `holds`, whether it holds what the demo promises.
+    """
     truth_file = out / "truth.yaml"
     write_parameters(truth_file, truth, "What the simulated bench is made of.")
-    answer = _identified(console, out, truth_file, speed)
-    estimates = answer["parameters"]
-    console.print(_result_table(estimates, truth))
+    with progress("demo", course) as report:
+        own = part(report, 0.0, SHARE)
+        answer = _identified(part(own, 0.0, _DRAWING), out, truth_file, speed, truth)
+        estimates = answer["parameters"]
+        own(_DRAWING, "report")
+        page = _report(out, estimates, truth, part(own, _DRAWING, 1.0))
+    right = range(2, len(_HEADER))
+    print_table(console, _HEADER, _rows(estimates, truth), right, title="Table I")
     for warning in answer["warnings"]:
         console.print(f"[yellow]note[/] {escape(warning)}")
-    page = _report(out, estimates, truth)
     holds = promise_holds(estimates, truth)
     console.print(
         f"within {WITHIN_SIGMAS:g} standard errors of the simulated truth, errors under "
@@ -44,7 +61,10 @@ def table_act(console: Console, out: Path, speed: float, truth: Parameters) -> b
     places = {"report": page, "bags": out / "bags", "nodes load": out / "identified.yaml"}
     for what, path in places.items():
         console.print(f"{what:11}{escape(str(path))}", soft_wrap=True)
-    return holds
+    return {
+        "holds": holds, "truth": {name: truth[name] for name in TABLE_ONE},
+        "estimates": estimates, "report": str(page),
+    }
 
 
 def simulated_truth(seed: int | None) -> Parameters:
@@ -71,9 +91,12 @@ def promise_holds(estimates: dict[str, Any], truth: Parameters) -> bool:
     )
 
 
-def _identified(console: Console, out: Path, truth_file: Path, speed: float) -> dict[str, Any]:
+def _identified(
+    report: Report, out: Path, truth_file: Path, speed: float, truth: Parameters
+) -> dict[str, Any]:
     """Run the protocols on the nodes, record them, and ask the service; its answer."""
-    with Stage(console, out, NAMESPACE) as stage:
+    plan = {protocol: recording_time(protocol, truth, speed) for protocol in PROTOCOLS}
+    with Stage(out, NAMESPACE, report, {**plan, "identify": _IDENTIFYING}) as stage:
         stage.start_bench(truth_file, PROTOCOLS[0], {"speed": speed})
         stage.start_service("identification", {"output_directory": str(out)})
         bags = {protocol: stage.record(protocol) for protocol in PROTOCOLS}
@@ -93,16 +116,9 @@ def _rows(estimates: dict[str, Any], truth: Parameters) -> list[tuple[str, ...]]
     return rows
 
 
-def _result_table(estimates: dict[str, Any], truth: Parameters) -> RichTable:
-    table = RichTable(title="Table I", box=None, pad_edge=False)
-    for k, head in enumerate(_HEADER):
-        table.add_column(head, justify="right" if k > 1 else "left", no_wrap=True)
-    for row in _rows(estimates, truth):
-        table.add_row(*(escape(cell) for cell in row))
-    return table
-
-
-def _report(out: Path, estimates: dict[str, Any], truth: Parameters) -> Path:
+def _report(
+    out: Path, estimates: dict[str, Any], truth: Parameters, report: Report
+) -> Path:
     """Figures 2 to 6 from the bags, fitted anew at the desk by the same code as the service."""
     from sma_bench.identify import identify
     from sma_bench.records import read_record
@@ -120,4 +136,5 @@ def _report(out: Path, estimates: dict[str, Any], truth: Parameters) -> Path:
         Section("E4 Thermal validation", pictures=[picture]),
     ]
     summary = "The paper's experiments E1 to E4 on a simulated bench, from volts to Table I."
-    return write_report(out / "report", "From a commanded volt to Table I", summary, sections)
+    title = "From a commanded volt to Table I"
+    return write_report(out / "report", title, summary, sections, report=report)

@@ -1,21 +1,37 @@
 """sma-bench diagnose: where simulation and bench disagree, which effect causes it, how far."""
 
 import argparse
+from collections.abc import Callable
 
-from rich.console import Console
-from rich.table import Table
-
-from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.tables import output_console, print_table
 from sma_bench.diagnose import Diagnosis, diagnose
 from sma_bench.diagnose.view import QUANTITIES
 from sma_bench.parameters import write_parameters
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.progress import Report, by_name, in_turn, part
 from sma_bench.records import read_record
 from sma_bench.report.diagnosis_words import headline, what_next
 
+_Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
 _LEAST_SHOWN = 0.005
 _CELLS_SHOWN = 6
-_WIDE = 160  # letters: names are long, and a cut one cannot be looked up
+_READING = 0.05  # of the time
+# Seconds that each step takes of a composite record, as `diagnose` names them.
+_PLAN = {
+    "records": 0.1,
+    "recalibration": 4.7,
+    **dict.fromkeys(EFFECTS, 0.4),
+    "effects instead of surprising parameters": 6.0,
+    "the best again, carefully": 0.5,
+    "pairs": 2.5,
+    "what is left": 0.7,
+    "shrinkage on data that no fit saw": 0.2,
+    "the next experiment": 2.0,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="compare these only, of current, temperature, deflection: what would the record "
         "have told without the others?",
     )
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    add_json_option(parser, "the result")
     parser.add_argument("--report", metavar="DIR", help="write a page with figures")
     parser.add_argument(
         "--out", metavar="improved.yaml", help="write a ROS 2 parameter file with the improvement"
@@ -41,14 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
     parameters = parameters_from_options(args)
-    records = [read_record(path) for path in args.records]
-    held_out = [read_record(path) for path in args.hold_out]
-    console = Console(stderr=True)
-    with console.status("diagnosing") as status:
-        result = diagnose(
-            records, parameters, held_out,
-            lambda text: status.update(f"diagnosing: {text}"), args.signals,
-        )
+    with progress("diagnose") as report:
+        reading = part(report, 0.0, _READING)
+        paths = in_turn([*args.records, *args.hold_out], reading, lambda path: f"reading {path}")
+        records = [read_record(path) for path in paths]
+        seen = len(args.records)
+        told = diagnosis_steps(part(report, _READING, 1.0))
+        result = diagnose(records[:seen], parameters, records[seen:], told, args.signals)
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
@@ -57,8 +72,15 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         from sma_bench.report.diagnosis_report import write_diagnosis_report
 
-        print(f"report {write_diagnosis_report(args.report, result)}")
+        with progress("drawing the report") as report:
+            page = write_diagnosis_report(args.report, result, report)
+        print(f"report {page}")
     return 0
+
+
+def diagnosis_steps(report: Report) -> Callable[[str], None]:
+    """Turns what a diagnosis tells into a share of its time."""
+    return by_name(report, _PLAN)
 
 
 def write_improved(path: str, result: Diagnosis, author: str) -> None:
@@ -75,55 +97,44 @@ def write_improved(path: str, result: Diagnosis, author: str) -> None:
 
 def print_result(result: Diagnosis) -> None:
     """The argument in a few tables."""
-    console = Console(highlight=False, markup=False, width=max(Console().width, _WIDE))
-    console.print(f"{result.decision.verdict}: {headline(result)}\n", soft_wrap=True)
-    console.print(_candidates(result))
-    console.print(_where(result))
-    console.print(_chain(result))
-    console.print(_shrinkage(result))
+    console = output_console()
+    console.print(f"{result.decision.verdict}: {headline(result)}\n", markup=False)
+    for headings, rows in (_candidates(result), _where(result), _chain(result), _shrinkage(result)):
+        print_table(console, headings, rows, right=range(1, len(headings)))
+        console.print()
     for sentence in what_next(result):
-        console.print(f"{sentence}\n", soft_wrap=True)
+        console.print(f"{sentence}\n", markup=False)
     print_findings(result.findings)
 
 
-def _table(*headings: str) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for k, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if k == 0 else "right", no_wrap=True)
-    return table
+def _candidates(result: Diagnosis) -> _Table:
+    return ("candidate", "probability", "gap/noise", "log evidence"), [
+        (c.name, f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:.1f}")
+        for c in result.decision.candidates if c.probability >= _LEAST_SHOWN
+    ]
 
 
-def _candidates(result: Diagnosis) -> Table:
-    table = _table("candidate", "probability", "gap/noise", "log evidence")
-    for c in result.decision.candidates:
-        if c.probability >= _LEAST_SHOWN:
-            table.add_row(c.name, f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:.1f}")
-    return table
+def _where(result: Diagnosis) -> _Table:
+    return ("where", "phase", "side", "gap/noise", "share"), [
+        (cell.signal, cell.phase, cell.side, f"{cell.gap:.2f}", f"{100.0 * cell.share:.0f} %")
+        for cell in result.where[:_CELLS_SHOWN]
+    ]
 
 
-def _where(result: Diagnosis) -> Table:
-    table = _table("where", "phase", "side", "gap/noise", "share")
-    for cell in result.where[:_CELLS_SHOWN]:
-        table.add_row(
-            cell.signal, cell.phase, cell.side, f"{cell.gap:.2f}", f"{100.0 * cell.share:.0f} %"
-        )
-    return table
+def _chain(result: Diagnosis) -> _Table:
+    return ("block, no effect", "gap/noise", "90 % interval"), [
+        (link.block, f"{link.gap:.2f}", f"{link.ci90[0]:.2f} to {link.ci90[1]:.2f}")
+        for link in result.chain
+    ]
 
 
-def _chain(result: Diagnosis) -> Table:
-    table = _table("block, no effect", "gap/noise", "90 % interval")
-    for link in result.chain:
-        low, high = link.ci90
-        table.add_row(link.block, f"{link.gap:.2f}", f"{low:.2f} to {high:.2f}")
-    return table
-
-
-def _shrinkage(result: Diagnosis) -> Table:
-    table = _table("held out", "RMSE before", "after", "noise", "gap gone", "90 % interval")
+def _shrinkage(result: Diagnosis) -> _Table:
+    headings = ("held out", "RMSE before", "after", "noise", "gap gone", "90 % interval")
+    rows: list[tuple[str, ...]] = []
     for name, s in result.shrinkage.items():
         low, high = s.ci90
-        table.add_row(
-            name, f"{s.rmse_before:.3g}", f"{s.rmse_after:.3g}", f"{s.noise_floor:.3g}",
-            f"{100.0 * s.fraction:.0f} %", f"{100.0 * low:.0f} to {100.0 * high:.0f} %",
+        rows.append(
+            (name, f"{s.rmse_before:.3g}", f"{s.rmse_after:.3g}", f"{s.noise_floor:.3g}",
+             f"{100.0 * s.fraction:.0f} %", f"{100.0 * low:.0f} to {100.0 * high:.0f} %")
         )
-    return table
+    return headings, rows

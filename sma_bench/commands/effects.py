@@ -2,10 +2,8 @@
 
 import argparse
 
-from rich.console import Console
-from rich.table import Table
-
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.tables import output_console, print_table
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.documentation import effects_page, range_of
 from sma_bench.physics.effects.effect import Effect
@@ -16,7 +14,7 @@ DESCRIPTION = "show every effect with its stage, the unit and range of its size,
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--markdown", action="store_true", help="print the documentation page")
-    parser.add_argument("--json", metavar="FILE", help="write the table, machine-readable")
+    add_json_option(parser, "the table")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,15 +24,8 @@ def run(args: argparse.Namespace) -> int:
     if args.markdown:
         print(effects_page(), end="")
         return 0
-    table = Table(box=None, pad_edge=False)
-    for heading in ("effect", "stage", "size"):
-        table.add_column(heading, no_wrap=True)
-    table.add_column("how it shows", min_width=30)
-    for effect in EFFECTS.values():
-        table.add_row(effect.name, effect.stage, range_of(effect.size), effect.shows)
-    console = Console(highlight=False)
-    console.width = max(console.width, 110)  # a name is not to be cut, nor its range
-    console.print(table)
+    rows = [(e.name, e.stage, range_of(e.size), e.shows) for e in EFFECTS.values()]
+    print_table(output_console(), ("effect", "stage", "size", "how it shows"), rows)
     return 0
 
 

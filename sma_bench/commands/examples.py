@@ -14,6 +14,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "diagnose my_bag --params lab.yaml --hold-out other_bag --report gap",
         "diagnose my_bag --params lab.yaml --signals deflection --json diagnosis.json",
     ),
+    "batch": (
+        "batch identify bags/* --out identified --jobs 2",
+        "batch diagnose monday tuesday --params lab.yaml --dask tcp://cluster:8786",
+    ),
     "report": (
         "report my_bag --out my_report",
         "report my_bag identified.json diagnosis.json --params lab.yaml --out my_report",
@@ -55,6 +59,15 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "calibrate supply 5.91=6.00 8.87=9.01 11.83=12.02 --out lab.yaml",
         "calibrate front_current --csv front_current.csv --out lab.yaml",
     ),
+    "dashboard": (
+        "dashboard",
+        "dashboard --namespace /lab --port 9000",
+    ),
+    "call": (
+        "call experiment/start --set protocol=ramp",
+        "call serial_bridge/enable --namespace /lab",
+        "call identification/identify --set record=[my_record] --json result.json",
+    ),
     "run": (
         "run simulator --ros-args -r __ns:=/bench --params-file config/wire_rig.yaml",
         "run experiment --ros-args -r __ns:=/bench -p protocol:=ramp",
@@ -62,7 +75,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "demo": (
         "demo",
-        "demo --out my_demo --draw 7",
+        "demo --out my_demo --draw 7 --json demo.json",
     ),
     "completion": (
         "completion bash > ~/.local/share/bash-completion/completions/sma-bench",

@@ -2,14 +2,16 @@
 
 import argparse
 
-from rich.console import Console
-from rich.table import Table
-
-from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.tables import output_console, print_table
 from sma_bench.identify import EXPERIMENTS, Identification, identify
 from sma_bench.parameters import write_parameters
+from sma_bench.progress import in_turn, part
 from sma_bench.records import open_record
+
+_READING = 0.2  # of the time, about
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,15 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="identified.yaml", help="write a ROS 2 parameter file that nodes load"
     )
-    parser.add_argument("--json", metavar="FILE", help="write the result as JSON")
+    add_json_option(parser, "the result")
     parser.add_argument("--report", metavar="DIR", help="write a page with figures")
 
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print a table, write the files that were asked for."""
     parameters = parameters_from_options(args)
-    records = [open_record(path, args.namespace) for path in args.records]
-    result = identify(records, parameters, args.experiments)
+    with progress("identify") as report:
+        paths = in_turn(args.records, part(report, 0.0, _READING), lambda path: f"reading {path}")
+        records = [open_record(path, args.namespace) for path in paths]
+        result = identify(records, parameters, args.experiments, part(report, _READING, 1.0))
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
@@ -44,20 +48,20 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         from sma_bench.report.identification_report import write_identification_report
 
-        print(f"report {write_identification_report(args.report, result)}")
+        with progress("drawing the report") as report:
+            page = write_identification_report(args.report, result, report)
+        print(f"report {page}")
     return 0
 
 
 def print_result(result: Identification) -> None:
     """A table of the numbers, and below it every remark on them."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("parameter", "value", "std", "unit", "n", "from"):
-        right = heading in ("value", "std", "n")
-        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
-    for name, e in result.estimates.items():
-        number = f"{e.value:.6g}"
-        table.add_row(name, number, f"{e.std:.2g}", e.unit, str(e.n), result.origin(name))
-    Console(highlight=False).print(table)
+    rows = [
+        (name, f"{e.value:.6g}", f"{e.std:.2g}", e.unit, str(e.n), result.origin(name))
+        for name, e in result.estimates.items()
+    ]
+    headings = ("parameter", "value", "std", "unit", "n", "from")
+    print_table(output_console(), headings, rows, right=(1, 2, 4))
     print_findings(result.notes)
     for experiment in result.experiments:
         print(f"\n{experiment.name} {experiment.title} ({experiment.source})")

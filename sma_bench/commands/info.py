@@ -5,13 +5,13 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.output import add_json_option, print_findings, write_json
+from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.tables import output_console, print_table
 from sma_bench.findings import Finding
 from sma_bench.records import describe, open_record
 
-_PIPE_WIDTH = 130
 _MOST_MARKERS = 20
 
 _Columns = tuple[tuple[str, str, str], ...]
@@ -59,17 +59,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("record", metavar="RECORD", help="bag, storage file or instrument file")
     parser.add_argument("--namespace", help="look only at the topics below this namespace")
-    parser.add_argument("--json", metavar="FILE", help="write what is shown as JSON")
+    add_json_option(parser, "what is shown")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print topics, signals and findings; exit code 0 whatever they say."""
-    description = describe(open_record(args.record, args.namespace))
+    with progress("reading"):
+        description = describe(open_record(args.record, args.namespace))
     if args.json:
         write_json(args.json, description)
-    console = Console(highlight=False, soft_wrap=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_PIPE_WIDTH)
+    console = output_console()
     _SHOW[description["kind"]](console, description)
     findings = [Finding(**finding) for finding in description["findings"]]
     print_findings(findings)
@@ -84,9 +83,9 @@ def _show_bag(console: Console, description: dict[str, Any]) -> None:
         f"{escape(description['path'])}: {description['duration']:.3f} s from "
         f"{description['start']}, channels: {escape(channels)}"
     )
-    console.print(_table(description["topics"], _TOPIC_COLUMNS))
+    _print_rows(console, description["topics"], _TOPIC_COLUMNS)
     if description["signals"]:
-        console.print(_table(description["signals"], _SIGNAL_COLUMNS))
+        _print_rows(console, description["signals"], _SIGNAL_COLUMNS)
     markers = description["markers"]
     for marker in markers[:_MOST_MARKERS]:
         console.print(f"  {marker['time']:10.3f} s  {escape(marker['text'])}")
@@ -101,7 +100,7 @@ def _show_dsc(console: Console, description: dict[str, Any]) -> None:
         f"{escape(description['sample'])}, {description['mass'] * 1e6:.3f} mg, "
         f"{sign[description['endothermic_up']]}"
     )
-    console.print(_table(description["segments"], _SEGMENT_COLUMNS))
+    _print_rows(console, description["segments"], _SEGMENT_COLUMNS)
 
 
 def _show_isobaric(console: Console, description: dict[str, Any]) -> None:
@@ -110,7 +109,7 @@ def _show_isobaric(console: Console, description: dict[str, Any]) -> None:
         f"{escape(description['path'])}: isobaric test at {description['stress'] / 1e6:.1f} MPa"
         f"{unit}"
     )
-    console.print(_table(description["branches"], _BRANCH_COLUMNS))
+    _print_rows(console, description["branches"], _BRANCH_COLUMNS)
 
 
 def _show_tensile(console: Console, description: dict[str, Any]) -> None:
@@ -128,19 +127,16 @@ _SHOW = {
 }
 
 
-def _table(rows: list[dict[str, Any]], columns: _Columns) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading, key, _ in columns:
-        numeric = rows and isinstance(rows[0][key], (int, float))
-        table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(_cell(row[key], form) for _, key, form in columns))
-    return table
+def _print_rows(console: Console, rows: list[dict[str, Any]], columns: _Columns) -> None:
+    first = rows[0] if rows else {}
+    numbers = [k for k, c in enumerate(columns) if isinstance(first.get(c[1]), (int, float))]
+    cells = [[_cell(row[key], form) for _, key, form in columns] for row in rows]
+    print_table(console, [heading for heading, _, _ in columns], cells, right=numbers)
 
 
 def _cell(value: Any, form: str) -> str:
     if value is None:
         return "-"
     if isinstance(value, list):
-        return escape(", ".join(value))
-    return escape(format(value, form))
+        return ", ".join(value)
+    return format(value, form)

@@ -8,13 +8,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from sma_bench.commands.output import print_findings, write_json
+from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.paper_records import sort_records, synthetic_records
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.yaml_file import write_text_atomically
+from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.records import open_record
 from sma_bench.report.composite_figures import CompositeRun, composite_run
 from sma_bench.report.page import Picture, write_report
@@ -41,6 +43,10 @@ _SYNTHETIC = (
     "All data on this page are synthetic: the paper's experiments on simulated benches and "
     "specimens, identified by the same code as real records."
 )
+# Shares of the time, about: all records read, all experiments compared; of the comparing, the
+# records given done, the synthetic ones done.
+_READ, _COMPARED = 0.05, 0.5
+_MEASURED, _SYNTHESISED = 0.1, 0.9
 _MIXED = "From the records given ({given}) where they allow, else from synthetic data, as marked."
 
 
@@ -51,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="bags and instrument files to draw from instead of synthetic data",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder to write to")
-    parser.add_argument("--json", metavar="FILE", help="write tables and errata as JSON")
+    add_json_option(parser, "tables and errata")
     add_parameter_options(parser)
 
 
@@ -61,10 +67,14 @@ def run(args: argparse.Namespace) -> int:
     parameters = parameters_from_options(args)
     if parameters.given and not args.records:
         raise InputError("paper: --params and --set describe the bench of RECORDs, none is given")
-    page = paper_page([open_record(path) for path in args.records], parameters)
     given = ", ".join(args.records)
-    origin = _MIXED.format(given=given) if given else _SYNTHETIC
-    index = write_report(args.out, _TITLE, _SUMMARY.format(origin=origin), page.sections())
+    summary = _SUMMARY.format(origin=_MIXED.format(given=given) if given else _SYNTHETIC)
+    with progress("paper") as report:
+        reading = in_turn(args.records, part(report, 0.0, _READ), lambda path: f"reading {path}")
+        records = [open_record(path) for path in reading]
+        page = paper_page(records, parameters, part(report, _READ, _COMPARED))
+        drawing = part(report, _COMPARED, 1.0)
+        index = write_report(args.out, _TITLE, summary, page.sections(), report=drawing)
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(rows))
     if args.json:
@@ -77,17 +87,21 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def paper_page(records: Sequence[object], parameters: Parameters) -> PaperPage:
+def paper_page(
+    records: Sequence[object], parameters: Parameters, report: Report = silent
+) -> PaperPage:
     """Identify the given records, simulate the paper's for what they do not hold, compare.
 
     Args:
         records: the user's, already read; none for a page of synthetic data.
         parameters: what is known of the bench that they come from. Synthetic data are made of the
             paper's own numbers.
+        report: told how far it is.
 
     Raises:
         InputError: records were given and none of them can be used.
     """
+    report(0.0, "experiments")
     measured, notes = sort_records(records, parameters)
     outcomes, reasons = identify_lab(measured, parameters, synthetic=False)
     notes += reasons
@@ -96,7 +110,8 @@ def paper_page(records: Sequence[object], parameters: Parameters) -> PaperPage:
     if records and not (outcomes or validation or runs):
         raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
     paper = Parameters.defaults()
-    outcomes |= _synthetic_outcomes(paper, outcomes)
+    outcomes |= _synthetic_outcomes(paper, outcomes, part(report, _MEASURED, _SYNTHESISED))
+    report(_SYNTHESISED, "composite")
     made = synthetic_records(paper, ["validation", "composite"])
     drawn = validation or _validation(made, paper, outcomes, notes, synthetic=True)
     assert drawn is not None
@@ -106,10 +121,14 @@ def paper_page(records: Sequence[object], parameters: Parameters) -> PaperPage:
     )
 
 
-def _synthetic_outcomes(paper: Parameters, measured: Mapping[str, Outcome]) -> dict[str, Outcome]:
+def _synthetic_outcomes(
+    paper: Parameters, measured: Mapping[str, Outcome], report: Report
+) -> dict[str, Outcome]:
     """Outcomes of the kinds of experiment that no measured record gave."""
     groups = [g for g, kinds in KINDS.items() if not set(kinds) <= set(measured)]
-    found, _ = identify_lab(synthetic_records(paper, groups), paper, synthetic=True)
+    found: dict[str, Outcome] = {}
+    for group in in_turn(groups, report, lambda name: f"{name} experiments"):
+        found |= identify_lab(synthetic_records(paper, [group]), paper, synthetic=True)[0]
     return {kind: outcome for kind, outcome in found.items() if kind not in measured}
 
 

@@ -2,8 +2,9 @@
 
 import argparse
 
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.tables import output_console, print_table
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import parameter_page
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -18,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     parser.add_argument("--markdown", action="store_true", help="print the documentation page")
     parser.add_argument("--out", metavar="P.yaml", help="write a ROS 2 parameter file")
-    parser.add_argument("--json", metavar="FILE", help="write the table, machine-readable")
+    add_json_option(parser, "the table")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,11 +35,15 @@ def run(args: argparse.Namespace) -> int:
         write_parameters(args.out, parameters, comment)
         print(args.out)
         return 0
-    for parameter in TABLE:
-        value = parameters[parameter.name]
-        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-        print(f"{parameter.name:45} {shown:>12} {parameter.unit:10} {parameter.provenance}")
+    rows = [(p.name, _shown(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
+    print_table(output_console(), ("parameter", "value", "unit", "source"), rows)
     return 0
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _entry(parameter: Parameter, parameters: Parameters) -> dict[str, object]:

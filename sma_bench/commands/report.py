@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from sma_bench.commands.output import write_json
+from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.progress_bar import progress
+from sma_bench.progress import in_turn, part
 from sma_bench.records import open_record
 from sma_bench.records.record import Record
 from sma_bench.report.page import Section, Table, write_report
@@ -20,6 +20,7 @@ from sma_bench.report.result_file import IdentifyResult, read_result
 from sma_bench.report.result_section import diagnose_section, identify_section
 
 _RESULT = ".json"
+_READING = 0.3  # of the time, about
 
 
 @dataclass(frozen=True)
@@ -47,20 +48,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--title", default="SMA bench report", help="head of the page")
     parser.add_argument("--namespace", help="where two benches are in one bag: the one to show")
-    parser.add_argument("--json", metavar="FILE", help="write summary and provenance as JSON")
+    add_json_option(parser, "summary and provenance")
     add_parameter_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read everything, then write everything; 0 whatever the inputs say."""
     parameters = parameters_from_options(args)
-    console = Console(stderr=True)
-    with console.status("reading") as status:
-        shown = []
-        for k, path in enumerate(args.inputs, 1):
-            status.update(f"reading {k} of {len(args.inputs)}")
-            shown.append(_shown(path, k, args.namespace))
-        status.update("drawing")
+    with progress("report") as report:
+        reading = in_turn(args.inputs, part(report, 0.0, _READING), lambda path: f"reading {path}")
+        shown = [_shown(path, k, args.namespace) for k, path in enumerate(reading, 1)]
         digests = [(one.path, one.sha256, one.size) for one in shown]
         if args.params:
             digests.append((args.params, *digest(Path(args.params))))
@@ -71,14 +68,16 @@ def run(args: argparse.Namespace) -> int:
         made = datetime.now(UTC)
         sections.append(provenance_section(digests, args.command_line, made))
         page = write_report(
-            args.out, args.title, f"{_counted(shown)}, {made:%Y-%m-%d}.", sections, for_papers=True
+            args.out, args.title, f"{_counted(shown)}, {made:%Y-%m-%d}.", sections,
+            for_papers=True, report=part(report, _READING, 1.0),
         )
     if args.json:
         write_json(args.json, _document(shown, args.command_line, page))
     for one in shown:
         print(f"{one.path}: {one.said}")
     warnings = sum(len(one.warnings) for one in shown)
-    print(f"warnings {warnings}\nreport   {page}")
+    size = page.stat().st_size / 1e6
+    print(f"warnings {warnings}\nreport   {page}, {size:.1f} MB")
     return 0
 
 

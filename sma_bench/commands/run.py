@@ -8,6 +8,8 @@ from sma_bench.commands.parser import example_text
 from sma_bench.errors import InputError
 from sma_bench.parameters.node_tables import NODE_TABLES
 
+NETWORK_OPTION = "--network"
+
 
 def run(arguments: Sequence[str]) -> int:
     """Run a node until it ends.
@@ -18,9 +20,15 @@ def run(arguments: Sequence[str]) -> int:
     nodes = ", ".join(sorted(NODE_TABLES))
     if not arguments or arguments[0] in ("-h", "--help"):
         examples = example_text(EXAMPLES["run"])
-        print(f"usage: sma-bench run NODE [--ros-args ...]\n\nnodes: {nodes}\n\n{examples}")
+        print(
+            f"usage: sma-bench run NODE [{NETWORK_OPTION}] [--ros-args ...]\n\n"
+            f"  {NETWORK_OPTION}  let other machines of the network find the node; else this one\n"
+            "             only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set\n\n"
+            f"nodes: {nodes}\n\n{examples}"
+        )
         return 0
     name, *rest = arguments
+    network = rest[:1] == [NETWORK_OPTION]
     if name not in NODE_TABLES:
         raise InputError(f"run: no node {name!r}, expected one of: {nodes}")
     try:
@@ -31,4 +39,8 @@ def run(arguments: Sequence[str]) -> int:
         raise InputError(
             f"run: {error.name} is not installed: source a ROS 2 Jazzy setup file, or use ./bench"
         ) from None
-    return module.main(rest) or 0
+    if network:
+        from sma_bench.nodes.discovery import choose_discovery
+
+        choose_discovery(network=True)
+    return module.main(rest[network:]) or 0

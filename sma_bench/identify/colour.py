@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 
 from sma_bench.identify.estimate import Array
 
@@ -32,6 +31,8 @@ class Colour:
         order = len(self.coefficients)
         if not order:
             return values / self.innovation
+        from scipy.signal import lfilter  # half a second to load
+
         white = lfilter(np.concatenate([[1.0], -self.coefficients]), [1.0], values, axis=0)
         white = np.asarray(white) / self.innovation
         white[:order] = values[:order] / self.scatter

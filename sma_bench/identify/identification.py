@@ -25,6 +25,7 @@ from sma_bench.identify.thermal.experiments import (
 )
 from sma_bench.identify.whole_model import composite, load_frame
 from sma_bench.parameters import Parameters
+from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
@@ -43,6 +44,11 @@ NEEDS = {
 }
 EXPERIMENTS = tuple(NEEDS)
 _FAR_APART = 4.0
+_THERMAL = {"E1": run_resistance, "E2": run_heat_transfer, "E3": run_specific_heat}
+# Parts of the time: a whole-model fit takes most of it, and so does E9 where it is asked for.
+_WHOLE_MODEL = 0.9
+_PLAN = {"E1": 1.0, "E2": 1.0, "E3": 1.0, "E5": 1.0, "E6": 1.0, "E7": 1.0, "E8": 1.0}
+_JOINT = 0.3
 # Every clamped wire's force is tried for E8, whatever its voltages were meant for.
 _TRIED_ON_CHANCE = frozenset({"E8"})
 
@@ -92,6 +98,7 @@ def identify(
     records: Sequence[AnyRecord],
     parameters: Parameters,
     experiments: Iterable[str] | None = None,
+    report: Report = silent,
 ) -> Identification:
     """Identify what the records allow.
 
@@ -105,6 +112,7 @@ def identify(
         parameters: what is known beforehand (mass, area, A_s, ...).
         experiments: names out of EXPERIMENTS; all that the records hold when None, but E9 on
             clamped wires and isobaric files, which takes a minute, only when named.
+        report: told how far it is.
 
     Raises:
         InputError: unknown experiment, one that was asked for but cannot be done, or nothing at
@@ -119,13 +127,15 @@ def identify(
     run = Run(parameters, wanted, asked=experiments is not None)
     bags = [r for r in records if isinstance(r, Record)]
     run.notes.extend(f for record in bags for f in record.findings)
-    whole = _whole_model(run, bags)
+    whole = _whole_model(run, bags, report)
+    told = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     # A composite's wires are told by the whole model alone: their staircases bend it.
     drives = find_all_drives(run, [r for r in bags if not (whole and composite.bends(r))])
-    run_resistance(run, drives)
-    run_heat_transfer(run, drives)
-    run_specific_heat(run, drives)
-    _instruments(run, records)
+    for name, thermal in _THERMAL.items():
+        told(name)
+        thermal(run, drives)
+    _instruments(run, records, told, report)
+    told("E8")
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
     _report_missing(run, records, drives)
@@ -134,7 +144,7 @@ def identify(
     )
 
 
-def _whole_model(run: Run, bags: Sequence[Record]) -> Experiment | None:
+def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment | None:
     """E10 where a record shows a deflection, else E9 where one shows a load frame."""
     bent = [record for record in bags if composite.bends(record)]
     framed = [record for record in bags if load_frame.holds_frame(record)]
@@ -150,11 +160,12 @@ def _whole_model(run: Run, bags: Sequence[Record]) -> Experiment | None:
         text = "the force of a clamped wire is there: --experiment E9 fits the whole model to it"
         run.notes.append(Finding("info", name, text))
         return None
+    told = part(report, 0.0, _WHOLE_MODEL, name)
     try:
         if bent:
-            experiment = composite.identify_composite([*framed, *bent], run.given)
+            experiment = composite.identify_composite([*framed, *bent], run.given, told)
         else:
-            experiment = load_frame.identify_load_frame(framed, run.given)
+            experiment = load_frame.identify_load_frame(framed, run.given, told)
     except InputError as error:
         run.fail(name, str(error))
         return None
@@ -162,21 +173,27 @@ def _whole_model(run: Run, bags: Sequence[Record]) -> Experiment | None:
     return experiment
 
 
-def _instruments(run: Run, records: Sequence[AnyRecord]) -> None:
+def _instruments(
+    run: Run, records: Sequence[AnyRecord], told: Callable[[str], None], report: Report
+) -> None:
     """E5, E6, E7 and E9 on instrument files, each on all files of its kind together."""
     dsc = [r for r in records if isinstance(r, DscRecord)]
     isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
+    told("E5")
     if len(dsc) == 1 and _rate_follows_cycle(dsc[0]):
         _try(run, "E5", lambda: identify_transition_temperatures(dsc[0]))
     elif dsc:
         _try(run, "E5", lambda: identify_heating_rates(dsc))
+    told("E6")
     if isobaric:
         _try(run, "E6", lambda: identify_isobaric(isobaric, run.improved()))
+    told("E7")
     if tensile:
         _try(run, "E7", lambda: identify_tensile(tensile, run.improved()))
     if isobaric and run.asked:
-        _try(run, "E9", lambda: fit_constitutive(isobaric, run.improved()))
+        joint = part(report, _JOINT, 1.0, "E9")
+        _try(run, "E9", lambda: fit_constitutive(isobaric, run.improved(), report=joint))
 
 
 def _rate_follows_cycle(record: DscRecord) -> bool:

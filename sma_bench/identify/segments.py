@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.signal import medfilt
+from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
@@ -104,7 +104,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     if not (np.all(np.isfinite(voltage)) and np.all(np.isfinite(time))):
         raise InputError("voltage holds values that are not finite, expected V")
     # The median of three drops single wild samples and keeps edges and ramps.
-    smooth = np.asarray(medfilt(voltage, 3), dtype=np.float64)
+    smooth = np.asarray(median_filter(voltage, 3, mode="constant"), dtype=np.float64)
     smooth[[0, -1]] = voltage[[0, -1]]
     tolerance = _tolerance(voltage)
     span = float(np.ptp(smooth))

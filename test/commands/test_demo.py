@@ -191,7 +191,8 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
         monkeypatch.delenv(variable)
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
     out = tmp_path / "demo"
-    assert main(["demo", "--out", str(out), "--draw", "3"]) == 0
+    answer_file = tmp_path / "demo.json"
+    assert main(["demo", "--out", str(out), "--draw", "3", "--json", str(answer_file)]) == 0
     printed = capsys.readouterr().out
     assert "errors under 1%: yes" in printed
     truth = yaml.safe_load((out / "truth.yaml").read_text())["/**"]["ros__parameters"]["wire"]
@@ -209,6 +210,12 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     assert "The bench hid" not in verdict and "slack.strain" not in verdict
     assert "The bench hid slack (mechanical)" in truth_told and ": right." in truth_told
     assert (out / "simulated_gap" / "report" / "index.html").stat().st_size > 100_000
+    told = json.loads(answer_file.read_text())
+    assert told["holds"] == {"table_one": True, "gap": True}
+    assert told["truth"]["table_one"]["wire.resistance"] == pytest.approx(truth["resistance"])
+    assert told["truth"]["gap"]["effect"] == "slack" == told["diagnosis"]["cause"][0]
+    assert told["estimates"]["wire.resistance"]["std"] > 0.0
+    assert all(Path(page).is_file() for page in told["report"].values())
     improved = read_parameters(out / "simulated_gap" / "improved.yaml")
     before, after = (gap_on_new_drive(hidden, p)[0] for p in (LAB, improved))
     assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))

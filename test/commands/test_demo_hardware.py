@@ -1,6 +1,7 @@
 """sma-bench demo --hardware: refused in one line without its tools, right with them."""
 
 import pytest
+from rich.console import Console
 
 from sma_bench.cli import main
 from sma_bench.commands import demo_hardware
@@ -11,9 +12,10 @@ from sma_bench.parameters import Parameters
 TRUTH = Parameters.defaults()
 
 
-def estimates(**factors):
+def estimates(relative_std=0.01, **factors):
+    """Table I, but for factors of its symbols; a factor of 0 leaves it out."""
     return {
-        name: {"value": TRUTH[name] * factors.get(symbol, 1.0), "std": 0.1}
+        name: {"value": TRUTH[name] * factors.get(symbol, 1.0), "std": relative_std * TRUTH[name]}
         for name, symbol in demo_hardware.TABLE_ONE.items()
         if factors.get(symbol, 1.0)
     }
@@ -38,11 +40,24 @@ def test_firmware_that_does_not_compile_is_one_line(firmware_image, tmp_path):
         build.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
 
 
-def test_numbers_hold_within_three_percent_and_only_when_all_are_there():
+def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there():
     assert demo_hardware.numbers_hold(estimates(), TRUTH)
     assert demo_hardware.numbers_hold(estimates(R=1.029, h=0.971), TRUTH)
     assert not demo_hardware.numbers_hold(estimates(c_p=1.031), TRUTH)
+    assert not demo_hardware.numbers_hold(estimates(0.001, R=1.004), TRUTH)
     assert not demo_hardware.numbers_hold(estimates(c_p=0.0), TRUTH)
+
+
+def test_a_large_stated_error_excuses_nothing():
+    assert demo_hardware.numbers_hold(estimates(0.049), TRUTH)
+    assert not demo_hardware.numbers_hold(estimates(0.051), TRUTH)
+
+
+def test_the_table_shows_the_deviation_in_stated_errors():
+    console = Console(record=True, width=120)
+    demo_hardware._print_table(console, estimates(0.01, R=1.025), TRUTH)
+    row = next(line for line in console.export_text().splitlines() if line.startswith("R "))
+    assert "+2.50%" in row and "+2.50 " in row.replace("+2.50%", "")
 
 
 def test_a_call_is_retried_until_it_succeeds_or_patience_ends():
@@ -67,5 +82,5 @@ def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(emulator, 
     status = main(["demo", "--hardware", "--out", str(out)])
     said = capfd.readouterr()
     assert status == 0, said.out + said.err
-    assert "within 3% of the truth: yes" in said.out
+    assert "within 3 standard errors of the truth, errors under 5%: yes" in said.out
     assert (out / "identified.yaml").is_file()

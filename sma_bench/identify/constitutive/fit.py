@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from sma_bench.errors import InputError
 from sma_bench.identify.constitutive.law import (
@@ -18,6 +17,7 @@ from sma_bench.identify.constitutive.law import (
 from sma_bench.identify.estimate import Array
 from sma_bench.identify.noise import autocorrelation, inflation
 from sma_bench.parameters import Parameters
+from sma_bench.progress import Report, in_turn, silent
 
 STARTS = 5
 _SEED = 7
@@ -109,8 +109,11 @@ def fit_law(
     unknowns: Sequence[Unknown],
     fixed: Mapping[str, float],
     parameters: Parameters,
+    report: Report = silent,
 ) -> LawFit:
     """Fit one law to all loops, each loop's residual counted in units of the strain it recovers.
+
+    `report` is told at every start.
 
     Standard errors hold the scatter in every loop with its autocorrelation (a misfit of the law
     is no white noise), and the uncertainty of E_A and E_M, which the data do not give.
@@ -130,9 +133,12 @@ def fit_law(
         p = {**fixed, **dict(zip(names, x, strict=True))}
         return np.concatenate([_misfit(law, p, loop, stiffness) / loop.recovered for loop in loops])
 
+    from scipy.optimize import least_squares  # half a second to load
+
+    numbered = list(enumerate(_starts(unknowns), 1))
     solutions = [
         least_squares(residuals, start, bounds=(low, high), x_scale=size, max_nfev=300)
-        for start in _starts(unknowns)
+        for _, start in in_turn(numbered, report, lambda s: f"{law} law, start {s[0]} of {STARTS}")
     ]
     best = min(solutions, key=lambda s: s.cost)
     agreeing = sum(bool(s.cost < 1.02 * best.cost + 1e-15) for s in solutions)

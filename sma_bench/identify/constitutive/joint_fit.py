@@ -15,6 +15,7 @@ from sma_bench.identify.constitutive.starts import unknowns_of
 from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
+from sma_bench.progress import Report, part, silent
 from sma_bench.records.isobaric import STRONGEST, IsobaricRecord
 
 NAME = "E9"
@@ -36,6 +37,8 @@ UNITS = {
     "k": "1/(100 MPa)", "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K",
     "fading": "1e-3/K", "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2",
 }
+# Of the time that everything takes; the rest is for cycles fitted one by one.
+_SHARES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (0.2, 0.8)}
 _SLOPE_UNIT = "K/(100 MPa)"
 _SIGNIFICANT = 2.0
 
@@ -45,6 +48,7 @@ def fit_constitutive(
     parameters: Parameters | None = None,
     *,
     law: Law | Literal["auto"] = "auto",
+    report: Report = silent,
 ) -> Experiment:
     """Fit the law to isobaric tests of one material, all stresses and cycles at once.
 
@@ -55,6 +59,7 @@ def fit_constitutive(
         law: "contract" (constant eps_L), "extended" (see law.py), or "auto": the
             contract's where its rms is below 5 % of the recovered strain at every stress, else
             the extended one, with both errors in the findings.
+        report: told how far the fits are.
 
     Returns:
         Estimates of the contract's parameters; `details` with every fitted number and the fit
@@ -73,7 +78,8 @@ def fit_constitutive(
     fits: list[LawFit] = []
     for candidate in laws:
         unknowns, fixed = unknowns_of(loops, candidate, parameters)
-        fits.append(fit_law(loops, candidate, unknowns, fixed, parameters))
+        told = part(report, *_SHARES[candidate])
+        fits.append(fit_law(loops, candidate, unknowns, fixed, parameters, told))
         if worst_error(fits[-1]) < TOLERANCE:
             break
     chosen = fits[-1]

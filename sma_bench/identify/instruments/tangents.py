@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks, savgol_filter
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
@@ -132,6 +131,8 @@ def find_transformation(scan: Scan) -> Transformation:
             f"DSC scan: the tangents cross at {first:.1f} K and {last:.1f} K in the wrong order, "
             "expected one peak between two flat stretches"
         )
+    from scipy.signal import find_peaks  # half a second to load
+
     base, chord = _bases(scan, start, finish)
     heat, plain = (float(np.sum(scan.flow - b)) * GRID / scan.rate for b in (base, chord))
     peaks, _ = find_peaks(scan.flow - base, prominence=_PEAK_PROMINENCE * height)
@@ -190,6 +191,8 @@ def _baseline(scan: Scan, tolerance: float) -> tuple[Line, float]:
 
 def _tangent(scan: Scan, baseline: Line, smoothing: float) -> Line:
     """Tangent at the first inflection met on the way up from the baseline."""
+    from scipy.signal import find_peaks, savgol_filter  # half a second to load
+
     window = 2 * round(0.5 * smoothing / GRID) + 1
     smooth = savgol_filter(scan.flow, window, 2)
     slope = savgol_filter(scan.flow, window, 2, deriv=1)

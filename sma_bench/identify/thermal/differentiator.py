@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import lfilter
 
 from sma_bench.identify.estimate import Array, Estimate
 from sma_bench.identify.thermal.heat_fit import Window
@@ -32,6 +31,8 @@ def slope_of_rates(
         The estimate, and the driven samples: "force" f in W/kg and "rate" dT/dt in K/s.
     """
     rates, forces = [], []
+    from scipy.signal import lfilter  # half a second to load
+
     for w, surrounding in zip(windows, ambient, strict=True):
         period = float(np.median(np.diff(w.temperature_time)))
         grid = np.arange(w.temperature_time[0], w.temperature_time[-1], period)

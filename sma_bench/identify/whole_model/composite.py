@@ -8,13 +8,16 @@ from sma_bench.identify.signals import has_samples
 from sma_bench.identify.whole_model.fit import fit_experiment
 from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters
+from sma_bench.progress import Report, silent
 from sma_bench.records.record import Record
 
 NAME = "E10"
 TITLE = "Composite rig"
 
 
-def identify_composite(records: Sequence[Record], parameters: Parameters) -> Experiment:
+def identify_composite(
+    records: Sequence[Record], parameters: Parameters, report: Report = silent
+) -> Experiment:
     """Bending coefficients alpha, beta of each side, and the wire's parameters.
 
     The baseline model (contract, section 4) is simulated on the measured voltages and held to
@@ -25,6 +28,7 @@ def identify_composite(records: Sequence[Record], parameters: Parameters) -> Exp
     Args:
         records: composite bags, at least one with a deflection (or ranges).
         parameters: the lab's values with their uncertainties, and bench.channels.
+        report: told how far the fit is.
 
     Raises:
         InputError: no voltage of some channel, or no deflection in any record.
@@ -33,7 +37,7 @@ def identify_composite(records: Sequence[Record], parameters: Parameters) -> Exp
     if not any("deflection" in rig.quantities for rig in rigs):
         where = ", ".join(str(record.path) for record in records) or "no records"
         raise InputError(f"{where}: no deflection, expected joint_states tip or front/back range")
-    return fit_experiment(NAME, TITLE, rigs, parameters)
+    return fit_experiment(NAME, TITLE, rigs, parameters, report)
 
 
 def bends(record: Record) -> bool:

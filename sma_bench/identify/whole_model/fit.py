@@ -8,12 +8,14 @@ from sma_bench.identify.whole_model.output_error import fit_bench
 from sma_bench.identify.whole_model.prior import BENDING, HEAT, MATERIAL, SECTION
 from sma_bench.identify.whole_model.rig_record import RigRecord
 from sma_bench.parameters import Parameters
+from sma_bench.progress import Report, silent
 
 _METHOD = "simulation fitted to {quantities}"
 
 
 def fit_experiment(
-    name: str, title: str, rigs: Sequence[RigRecord], parameters: Parameters
+    name: str, title: str, rigs: Sequence[RigRecord], parameters: Parameters,
+    report: Report = silent,
 ) -> Experiment:
     """Fit everything that the records can depend on, and report it."""
     names = [*HEAT]
@@ -21,7 +23,7 @@ def fit_experiment(
     names += MATERIAL if mechanical else ()
     names += BENDING if any("deflection" in rig.quantities for rig in rigs) else ()
     names += SECTION if any(rig.holds for rig in rigs) else ()
-    fit = fit_bench(rigs, parameters, names)
+    fit = fit_bench(rigs, parameters, names, report)
     quantities = list(dict.fromkeys(q for rig in rigs for q in rig.quantities))
     method = _METHOD.format(quantities=", ".join(quantities))
     return Experiment(

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate
@@ -192,4 +192,4 @@ def _chance_of_white(white: Array) -> float:
         return 1.0
     rho = np.array([float(centred[:-k] @ centred[k:]) / power for k in range(1, _LAGS + 1)])
     q = n * (n + 2) * float(np.sum(rho**2 / (n - np.arange(1, _LAGS + 1))))
-    return float(chi2.sf(q, _LAGS))
+    return float(chdtrc(_LAGS, q))

@@ -21,6 +21,7 @@ from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY
 from sma_bench.physics.bending import wire_section
+from sma_bench.progress import Report, silent
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.record import Record
 from sma_bench.records.thermal_cycles import find_cycles
@@ -32,7 +33,9 @@ _FAR = 4.0
 _SMALLEST_RANGE = 5.0
 
 
-def identify_load_frame(records: Sequence[Record], parameters: Parameters) -> Experiment:
+def identify_load_frame(
+    records: Sequence[Record], parameters: Parameters, report: Report = silent
+) -> Experiment:
     """Thermal and constitutive parameters of one wire.
 
     The whole model is simulated on the measured voltage under the loads that were held, or
@@ -44,6 +47,7 @@ def identify_load_frame(records: Sequence[Record], parameters: Parameters) -> Ex
         records: bags of one wire with `elongation`, `force` or both.
         parameters: the lab's values with their uncertainties; mass and diameter tell the wire's
             length (NiTi, 6450 kg/m3), for which the contract has no parameter.
+        report: told how far the fit is.
 
     Raises:
         InputError: no load frame in any record, no voltage, or neither held loads nor clamps.
@@ -54,7 +58,7 @@ def identify_load_frame(records: Sequence[Record], parameters: Parameters) -> Ex
         raise InputError(
             f"{where}: no load frame, expected joint_states wire with position or effort"
         )
-    fitted = fit_experiment(NAME, TITLE, rigs, parameters)
+    fitted = fit_experiment(NAME, TITLE, rigs, parameters, report)
     beside, remarks = _tangents(records, parameters, fitted)
     return replace(
         fitted,

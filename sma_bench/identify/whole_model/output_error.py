@@ -4,8 +4,9 @@ Minimised is |whitened (measured - simulated)|^2 + |(theta - prior)/std|^2 over 
 the sensors' zeros, and the moments of voltage jumps between two samples.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from sma_bench.identify.whole_model.prior import Prior, prior_of
 from sma_bench.identify.whole_model.record_noise import RecordNoise
 from sma_bench.identify.whole_model.rig_record import InputErrors, Measured, RigRecord
 from sma_bench.parameters import Parameters
+from sma_bench.progress import Report, part, silent
 
 _STEP = 1e-3
 _PLACE_STD = 1.0 / np.sqrt(12.0)
@@ -24,6 +26,8 @@ _PASSES = 3
 _INPUT_DRAWS = 80
 _CONFLICT = 3.5
 _RELEASE = 10.0
+_USUAL_STEPS = 4  # of a pass; tells only how far the fit is
+_FIRST_FIT = 0.7  # of the work, where a prior that the data contradict makes a second one due
 # Temperatures know R h A_c and m c_p/(h A_c) only: some relative derivatives are sums of others.
 _SUMS = {
     "wire.resistance": ("wire.heat_transfer_coefficient", "wire.specific_heat"),
@@ -84,21 +88,24 @@ class BenchFit:
         return self.covariance / np.outer(sigma, sigma)
 
 
-def fit_bench(rigs: Sequence[RigRecord], parameters: Parameters, names: Iterable[str]) -> BenchFit:
-    """Fit `names` jointly to all records.
+def fit_bench(
+    rigs: Sequence[RigRecord], parameters: Parameters, names: Iterable[str],
+    report: Report = silent,
+) -> BenchFit:
+    """Fit `names` jointly to all records; `report` is told how far it is.
 
     The noise of each signal is first taken as white, then estimated from what the fit leaves and
     removed (autoregression), then once more. A prior that the data contradict is widened.
     """
     stated = prior_of(parameters, names)
     problem = _Problem(rigs, stated)
-    x = problem.fit()
+    x = problem.fit(report=part(report, 0.0, _FIRST_FIT))
     k = len(stated.names)
     conflicting = np.abs(stated.deviations(x[:k])) > _CONFLICT
     if conflicting.any():
         problem.prior = stated.widened(conflicting, _RELEASE)
         x[:k] = problem.prior.x_of(stated.values(x[:k]))
-        x = problem.fit(x)
+        x = problem.fit(x, part(report, _FIRST_FIT, 1.0))
     covariance = problem.covariance(x)
     released = tuple(n for n, bad in zip(stated.names, conflicting, strict=True) if bad)
     n = sum(len(m.time) for rig in rigs for m in rig.measured)
@@ -155,7 +162,7 @@ class _Problem:
             self._std[own.first_jump : own.stop] = _PLACE_STD
         self._noise = [RecordNoise(rig) for rig in rigs]
 
-    def fit(self, x: Array | None = None) -> Array:
+    def fit(self, x: Array | None = None, report: Report = silent) -> Array:
         x = np.zeros(self._size) if x is None else x
         for pass_number in range(_PASSES):
             if pass_number == 1:
@@ -164,7 +171,11 @@ class _Problem:
                 for index, noise in enumerate(self._noise):
                     noise.estimate(self._differences(index, x))
             tolerance = _LAST_TOLERANCE if pass_number == _PASSES - 1 else _TOLERANCE
-            x = minimise(self.residuals, self.jacobian, x, self._bounds(), tolerance)
+            name = f"pass {pass_number + 1} of {_PASSES}"
+            told = part(report, pass_number / _PASSES, (pass_number + 1) / _PASSES, name)
+            x = minimise(
+                self.residuals, _telling(self.jacobian, told), x, self._bounds(), tolerance
+            )
         return x
 
     def residuals(self, x: Array) -> Array:
@@ -303,3 +314,15 @@ class _Problem:
                 for errors in (drawn, rig.hold_errors())
             ]
             noise.set_input_errors(*moved)
+
+
+def _telling(jacobian: Callable[[Array], Array], report: Report) -> Callable[[Array], Array]:
+    """The same function, which reports each step of a fit before it is taken."""
+    steps = count()
+
+    def told(x: Array) -> Array:
+        step = next(steps)
+        report(step / (step + _USUAL_STEPS), f"step {step + 1}")
+        return jacobian(x)
+
+    return told

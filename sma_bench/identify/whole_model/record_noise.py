@@ -10,7 +10,6 @@ one, but at least 1, which is what the noise and the steps of the voltages' conv
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from sma_bench.identify.colour import WHITE, Colour, estimate_colour, white_noise_level
 from sma_bench.identify.estimate import Array
@@ -107,6 +106,8 @@ class RecordNoise:
             target = self._scales(float(np.exp(log_size))) * seen
             explained = float(target @ np.linalg.solve(information, target))
             return float(np.linalg.slogdet(information)[1]) - explained
+
+        from scipy.optimize import minimize_scalar  # half a second to load
 
         found = minimize_scalar(surprise, bounds=np.log(_SIZES), method="bounded")
         self.size = float(np.exp(found.x))

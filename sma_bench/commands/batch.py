@@ -1,0 +1,137 @@
+"""sma-bench batch: many records, each identified or diagnosed by itself, side by side."""
+
+import argparse
+import os
+from collections.abc import Generator
+from contextlib import closing
+from pathlib import Path
+
+from sma_bench.batch import Outcome, Task, on_cluster, on_processes
+from sma_bench.batch.task import DIAGNOSE, IDENTIFY
+from sma_bench.commands.interrupts import terminated_as_interrupted
+from sma_bench.commands.output import add_json_option, print_findings, write_json
+from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.tables import output_console, print_table
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.parameters import write_parameters
+from sma_bench.progress import counted
+
+_BAD_INPUT = 2
+_STOPPED = "not done: interrupted"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("kind", choices=(IDENTIFY, DIAGNOSE), help="what to do with each record")
+    parser.add_argument(
+        "records", nargs="+", metavar="RECORD", help="bag, or instrument file; each by itself"
+    )
+    add_parameter_options(parser)
+    parser.add_argument(
+        "--out", metavar="DIR",
+        help="write NAME.json and NAME.yaml of each record there, as soon as it is done",
+    )
+    add_json_option(parser, "all results, in the order of the records,")
+    parser.add_argument(
+        "--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
+        help="processes (default: one a core); the results do not depend on it",
+    )
+    parser.add_argument(
+        "--dask", metavar="ADDRESS",
+        help="on the workers of this dask scheduler instead, tcp://host:8786 say; they see the "
+        "records under the same paths",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
+    parameters = parameters_from_options(args)
+    paths = [str(Path(path).absolute()) for path in args.records]
+    tasks = [Task(args.kind, path, parameters) for path in paths]
+    names = _names(paths)
+    if args.out:
+        _make(Path(args.out))
+    outcomes: list[Outcome | None] = [None] * len(tasks)
+    try:
+        with (
+            terminated_as_interrupted(),
+            progress(f"batch {args.kind}") as report,
+            closing(_work(args, tasks)) as work,
+        ):
+            told = counted(report, len(tasks), "record")
+            for done, (k, outcome) in enumerate(work, start=1):
+                outcomes[k] = outcome
+                if args.out:
+                    _write(Path(args.out), names[k], outcome)
+                told(done)
+    except KeyboardInterrupt:
+        if any(outcomes):
+            _tell(args, paths, outcomes)
+        raise
+    _tell(args, paths, outcomes)
+    return _BAD_INPUT if any(o is None or o.error for o in outcomes) else 0
+
+
+def _work(
+    args: argparse.Namespace, tasks: list[Task]
+) -> Generator[tuple[int, Outcome], None, None]:
+    return on_cluster(tasks, args.dask) if args.dask else on_processes(tasks, args.jobs)
+
+
+def _names(paths: list[str]) -> list[str]:
+    """A name a record for its files: the record's own, numbered where it comes again."""
+    seen: dict[str, int] = {}
+    names = []
+    for path in paths:
+        name = Path(path).name
+        seen[name] = seen.get(name, 0) + 1
+        names.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    while len(set(names)) < len(names):  # a record may be called as another's number makes it
+        names = [f"{k + 1}_{name}" for k, name in enumerate(names)]
+    return names
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
+
+
+def _write(folder: Path, name: str, outcome: Outcome) -> None:
+    if outcome.result is None or outcome.parameters is None:
+        return
+    write_json(str(folder / f"{name}.json"), outcome.result)
+    comment = f"By sma-bench batch from {outcome.path}".replace("\n", " ")
+    write_parameters(folder / f"{name}.yaml", outcome.parameters, comment)
+
+
+def _tell(args: argparse.Namespace, paths: list[str], outcomes: list[Outcome | None]) -> None:
+    whole = [o or Outcome(path, error=_STOPPED) for path, o in zip(paths, outcomes, strict=True)]
+    if args.json:
+        entries = [
+            {"record": o.path, "seconds": o.seconds, "error": o.error or None, "result": o.result}
+            for o in whole
+        ]
+        write_json(args.json, {"kind": args.kind, "records": entries})
+    rows = [
+        (given, "failed" if o.error else "done", _summary(args.kind, o), f"{o.seconds:.1f}")
+        for given, o in zip(args.records, whole, strict=True)
+    ]
+    headings = ("record", "", "result", "s")
+    print_table(output_console(), headings, rows, right=(3,))
+    failed = [o for o in whole if o.error]
+    print_findings(Finding("error", "batch", o.error) for o in failed)
+    print(f"\n{len(whole) - len(failed)} of {len(whole)} records done")
+
+
+def _summary(kind: str, outcome: Outcome) -> str:
+    if outcome.result is None:
+        return ""
+    if kind == IDENTIFY:
+        found = outcome.result["parameters"]
+        return ", ".join(f"{name} {entry['value']:.5g}" for name, entry in found.items())
+    cause = ", ".join(outcome.result["cause"])
+    return f"{outcome.result['verdict']}{': ' if cause else ''}{cause}"

@@ -1,0 +1,80 @@
+"""sma-bench call NODE/SERVICE: what `ros2 service call` does, without a ROS 2 installation."""
+
+import argparse
+import json
+import re
+from typing import Any
+
+from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.parameter_options import named_value
+from sma_bench.commands.progress_bar import progress
+from sma_bench.errors import InputError
+
+_PRESENCE = 10.0  # s within which a node has to be found
+_NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "service", metavar="NODE/SERVICE",
+        help="experiment/start, experiment/stop, serial_bridge/enable, diagnosis/diagnose, ...",
+    )
+    parser.add_argument(
+        "--namespace", default="/bench", help="of the bench's nodes (default /bench)"
+    )
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], dest="settings",
+        help="parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
+    )
+    parser.add_argument(
+        "--patience", type=float, default=600.0, metavar="S",
+        help="how long the answer may take (default 600)",
+    )
+    add_json_option(parser, "the answer")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Set, call, print the answer."""
+    node, slash, service = args.service.strip("/").rpartition("/")
+    if not slash:
+        raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
+    for name in (args.namespace, args.service):
+        if not _NAME.fullmatch(name):
+            raise InputError(f"call: {name!r} is no ROS name, expected letters, digits, _ and /")
+    settings = dict(named_value(text) for text in args.settings)
+    answer = _call("/" + args.namespace.strip("/"), node, service, settings, args.patience)
+    if args.json:
+        write_json(args.json, {"service": f"{node}/{service}", "answer": _parsed(answer)})
+    print(answer.rstrip() or "done")
+    return 0
+
+
+def _call(
+    namespace: str, node: str, service: str, settings: dict[str, Any], patience: float
+) -> str:
+    try:
+        from sma_bench.nodes.bench_client import BenchClient
+        from sma_bench.nodes.job_process import told_share
+    except ModuleNotFoundError as error:
+        raise InputError(f"call: {error.name} is not installed, nodes need ROS 2") from None
+    with progress(f"{node}/{service}") as report:
+
+        def look() -> None:
+            if found := told_share(client.state(node)):
+                report(*found)
+
+        with BenchClient(namespace, meanwhile=look) as client:
+            client.follow(node)
+            client.find(f"{node}/{service}", _PRESENCE)
+            if settings:
+                client.set_parameters(node, settings)
+            return client.trigger(f"{node}/{service}", patience)
+
+
+def _parsed(answer: str) -> Any:
+    """Results are JSON themselves."""
+    try:
+        return json.loads(answer)
+    except json.JSONDecodeError:
+        return answer

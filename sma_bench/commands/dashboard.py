@@ -1,0 +1,80 @@
+"""sma-bench dashboard: a bench live in the browser, with a stop; for benches without Foxglove."""
+
+import argparse
+import asyncio
+import importlib
+import signal
+import sys
+from typing import Any
+
+from sma_bench.errors import InputError
+
+_PORT = 8642
+_LARGEST_PORT = 65535
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--namespace", default="bench", help="where the bench's topics are (default: bench)"
+    )
+    parser.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS",
+        help="address to listen on (default: 127.0.0.1, this computer only)",
+    )
+    parser.add_argument(
+        "--port", type=int, default=_PORT, help=f"default {_PORT}; 0 for any that is free"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until SIGINT or SIGTERM; 0 then.
+
+    Raises:
+        InputError: no ROS 2 or no tornado here, a port that is taken, a namespace that cannot be.
+    """
+    if not 0 <= args.port <= _LARGEST_PORT:
+        raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
+    try:
+        importlib.import_module("sma_bench.nodes.dashboard")
+        importlib.import_module("sma_bench.dashboard.server")
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("sma_bench"):
+            raise
+        is_server = (error.name or "").startswith("tornado")
+        how = "apt install python3-tornado" if is_server else "source a ROS 2 Jazzy setup file"
+        raise InputError(
+            f"dashboard: {error.name} is not installed: {how}, or use ./bench"
+        ) from None
+    return asyncio.run(_serve(args))
+
+
+async def _serve(args: argparse.Namespace) -> int:
+    from sma_bench.dashboard.access import is_loopback
+    from sma_bench.dashboard.live_state import LiveState
+    from sma_bench.dashboard.server import DashboardServer
+    from sma_bench.nodes.dashboard import listening_node
+
+    loop = asyncio.get_running_loop()
+    end: asyncio.Future[Any] = loop.create_future()
+
+    def finish(error: Exception | None = None) -> None:
+        if not end.done():
+            end.set_exception(error) if error else end.set_result(None)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, finish)
+    namespace = "/" + args.namespace.strip("/")
+    with listening_node(
+        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error)
+    ) as node:
+        server = DashboardServer(node, namespace, args.host, args.port)
+        if not is_loopback(args.host):
+            print("sma-bench: note: others on the network who learn this address can see and stop "
+                  "the bench; it is not encrypted", file=sys.stderr)
+        print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
+        try:
+            await end
+        finally:
+            await server.close()
+    return 0

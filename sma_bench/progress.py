@@ -1,0 +1,61 @@
+"""How a long piece of work tells how far it is: plain callables, which commands turn into a bar."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import accumulate
+from typing import TypeVar
+
+T = TypeVar("T")
+Report = Callable[[float, str], None]
+"""told the share that is done (0 to 1), and what comes now ("": as before)"""
+
+
+def silent(share: float, what: str = "") -> None:
+    """For callers that do not ask."""
+
+
+def part(report: Report, low: float, high: float, name: str = "") -> Report:
+    """The reporter of a part of the work, from one share of the whole to another; `name` leads
+    what it tells."""
+
+    def told(share: float, what: str = "") -> None:
+        told_what = ": ".join(filter(None, (name, what)))
+        report(low + (high - low) * min(share, 1.0), told_what)
+
+    return told
+
+
+def in_turn(items: Sequence[T], report: Report, named: Callable[[T], str]) -> Iterator[T]:
+    """The items one after the other, each reported when its turn has come."""
+    for k, item in enumerate(items):
+        report(k / len(items), named(item))
+        yield item
+
+
+def counted(report: Report, total: int, unit: str) -> Callable[[int], None]:
+    """A reporter that is told how many of `total` are done."""
+
+    def told(done: int) -> None:
+        report(done / total if total else 1.0, f"{unit} {min(done + 1, total)} of {total}")
+
+    told(0)
+    return told
+
+
+def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """From which share of the whole to which each step goes.
+
+    Args:
+        plan: how long each step takes, in order, in any unit.
+    """
+    ends = [0.0, *accumulate(plan.values())]
+    return {
+        step: (low / ends[-1], high / ends[-1])
+        for step, low, high in zip(plan, ends, ends[1:], strict=False)
+    }
+
+
+def by_name(report: Report, plan: Mapping[str, float]) -> Callable[[str], None]:
+    """A reporter that is told only which step of a plan (see `shares`) comes now; one that is not
+    in it leaves the share as it is."""
+    begins = {step: low for step, (low, _) in shares(plan).items()}
+    return lambda step: report(begins.get(step, 0.0), step)

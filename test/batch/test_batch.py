@@ -1,0 +1,190 @@
+"""A batch of records: order, failures of one record, interrupts, a cluster."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from sma_bench.batch import Task, on_cluster, on_processes
+from sma_bench.batch.task import DIAGNOSE, IDENTIFY, run_task
+from sma_bench.commands import batch
+from sma_bench.commands.batch import _names
+from sma_bench.commands.parser import command_parser
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.records.write import write_record
+from sma_bench.synthetic.bench_records import protocol_record
+
+_LONG = 120.0  # s, on a busy machine
+
+
+@pytest.fixture(scope="session")
+def bags(tmp_path_factory):
+    """Two synthetic bags of wires with different resistance."""
+    folder = tmp_path_factory.mktemp("bags")
+    for ohm in (2.5, 2.9):
+        parameters = Parameters.defaults().replace({"wire.resistance": ohm})
+        record = protocol_record("quick_staircase", parameters)
+        write_record(folder / f"wire_{ohm}", list(record.signals.values()))
+    return folder
+
+
+def sma_bench(*words):
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "sma_bench.cli", *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # A shell's background job, which the tests may be, passes on that Ctrl-C is ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+def wait_for(condition):
+    end = time.monotonic() + _LONG
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.05)
+
+
+def children_of(pid):
+    """Process numbers of all processes below one."""
+    found = set()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            found |= {int(stat.parent.name), *children_of(int(stat.parent.name))}
+    return found
+
+
+# --- the command --------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_results_come_in_input_order_and_a_bad_record_harms_no_other(bags, tmp_path, capsys):
+    bad = tmp_path / "not_a_bag"
+    bad.write_text("nothing")
+    parser = command_parser("batch", None)
+    batch.add_arguments(parser)
+    words = ["identify", bags / "wire_2.9", bad, bags / "wire_2.5", "--jobs", "2"]
+    words += ["--out", tmp_path / "out", "--json", tmp_path / "all.json"]
+    assert batch.run(parser.parse_args(list(map(str, words)))) == 2
+    document = json.loads((tmp_path / "all.json").read_text())
+    first, failed, last = document["records"]
+    assert [Path(e["record"]).name for e in document["records"]] == [
+        "wire_2.9", "not_a_bag", "wire_2.5",
+    ]  # fmt: skip
+    assert failed["result"] is None and "neither a bag" in failed["error"]
+    ohm = [e["result"]["parameters"]["wire.resistance"]["value"] for e in (first, last)]
+    assert ohm == pytest.approx([2.9, 2.5], rel=0.02)
+    written = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert written == ["wire_2.5.json", "wire_2.5.yaml", "wire_2.9.json", "wire_2.9.yaml"]
+    alone = read_parameters(tmp_path / "out" / "wire_2.5.yaml")
+    assert alone["wire.resistance"] == pytest.approx(2.5, rel=0.02)
+    out = capsys.readouterr().out
+    assert out.index("wire_2.9") < out.index("not_a_bag") < out.index("wire_2.5")
+    assert "2 of 3 records done" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
+    blocking = tmp_path / "blocking"
+    os.mkfifo(blocking)  # opening it waits for a writer that never comes
+    out = tmp_path / "out"
+    process = sma_bench(
+        "batch", "identify", bags / "wire_2.5", blocking, "--out", out, "--jobs", 2
+    )
+    wait_for(lambda: (out / "wire_2.5.yaml").exists() or process.poll() is not None)
+    below = children_of(process.pid)
+    assert len(below) >= 2
+    os.kill(process.pid, number)
+    stdout, stderr = process.communicate(timeout=_LONG)
+    assert process.returncode == 130
+    assert stderr.strip().endswith("sma-bench: interrupted")
+    assert "Traceback" not in stderr
+    assert "not done: interrupted" in stdout and "1 of 2 records done" in stdout
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in below))
+    assert json.loads((out / "wire_2.5.json").read_text())["parameters"]
+
+
+def test_files_of_records_with_one_name_do_not_meet():
+    assert _names(["/a/bag", "/b/bag", "/c/other"]) == ["bag", "bag_2", "other"]
+    assert len(set(_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
+
+
+def test_a_cluster_that_does_not_answer_is_one_line():
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match="dask scheduler nowhere://x: cannot be reached"):
+        list(on_cluster([], "nowhere://x"))
+
+
+@pytest.mark.slow
+def test_a_diagnosis_is_a_task_as_well(bags):
+    outcome = run_task(Task(DIAGNOSE, str(bags / "wire_2.9"), Parameters.defaults()))
+    assert outcome.error == ""
+    assert outcome.result["verdict"] in (
+        "effect", "recalibration", "no_gap", "ambiguous", "unexplained",
+    )  # fmt: skip
+    assert outcome.parameters is not None and outcome.seconds > 0.0
+
+
+# --- the workers --------------------------------------------------------------------------------
+
+
+def test_number_of_jobs_is_checked():
+    with pytest.raises(InputError, match="jobs 0: expected 1 to"):
+        list(on_processes([], 0))
+
+
+@pytest.mark.slow
+def test_a_killed_process_costs_only_the_record_that_kills_it(bags, tmp_path):
+    blocking = tmp_path / "blocking"
+    os.mkfifo(blocking)
+    paths = [str(blocking), str(bags / "wire_2.5"), str(bags / "wire_2.9")]
+    tasks = [Task(IDENTIFY, path, Parameters.defaults()) for path in paths]
+    before = set(multiprocessing.active_children())
+    done: dict = {}
+    finished = threading.Event()
+
+    def kill_what_hangs():
+        wait_for(lambda: len(done) == 2)
+        while not finished.wait(0.5):
+            for process in set(multiprocessing.active_children()) - before:
+                os.kill(process.pid, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_what_hangs, daemon=True)
+    killer.start()
+    for k, outcome in on_processes(tasks, 2):
+        done[k] = outcome
+    finished.set()
+    killer.join()
+    assert done[0].error == f"{blocking}: its process was killed (out of memory?)"
+    assert not done[1].error and not done[2].error
+    assert set(multiprocessing.active_children()) <= before
+
+
+@pytest.mark.slow
+def test_a_local_cluster_gives_the_same_as_processes(bags, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    paths = [str(bags / "wire_2.5"), str(tmp_path / "missing"), str(bags / "wire_2.9")]
+    tasks = [Task(IDENTIFY, path, Parameters.defaults()) for path in paths]
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None,
+        host="127.0.0.1", local_directory=str(tmp_path),
+    ) as cluster:
+        spread = dict(on_cluster(tasks, cluster.scheduler_address))
+    here = dict(on_processes(tasks, 2))
+    assert sorted(spread) == sorted(here) == [0, 1, 2]
+    assert "no such file" in spread[1].error and spread[1].error == here[1].error
+    for k in (0, 2):
+        assert spread[k].result["parameters"] == here[k].result["parameters"]
+        assert spread[k].result["parameters"]["wire.resistance"]["n"] > 0

@@ -1,0 +1,102 @@
+"""Four terminals of the README, played: three nodes, and `call` that reaches them."""
+
+import importlib.util
+import json
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from sma_bench.cli import main
+from sma_bench.nodes.job_process import busy, told_share
+from sma_bench.records import read_record
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = {
+    "name": "short",
+    "steps": [{"kind": "hold", "level": 2.0, "duration": 2.0}, {"kind": "rest", "duration": 1.0}],
+}
+PATIENCE = 60.0
+
+
+def terminals():
+    """What the README says to type, without the program's name."""
+    text = (ROOT / "README.md").read_text()
+    blocks = re.findall(r"^```\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    block = next(b for b in blocks if "./bench call" in b)
+    return [shlex.split(line)[1:] for line in block.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("service", "said"),
+    [("experiment", "expected NODE/SERVICE"), ("exp riment/start", "no ROS name")],
+)
+def test_a_mistyped_service_is_one_line(service, said, capsys):
+    assert main(["call", service]) == 2
+    printed = capsys.readouterr()
+    assert said in printed.err and printed.err.count("\n") == 1 and not printed.out
+
+
+def test_a_share_survives_the_state_of_a_node():
+    assert told_share(busy(0.42, "pairs")) == (0.42, "pairs")
+    assert told_share("busy") is None and told_share("idle") is None
+
+
+@pytest.mark.slow
+def test_the_terminals_of_the_readme_record_a_bench(tmp_path, capsys, ros_domain, monkeypatch):
+    if importlib.util.find_spec("rclpy") is None:
+        pytest.skip("rclpy is not installed")
+    monkeypatch.setattr("sma_bench.commands.call._PRESENCE", PATIENCE)
+    protocol = tmp_path / "short.yaml"
+    protocol.write_text(yaml.safe_dump(SHORT))
+    *nodes, call = terminals()
+    assert call == ["call", "experiment/start"]
+    running = []
+    try:
+        for words in nodes:
+            words = [w.replace("config/", f"{ROOT}/config/") for w in words]
+            log = (tmp_path / f"{words[1]}.log").open("wb")
+            command = [sys.executable, "-m", "sma_bench.cli", *words]
+            running.append(
+                subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=subprocess.STDOUT)
+            )
+        recorder, experiment = running[1], tmp_path / "experiment.log"
+        until(tmp_path / "recorder.log", "wire/temperature")
+        assert main([*call, "--set", f"protocol={protocol}", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["answer"] == "short: 3 s"
+        assert main(call) == 2
+        assert "already running short" in capsys.readouterr().err
+        until(experiment, "done: short")
+        recorder.send_signal(signal.SIGINT)
+        assert recorder.wait(PATIENCE) == 0
+        assert "messages" in (tmp_path / "recorder.log").read_text()
+    finally:
+        for process in running:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.wait(PATIENCE)
+    assert read_record(tmp_path / "my_record")["wire.voltage"].values.max() > 1.9
+
+
+@pytest.mark.slow
+def test_a_node_that_does_not_run_is_one_line(capsys, ros_domain, monkeypatch):
+    if importlib.util.find_spec("rclpy") is None:
+        pytest.skip("rclpy is not installed")
+    monkeypatch.setattr("sma_bench.commands.call._PRESENCE", 1.0)
+    assert main(["call", "experiment/start"]) == 2
+    error = capsys.readouterr().err
+    assert "/bench/experiment/start: no such service found within 1 s" in error
+    assert error.count("\n") == 1
+
+
+def until(log, words):
+    end = time.monotonic() + PATIENCE
+    while words not in log.read_text():
+        assert time.monotonic() < end, log.read_text()
+        time.sleep(0.1)

@@ -1,0 +1,181 @@
+"""Progress: shares, time left, a bar on a terminal, sparse lines elsewhere, never on stdout."""
+
+import io
+import os
+import pty
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sma_bench.commands import progress_bar
+from sma_bench.commands.diagnose import diagnosis_steps
+from sma_bench.commands.progress_bar import Course, duration, progress
+from sma_bench.diagnose import search
+from sma_bench.diagnose.diagnosis import diagnose
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.progress import by_name, counted, in_turn, part, shares
+
+WORK = """
+import sys, time
+from sma_bench.commands import progress_bar
+progress_bar.FIRST_BAR, progress_bar.FIRST_LINE, progress_bar.NEXT_LINE = 0.1, 0.3, 0.3
+with progress_bar.progress("work") as report:
+    for k in range(10):
+        report(k / 10, "数据 of a long name that no terminal of forty columns can show whole")
+        time.sleep(0.1)
+print("result")
+"""
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def heard():
+    told = []
+    return told, lambda share, what="": told.append((round(share, 6), what))
+
+
+def test_time_left_is_extrapolated_and_counts_down():
+    clock = Clock()
+    course = Course(clock)
+    assert course.left is None
+    clock.now += 30.0
+    course.report(0.25, "pairs")
+    assert course.left == pytest.approx(90.0)
+    clock.now += 20.0
+    assert course.left == pytest.approx(70.0)
+    assert course.words == "25%, 1 min 10 s left"
+
+
+def test_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
+    clock = Clock()
+    course = Course(clock)
+    clock.now += 10.0
+    course.report(0.5, "one")
+    course.report(0.2, "two")
+    assert (course.share, course.what) == (0.5, "two")
+    clock.now += 11.0
+    assert course.left is None and course.words == "50%, 21 s gone"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.4, "0 s"), (59.6, "1 min 0 s"), (125.0, "2 min 5 s"), (3780.0, "1 h 3 min")],
+)
+def test_durations_in_words(seconds, words):
+    assert duration(seconds) == words
+
+
+def test_parts_and_steps_of_a_whole():
+    told, report = heard()
+    half = part(report, 0.5, 1.0, "fit")
+    half(0.5, "pass 1")
+    half(2.0)
+    assert told == [(0.75, "fit: pass 1"), (1.0, "fit")]
+    assert shares({"a": 1.0, "b": 3.0}) == {"a": (0.0, 0.25), "b": (0.25, 1.0)}
+    told.clear()
+    step = by_name(report, {"a": 1.0, "b": 3.0})
+    for name in ("a", "b", "c"):
+        step(name)
+    assert told == [(0.0, "a"), (0.25, "b"), (0.0, "c")]
+    told.clear()
+    assert list(in_turn("xy", report, lambda letter: f"read {letter}")) == ["x", "y"]
+    assert told == [(0.0, "read x"), (0.5, "read y")]
+    told.clear()
+    done = counted(report, 2, "case")
+    done(1)
+    done(2)
+    assert told == [(0.0, "case 1 of 2"), (0.5, "case 2 of 2"), (1.0, "case 2 of 2")]
+
+
+def test_every_step_that_a_diagnosis_tells_has_its_share():
+    """The texts are told by functions that would take long to call; they stand in the source."""
+    files = (search.__file__, sys.modules[diagnose.__module__].__file__)
+    source = "".join(Path(file).read_text() for file in files)
+    texts = {*re.findall(r'progress\("([^"]+)"\)', source), *EFFECTS}
+    assert len(texts) > len(EFFECTS) + 5
+    told, report = heard()
+    step = diagnosis_steps(report)
+    for text in texts - {"records", "recalibration was stuck: once more"}:
+        step(text)
+    assert [text for share, text in told if not share] == []
+
+
+def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():
+    command = [sys.executable, "-c", WORK]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert process.stdout == "result\n"
+    lines = process.stderr.splitlines()
+    assert 1 <= len(lines) <= 4
+    assert all(re.match(r"sma-bench: work: \d+%, .*\(数据 of", line) for line in lines)
+
+
+def test_a_terminal_gets_a_bar_that_fits_and_vanishes():
+    process, screen = on_a_terminal(WORK, columns=40)
+    assert process.stdout.read() == b"result\n"
+    frames = [frame for frame in re.split(r"[\r\n]+", plain(screen)) if frame.strip()]
+    assert any("…" in frame and re.search(r"\d+%, \d+ s left", frame) for frame in frames)
+    assert max(cells(frame) for frame in frames) <= 40
+    assert screen.rstrip().endswith("\x1b[2K")  # the last that is done is to wipe the line
+
+
+def test_a_dumb_terminal_gets_lines():
+    _, screen = on_a_terminal(WORK, columns=40, TERM="dumb")
+    assert "\x1b" not in screen and "sma-bench: work: " in screen
+
+
+def test_nothing_is_said_of_what_is_over_in_a_moment(monkeypatch):
+    said = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", said)
+    monkeypatch.setattr(progress_bar, "FIRST_LINE", 5.0)
+    with progress("work") as report:
+        report(0.5, "half")
+    assert said.getvalue() == ""
+
+
+def test_the_display_ends_with_an_error(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with pytest.raises(KeyError), progress("work"):
+        raise KeyError
+    assert "work" not in [thread.name for thread in progress_bar.threading.enumerate()]
+
+
+def on_a_terminal(program, columns, **environment):
+    """Run with standard error on a terminal of so many columns: the process and the screen."""
+    ours, its = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=its,
+        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": str(columns), **environment},
+    )
+    os.close(its)
+    seen = b""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        try:
+            chunk = os.read(ours, 4096)
+        except OSError:  # the other end is closed
+            break
+        if not chunk:
+            break
+        seen += chunk
+    os.close(ours)
+    assert process.wait(10.0) == 0
+    return process, seen.decode()
+
+
+def plain(screen):
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", re.sub(r"\x1b\[[0-9;]*m", "", screen))
+
+
+def cells(text):
+    from rich.cells import cell_len
+
+    return cell_len(text)

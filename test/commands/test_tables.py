@@ -1,0 +1,72 @@
+"""Tables fit the terminal: folded, never cut, as blocks where nothing else helps."""
+
+import io
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from sma_bench.cli import main
+from sma_bench.commands.tables import output_console, print_table
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.effects import EFFECTS
+
+HEADINGS = ("name", "value", "remark")
+ROWS = [
+    ("effect.side_heat_coupling.conductance", "0.00123", "heat from the other side"),
+    ("試験片の抵抗", "2.6987", "[bold] is no markup"),
+]
+
+
+def printed(width, headings=HEADINGS, rows=ROWS, right=(1,), **options):
+    out = io.StringIO()
+    console = Console(file=out, width=width, force_terminal=True, color_system=None)
+    print_table(console, headings, rows, right, **options)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("width", [200, 80, 60, 44, 30, 12])
+def test_nothing_is_wider_than_the_terminal_and_nothing_is_lost(width):
+    lines = printed(width).splitlines()
+    assert max(cell_len(line) for line in lines) <= width
+    letters = "".join("".join(lines).split())
+    for word in ("0.00123", "2.6987"):
+        assert any(word in line for line in lines)
+    for row in ROWS:
+        for cell in row:
+            assert sorted(set("".join(cell.split())) - set(letters)) == []
+    assert "…" not in letters
+
+
+def test_where_it_fits_it_is_a_table_with_numbers_flush_right():
+    head, first, second = printed(80).splitlines()
+    assert head.index("value") + len("value") == first.index("0.00123") + len("0.00123")
+    before = cell_len(second[: second.index("2.6987")])
+    assert before + len("2.6987") == first.index("0.00123") + len("0.00123")
+    assert "[bold] is no markup" in second
+
+
+def test_too_narrow_for_columns_every_row_is_a_block():
+    rows = [("R", "2.7", "·"), ("h", "403", "fine")]
+    assert printed(24, rows=rows).split()[:3] == list(HEADINGS)
+    block = [line.strip() for line in printed(14, rows=rows).splitlines()]
+    assert block == ["R", "value: 2.7", "h", "value: 403", "remark: fine"]
+
+
+def test_in_a_file_a_table_is_as_wide_as_it_is(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    print_table(output_console(), HEADINGS, [(*ROWS[0][:2], "x" * 150)], (1,))
+    assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+@pytest.mark.parametrize("columns", ["80", "60", "40"])
+@pytest.mark.parametrize("words", [["effects"], ["parameters"], ["audit"]])
+def test_what_commands_print_fits_and_names_can_be_looked_up(words, columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", columns)
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert max(cell_len(line.rstrip()) for line in out.splitlines()) <= int(columns)
+    names = {"effects": EFFECTS, "parameters": BY_NAME}.get(words[0], {})
+    if columns == "80":
+        assert [name for name in names if len(name) <= 36 and name not in out] == []
