@@ -184,7 +184,10 @@ def _courses(result: Diagnosis, view: View, quantity: str) -> Picture:
         "with the largest error. Error: measured less simulated, the band is twice the noise of a "
         "sample. The improved parameters are those of --out, fitted to all records."
     )
-    return Picture(f"diagnosis_{quantity}", f"Measured and simulated {quantity}", caption, figure)
+    return Picture(
+        f"diagnosis_{quantity}", f"Measured and simulated {quantity}", caption, figure,
+        over_time=True,
+    )
 
 
 def _worst_of_sides(

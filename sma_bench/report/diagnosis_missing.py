@@ -8,7 +8,7 @@ from sma_bench.diagnose.sizes import locate
 from sma_bench.diagnose.view import Binned, View
 from sma_bench.physics.simulate import Simulation
 from sma_bench.report.diagnosis_maps import PHASES
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
+from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.free_form import free_form
 from sma_bench.report.page import Picture
 from sma_bench.report.quantities import scale_of
@@ -56,8 +56,8 @@ def _missing(result: Diagnosis, name: str) -> Picture:
                     ax.plot(x[here], factor * left[here], ".", ms=2.5, color=colour)
     for phase, colour in _COLOURS.items():
         temperature.plot([], [], ".", ms=8, color=colour, label=phase)
-    course.legend(fontsize=8)
-    temperature.legend(fontsize=8)
+    legend_above(course)
+    legend_above(temperature)
     course.set(xlabel="time [s]")
     bends = name == "deflection"
     temperature.set(

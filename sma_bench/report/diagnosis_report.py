@@ -7,6 +7,7 @@ from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
 from sma_bench.diagnose.sizes import sample_noise
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.progress import Report, silent
 from sma_bench.report.diagnosis_figures import (
     candidate_picture,
     course_pictures,
@@ -32,8 +33,10 @@ from sma_bench.report.quantities import in_print, scale_of
 _LEAST_SHOWN = 0.005
 
 
-def write_diagnosis_report(directory: str | Path, result: Diagnosis) -> Path:
-    """Write the report's index.html and PNG figures.
+def write_diagnosis_report(
+    directory: str | Path, result: Diagnosis, report: Report = silent
+) -> Path:
+    """Write the report's index.html and PNG figures; `report` is told which one comes.
 
     Raises:
         InputError: the folder cannot be written.
@@ -48,7 +51,8 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis) -> Path:
     ]
     sources = "; ".join(dict.fromkeys(v.path for v in result.views))
     title = "The gap between simulation and bench"
-    return write_report(directory, title, f"{headline(result)} From {sources}.", numbered)
+    summary = f"{headline(result)} From {sources}."
+    return write_report(directory, title, summary, numbered, report=report)
 
 
 def _gap(result: Diagnosis) -> Section:
@@ -128,7 +132,7 @@ def _noise(result: Diagnosis) -> Table:
         rows.append((
             name, f"{factor * sample_noise(problem, name):.3g} {unit}",
             f"{factor * noise.drift:.3g} {unit}" if slow else "none found",
-            f"{noise.time:.2g}" if slow else "",
+            f"{noise.time:{'.2g' if noise.time < 10.0 else '.0f'}}" if slow else "",
         ))
     header = ("sensor", "noise of a sample", "slow part", "its memory [s]")
     return Table(header, rows, frozenset({1, 2, 3}))

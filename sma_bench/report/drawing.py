@@ -22,3 +22,11 @@ def new_figure(
         ax.grid(alpha=0.25)
         ax.spines[["top", "right"]].set_visible(False)
     return figure, list(axes)
+
+
+def legend_above(ax: Axes) -> None:
+    """Its labels in a line above the axes, where no curve can lie."""
+    ax.legend(
+        fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4,
+        borderaxespad=0.2,
+    )

@@ -5,14 +5,17 @@ from pathlib import Path
 from sma_bench.findings import Finding
 from sma_bench.identify import Identification
 from sma_bench.identify.estimate import Experiment
+from sma_bench.progress import Report, silent
 from sma_bench.report.experiment_pictures import experiment_pictures
 from sma_bench.report.page import Section, Table, write_report
 
 _HEADER = ("parameter", "value", "standard error", "unit", "points", "experiment", "method")
 
 
-def write_identification_report(directory: str | Path, result: Identification) -> Path:
-    """Write the report's index.html and PNG figures.
+def write_identification_report(
+    directory: str | Path, result: Identification, report: Report = silent
+) -> Path:
+    """Write the report's index.html and PNG figures; `report` is told which one comes.
 
     Raises:
         InputError: the folder cannot be written.
@@ -20,7 +23,8 @@ def write_identification_report(directory: str | Path, result: Identification) -
     sections = [Section("Parameters", tables=[_table(result)], notes=_lines(result.notes))]
     sections += [experiment_section(experiment) for experiment in result.experiments]
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
-    return write_report(directory, "Identified parameters", f"From {sources}.", sections)
+    summary = f"From {sources}."
+    return write_report(directory, "Identified parameters", summary, sections, report=report)
 
 
 def experiment_section(experiment: Experiment) -> Section:

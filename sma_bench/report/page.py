@@ -15,26 +15,71 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
+from sma_bench.progress import Report, in_turn, silent
+from sma_bench.report.courses import courses_of, policy, script
+
+_SHORT, _LONG = 24, 48
+"""letters of a table's cell"""
 
 _TEMPLATE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{{ policy }}">
 <title>{{ title }}</title>
 <style>
-:root { color-scheme: light dark; --line: #8884; --soft: #8881; --accent: #1f77b4; }
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 62rem; padding: 1rem; }
+:root {
+  color-scheme: light dark; --line: #8884; --soft: #8881; --accent: #1f77b4; --paper: #fff;
+  --shade: #0004;
+}
+@media (prefers-color-scheme: dark) { :root { --paper: #121212; --shade: #fff6; } }
+body {
+  background: var(--paper); font: 16px/1.5 system-ui, sans-serif; margin: 0 auto;
+  max-width: 62rem; overflow-wrap: anywhere; padding: 1rem;
+}
 h1 { line-height: 1.2; } h2 { border-bottom: 1px solid var(--line); margin-top: 2.5rem; }
-table { border-collapse: collapse; display: block; overflow-x: auto; }
+/* What is too wide scrolls in itself; a shade at its edge says that there is more. */
+table, .wide {
+  background:
+    linear-gradient(to right, var(--paper) 1rem, #0000) left / 2rem 100% no-repeat local,
+    linear-gradient(to left, var(--paper) 1rem, #0000) right / 2rem 100% no-repeat local,
+    linear-gradient(to right, var(--shade), #0000) left / .6rem 100% no-repeat,
+    linear-gradient(to left, var(--shade), #0000) right / .6rem 100% no-repeat;
+  overflow-x: auto;
+}
+table { border-collapse: collapse; display: block; overflow-wrap: normal; }
 th, td { border-bottom: 1px solid var(--line); padding: .3rem .8rem; text-align: left; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; }
+th { vertical-align: bottom; }
+td.number, th.number { text-align: right; }
+td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.short { white-space: nowrap; } td.long { min-width: 16rem; overflow-wrap: anywhere; }
 caption { font-weight: 600; padding: .8rem 0 .3rem; text-align: left; }
 figure { margin: 1.5rem 0; } figcaption { font-size: .9rem; opacity: .85; }
-figure img { background: #fff; border-radius: 6px; max-width: 100%; height: auto; }
+figure img { background: #fff; border-radius: 6px; display: block; height: auto; max-width: 100%; }
 .note { background: var(--soft); border-left: 4px solid var(--accent); padding: .5rem 1rem; }
+.view canvas { display: block; height: 10rem; touch-action: pan-y; width: 100%; }
+.view .legend { display: flex; flex-wrap: wrap; font-size: .85rem; gap: 0 1rem; }
+.view .swatch {
+  border-top: 3px solid; display: inline-block; margin-right: .3rem; vertical-align: middle;
+  width: 1.1rem;
+}
+.view .dashed { border-top-style: dashed; }
+/* Of one width, lest the figure moves under the pointer when a value appears. */
+.view .value {
+  display: inline-block; font-variant-numeric: tabular-nums; min-width: 5.5em; padding-left: .3em;
+}
+.view .hint { font-size: .85rem; margin: .2rem 0; opacity: .85; }
+@media screen { .drawn .wide { display: none; } }
+@media screen and (max-width: 44rem) {
+  th, td { padding: .25rem .5rem; } table { font-size: .9rem; }
+  .wide img { max-width: none; width: 40rem; }
+  .view .hint { min-height: 3em; }
+}
 @media print {
-  :root { color-scheme: light; } body { font-size: 10pt; max-width: none; padding: 0; }
+  .view { display: none; }
+  :root { color-scheme: light; --paper: #fff; --shade: #0000; } table, .wide { background: none; }
+  body { font-size: 10pt; max-width: none; padding: 0; }
   table { display: table; font-size: 8.5pt; width: 100%; } thead { display: table-header-group; }
   th, td { padding: .15rem .4rem; } td { overflow-wrap: anywhere; }
   td.number { white-space: nowrap; } figure, tr { break-inside: avoid; } h2 { break-after: avoid; }
@@ -52,18 +97,25 @@ figure img { background: #fff; border-radius: 6px; max-width: 100%; height: auto
 {% endfor %}
 {% for table in section.tables %}
 <table>{% if table.title %}<caption>{{ table.title }}</caption>{% endif %}
-<thead><tr>{% for head in table.header %}<th>{{ head }}</th>{% endfor %}</tr></thead>
+<thead><tr>{% for head in table.header -%}
+<th{% if loop.index0 in table.numeric %} class="number"{% endif %}>{{ head }}</th>
+{%- endfor %}</tr></thead>
 <tbody>{% for row in table.rows %}<tr>{% for cell in row -%}
-<td{% if loop.index0 in table.numeric %} class="number"{% endif %}>{{ cell }}</td>
+<td class="{{ 'number' if loop.index0 in table.numeric else width_of(cell) }}">{{ cell }}</td>
 {%- endfor %}</tr>
 {% endfor %}</tbody></table>
 {% endfor %}
 {% for picture in section.pictures %}
-<figure><img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}">
-<figcaption><strong>{{ picture.title }}.</strong> {{ picture.caption }}</figcaption></figure>
+<figure{% if picture.over_time %} class="courses"{% endif %}><div class="wide" tabindex="0"
+><img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}"></div>
+<figcaption><strong>{{ picture.title }}.</strong> {{ picture.caption }}</figcaption>
+{% if picture.over_time -%}
+<script type="application/json">{{ courses_of(picture.figure) | tojson }}</script>
+{%- endif %}</figure>
 {% endfor %}
 {% endfor %}
-</body>
+{% if script %}<script>{{ script | safe }}</script>
+{% endif %}</body>
 </html>
 """
 
@@ -86,7 +138,8 @@ class Table:
 class Picture:
     """A figure with its file name, title and caption (equation and data source).
 
-    `drawn` are the numbers in it, for a CSV file of its name; none where that says nothing.
+    `drawn` are the numbers in it, for a CSV file of its name; none where that says nothing. One
+    that is `over_time` answers to the pointer where the page may run its script.
     """
 
     name: str
@@ -94,6 +147,7 @@ class Picture:
     caption: str
     figure: Figure
     drawn: Table | None = None
+    over_time: bool = False
 
     @cached_property
     def png(self) -> bytes:
@@ -129,9 +183,12 @@ class Section:
 
 def write_report(
     directory: str | Path, title: str, summary: str, sections: Sequence[Section],
-    *, for_papers: bool = False,
+    *, for_papers: bool = False, report: Report = silent,
 ) -> Path:
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure.
+
+    Figures over time answer to the pointer, by a script in the page; without it, and on paper, the
+    PNG stands there.
 
     All files appear, or none: what lies there already is replaced once all are made.
 
@@ -140,6 +197,7 @@ def write_report(
         title, summary: head of the page.
         sections: in reading order.
         for_papers: write every figure as SVG too, and as CSV what is drawn and the named tables.
+        report: told before each figure is drawn.
 
     Returns:
         Path of index.html.
@@ -148,19 +206,31 @@ def write_report(
         InputError: the folder cannot be written.
     """
     directory = Path(directory)
+    pictures = [picture for section in sections for picture in section.pictures]
+    files = {}
+    for picture in in_turn(pictures, report, lambda p: p.title):
+        files[f"{picture.name}.png"] = picture.png
+        if for_papers:
+            files[f"{picture.name}.svg"] = picture.svg
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string(_TEMPLATE).render(
-        title=title, summary=summary, sections=sections
+        title=title, summary=summary, sections=sections, width_of=_width,
+        courses_of=courses_of, policy=policy(),
+        script=script() if any(picture.over_time for picture in pictures) else "",
     )
-    pictures = [picture for section in sections for picture in section.pictures]
-    files = {f"{picture.name}.png": picture.png for picture in pictures}
     if for_papers:
-        files |= {f"{picture.name}.svg": picture.svg for picture in pictures}
         tables = {t.name: t for section in sections for t in section.tables if t.name}
         tables |= {p.name: p.drawn for p in pictures if p.drawn is not None}
         files |= {f"{name}.csv": csv_text(table) for name, table in tables.items()}
     write_together(directory, {**files, "index.html": page.encode("utf-8")})
     return directory / "index.html"
+
+
+def _width(cell: str) -> str:
+    """Class of a table's cell: names and units stay on a line, sentences get room."""
+    if len(cell) <= _SHORT:
+        return "short"
+    return "long" if len(cell) > _LONG else ""
 
 
 def csv_text(table: Table) -> bytes:

@@ -20,6 +20,11 @@ def scale_of(signal: str) -> Scale:
     return _SCALES[signal.rpartition(".")[2]]
 
 
+def is_known(signal: str) -> bool:
+    """Whether it is of a quantity that can be printed."""
+    return signal.rpartition(".")[2] in _SCALES
+
+
 def in_print(signal: str, value: float) -> str:
     """An SI value with its unit on paper, to two or three digits."""
     unit, factor = scale_of(signal)

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from sma_bench.records import DscRecord, Record, Signal
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.tensile import TensileRecord
+from sma_bench.report.courses import thinned
 from sma_bench.report.drawing import FAINT, new_figure
 from sma_bench.report.page import Picture, Table
 
 Array = NDArray[np.float64]
 
 _COLOURS = ("#1f4e79", "#c0504d", "#2e7d32", "#7b4ea3", "#e08214", "#4a4a4a")
-_MOST_POINTS = 3000
+MOST_POINTS = 3000
 _MOST_MARKERS = 40
 
 
@@ -55,7 +56,7 @@ def bag_picture(record: Record, name: str) -> Picture | None:
     for ax, (row, signals) in zip(axes, found, strict=True):
         curves = [curve for signal in signals for curve in _curves(signal)]
         for k, (label, time, values) in enumerate(curves):
-            t, v = thinned(time, row.factor * values)
+            t, v = thinned(time, row.factor * values, MOST_POINTS)
             colour = _COLOURS[k % len(_COLOURS)]
             ax.plot(t, v, lw=0.9, color=colour, label=label.rpartition(".")[0] or label)
             drawn += [(label, row.unit, f"{a:.6f}", f"{b:.8g}") for a, b in zip(t, v, strict=True)]
@@ -66,7 +67,7 @@ def bag_picture(record: Record, name: str) -> Picture | None:
     axes[-1].set_xlabel("time since the start of the record [s]")
     caption = f"All signals of {record.path}; vertical lines: steps of the protocol."
     table = Table(("signal", "unit", "time_s", "value"), drawn)
-    return Picture(name, "Signals over time", caption, plain(figure), table)
+    return Picture(name, "Signals over time", caption, plain(figure), table, True)
 
 
 def dsc_picture(record: DscRecord, name: str) -> Picture | None:
@@ -99,17 +100,6 @@ def tensile_picture(record: TensileRecord, name: str) -> Picture:
     return _loops(
         name, "Stress against strain", curves, "stress [MPa]", str(record.path), "strain [%]"
     )
-
-
-def thinned(time: Array, values: Array) -> tuple[Array, Array]:
-    """At most _MOST_POINTS points with every peak: least and largest of equal parts."""
-    if len(time) <= _MOST_POINTS:
-        return time, values
-    kept = []
-    for part in np.array_split(np.arange(len(time)), _MOST_POINTS // 2):
-        low, high = part[np.argmin(values[part])], part[np.argmax(values[part])]
-        kept += sorted({int(low), int(high)})
-    return time[kept], values[kept]
 
 
 def plain(figure: Figure) -> Figure:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from sma_bench.errors import InputError
+from sma_bench.report.quantities import is_known
 
 LARGEST = 1 << 26
 T = TypeVar("T")
@@ -89,10 +90,20 @@ def read_result(path: str | Path) -> IdentifyResult | DiagnoseResult:
     document = _document(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: not a result of identify or diagnose: expected an object")
-    read = _diagnosis if "verdict" in document else _identification
-    if read is _identification and "parameters" not in document:
+    if "verdict" in document:
+        return diagnosis_from(path, document)
+    if "parameters" not in document:
         raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
                          "verdict in it")
+    return _checked(_identification, path, document)
+
+
+def diagnosis_from(path: Path, document: Any) -> DiagnoseResult:
+    """A diagnosis from what its JSON held; `path` leads the line of an InputError."""
+    return _checked(_diagnosis, path, document)
+
+
+def _checked(read: Callable[[Path, Any], T], path: Path, document: Any) -> T:
     try:
         return read(path, document)
     except (KeyError, IndexError) as error:
@@ -152,7 +163,7 @@ def _candidate(found: dict[str, Any]) -> Shown:
 def _cell(found: dict[str, Any]) -> tuple[str, str, str, float, float, float]:
     names = ("gap", "share", "rms")
     gap, share, rms = (_number(found[name]) for name in names)
-    return _text(found["signal"]), _text(found["phase"]), _text(found["side"]), gap, share, rms
+    return _signal(found["signal"]), _text(found["phase"]), _text(found["side"]), gap, share, rms
 
 
 def _link(found: dict[str, Any]) -> tuple[str, float, float, float]:
@@ -164,7 +175,7 @@ def _shrunk(quantity: str, found: dict[str, Any]) -> Shrunk:
     low, high = _each(_number, found["ci90"])
     names = ("rmse_before", "rmse_after", "noise_floor", "fraction")
     before, after, noise, fraction = (_number(found[name]) for name in names)
-    return Shrunk(quantity, before, after, noise, fraction, (low, high))
+    return Shrunk(_signal(quantity), before, after, noise, fraction, (low, high))
 
 
 def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:
@@ -186,6 +197,12 @@ def _each(read: Callable[[Any], T], found: list[Any]) -> tuple[T, ...]:
 def _text(found: Any) -> str:
     if not isinstance(found, str):
         raise TypeError(f"{found!r:.40} is not a text")
+    return found
+
+
+def _signal(found: Any) -> str:
+    if not is_known(_text(found)):
+        raise ValueError(f"{found!r:.40} is no signal that a diagnosis looks at")
     return found
 
 

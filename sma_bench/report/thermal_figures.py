@@ -9,7 +9,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
 from sma_bench.records.held_voltages import held_voltages
 from sma_bench.records.record import Record
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
+from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.page import Picture
 
 _JUMP = 0.2  # V between two samples
@@ -130,6 +130,6 @@ def _validation_figure(
     )
     lower.plot(time, simulated, color=MODEL, lw=1, label=f"simulated, rms error {rmse:.2f} K")
     lower.set(xlabel="time [s]", ylabel="temperature [K]")
-    lower.legend()
+    legend_above(lower)
     caption = f"Eq. (2) with the identified parameters, as Fig. 6. {record.path}"
     return Picture("figure_06_validation", "Triangular voltage and temperature", caption, figure)

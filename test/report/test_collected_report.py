@@ -1,5 +1,6 @@
 """`sma-bench report`: one page of records and result files, whole or not at all."""
 
+import base64
 import copy
 import csv
 import hashlib
@@ -15,8 +16,8 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.records import Signal, open_record
 from sma_bench.records.write import write_record
+from sma_bench.report.courses import script, thinned
 from sma_bench.report.provenance import digest
-from sma_bench.report.record_pictures import thinned
 from sma_bench.report.record_section import record_section
 from sma_bench.report.result_file import read_result
 
@@ -71,7 +72,7 @@ class Page(HTMLParser):
 
     def __init__(self, path):
         super().__init__()
-        self.tags, self.texts = [], []
+        self.path, self.tags, self.texts = path, [], []
         self.feed(path.read_text())
         self.text = " ".join(" ".join(self.texts).split())
 
@@ -116,7 +117,14 @@ def test_a_page_of_everything_stands_alone_and_is_escaped(tmp_path, bag, results
     params.write_text("/**:\n  ros__parameters:\n    wire:\n      resistance: 2.8\n")
     out = report(tmp_path, bag, *results, "--params", params, "--title", EVIL)
     page = Page(out / "index.html")
-    assert "script" not in [tag for tag, _ in page.tags]
+    # The courses as data, and the one script that the page's own policy lets run.
+    scripts = [attributes for tag, attributes in page.tags if tag == "script"]
+    assert scripts == [{"type": "application/json"}, {}]
+    assert page.path.read_text().count("<script>") == 1
+    assert f"<script>{script()}</script>" in page.path.read_text()
+    (said,) = [a["content"] for _, a in page.tags if a.get("http-equiv")]
+    allowed = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode()
+    assert "default-src 'none'" in said and f"script-src 'sha256-{allowed}'" in said
     for tag, attributes in page.tags:
         assert not attributes.get("src", "data:").startswith(("http", "/"))
         assert tag not in ("link", "iframe") and "href" not in attributes
@@ -296,7 +304,7 @@ def test_thinning_keeps_every_peak():
     time = np.arange(100_000.0)
     values = np.zeros_like(time)
     values[[17, 54_321]] = (3.0, -2.0)
-    t, v = thinned(time, values)
+    t, v = thinned(time, values, 3000)
     assert len(t) <= 3000 and v.max() == 3.0 and v.min() == -2.0
     assert (np.diff(t) > 0.0).all()
 

@@ -1,0 +1,133 @@
+"""What a page shows of a bench: signals, limits, protocol, nodes, the last diagnosis.
+
+Whoever listens to the bench writes, any number of pages read; both may be threads of their own.
+"""
+
+import json
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sma_bench.dashboard.trace import SPAN, Trace
+
+CELSIUS_ZERO = 273.15
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """How a quantity in SI units is shown: `factor` times it, less `zero`; and its limit's name."""
+
+    title: str
+    unit: str
+    factor: float = 1.0
+    zero: float = 0.0
+    limit: str = ""
+
+    def shown(self, value: float) -> float | None:
+        """A number in the unit of the page; None where there is none."""
+        return round(self.factor * value - self.zero, 5) if math.isfinite(value) else None
+
+
+QUANTITIES = {
+    "voltage": Quantity("Voltage", "V", limit="bench.maximum_voltage"),
+    "current": Quantity("Current", "A", limit="bench.maximum_current"),
+    "temperature": Quantity(
+        "Temperature", "°C", zero=CELSIUS_ZERO, limit="bench.maximum_temperature"
+    ),
+    "deflection": Quantity("Deflection", "mm", 1e3),
+    "elongation": Quantity("Elongation", "mm", 1e3),
+    "force": Quantity("Force", "N"),
+    "distance": Quantity("Distance", "mm", 1e3),
+}
+LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
+
+MEASURED, COMMANDED, MODEL = "measured", "commanded", "model"
+
+
+@dataclass
+class Seen:
+    """What one page has been sent already."""
+
+    points: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    panels: dict[str, str] = field(default_factory=dict)
+
+
+class LiveState:
+    """Newest of everything; `clock` is in s and never goes back."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.clock = clock
+        self._lock = threading.Lock()
+        self._traces: dict[tuple[str, str, str], Trace] = {}
+        self._panels: dict[str, Any] = {}
+
+    def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED) -> None:
+        """Take a reading in SI units; `kind` also tells a command or a prediction from it."""
+        with self._lock:
+            trace = self._traces.get((quantity, place, kind))
+            if trace is None:
+                trace = self._traces[quantity, place, kind] = Trace()
+            trace.add(self.clock(), float(value))
+
+    def show(self, panel: str, content: Any) -> None:
+        """Set what a panel shows: plain values that JSON has."""
+        with self._lock:
+            self._panels[panel] = content
+
+    def merge(self, panel: str, content: Mapping[str, Any]) -> None:
+        """Set some entries of a panel that is a mapping."""
+        with self._lock:
+            self._panels[panel] = {**self._panels.get(panel, {}), **content}
+
+    def newest(self, quantity: str) -> dict[str, tuple[float, float]]:
+        """Measured value (SI) and time of arrival, by place."""
+        with self._lock:
+            return {
+                place: (trace.latest, trace.heard)
+                for (what, place, kind), trace in self._traces.items()
+                if what == quantity and kind == MEASURED
+            }
+
+    def update(self, seen: Seen) -> dict[str, Any]:
+        """What is new for a page since the last update it got; notes it in `seen`."""
+        with self._lock:
+            panels = {name: json.dumps(content) for name, content in self._panels.items()}
+            changed = [n for n, text in panels.items() if seen.panels.get(n) != text]
+            seen.panels |= {name: panels[name] for name in changed}
+            return {
+                "now": round(self.clock(), 4),
+                "span": SPAN,
+                "signals": [self._signal(key, trace, seen) for key, trace in self._in_order()],
+                "panels": {name: self._panels[name] for name in changed},
+            }
+
+    def _in_order(self) -> Sequence[tuple[tuple[str, str, str], Trace]]:
+        quantities = list(QUANTITIES)
+        return sorted(
+            self._traces.items(), key=lambda item: (quantities.index(item[0][0]), *item[0][1:])
+        )
+
+    def _signal(self, key: tuple[str, str, str], trace: Trace, seen: Seen) -> dict[str, Any]:
+        quantity, place, kind = key
+        shape = QUANTITIES[quantity]
+        seen.points[key], points = trace.since(seen.points.get(key, 0))
+        return {
+            "quantity": quantity, "place": place, "kind": kind,
+            "latest": shape.shown(trace.latest), "heard": round(trace.heard, 4),
+            "points": [(round(t, 3), shape.shown(v)) for t, v in points],
+        }  # fmt: skip
+
+
+def quantity_table() -> dict[str, dict[str, str]]:
+    """Title and unit of every quantity, in the page's order."""
+    return {name: {"title": q.title, "unit": q.unit} for name, q in QUANTITIES.items()}
+
+
+def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
+    """Limits of the parameters LIMITS (SI) by quantity, in the page's unit."""
+    return {
+        name: q.shown(limits[q.limit]) for name, q in QUANTITIES.items() if q.limit in limits
+    }

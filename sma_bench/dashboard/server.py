@@ -1,0 +1,169 @@
+"""The web server of the page: files, a stream of updates, and the stop."""
+
+import asyncio
+import json
+import socket
+from http import HTTPStatus
+from importlib import resources
+from typing import Any
+
+import tornado.httpserver
+import tornado.netutil
+import tornado.template
+import tornado.web
+import tornado.websocket
+
+from sma_bench.dashboard.access import Access
+from sma_bench.dashboard.live_state import Seen, quantity_table
+from sma_bench.dashboard.stopping import Bench, stop
+from sma_bench.errors import InputError
+
+UPDATE_PERIOD = 0.2
+"""s between two updates of a page"""
+_MOST_PAGES = 16
+_LARGEST_REQUEST = 1 << 14
+_FILES = {
+    "dashboard.css": "text/css", "dashboard.js": "text/javascript", "plot.js": "text/javascript",
+    "panels.js": "text/javascript",
+}  # fmt: skip
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "img-src data:; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "Cache-Control": "no-store",
+    # Not no-referrer: a form without JavaScript would be sent from the origin "null".
+    "Referrer-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+class DashboardServer:
+    """Serves one bench; `url`, with its token, is the only address that answers."""
+
+    def __init__(self, bench: Bench, title: str, host: str, port: int) -> None:
+        """Listen; port 0 is any that is free.
+
+        Raises:
+            InputError: the address cannot be listened on.
+        """
+        self.access = Access(host)
+        try:
+            sockets = tornado.netutil.bind_sockets(port, host)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"dashboard: cannot listen on {host} port {port}: {reason}") from None
+        self.url = _url(host, sockets[0], self.access.token)
+        shared = {"access": self.access, "bench": bench, "title": title, "pages": set()}
+        application = tornado.web.Application(
+            [
+                (r"/([^/]+)/", _Page, shared),
+                (r"/([^/]+)/live", _Live, shared),
+                (r"/([^/]+)/stop", _Stop, shared),
+                (r"/([^/]+)/([a-z]+\.[a-z]+)", _File, shared),
+            ],
+            default_handler_class=_Nothing, default_handler_args=shared,
+            log_function=lambda _: None, websocket_ping_interval=5.0, websocket_ping_timeout=5.0,
+        )  # fmt: skip
+        self._server = tornado.httpserver.HTTPServer(
+            application, max_header_size=_LARGEST_REQUEST, max_body_size=_LARGEST_REQUEST
+        )
+        self._server.add_sockets(sockets)
+
+    async def close(self) -> None:
+        """Stop listening and cut what is open."""
+        self._server.stop()
+        await self._server.close_all_connections()
+
+
+class _Guarded(tornado.web.RequestHandler):
+    """Answers nobody who may not see the page, whatever is asked for."""
+
+    def initialize(self, access: Access, bench: Bench, title: str, pages: set) -> None:
+        self.access, self.bench, self.title, self.pages = access, bench, title, pages
+
+    def prepare(self) -> None:
+        headers = self.request.headers
+        token = self.path_args[0] if self.path_args else ""
+        refusal = self.access.refusal(headers.get("Host"), headers.get("Origin"), token)
+        if refusal:
+            self.refuse(HTTPStatus.FORBIDDEN, refusal)
+
+    def refuse(self, status: HTTPStatus, why: str) -> None:
+        """End the answer with one line."""
+        self.set_status(status)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{why}\n")
+
+    def set_default_headers(self) -> None:
+        self.clear_header("Server")
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """One line, without what went wrong inside."""
+        self.refuse(HTTPStatus(status_code), HTTPStatus(status_code).phrase)
+
+
+class _Nothing(_Guarded):
+    def prepare(self) -> None:
+        self.refuse(HTTPStatus.NOT_FOUND, "the address lacks its token: use the one printed")
+
+
+class _Page(_Guarded):
+    def get(self, _: str) -> None:
+        template = tornado.template.Template(_read("dashboard.html"), autoescape="xhtml_escape")
+        self.finish(
+            template.generate(title=self.title, quantities=json.dumps(quantity_table()))
+        )
+
+
+class _File(_Guarded):
+    def get(self, _: str, name: str) -> None:
+        if name not in _FILES:
+            self.refuse(HTTPStatus.NOT_FOUND, "no such file")
+            return
+        self.set_header("Content-Type", f"{_FILES[name]}; charset=utf-8")
+        self.finish(_read(name))
+
+
+class _Stop(_Guarded):
+    async def post(self, _: str) -> None:
+        self.finish(await stop(self.bench))
+
+
+class _Live(_Guarded, tornado.websocket.WebSocketHandler):
+    """Sends what is new five times a second, to a slow page less often."""
+
+    def open(self, *_: str) -> None:
+        if len(self.pages) >= _MOST_PAGES:
+            self.close(reason="too many pages are open")
+            return
+        self.pages.add(self)
+        self._task = asyncio.create_task(self._send())
+
+    def on_close(self) -> None:
+        self.pages.discard(self)
+
+    def on_message(self, _: str | bytes) -> None:
+        """A page has nothing to say here."""
+
+    async def _send(self) -> None:
+        seen = Seen()
+        try:
+            while self in self.pages:
+                await self.write_message(json.dumps(self.bench.state.update(seen)))
+                await asyncio.sleep(UPDATE_PERIOD)
+        except tornado.websocket.WebSocketClosedError:
+            self.pages.discard(self)
+
+
+def _read(name: str) -> bytes:
+    return resources.files("sma_bench.dashboard").joinpath(name).read_bytes()
+
+
+def _url(host: str, listening: socket.socket, token: str) -> str:
+    port = listening.getsockname()[1]
+    name = f"[{host}]" if ":" in host else host
+    return f"http://{name}:{port}/{token}/"

@@ -1,0 +1,138 @@
+"""The stop of the page: every node is asked at once, and the wires' voltages tell if it worked."""
+
+import asyncio
+import math
+import time
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from sma_bench.dashboard.live_state import LiveState
+
+NO_VOLTAGE = 0.05
+"""V below which a measured voltage is 0: noise and steps of the converters, 10 mV"""
+_PATIENCE = 3.0
+_STAYS_OFF = 0.2
+_LOOK = 0.005
+_REPEAT = 0.02
+_SILENT = 1.0
+
+
+class Bench(Protocol):
+    """What can be stopped and watched."""
+
+    state: LiveState
+
+    def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
+        """Ask all at once; success and message of each node, when it answers."""
+
+    def send_zero(self) -> bool:
+        """Command 0 V to every channel; False where their number is not known."""
+
+
+@dataclass
+class Wires:
+    """What the voltages say since a request: the live wires, and since when each is off."""
+
+    state: LiveState
+    begin: float
+    volts: dict[str, float] = field(default_factory=dict)
+    """newest reading of each live wire"""
+    off_since: dict[str, float] = field(default_factory=dict)
+    unread: set[str] = field(default_factory=set)
+    """live before the request, and silent since"""
+
+    def look(self) -> None:
+        """Take the newest voltages."""
+        for place, (volts, heard) in self.state.newest("voltage").items():
+            if heard < self.begin - _SILENT:
+                continue
+            self.volts[place] = volts
+            if heard < self.begin:
+                self.unread.add(place)
+                continue
+            self.unread.discard(place)
+            if abs(volts) <= NO_VOLTAGE:
+                self.off_since.setdefault(place, heard)
+            else:
+                self.off_since.pop(place, None)
+
+    @property
+    def on(self) -> list[str]:
+        """Wires read with a voltage since the request, or with one that is not known."""
+        return [p for p in self.volts if p not in self.off_since and p not in self.unread]
+
+    @property
+    def seconds(self) -> float | None:
+        """From the request until the last wire was read at 0 V; None while one is not."""
+        if not self.volts or len(self.off_since) < len(self.volts):
+            return None
+        return max(self.off_since.values()) - self.begin
+
+    def stay_off(self) -> bool:
+        """Whether all have been off for a while: another commander would have come back."""
+        if self.seconds is None:
+            return False
+        return max(self.off_since.values()) < self.state.clock() - _STAYS_OFF
+
+
+async def stop(bench: Bench) -> dict[str, Any]:
+    """Stop the bench and say what came of it.
+
+    0 V is commanded until the voltages are gone, so that a bench stops which has no service, or
+    whose commander is not asked by one.
+
+    Returns:
+        `stopped`: True only where every live wire was read at 0 V; `said`: one sentence;
+        `seconds` until 0 V was read (None: never); `voltages` (V) by wire; `answers` of the nodes.
+    """
+    begin = commanded = time.monotonic()
+    wires = Wires(bench.state, bench.state.clock())
+    bench.send_zero()
+    futures = bench.send_stop()
+    answered: dict[str, float] = {}
+    while (now := time.monotonic()) < begin + _PATIENCE:
+        wires.look()
+        for node, future in futures.items():
+            if future.done():
+                answered.setdefault(node, now - begin)
+        nothing_to_see = not wires.volts and now > begin + _SILENT
+        if len(answered) == len(futures) and (wires.stay_off() or nothing_to_see):
+            break
+        if (wires.on or not wires.volts) and now > commanded + _REPEAT:
+            commanded = now
+            bench.send_zero()
+        await asyncio.sleep(_LOOK)
+    return {
+        "stopped": wires.seconds is not None,
+        "said": _sentence(wires, bool(futures)),
+        "seconds": wires.seconds and round(wires.seconds, 4),
+        "voltages": {p: round(v, 3) for p, v in wires.volts.items() if math.isfinite(v)},
+        "answers": [_answer(node, future, answered) for node, future in sorted(futures.items())],
+    }
+
+
+def _sentence(wires: Wires, asked: bool) -> str:
+    if wires.on:
+        still = ", ".join(f"{place} {wires.volts[place]:.2f} V" for place in wires.on)
+        return f"NOT STOPPED, voltage is on: {still}. Use the emergency stop of the bench."
+    if wires.unread:
+        silent = ", ".join(sorted(wires.unread))
+        return f"Not confirmed: no reading since the request from {silent}. Look at the bench."
+    if wires.seconds is not None:
+        count = "the wire" if len(wires.volts) == 1 else f"all {len(wires.volts)} wires"
+        return f"0 V read on {count}, {1e3 * wires.seconds:.0f} ms after the request."
+    if asked:
+        return "Not confirmed: stop was sent, but no voltage is read here. Look at the bench."
+    return "Nothing to stop: no node answers here and no voltage is read. Look at the bench."
+
+
+def _answer(
+    node: str, future: Future[tuple[bool, str]], answered: dict[str, float]
+) -> dict[str, Any]:
+    if not future.done():
+        return {"node": node, "success": False, "message": "no answer", "seconds": None}
+    success, message = future.result()
+    return {
+        "node": node, "success": success, "message": message, "seconds": round(answered[node], 4)
+    }

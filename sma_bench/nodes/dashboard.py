@@ -1,0 +1,320 @@
+"""Listens to a bench for its web page, and stops it: graph and messages in, dashboard/ out.
+
+Topics, services and parameters are looked for below one namespace, again and again: nodes may come
+and go.
+"""
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
+from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from sma_bench.dashboard.diagnosis_summary import diagnosis_summary
+from sma_bench.dashboard.live_state import (
+    CELSIUS_ZERO,
+    COMMANDED,
+    LIMITS,
+    MEASURED,
+    MODEL,
+    LiveState,
+    shown_limits,
+)
+from sma_bench.errors import InputError
+from sma_bench.nodes.base import LATCHED, OneThreadExecutor
+from sma_bench.nodes.discovery import choose_discovery
+from sma_bench.records.contract import place_of
+
+_LOOK_EVERY = 0.5
+_ASK_EVERY = 2.0
+_SPIN = 0.05
+_READINGS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+_TRIGGER = "std_srvs/srv/Trigger"
+_STOP, _GET = "/stop", "/get_parameters"
+_CHANNELS = "bench.channels"
+# Only nodes with limits of the bench know these parameters.
+_ASKED = [_CHANNELS, *LIMITS]
+_LEVELS = {
+    DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning",
+    DiagnosticStatus.ERROR: "error", DiagnosticStatus.STALE: "stale",
+}  # fmt: skip
+_MODEL_TOPICS = "twin"
+
+
+class DashboardNode(Node):
+    """Everything of one bench into a LiveState; `send_stop` and `send_zero` from any thread."""
+
+    def __init__(self, namespace: str, state: LiveState) -> None:
+        super().__init__("dashboard", namespace=namespace)
+        self.state = state
+        self._inside = self.get_namespace().rstrip("/") + "/"
+        self._listened: set[str] = set()
+        self._stops: dict[str, Client] = {}
+        self._askable: dict[str, Client] = {}
+        self._told: dict[str, dict[str, Any]] = {}
+        self._channels: tuple[str, ...] = ()
+        self._commanded = 0
+        self._command = self.create_publisher(Float64MultiArray, "voltage_command", 10)
+        self._listen("/diagnostics", DiagnosticArray, self._on_diagnostics, 50)
+        self.create_timer(_LOOK_EVERY, self._look)
+        self.create_timer(_ASK_EVERY, self._ask)
+        self._look()
+
+    # --- the stop -----------------------------------------------------------------------------
+
+    def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
+        """Call every `stop` service of the bench; the answers by node."""
+        return {name: _call(client) for name, client in list(self._stops.items())}
+
+    def send_zero(self) -> bool:
+        """Command 0 V to all channels; False where their number is not known."""
+        wires = len(self.state.newest("voltage"))
+        count = self._commanded or len(self._channels) or wires
+        if count:
+            self._command.publish(Float64MultiArray(data=[0.0] * count))
+        return bool(count)
+
+    # --- what is there ------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        elsewhere = set()
+        for topic, types in self.get_topic_names_and_types():
+            if topic.startswith(self._inside):
+                self._take(topic, topic.removeprefix(self._inside).split("/"), types)
+            elif (place := place_of(topic)) and place.meaning.endswith("/power"):
+                elsewhere.add(place.namespace)
+        self.state.show("elsewhere", sorted(elsewhere))
+        for service, types in self.get_service_names_and_types():
+            name = service.removeprefix(self._inside).rpartition("/")[0]
+            if not service.startswith(self._inside) or name == self.get_name():
+                continue
+            if service.endswith(_STOP) and _TRIGGER in types and name not in self._stops:
+                self._stops[name] = self.create_client(Trigger, service)
+            elif service.endswith(_GET) and name not in self._askable:
+                self._askable[name] = self.create_client(GetParameters, service)
+        ready = sorted(name for name, client in self._stops.items() if client.service_is_ready())
+        self.state.show("stops", ready)
+        self._forget_silent_nodes()
+
+    def _take(self, topic: str, parts: list[str], types: list[str]) -> None:
+        """Subscribe to a topic of the bench, once."""
+        kind = MEASURED
+        if parts[0] == _MODEL_TOPICS and len(parts) > 1:
+            kind, parts = MODEL, parts[1:]
+        handler: tuple[type, Callable[[Any], None], QoSProfile] | None = None
+        match parts:
+            case [channel, "power"]:
+                handler = BatteryState, partial(self._on_power, channel, kind), _READINGS
+            case [place, "temperature"]:
+                handler = Temperature, partial(self._on_temperature, place, kind), _READINGS
+            case ["front" | "back" as side, "range"]:
+                handler = Range, partial(self._on_range, side, kind), _READINGS
+            case ["joint_states"]:
+                handler = JointState, partial(self._on_joints, kind), _READINGS
+            case ["voltage_command"] if kind == MEASURED:
+                handler = Float64MultiArray, self._on_command, _READINGS
+            case ["diagnosis", "result"] if kind == MEASURED:
+                handler = String, self._on_diagnosis, LATCHED
+            case [node, "state"] if kind == MEASURED:
+                handler = String, partial(self._on_state, node), LATCHED
+            case [node, "progress"] if kind == MEASURED:
+                handler = String, partial(self._on_progress, node), LATCHED
+        if handler is not None and _type_name(handler[0]) in types:
+            self._listen(topic, *handler)
+
+    def _listen(
+        self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile | int
+    ) -> None:
+        if topic not in self._listened:
+            self._listened.add(topic)
+            self.create_subscription(kind, topic, on_message, qos)
+
+    def _forget_silent_nodes(self) -> None:
+        """Say of which nodes nothing more will come: their last words stay latched here."""
+        there = {
+            topic.removeprefix(self._inside).rpartition("/")[0]
+            for topic in self._listened
+            if topic.endswith("/state") and self.count_publishers(topic)
+        }
+        self.state.show("there", sorted(there))
+
+    # --- limits, as the nodes hold them -------------------------------------------------------
+
+    def _ask(self) -> None:
+        for name, client in self._askable.items():
+            if not client.service_is_ready():
+                self._told.pop(name, None)
+                continue
+            answer = client.call_async(GetParameters.Request(names=_ASKED))
+            answer.add_done_callback(partial(self._on_answer, name))
+        limits = {
+            limit: min(told[limit] for told in self._told.values() if limit in told)
+            for limit in LIMITS
+            if any(limit in told for told in self._told.values())
+        }
+        told_by = sorted(name for name, told in self._told.items() if set(told) & set(LIMITS))
+        self.state.show("limits", {"values": shown_limits(limits), "of": told_by})
+
+    def _on_answer(self, name: str, answer: rclpy.Future) -> None:
+        response = answer.result()
+        if response is None:
+            return
+        values = zip(_ASKED, response.values, strict=False)
+        told = {key: v for key, value in values if (v := _value_of(value)) is not None}
+        self._told[name] = told
+        if channels := told.get(_CHANNELS):
+            self._channels = channels
+            self.state.show("channels", channels)
+
+    # --- messages -----------------------------------------------------------------------------
+
+    def _on_power(self, channel: str, kind: str, message: BatteryState) -> None:
+        self.state.reading("voltage", channel, message.voltage, kind)
+        self.state.reading("current", channel, message.current, kind)
+
+    def _on_temperature(self, place: str, kind: str, message: Temperature) -> None:
+        self.state.reading("temperature", place, message.temperature + CELSIUS_ZERO, kind)
+
+    def _on_range(self, side: str, kind: str, message: Range) -> None:
+        self.state.reading("distance", side, message.range, kind)
+
+    def _on_joints(self, kind: str, message: JointState) -> None:
+        for name, position in zip(message.name, message.position, strict=False):
+            if name in ("tip", "wire"):
+                quantity = "deflection" if name == "tip" else "elongation"
+                self.state.reading(quantity, name, position, kind)
+        for name, effort in zip(message.name, message.effort, strict=False):
+            if name == "wire":
+                self.state.reading("force", name, effort, kind)
+
+    def _on_command(self, message: Float64MultiArray) -> None:
+        channels = self._channels
+        if len(message.data) == len(channels):
+            self._commanded = len(channels)
+            for channel, volts in zip(channels, message.data, strict=True):
+                self.state.reading("voltage", channel, volts, COMMANDED)
+
+    def _on_state(self, node: str, message: String) -> None:
+        self.state.merge("states", {node: _one_line(message.data)})
+
+    def _on_progress(self, node: str, message: String) -> None:
+        try:
+            progress = json.loads(message.data)
+        except ValueError:
+            return
+        if isinstance(progress, dict):
+            content = {**progress, "node": node, "heard": self.state.clock()}
+            self.state.show("progress", content)
+
+    def _on_diagnosis(self, message: String) -> None:
+        self.state.show("diagnosis", diagnosis_summary(message.data))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        heard = self.state.clock()
+        self.state.merge("diagnostics", {
+            status.name.removeprefix(self._inside): {
+                "level": _LEVELS.get(status.level, "error"), "message": status.message,
+                "heard": heard,
+            }
+            for status in message.status
+            if status.name.startswith(self._inside)
+        })  # fmt: skip
+
+
+@contextmanager
+def listening_node(
+    namespace: str, state: LiveState, on_failure: Callable[[Exception], None]
+) -> Iterator[DashboardNode]:
+    """A node that listens in a thread of its own; `on_failure` is called there if it dies.
+
+    Raises:
+        InputError: no such namespace can be.
+    """
+    try:
+        validate_namespace(namespace)
+    except InvalidNamespaceException as error:
+        reason = str(error).splitlines()[0].removesuffix(":")
+        raise InputError(f"dashboard: namespace {namespace!r}: {reason}") from None
+    choose_discovery()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = DashboardNode(namespace, state)
+    ended = threading.Event()
+    thread = threading.Thread(target=_spin, args=(node, ended, on_failure), name="dashboard")
+    thread.start()
+    try:
+        yield node
+    finally:
+        ended.set()
+        thread.join()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _spin(
+    node: DashboardNode, ended: threading.Event, on_failure: Callable[[Exception], None]
+) -> None:
+    executor = OneThreadExecutor()
+    executor.add_node(node)
+    try:
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=_SPIN)
+    except Exception as error:  # a page that goes on without it would show what is no longer so
+        on_failure(error)
+    finally:
+        executor.shutdown(timeout_sec=1.0)
+
+
+def _call(client: Client) -> Future[tuple[bool, str]]:
+    """Success and message of a service; "not there" where nobody offers it any more."""
+    answer: Future[tuple[bool, str]] = Future()
+    if not client.service_is_ready():
+        answer.set_result((False, "not there any more"))
+        return answer
+
+    def done(response: rclpy.Future) -> None:
+        result = response.result()
+        answer.set_result((bool(result.success), str(result.message)))
+
+    client.call_async(Trigger.Request()).add_done_callback(done)
+    return answer
+
+
+def _value_of(value: ParameterValue) -> float | tuple[str, ...] | None:
+    if value.type == ParameterType.PARAMETER_DOUBLE:
+        return float(value.double_value)
+    if value.type == ParameterType.PARAMETER_STRING_ARRAY:
+        return tuple(value.string_array_value)
+    return None
+
+
+def _one_line(text: str) -> str:
+    """A node's state for people: that of the recorder is JSON."""
+    try:
+        content = json.loads(text)
+    except ValueError:
+        return text
+    if not isinstance(content, dict) or "state" not in content:
+        return text
+    count = sum(content.get("messages", {}).values())
+    output = content.get("output", "")
+    return f"{content['state']}: {output}, {count} messages" if output else str(content["state"])
+
+
+def _type_name(kind: type) -> str:
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

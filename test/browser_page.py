@@ -1,0 +1,103 @@
+"""A page in a real browser: what it complains of, what sticks out, what cannot be read."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+DESKTOP, PHONE = (1280, 900), (390, 844)
+PATIENCE = 60.0
+# WCAG 2.1 AA for text of this size
+LEAST_CONTRAST = 4.5
+
+_WIDER = """() => [...document.querySelectorAll('body *')]
+  .filter((e) => e.getBoundingClientRect().right > document.documentElement.clientWidth + 1)
+  .filter((e) => !e.parentElement.closest('table, .scroll, .wide'))
+  .map((e) => `${e.tagName} ${e.id} ${e.className} ${e.textContent.slice(0, 40)}`)
+  .concat(document.documentElement.scrollWidth > window.innerWidth ? ['the page itself'] : [])"""
+
+_FAINT = """(least) => {
+  const parse = (text) => {
+    const [r, g, b, a = 1] = text.match(/[\\d.]+/g).map(Number);
+    return { rgb: [r, g, b], a };
+  };
+  const over = (top, below) => top.rgb.map((c, k) => c * top.a + below[k] * (1 - top.a));
+  const dark = matchMedia('(prefers-color-scheme: dark)').matches;
+  const behind = (e) => {
+    const layers = [];
+    for (; e; e = e.parentElement) layers.unshift(parse(getComputedStyle(e).backgroundColor));
+    const paper = dark ? [18, 18, 18] : [255, 255, 255];
+    return layers.reduce((below, layer) => over(layer, below), paper);
+  };
+  const light = (rgb) => rgb.map((c) => c / 255)
+    .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, c, k) => sum + c * [0.2126, 0.7152, 0.0722][k], 0);
+  const faint = [];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const text = walker.currentNode.textContent.trim();
+    const e = walker.currentNode.parentElement;
+    if (!text || !e.getClientRects().length || ['SCRIPT', 'STYLE'].includes(e.tagName)) continue;
+    const back = behind(e);
+    const style = getComputedStyle(e);
+    const own = parse(style.color);
+    let opacity = own.a;
+    for (let p = e; p; p = p.parentElement) opacity *= Number(getComputedStyle(p).opacity);
+    const [a, b] = [light(over({ rgb: own.rgb, a: opacity }, back)), light(back)];
+    const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (contrast < least) faint.push(`${contrast.toFixed(2)} ${text.slice(0, 40)}`);
+  }
+  return faint;
+}"""
+
+
+@dataclass
+class Opened:
+    """A page, and what its console said in red."""
+
+    page: Any
+    complaints: list[str] = field(default_factory=list)
+
+    def until(self, condition: str, patience: float = PATIENCE) -> None:
+        """Wait for a condition in JavaScript; the page may forbid a browser's own way to."""
+        end = time.monotonic() + patience
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < end, f"not within {patience} s: {condition}"
+            self.page.wait_for_timeout(50)
+
+    def text(self, selector: str) -> str:
+        """Text of the first such element as it is shown."""
+        return self.page.evaluate(f"document.querySelector({selector!r}).innerText")
+
+    @property
+    def too_wide(self) -> list[str]:
+        """What makes the page scroll sideways; a table may scroll in itself."""
+        return self.page.evaluate(_WIDER)
+
+    @property
+    def faint(self) -> list[str]:
+        """Texts whose contrast to what is behind them is too small."""
+        return self.page.evaluate(_FAINT, LEAST_CONTRAST)
+
+
+@contextmanager
+def opened(
+    browser: Any, url: str, size: tuple[int, int] = DESKTOP, scheme: str = "light", **options: Any
+) -> Iterator[Opened]:
+    """A page at `url` in a window of `size`, light or dark."""
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, **options
+    )
+    try:
+        found = Opened(context.new_page())
+        context.set_default_timeout(1e3 * PATIENCE)
+        found.page.on("pageerror", lambda error: found.complaints.append(str(error)))
+        found.page.on(
+            "console",
+            lambda said: said.type == "error" and found.complaints.append(said.text),
+        )
+        found.page.goto(url)
+        yield found
+    finally:
+        context.close()

@@ -1,0 +1,90 @@
+"""A bench without ROS for the dashboard's tests, and its server in a thread."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+
+from sma_bench.dashboard.live_state import CELSIUS_ZERO, COMMANDED, LiveState
+from sma_bench.dashboard.server import DashboardServer
+
+WIRES = ("front_1", "back_1")
+
+
+class StandIn:
+    """Wires at `volts`; a stop service and 0 V on the topic do what the test allows."""
+
+    def __init__(self) -> None:
+        self.state = LiveState()
+        self.volts = dict.fromkeys(WIRES, 3.0)
+        self.obeys = True
+        self.answers: dict[str, tuple[bool, str] | None] = {"serial_bridge": (True, "stopped")}
+        self.zeros = 0
+        self.stops = 0
+        self.celsius = 80.0
+
+    def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
+        self.stops += 1
+        futures = {}
+        for node, answer in self.answers.items():
+            futures[node] = Future()
+            if answer is not None:
+                futures[node].set_result(answer)
+        if self.obeys:
+            self.volts = dict.fromkeys(self.volts, 0.0)
+        return futures
+
+    def send_zero(self) -> bool:
+        self.zeros += 1
+        return True
+
+    def read(self) -> None:
+        """One reading of everything."""
+        for wire, volts in self.volts.items():
+            self.state.reading("voltage", wire, volts)
+            self.state.reading("voltage", wire, volts, COMMANDED)
+            self.state.reading("current", wire, volts / 2.7)
+            self.state.reading("temperature", wire, self.celsius + CELSIUS_ZERO)
+
+    @contextmanager
+    def readings(self, period: float = 0.02) -> Iterator[None]:
+        """Readings in a thread, as long as the context lasts."""
+        ended = threading.Event()
+
+        def go_on() -> None:
+            while not ended.wait(period):
+                self.read()
+
+        thread = threading.Thread(target=go_on)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+
+@contextmanager
+def served(bench: StandIn, host: str = "127.0.0.1", title: str = "/bench") -> Iterator[str]:
+    """The address of a page of the bench; the server runs in a thread."""
+    ready, loops, ends, urls = threading.Event(), [], [], []
+
+    async def serve() -> None:
+        end = asyncio.Event()
+        server = DashboardServer(bench, title, host, 0)
+        loops.append(asyncio.get_running_loop())
+        ends.append(end)
+        urls.append(server.url)
+        ready.set()
+        await end.wait()
+        await server.close()
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()))
+    thread.start()
+    assert ready.wait(30.0)
+    try:
+        yield urls[0]
+    finally:
+        loops[0].call_soon_threadsafe(ends[0].set)
+        thread.join()

@@ -1,0 +1,146 @@
+"""The page in a real browser: looks, the stop by mouse and key, what it says when left alone."""
+
+import json
+
+import pytest
+from browser_page import DESKTOP, PHONE, opened
+from stand_in import StandIn, served
+
+from sma_bench.dashboard.live_state import shown_limits
+
+EVIL = "<img src=x onerror=alert(1)>"
+SETTLED = "document.querySelectorAll('.plot').length === 3"
+ANSWERED = "!document.getElementById('stop').hasAttribute('aria-busy')"
+# The page must show what it cannot reach; a browser complains of that too.
+EXPECTED = ("ERR_CONNECTION_REFUSED", "WebSocket connection to")
+
+
+@pytest.fixture
+def bench():
+    made = StandIn()
+    made.state.show("limits", {
+        "values": shown_limits({"bench.maximum_temperature": 423.15, "bench.maximum_current": 3.0}),
+        "of": ["serial_bridge"],
+    })  # fmt: skip
+    made.state.show("channels", ["front_1", "back_1"])
+    made.state.show("there", ["experiment", EVIL])
+    made.state.show("stops", ["serial_bridge", EVIL])
+    made.state.merge("states", {"experiment": "running: staircase", EVIL: EVIL, "lost": "idle"})
+    later = made.state.clock() + 1e6
+    made.state.merge("diagnostics", {
+        "simulator: bench": {"level": "warning", "message": EVIL, "heard": later},
+        "camera": {"level": "ok", "message": "", "heard": later},
+    })  # fmt: skip
+    made.state.show("progress", {
+        "protocol": "staircase", "step": "hold at 3 V", "elapsed": 30.0, "duration": 120.0,
+        "node": "experiment", "heard": later,
+    })  # fmt: skip
+    made.state.show("diagnosis", {
+        "verdict": "The gap is explained by side_heat_coupling.",
+        "candidates": [{"name": "side_heat_coupling", "probability": 0.93}],
+        "lines": ["deflection: error 1.2 mm rms before, 0.2 mm after, noise 0.1 mm", EVIL],
+    })  # fmt: skip
+    return made
+
+
+@pytest.fixture
+def url(bench):
+    with served(bench) as found, bench.readings():
+        yield found
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_can_be_read_and_complains_of_nothing(browser, url, size, scheme):
+    with opened(browser, url, size, scheme) as shown:
+        shown.until(SETTLED)
+        shown.until("document.body.className === 'live'")
+        assert shown.too_wide == []
+        assert shown.faint == []
+        shown.page.keyboard.press("Escape")
+        shown.until(ANSWERED)
+        assert shown.too_wide == [] and shown.faint == []
+        assert shown.complaints == []
+
+
+def test_it_shows_signals_limits_progress_nodes_and_the_diagnosis_as_text(browser, bench, url):
+    bench.celsius = 80.0
+    with opened(browser, url) as shown:
+        shown.until(SETTLED)
+        assert "staircase, hold at 3 V: 30.0 of 120 s" in shown.text("#protocol")
+        assert shown.page.evaluate("document.getElementById('protocol-bar').value") == 0.25
+        heat = shown.text("#heat")
+        assert "limit 150.0 °C, of serial_bridge" in heat and "80.0 °C" in heat
+        assert heat.index("front_1") < heat.index("back_1")
+        assert "front_1 3.00 V commanded 3.00 V" in shown.text("#plots")
+        assert EVIL in shown.text("#nodes") and "gone (last: idle)" in shown.text("#nodes")
+        assert EVIL in shown.text("#diagnosis") and "93.0 %" in shown.text("#diagnosis")
+        bench.celsius = 160.0
+        shown.until("document.querySelectorAll('.meter.over').length === 2")
+        assert "160.0 °C over" in shown.text("#heat")
+        drawn = """[...document.querySelectorAll('canvas')].map((canvas) => canvas.getContext('2d')
+            .getImageData(0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
+        assert shown.page.evaluate(drawn) == [True] * 3
+        assert shown.complaints == []
+
+
+@pytest.mark.parametrize("how", ["Escape", "Enter", "Space", "click"])
+def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, bench, url, how):
+    with opened(browser, url) as shown:
+        shown.until(SETTLED)
+        if how == "click":
+            shown.page.mouse.click(60, 40)
+        else:
+            shown.page.keyboard.press(how)
+        shown.until("document.getElementById('stop-result').className === 'ok'")
+        said = shown.text("#stop-result")
+        assert "0 V read on all 2 wires" in said and "serial_bridge: stopped" in said
+        assert "front_1 0.00 V, back_1 0.00 V" in said
+    assert bench.stops == 1
+
+
+def test_a_stop_that_does_not_work_is_red_and_says_so(browser, bench, url):
+    bench.obeys = False
+    with opened(browser, url) as shown:
+        shown.until(SETTLED)
+        shown.page.keyboard.press("Escape")
+        shown.until(ANSWERED + " && document.getElementById('stop-result').className === 'bad'")
+        assert "NOT STOPPED, voltage is on: front_1 3.00 V, back_1 3.00 V" in shown.text(
+            "#stop-result")
+
+
+def test_the_stop_works_without_javascript(browser, bench, url):
+    with opened(browser, url, java_script_enabled=False) as shown:
+        shown.page.click("#stop")
+        assert json.loads(shown.page.inner_text("body"))["stopped"] is True
+    assert bench.stops == 1
+
+
+def test_a_silent_bench_is_not_shown_as_live(browser, bench):
+    with served(bench) as url, opened(browser, url) as shown:
+        with bench.readings():
+            shown.until("document.body.className === 'live'")
+        shown.until("document.body.className === 'waiting'")
+        shown.until("document.getElementById('meters').innerText.includes('silent')")
+        assert "°C" not in shown.text("#meters")
+        assert "6 of 6 signals are silent" in shown.text("#connection")
+
+
+def test_a_lost_connection_is_red_and_leaves_no_number(browser, bench):
+    with bench.readings(), served(bench) as url:
+        context = opened(browser, url)
+        shown = context.__enter__()
+        shown.until("document.body.className === 'live'")
+    try:
+        shown.until("document.body.className === 'lost'")
+        assert "CONNECTION LOST" in shown.text("#connection")
+        assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
+        assert shown.text("#protocol-text") == "unknown: connection lost"
+        shown.page.keyboard.press("Escape")
+        shown.until(ANSWERED)
+        assert shown.text("#stop-result").startswith("NOT CONFIRMED: the dashboard does not answer")
+        back = "getComputedStyle(document.getElementById('stop-result')).backgroundColor"
+        assert shown.page.evaluate(back) == "rgb(179, 20, 27)"
+        assert [c for c in shown.complaints if not any(e in c for e in EXPECTED)] == []
+    finally:
+        context.__exit__(None, None, None)

@@ -1,0 +1,136 @@
+"""Who gets the page: nobody without the token, no other web page, no other name."""
+
+import http.client
+import json
+import socket
+from urllib.parse import urlsplit
+
+import pytest
+from stand_in import StandIn, served
+
+from sma_bench.dashboard.access import Access, is_loopback
+from sma_bench.dashboard.server import DashboardServer
+from sma_bench.errors import InputError
+
+UPGRADE = {
+    "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+}  # fmt: skip
+
+
+@pytest.fixture
+def bench():
+    return StandIn()
+
+
+@pytest.fixture
+def url(bench):
+    with served(bench, title="/<b>bench</b>") as found:
+        yield found
+
+
+def ask(url, method="GET", name="", token=None, **headers):
+    """Status, headers and text of an answer."""
+    parts = urlsplit(url)
+    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=30.0)
+    path = parts.path if token is None else f"/{token}/"
+    named = {key.replace("_", "-"): value for key, value in headers.items()}
+    connection.request(method, path + name, headers=named)
+    response = connection.getresponse()
+    found = response.status, dict(response.getheaders())
+    # An open stream has no end to read to.
+    text = "" if response.status == 101 else response.read().decode()
+    connection.close()
+    return *found, text
+
+
+def test_the_printed_address_shows_the_page_with_its_texts_escaped(url):
+    status, headers, text = ask(url)
+    assert status == 200
+    assert "<b>bench" not in text and "&lt;b&gt;bench" in text
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert headers["Referrer-Policy"] == "same-origin" and "Server" not in headers
+    assert "http" not in text  # nothing from elsewhere
+    for name in ("dashboard.css", "dashboard.js", "plot.js", "panels.js"):
+        assert ask(url, name=name)[0] == 200, name
+
+
+def test_the_tokens_differ_and_are_long(bench):
+    tokens = {Access("127.0.0.1").token for _ in range(20)}
+    assert len(tokens) == 20 and all(len(token) >= 22 for token in tokens)
+
+
+@pytest.mark.parametrize("name", ["", "dashboard.js", "live", "stop"])
+def test_without_its_token_nothing_is_answered(bench, url, name):
+    method = "POST" if name == "stop" else "GET"
+    wrong = urlsplit(url).path.strip("/")[:-1] + "_"
+    for token in (wrong, "x", "%00", "..", "\u00e9".encode().hex()):
+        status, _, text = ask(url, method, name, token, **UPGRADE)
+        assert status in (403, 404), token
+        assert "STOP" not in text and "import" not in text
+    assert ask(url.replace(urlsplit(url).path, "/"))[0] == 404
+    assert bench.stops == bench.zeros == 0
+
+
+@pytest.mark.parametrize("name", ["", "live", "stop"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"}, {"Host": "evil.example:8642"}, {"Host": "127.0.0.1.evil.example"},
+        {"Host": "10.0.0.1"}, {"Host": ""}, {"Host": "[::"}, {"Origin": "http://evil.example"},
+        {"Origin": "null"}, {"Origin": "http://127.0.0.1:1"},
+    ],
+)  # fmt: skip
+def test_another_name_or_another_page_is_refused(bench, url, name, headers):
+    method = "POST" if name == "stop" else "GET"
+    assert ask(url, method, name, **UPGRADE, **headers)[0] in (400, 403)
+    assert bench.stops == 0
+
+
+def test_its_own_page_may_listen_and_stop(bench, url):
+    origin = "http://" + urlsplit(url).netloc
+    assert ask(url, "GET", "live", Origin=origin, **UPGRADE)[0] == 101
+    bench.volts = {}
+    status, headers, text = ask(url, "POST", "stop", Origin=origin)
+    assert status == 200 and headers["Content-Type"].startswith("application/json")
+    assert bench.stops == 1 and json.loads(text)["stopped"] is False
+
+
+def test_a_stop_needs_a_post(bench, url):
+    assert ask(url, "GET", "stop")[0] == 405
+    assert bench.stops == 0
+
+
+def test_a_forwarded_port_is_this_computer_too(url):
+    assert ask(url, Host="localhost:9000")[0] == 200
+
+
+def test_told_to_listen_everywhere_it_answers_under_numbers_and_its_own_name():
+    access = Access("0.0.0.0")
+    for host in ("192.168.1.7:8642", "[fe80::1]:8642", socket.gethostname(), "localhost"):
+        assert access.refusal(host, None, access.token) == "", host
+    assert access.refusal("evil.example", None, access.token) != ""
+    access = Access("192.168.1.7")
+    assert access.refusal("192.168.1.7:8642", None, access.token) == ""
+    assert access.refusal("192.168.1.8:8642", None, access.token) != ""
+
+
+def test_loopback_is_known():
+    assert all(map(is_loopback, ("127.0.0.1", "127.0.0.2", "::1", "localhost")))
+    assert not any(map(is_loopback, ("0.0.0.0", "192.168.1.7", "lab.example", "::")))
+
+
+def test_a_port_that_is_taken_and_an_address_that_is_not_ours_are_one_line(bench):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"127.0.0.1 port {port}: Address already in use"):
+            DashboardServer(bench, "/bench", "127.0.0.1", port)
+    with pytest.raises(InputError, match="cannot listen on 192.0.2.1 port"):
+        DashboardServer(bench, "/bench", "192.0.2.1", 0)
+
+
+def test_a_long_request_is_cut(url):
+    assert ask(url, "POST", "stop", Content_Length=str(1 << 20))[0] in (400, 413)

@@ -1,0 +1,79 @@
+"""The stop asks everything at once, and says only what the voltages say."""
+
+import asyncio
+
+import pytest
+from stand_in import StandIn
+
+from sma_bench.dashboard.stopping import stop
+
+
+@pytest.fixture
+def bench():
+    return StandIn()
+
+
+def stopped(bench, before=True, after=True):
+    """Result of a stop, with readings before and after it."""
+    if before:
+        bench.read()
+    if not after:
+        return asyncio.run(stop(bench))
+    with bench.readings():
+        return asyncio.run(stop(bench))
+
+
+def test_voltages_at_zero_are_a_stop_with_its_time_and_the_answers(bench):
+    result = stopped(bench)
+    assert result["stopped"] and 0.0 < result["seconds"] < 2.0
+    assert result["said"].startswith("0 V read on all 2 wires, ")
+    assert result["voltages"] == {"front_1": 0.0, "back_1": 0.0}
+    (answer,) = result["answers"]
+    assert (answer["node"], answer["success"], answer["message"]) == (
+        "serial_bridge", True, "stopped",
+    )  # fmt: skip
+
+
+def test_a_wire_that_stays_on_is_named_and_commanded_to_zero_meanwhile(bench):
+    bench.obeys = False
+    bench.volts["back_1"] = 0.0
+    result = stopped(bench)
+    assert not result["stopped"] and result["seconds"] is None
+    assert "NOT STOPPED, voltage is on: front_1 3.00 V." in result["said"]
+    assert bench.stops == 1 and bench.zeros > 20
+
+
+def test_without_a_reading_since_the_request_nothing_is_confirmed(bench):
+    bench.volts = dict.fromkeys(bench.volts, 0.0)
+    result = stopped(bench, after=False)
+    assert not result["stopped"] and "no reading since the request" in result["said"]
+
+
+def test_a_bench_that_measures_no_voltage_is_not_called_stopped(bench):
+    result = stopped(bench, before=False, after=False)
+    assert not result["stopped"] and result["said"].startswith("Not confirmed")
+    bench.answers = {}
+    result = stopped(bench, before=False, after=False)
+    assert not result["stopped"] and result["said"].startswith("Nothing to stop")
+
+
+def test_a_node_that_does_not_answer_or_refuses_is_named(bench):
+    bench.answers = {"mute": None, "experiment": (False, "cannot")}
+    result = stopped(bench)
+    assert result["stopped"]
+    assert [(a["node"], a["success"], a["message"]) for a in result["answers"]] == [
+        ("experiment", False, "cannot"), ("mute", False, "no answer"),
+    ]  # fmt: skip
+
+
+def test_a_commander_that_comes_back_is_not_a_stop(bench, monkeypatch):
+    begun = bench.state.clock()
+
+    class Stubborn(dict):
+        def items(self):
+            late = bench.state.clock() - begun > 0.15
+            return [(wire, 3.0 if late else 0.0) for wire in self]
+
+    monkeypatch.setattr(bench, "obeys", False)
+    bench.volts = Stubborn(bench.volts)
+    assert not stopped(bench)["stopped"]

@@ -1,0 +1,187 @@
+"""The reports in a real browser: nothing sticks out, everything can be read, no complaint."""
+
+import json
+
+import numpy as np
+import pytest
+from browser_page import DESKTOP, PHONE, opened
+
+from sma_bench.cli import main
+from sma_bench.records import Signal
+from sma_bench.records.write import write_record
+from sma_bench.report.page import Section, Table, write_report
+
+WORD = "a_name_without_any_place_to_break_it_" * 4
+SENTENCE = "a cell that says a whole sentence and needs more room than a name does"
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Pages by name: of a record and a result, of a diagnosis, and one made to stick out."""
+    folder = tmp_path_factory.mktemp("pages")
+    time = np.arange(0.0, 20.0, 0.01)
+    signals = [
+        Signal(f"{wire}.{name}", unit, time, level * (1.0 + 0.1 * np.sin(time + k)))
+        for k, wire in enumerate(("front_1", "front_2", "back_1", "back_2"))
+        for name, unit, level in (("voltage", "V", 2.0), ("current", "A", 0.7))
+    ]
+    write_record(folder / "bag", signals, markers=[(1.0, "hold"), (9.0, "rest")])
+    identified = folder / "identified.json"
+    number = {"value": 2.75, "std": 0.01, "unit": "ohm", "method": SENTENCE, "n": 50}
+    identified.write_text(json.dumps({
+        "parameters": {"wire.resistance": number}, "warnings": [WORD],
+        "experiments": [{"name": "E1", "title": "resistance", "source": WORD,
+                         "estimates": {"wire.resistance": number}, "details": {}}],
+    }))  # fmt: skip
+    records = [str(folder / "bag"), str(identified)]
+    assert main(["report", *records, "--out", str(folder / "record")]) == 0
+    table = Table([WORD, *"abcdefgh"], [[SENTENCE, WORD, *["-1.2345e-07"] * 7]], frozenset({2}))
+    write_report(folder / "wide", WORD, WORD, [Section(WORD, [WORD], [WORD], [table])])
+    return {name: folder / name / "index.html" for name in ("record", "wide")}
+
+
+@pytest.fixture(scope="module")
+def diagnosis_page(planted_diagnosis, tmp_path_factory):
+    from sma_bench.report.diagnosis_report import write_diagnosis_report
+
+    return write_diagnosis_report(tmp_path_factory.mktemp("gap"), planted_diagnosis)
+
+
+def check(browser, path, size, scheme):
+    """Problems of a page as it is seen."""
+    with opened(browser, path.as_uri(), size, scheme) as shown:
+        return [*shown.complaints, *shown.too_wide, *shown.faint]
+
+
+@pytest.mark.parametrize("name", ["record", "wide"])
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_report_fits_and_can_be_read(browser, pages, name, size, scheme):
+    assert check(browser, pages[name], size, scheme) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_diagnosis_fits_a_phone_and_can_be_read(browser, diagnosis_page, scheme):
+    assert check(browser, diagnosis_page, PHONE, scheme) == []
+
+
+def test_figures_keep_their_size_on_a_phone_and_scroll_in_themselves(browser, pages):
+    with opened(browser, pages["record"].as_uri(), PHONE) as shown:
+        width = "document.querySelector('figure:not(.drawn) img').getBoundingClientRect().width"
+        assert shown.page.evaluate(width) >= 600
+        scrolled = """() => {
+            const box = document.querySelector('figure:not(.drawn) .wide'); box.scrollLeft = 100;
+            return box.scrollLeft; }"""
+        assert shown.page.evaluate(scrolled) == 100
+
+
+VALUES = "[...document.querySelectorAll('.view .value')].map((value) => value.textContent)"
+INKED = """[...document.querySelectorAll('.view canvas')].map((canvas) => canvas.getContext('2d')
+    .getImageData(0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
+
+
+def place(shown, share):
+    """Where on the page a share of the time axis of the first course is."""
+    box = shown.page.evaluate("""() => {
+        const canvas = document.querySelector('.view canvas');
+        canvas.scrollIntoView({ block: 'center' });
+        const { x, y, width } = canvas.getBoundingClientRect();
+        return [x, y, width]; }""")
+    # As courses.js: 52 pixels for the numbers on the left, 8 on the right.
+    return box[0] + 52 + share * (box[2] - 60), box[1] + 40
+
+
+def time_shown(shown):
+    """s under the pointer, as the page says it."""
+    return float(shown.text(".view .hint").split()[1])
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages, size):
+    with opened(browser, pages["record"].as_uri(), size) as shown:
+        assert shown.page.evaluate(INKED) == [True, True]
+        courses = json.loads(shown.page.evaluate(
+            "document.querySelector('figure.courses script').textContent"))
+        assert [course["marks"] for course in courses] == [[1.0, 9.0]] * 2
+        assert [line["label"] for line in courses[0]["lines"]] == [
+            "front_1", "front_2", "back_1", "back_2",
+        ]  # fmt: skip
+        assert set(shown.page.evaluate(VALUES)) == {""}
+        high = "document.querySelector('.view').getBoundingClientRect().height"
+        before = shown.page.evaluate(high)
+        shown.page.mouse.move(*place(shown, 0.5))
+        time = time_shown(shown)
+        assert time == pytest.approx(10.0, abs=0.2)
+        value = float(shown.page.evaluate(VALUES)[0])
+        assert value == pytest.approx(2.0 * (1.0 + 0.1 * np.sin(time)), abs=0.02)
+        assert shown.page.evaluate(high) == before  # it does not move under the pointer
+        assert shown.complaints == [] and shown.too_wide == []
+
+
+def test_dragging_looks_closer_and_a_double_click_shows_all_again(browser, pages):
+    def middle(shown):
+        shown.page.mouse.move(*place(shown, 0.5))
+        return time_shown(shown)
+
+    with opened(browser, pages["record"].as_uri()) as shown:
+        shown.page.mouse.move(*place(shown, 0.0))
+        shown.page.mouse.down()
+        shown.page.mouse.move(*place(shown, 0.2))
+        shown.page.mouse.up()
+        assert middle(shown) == pytest.approx(2.0, abs=0.2)
+        shown.page.mouse.dblclick(*place(shown, 0.5))
+        assert middle(shown) == pytest.approx(10.0, abs=0.2)
+
+
+def test_without_the_script_and_on_paper_the_picture_stands_there(browser, pages):
+    seen = """[...document.querySelectorAll('figure.courses img, .view')]
+        .map((e) => [e.tagName, e.getClientRects().length > 0])"""
+    url = pages["record"].as_uri()
+    with opened(browser, url) as shown:
+        assert shown.page.evaluate(seen) == [["DIV", True], ["IMG", False]]
+        shown.page.emulate_media(media="print")
+        assert shown.page.evaluate(seen) == [["DIV", False], ["IMG", True]]
+    with opened(browser, url, java_script_enabled=False) as shown:
+        assert shown.page.locator("figure.courses img").is_visible()
+
+
+def test_a_script_from_elsewhere_does_not_run(browser, pages, tmp_path):
+    """Should a text ever get through unescaped, the page's policy is the second lock."""
+    path = tmp_path / "injected.html"
+    text = pages["record"].read_text()
+    path.write_text(text.replace("<h1>", "<script>document.title = 'mine'</script><h1>", 1))
+    with opened(browser, path.as_uri()) as shown:
+        assert shown.page.title() != "mine"
+        assert len(shown.complaints) == 1 and "Content Security Policy" in shown.complaints[0]
+
+
+def test_numbers_stand_on_one_line(browser, pages):
+    lines = """[...document.querySelectorAll('td.number')].map((cell) => {
+        const range = document.createRange(); range.selectNodeContents(cell);
+        return new Set([...range.getClientRects()].map((box) => box.top)).size; })"""
+    for path in pages.values():
+        with opened(browser, path.as_uri(), PHONE) as shown:
+            assert set(shown.page.evaluate(lines)) == {1}
+
+
+def test_paper_is_white_and_holds_whole_figures(browser, pages):
+    with opened(browser, pages["record"].as_uri(), scheme="dark") as shown:
+        shown.page.emulate_media(media="print")
+        back = "getComputedStyle(document.body).backgroundColor"
+        assert shown.page.evaluate(back) == "rgb(255, 255, 255)"
+        assert len(shown.page.pdf(format="A4")) > 10_000
+
+
+def test_what_sticks_out_or_cannot_be_read_would_be_found(browser, tmp_path):
+    path = tmp_path / "bad.html"
+    path.write_text(
+        "<!doctype html><style>:root { color-scheme: light dark } </style><body>"
+        "<div style='width: 500px'>wide</div><p style='color: #777'>faint</p>"
+        "<p style='color: #fff; background: #b3141b'>clear</p><script>nothing()</script>"
+    )
+    with opened(browser, path.as_uri(), PHONE, "dark") as shown:
+        assert len(shown.complaints) == 1 and "nothing is not defined" in shown.complaints[0]
+        assert any("wide" in found for found in shown.too_wide)
+        (faint,) = shown.faint
+        assert faint.endswith("faint") and 3.0 < float(faint.split()[0]) < 4.5
