@@ -15,6 +15,7 @@ try:
 except ImportError:
     numba = None
 
+COMPILES = numba is not None
 PACKAGE = Path(__file__).resolve().parent
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}

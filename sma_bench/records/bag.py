@@ -15,9 +15,6 @@ from sma_bench.records.samples import Samples, read_samples, sort_by_stamp
 # Further apart than this, receive times and stamps come from two clocks, not from a slow network.
 _TWO_CLOCKS_NS = 10**9
 
-_FIELD_UNITS = {"voltage": "V", "current": "A", "temperature": "K", "range": "m"}
-_JOINT_UNITS = {"deflection": "m", "elongation": "m", "force": "N"}
-
 
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
     """Read a rosbag2 folder, or one of its storage files, into named signals.
@@ -53,8 +50,6 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
         raw = harvest.topics[name, _type_at(meaning)]
         if raw.wanted:
             decoded[meaning] = read_samples(raw)
-            raw.times.clear()
-            raw.blobs.clear()
     return _build(path, harvest, decoded, remarks)
 
 
@@ -165,16 +160,16 @@ def _signals(meaning: str, samples: Samples, start: int) -> list[Signal]:
     """The signals of one topic; what was never measured is only remarked upon."""
     place, _, kind = meaning.rpartition("/")
     if kind == "joint_states":
-        named = [(n, _JOINT_UNITS[n], values) for n, values in samples.columns.items()]
+        named = [(n, contract.JOINT_UNITS[n], values) for n, values in samples.columns.items()]
         if not named:
             samples.remark("warning", "no joint is called tip or wire; absent")
     elif kind == "voltage_command":
         named = [(kind, "V", samples.columns["data"])]
     else:
         named = [
-            (f"{place}.{n}", _FIELD_UNITS[n], values)
+            (f"{place}.{n}", contract.FIELD_UNITS[n], values)
             for n, values in samples.columns.items()
-            if n in _FIELD_UNITS
+            if n in contract.FIELD_UNITS
         ]
     if kind == "temperature":
         named = [(n, unit, values + contract.CELSIUS_ZERO) for n, unit, values in named]

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
@@ -13,6 +13,8 @@ from sma_bench.errors import InputError
 from sma_bench.records import mcap_scan, sqlite_scan
 from sma_bench.records.compression import ZSTD_MAGIC, decompress_file
 from sma_bench.records.harvest import Harvest
+
+T = TypeVar("T")
 
 METADATA = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -84,11 +86,11 @@ def _without_metadata(present: list[Path]) -> str:
 def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFiles:
     try:
         information = _load(path / METADATA)["rosbag2_bagfile_information"]
-        names = [PurePath(name).name for name in information["relative_file_paths"]]
+        names = [PurePath(_of(str, name)).name for name in information["relative_file_paths"]]
         promised: dict[str, int] = {}
         for entry in information.get("topics_with_message_count") or ():
-            topic = str(entry["topic_metadata"]["name"])
-            promised[topic] = promised.get(topic, 0) + int(entry["message_count"])
+            topic = _of(str, entry["topic_metadata"]["name"])
+            promised[topic] = promised.get(topic, 0) + _of(int, entry["message_count"])
     except _METADATA_ERRORS:
         text = "cannot be understood; the storage files found beside it are read"
         harvest.lost(METADATA, text)
@@ -115,6 +117,13 @@ _METADATA_ERRORS = (
     ValueError,
     AttributeError,
 )
+
+
+def _of(kind: type[T], value: Any) -> T:
+    """A value of its type; of any other the text alone may be gigabytes, by YAML's aliases."""
+    if not isinstance(value, kind):
+        raise TypeError(kind.__name__)
+    return value
 
 
 def _load(file: Path) -> Any:

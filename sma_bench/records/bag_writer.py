@@ -2,8 +2,10 @@
 
 import errno
 import sqlite3
+import struct
 import threading
 import time
+import zlib
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -21,10 +23,14 @@ from sma_bench.records.messages import TYPES
 
 STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 
+STILL_READABLE = "; what was written until then can be read"
+
 _FORMAT_VERSION: Literal[9] = 9
 # Half of the second that may be lost, so that a message is on its way to the disk in time even
 # when the next one is late.
 _FLUSH_EVERY = 0.5
+# From the beginning of an mcap's chunk record: opcode, length, two times, size.
+_TO_CHECKSUM = 1 + 8 + 8 + 8 + 8
 
 
 class BagWriter:
@@ -76,11 +82,20 @@ class BagWriter:
         self._live = storage == "mcap"
         if compress and self._live:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        try:
+            self._open()
+        except InputError:
+            self._abandon()
+            raise
+
+    def _open(self) -> None:
         with self._disk():
             try:
                 self._writer.open()
             except WriterError as error:
                 raise InputError(f"{self.path}: {error}") from None
+        if self._live:
+            _give_chunks_a_checksum(self._writer.storage)
         self.flush()
 
     def add_topic(self, topic: str, msgtype: str) -> None:
@@ -179,7 +194,7 @@ class BagWriter:
         full = isinstance(error, OSError) and error.errno == errno.ENOSPC
         reason = "the disk is full" if full else getattr(error, "strerror", None) or error
         self._failure = InputError(
-            f"{self.path}: cannot be written: {reason}; what was written until then can be read"
+            f"{self.path}: cannot be written: {reason}{STILL_READABLE}"
         )
         return self._failure
 
@@ -239,6 +254,21 @@ class BagWriter:
             "ros_distro": "jazzy",
         }
         return yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+
+
+def _give_chunks_a_checksum(storage: Any) -> None:
+    """rosbags writes none, so an altered bit would be read as an altered number."""
+    close_chunk = storage.close_chunk
+
+    def with_checksum() -> None:
+        checksum, start = zlib.crc32(storage.chunk.bio.getbuffer()), storage.bio.tell()
+        close_chunk()
+        end = storage.bio.tell()
+        storage.bio.seek(start + _TO_CHECKSUM)
+        storage.bio.write(struct.pack("<I", checksum))
+        storage.bio.seek(end)
+
+    storage.close_chunk = with_checksum
 
 
 class _DiskErrors:

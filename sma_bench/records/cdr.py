@@ -176,13 +176,31 @@ def find_layout(blob: bytes, msgtype: str) -> Layout:
 
 def decode(blobs: Sequence[bytes], msgtype: str) -> Iterator[Batch]:
     """Decode messages of one type; messages that do not follow the type are in no batch."""
-    lengths = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
+    yield from decode_joined(b"".join(blobs), lengths_of(blobs), msgtype)
+
+
+def lengths_of(blobs: Sequence[bytes]) -> NDArray[np.int64]:
+    """(n,) bytes of each message."""
+    return np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
+
+
+def split(joined: bytes, lengths: NDArray[np.int64]) -> list[bytes]:
+    """Messages that lie one after the other, one by one."""
+    ends = np.cumsum(lengths)
+    return list(map(joined.__getitem__, map(slice, (ends - lengths).tolist(), ends.tolist())))
+
+
+def decode_joined(
+    joined: bytes, lengths: NDArray[np.int64], msgtype: str
+) -> Iterator[Batch]:
+    """As `decode`, for messages that lie one after the other; lengths: (n,) bytes of each."""
     order = np.argsort(lengths, kind="stable")
     ends = np.flatnonzero(np.diff(lengths[order])) + 1
+    blobs = split(joined, lengths) if len(ends) else []
     for rows in np.split(order, ends):
         if len(rows) and lengths[rows[0]] >= _ENCAPSULATION:
-            same_length = blobs if len(ends) == 0 else [blobs[row] for row in rows.tolist()]
-            yield from _decode_matrix(b"".join(same_length), rows, msgtype)
+            same_length = b"".join([blobs[row] for row in rows.tolist()]) if blobs else joined
+            yield from _decode_matrix(same_length, rows, msgtype)
 
 
 def _decode_matrix(joined: bytes, rows: NDArray[np.int64], msgtype: str) -> Iterator[Batch]:

@@ -169,6 +169,7 @@ def _temperature_sense(name: str, low: float, high: float) -> Iterator[Finding]:
 
 def _saturation(record: Record) -> Iterator[Finding]:
     driven = any(np.ptp(s.values) > 0.1 for n, s in record.signals.items() if _is_voltage(n, s))
+    still = {"ambient.temperature", *(["elongation"] if _is_clamped(record) else [])}
     for signal in record.signals.values():
         values = signal.values
         if _kind(signal.name) in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
@@ -176,7 +177,7 @@ def _saturation(record: Record) -> Iterator[Finding]:
         if not np.isfinite(values).all():
             continue
         if np.ptp(values) == 0:
-            if driven and _kind(signal.name) != "current" and signal.name != "ambient.temperature":
+            if driven and _kind(signal.name) != "current" and signal.name not in still:
                 text = f"stays at {values[0]:.6g} {signal.unit} while the voltage changes"
                 yield Finding("warning", signal.name, text, {"value": float(values[0])})
             continue
@@ -187,6 +188,11 @@ def _saturation(record: Record) -> Iterator[Finding]:
                 text += f" {signal.unit}"
                 numbers = {"samples": float(clipped), "value": float(extreme)}
                 yield Finding("warning", signal.name, text, numbers)
+
+
+def _is_clamped(record: Record) -> bool:
+    """Whether a force changes: then an elongation that does not is no dead sensor."""
+    return "force" in record.signals and bool(np.ptp(record["force"].values) > 0)
 
 
 def _is_voltage(name: str, signal: Signal) -> bool:

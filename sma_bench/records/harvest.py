@@ -3,14 +3,18 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sma_bench.findings import Finding
+from sma_bench.records.record import IntArray
 
 
 @dataclass
 class RawTopic:
     """Serialised messages of one topic in the order of the file.
 
-    `times` (receive times, ns) and `blobs` stay empty for topics that are only counted.
+    They are added one by one to `times` (receive times, ns) and `blobs`, or many at once by
+    `add_run`; both stay empty for topics that are only counted.
     """
 
     name: str
@@ -19,6 +23,32 @@ class RawTopic:
     count: int = 0
     times: list[int] = field(default_factory=list)
     blobs: list[bytes] = field(default_factory=list)
+    _runs: list[tuple[IntArray, IntArray, bytes]] = field(default_factory=list)
+
+    def add_run(self, times: IntArray, lengths: IntArray, joined: bytes) -> None:
+        """Add messages whose bytes lie one after the other."""
+        self._end_run()
+        self._runs.append((times, lengths, joined))
+
+    def taken(self) -> tuple[IntArray, IntArray, bytes]:
+        """Receive times (n,) [ns], lengths (n,) and all bytes, joined; the topic is empty then."""
+        self._end_run()
+        runs, self._runs = self._runs, []
+        if len(runs) == 1:
+            return runs[0]
+        empty: IntArray = np.empty(0, dtype=np.int64)
+        times, lengths = (np.concatenate([empty, *(run[k] for run in runs)]) for k in (0, 1))
+        return times, lengths, b"".join(run[2] for run in runs)
+
+    def _end_run(self) -> None:
+        """What came one by one, as a run."""
+        if not self.blobs:
+            return
+        lengths = np.fromiter(map(len, self.blobs), dtype=np.int64, count=len(self.blobs))
+        times = np.array(self.times, dtype=np.int64)
+        self._runs.append((times, lengths, b"".join(self.blobs)))
+        self.times.clear()
+        self.blobs.clear()
 
 
 @dataclass

@@ -8,8 +8,11 @@ Format: https://mcap.dev/spec.
 import mmap
 import re
 import struct
+import sys
 import zlib
 from pathlib import Path
+
+import numpy as np
 
 from sma_bench.records.compression import decompress_lz4, decompress_zstd
 from sma_bench.records.harvest import Harvest, RawTopic
@@ -24,6 +27,10 @@ _FOOTER_SIZE = 9 + 20 + len(MAGIC)
 
 _CANDIDATE = re.compile(rb"[\x01-\x0f].{4}\x00{4}", re.DOTALL)
 _LARGEST_CHUNK = 1 << 28
+# A smaller file is read one record after the other before numba is even loaded.
+_WORTH_LOADING = 8 << 20
+_WINDOW = 1 << 20
+_LEAST_MESSAGE = 31
 _LATEST = 1 << 63
 
 _Bytes = bytes | mmap.mmap
@@ -44,6 +51,7 @@ class _Scan:
         self.skipped = 0
         self.remarks: list[str] = []
         self.orphans = 0
+        self.compiled = False
         self.handlers = {_SCHEMA: self._schema, _CHANNEL: self._channel, _CHUNK: self._chunk}
 
     def walk(self, buffer: _Bytes, position: int, end: int) -> None:
@@ -56,6 +64,10 @@ class _Scan:
             if stop > end or not 0 < opcode < 0x80 or (opcode == _MESSAGE and length < 22):
                 position = self._recover(buffer, position, end)
                 continue
+            if opcode == _MESSAGE and self.compiled:
+                position = self._messages(buffer, position, end)
+                if position >= stop:
+                    continue
             if opcode == _MESSAGE:
                 _, _, channel, _, time, _ = _MESSAGE_RECORD.unpack_from(buffer, position)
                 topic = channels.get(channel)
@@ -76,6 +88,32 @@ class _Scan:
             position = stop
         if position < end and not self.ended:
             self._damage("", end - position)
+
+    def _messages(self, buffer: _Bytes, position: int, end: int) -> int:
+        """Take the messages that follow one another from `position` on; where the next record is.
+
+        None is taken where something is odd about the first.
+        """
+        from sma_bench.records.mcap_messages import find_messages, join_messages
+
+        window = buffer[position : min(end, position + _WINDOW)]
+        most = len(window) // _LEAST_MESSAGE
+        starts, stops, channels, times = np.empty((4, most), dtype=np.int64)
+        raw = np.frombuffer(window, dtype=np.uint8)
+        count, passed = find_messages(raw, 0, len(window), starts, stops, channels, times)
+        for channel in np.unique(channels[:count]).tolist():
+            rows = np.flatnonzero(channels[:count] == channel)
+            topic = self.channels.get(channel)
+            if topic is None:
+                self.orphans += len(rows)
+                continue
+            topic.count += len(rows)
+            if topic.wanted:
+                lengths = stops[rows] - starts[rows]
+                joined = np.empty(int(lengths.sum()), dtype=np.uint8)
+                join_messages(raw, starts[rows], lengths, joined)
+                topic.add_run(times[rows], lengths, joined.tobytes())
+        return position + passed
 
     def read_summary(self, buffer: _Bytes) -> None:
         """Learn the channels from the index, in case the records before it are damaged."""
@@ -177,6 +215,7 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
         harvest.lost(path.name, "the file is empty")
         return
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as buffer:
+        scan.compiled = _is_compiled(size)
         scan.read_summary(buffer)
         start = len(MAGIC)
         if buffer[:start] != MAGIC:
@@ -184,6 +223,15 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
             scan._damage("the file does not begin like an mcap file", start)
         scan.walk(buffer, start, size)
     scan.report(size)
+
+
+def _is_compiled(size: int) -> bool:
+    """Whether to look for messages with compiled code in a file of this size."""
+    if size < _WORTH_LOADING and "numba" not in sys.modules:
+        return False
+    from sma_bench.compiled import COMPILES
+
+    return COMPILES
 
 
 def _string(buffer: _Bytes, position: int, stop: int) -> tuple[str, int]:

@@ -14,6 +14,7 @@ from sma_bench.records.record import FloatArray, IntArray
 
 # A clock that shows less than a day since 1970 is a simulation's.
 _DAY_NS = 86_400 * 10**9
+_LOOK_AT = 10  # messages, to see whether they are compressed one by one
 
 JOINT_SIGNALS: dict[str, dict[str, str]] = {
     "tip": {"deflection": "position"},
@@ -54,13 +55,14 @@ class Samples:
 
 def read_samples(raw: RawTopic) -> Samples:
     """Decode all messages of one topic; those that cannot be are counted in a finding."""
-    blobs = raw.blobs
-    if any(blob.startswith(ZSTD_MAGIC) for blob in blobs[:10]):
-        blobs, _ = decompress_messages(blobs)
-    n = len(blobs)
-    received = np.array(raw.times, dtype=np.int64)
+    received, lengths, joined = raw.taken()
+    n = len(lengths)
+    begins = np.cumsum(lengths[:_LOOK_AT]) - lengths[:_LOOK_AT]
+    if any(joined.startswith(ZSTD_MAGIC, begin) for begin in begins.tolist()):
+        blobs, _ = decompress_messages(cdr.split(joined, lengths))
+        lengths, joined = cdr.lengths_of(blobs), b"".join(blobs)
     samples = Samples(raw.name, raw.type, received.copy(), received)
-    batches = list(cdr.decode(blobs, raw.type))
+    batches = list(cdr.decode_joined(joined, lengths, raw.type))
     valid = np.zeros(n, dtype=bool)
     for batch in batches:
         valid[batch.rows] = True

@@ -142,49 +142,72 @@ def _batches(
     database: sqlite3.Connection, numbers: tuple[int, ...], holes: _Holes
 ) -> Iterator[list[_Row]]:
     """Rows (rowid, topic, time, data) in the order of rowid."""
-    query = (
-        "SELECT rowid, topic_id, timestamp, data FROM messages "
-        f"WHERE rowid > ? AND {_in(numbers)} ORDER BY rowid"
-    )
-    last, size = -1, _BATCH
+    query = _query(numbers)
+    last, single = -1, False
     while holes.found < _MOST_HOLES:
         try:
-            cursor = database.execute(query, (last, *numbers))
-            while batch := cursor.fetchmany(size):
-                last = batch[-1][0]
+            if single:
+                one = query + " LIMIT 1"
+                while batch := database.execute(one, (last + 1, *numbers)).fetchall():
+                    last = _last_row(batch, last)
+                    yield batch
+                return
+            cursor = database.execute(query, (last + 1, *numbers))
+            while batch := cursor.fetchmany(_BATCH):
+                last = _last_row(batch, last)
                 yield batch
             return
         except _READ_ERRORS:
-            if size > 1:
-                # Again, one row at a time, to get at those just before the damage.
-                size = 1
+            if not single:
+                # Again, one row at a time, to get at those just before the damage. A query each:
+                # Python's cursor steps to the next row before it gives out the present one.
+                single = True
                 continue
-        beyond = _beyond_hole(database, last)
+        beyond = _beyond_hole(database, last + 1, numbers)
         holes.found += 1
         if beyond is None:
             holes.rows = 0 if holes.found == 1 else holes.rows
             return
-        holes.rows += beyond - last
-        last, size = beyond, _BATCH
+        holes.rows += beyond - last - 1
+        last, single = beyond - 1, False
 
 
-def _beyond_hole(database: sqlite3.Connection, last: int) -> int | None:
-    """A row number close after the damage from which rows can be read again."""
+def _query(numbers: tuple[int, ...]) -> str:
+    # Not `rowid > ?`: from the last row of a damaged page that would look into this page.
+    return (
+        "SELECT rowid, topic_id, timestamp, data FROM messages "
+        f"WHERE rowid >= ? AND {_in(numbers)} ORDER BY rowid"
+    )
+
+
+def _last_row(batch: list[_Row], before: int) -> int:
+    """The last row number; sqlite3.DatabaseError where a damaged tree leads back, for ever."""
+    last = batch[-1][0]
+    if not isinstance(last, int) or last - before < len(batch):
+        raise sqlite3.DatabaseError("rows out of order")
+    return last
+
+
+def _beyond_hole(
+    database: sqlite3.Connection, hole: int, numbers: tuple[int, ...]
+) -> int | None:
+    """A row number close after the damage, which begins at `hole`, from which rows can be read."""
     step = 1
-    while not _readable(database, last + step):
+    while not _readable(database, hole + step, numbers):
         step *= 2
-        if last + step > _LAST_ROW:
+        if hole + step > _LAST_ROW:
             return None
     low, high = step // 2, step
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if _readable(database, last + middle) else (middle, high)
-    return last + high
+        readable = _readable(database, hole + middle, numbers)
+        low, high = (low, middle) if readable else (middle, high)
+    return hole + high
 
 
-def _readable(database: sqlite3.Connection, row: int) -> bool:
-    query = "SELECT data FROM messages WHERE rowid > ? ORDER BY rowid LIMIT 1"
+def _readable(database: sqlite3.Connection, row: int, numbers: tuple[int, ...]) -> bool:
     try:
-        return database.execute(query, (row,)).fetchone() is not None
+        found = database.execute(_query(numbers) + " LIMIT 1", (row, *numbers)).fetchone()
+        return found is not None and found[0] >= row
     except _READ_ERRORS:
         return False

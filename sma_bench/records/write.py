@@ -10,9 +10,13 @@ from tempfile import mkdtemp
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.records.bag_writer import BagWriter
+from sma_bench.progress import Report, in_turn, silent
+from sma_bench.records.bag_writer import STILL_READABLE, BagWriter
 from sma_bench.records.messages import Stream, marker_stream, streams_of
 from sma_bench.records.record import Record, Signal
+
+_MESSAGES = 50_000
+"""about as many are written between two reports"""
 
 _SignalSource = Record | Mapping[str, Signal] | Iterable[Signal]
 
@@ -24,6 +28,7 @@ def write_record(
     storage: str = "mcap",
     start_ns: int | None = None,
     markers: Iterable[tuple[float, str]] = (),
+    report: Report = silent,
 ) -> None:
     """Write a record, or signals, as a bag; the bag appears whole or not at all.
 
@@ -40,6 +45,7 @@ def write_record(
         storage: "mcap" or "sqlite3".
         start_ns: epoch time of t = 0 in ns; the record's own, else 0.
         markers: (time in s, text), added to the record's own.
+        report: told how far it is.
 
     Raises:
         InputError: the path exists or cannot be written, a signal has no place in the contract or
@@ -54,7 +60,7 @@ def write_record(
     if not streams:
         raise InputError(f"{path}: no signals to write, expected at least one")
     with _beside(path) as temporary, BagWriter(temporary, storage, flush_every=inf) as writer:
-        _write_streams(writer, streams)
+        _write_streams(writer, streams, report)
 
 
 def _unpack(
@@ -83,20 +89,26 @@ def _beside(path: Path) -> Iterator[Path]:
         if path.exists():
             raise InputError(f"{path}: exists already, expected a new path for the bag")
         (folder / path.name).rename(path)
+    except InputError as error:
+        # Of a bag that appears whole or not at all nothing is left to read.
+        text = str(error).replace(str(folder / path.name), str(path)).removesuffix(STILL_READABLE)
+        raise InputError(text) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _write_streams(writer: BagWriter, streams: list[Stream]) -> None:
+def _write_streams(writer: BagWriter, streams: list[Stream], report: Report) -> None:
     for stream in streams:
         writer.add_topic(stream.topic, stream.type)
     received = np.concatenate([stream.received for stream in streams])
     owner = np.repeat(np.arange(len(streams)), [len(stream.blobs) for stream in streams])
     index = np.concatenate([np.arange(len(stream.blobs)) for stream in streams])
     order = np.argsort(received, kind="stable")
-    rows = zip(owner[order].tolist(), index[order].tolist(), received[order].tolist(), strict=True)
-    writer.write_many(
-        (streams[which].topic, stamp, streams[which].blobs[row]) for which, row, stamp in rows
-    )
+    parts = np.array_split(order, max(1, len(order) // _MESSAGES))
+    for chosen in in_turn(parts, report, lambda _: "writing"):
+        rows = zip(*(a[chosen].tolist() for a in (owner, index, received)), strict=True)
+        writer.write_many(
+            (streams[which].topic, stamp, streams[which].blobs[row]) for which, row, stamp in rows
+        )

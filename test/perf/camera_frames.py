@@ -7,6 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from figures import Figure, Outcome, at_least
+
 from sma_bench.hardware.thermal_image import FrameFormat
 from sma_bench.hardware.thermal_settings import (
     frame_judge,
@@ -29,20 +31,17 @@ _NAMESPACE = "/perf"
 _STARTING = 60.0
 
 
-def measure(frames: int = 300, seconds: float = 8.0) -> dict[str, float]:
-    """Pictures a second in one process, and share of a core of each node; printed as well."""
-    numbers: dict[str, float] = {}
+def measure(frames: int = 300, seconds: float = 8.0) -> list[Outcome]:
+    """Pictures a second in one process; rate, age and share of a core of each node at 80 Hz."""
+    outcomes: list[Outcome] = []
     wire = Parameters.defaults()
     for name, parameters in (("one wire", wire), ("four wires", wire.replace(COMPOSITE))):
-        numbers |= _in_one_process(name, parameters, frames)
-    numbers |= _in_processes("one wire", ("wire",), seconds)
-    numbers |= _in_processes("four wires", CHANNELS, seconds)
-    for key, value in numbers.items():
-        print(f"  {key:66s} {value:9.3g}")
-    return numbers
+        outcomes += _in_one_process(name, parameters, frames)
+    outcomes += _in_processes("one wire", ("wire",), seconds)
+    return outcomes + _in_processes("four wires", CHANNELS, seconds)
 
 
-def _in_one_process(name: str, parameters: Parameters, frames: int) -> dict[str, float]:
+def _in_one_process(name: str, parameters: Parameters, frames: int) -> list[Outcome]:
     channels = parameters["bench.channels"]
     regions = tuple(regions_side_by_side(len(channels), 382, 288))
     settings = _settings("ir_camera") | {"regions": regions, "stale_limit": 1e9}
@@ -59,21 +58,18 @@ def _in_one_process(name: str, parameters: Parameters, frames: int) -> dict[str,
         if any(gauge.read(frame, float(k)).reason for gauge in gauges):
             raise AssertionError("a wire was not read")
 
-    return {
-        f"382 x 288, {name}: pictures read [1/s]": _rate(read, frames),
-        f"382 x 288, {name}: synthetic pictures made [1/s]": _rate(
-            lambda k: camera.picture(kelvin, k % 7), frames
-        ),
-    }
+    case = f"camera 382 x 288, {name}"
+    made = _rate(lambda k: camera.picture(kelvin, k % 7), frames)
+    return [
+        Figure(case, "pictures read a second", _rate(read, frames), "1/s", at_least(RATE)),
+        Figure(case, "synthetic pictures made a second", made, "1/s"),
+    ]
 
 
-def _in_processes(name: str, channels: tuple[str, ...], seconds: float) -> dict[str, float]:
-    try:
-        import rclpy
-        from sensor_msgs.msg import Temperature
-    except ImportError:
-        print("  (no ROS 2: the nodes are not measured)")
-        return {}
+def _in_processes(name: str, channels: tuple[str, ...], seconds: float) -> list[Outcome]:
+    import rclpy
+    from sensor_msgs.msg import Temperature
+
     from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
 
     private_ros_environment()
@@ -111,12 +107,13 @@ def _in_processes(name: str, channels: tuple[str, ...], seconds: float) -> dict[
         node.destroy_node()
         rclpy.try_shutdown()
     ages = sorted(received) or [float("nan")]
-    return {
-        f"{name} at 80 Hz: readings of the last wire [1/s]": len(received) / elapsed,
-        f"{name} at 80 Hz: age of a reading where it arrives, median [ms]": 1e3
-        * ages[len(ages) // 2],
-        **{f"{name} at 80 Hz: {node}, share of a core": used[node] for node in _NODES},
-    }
+    case = f"camera nodes at 80 Hz, {name}"
+    return [
+        Figure(case, "readings of the last wire a second", len(received) / elapsed, "1/s",
+               at_least(0.99 * RATE)),
+        Figure(case, "age of a reading where it arrives, median", 1e3 * ages[len(ages) // 2], "ms"),
+        *(Figure(case, f"{node}: share of a core", used[node], "") for node in _NODES),
+    ]
 
 
 def _age(node: Any, message: Any) -> float:
@@ -135,11 +132,7 @@ def _settings(node: str) -> dict[str, Any]:
 
 
 def _rate(call: Callable[[int], object], times: int) -> float:
-    start = time.perf_counter()
+    start = time.process_time()
     for k in range(times):
         call(k)
-    return times / (time.perf_counter() - start)
-
-
-if __name__ == "__main__":
-    measure()
+    return times / (time.process_time() - start)

@@ -1,33 +1,57 @@
-"""How long simulation, readers and camera take, side by side: `./bench perf [--json FILE]`."""
+"""How fast the package is, beside what one would pick instead: `./bench perf [SECTION ...]`."""
 
 import argparse
 import json
+import os
 import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
-import camera_frames
-import read_bags
-import run_simulation
+# The fits' matrices are small: BLAS threads that wait for each other only slow them down.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
 
-PARTS = {
-    "simulation": run_simulation.measure,
-    "bags": read_bags.measure,
-    "camera": camera_frames.measure,
+from figures import Outcome, Skipped, as_json, print_section  # noqa: E402
+
+SECTIONS = {
+    "simulation": ("simulation", "stiff solvers at equal error, the same recurrence in C"),
+    "reading": ("reading", "bags: rosbags, mcap-ros2-support, the bytes alone"),
+    "commands": ("whole_commands", "help, identification, diagnosis; cold and warm"),
+    "nodes": ("node_rates", "rates, jitter, latency, share of a core; the camera"),
+    "growth": ("growth", "with length, wires, effects, parameter sets"),
+    "batch": ("batches", "many bags over processes and a dask cluster"),
 }
 
 
 def main(argv: list[str]) -> int:
-    """Measure all parts, or one; print, and write `--json FILE`."""
-    parser = argparse.ArgumentParser(prog="bench perf", description=__doc__)
-    parser.add_argument("--only", choices=PARTS, help="this part only")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE")
+    """Measure the sections, print a table of each, write `--json FILE`."""
+    lines = "\n".join(f"  {name:11} {text}" for name, (_, text) in SECTIONS.items())
+    parser = argparse.ArgumentParser(
+        prog="bench perf", description=f"{__doc__}\n\nsections:\n{lines}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("sections", nargs="*", metavar="SECTION", help="these only")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE")
+    parser.add_argument(
+        "--tiny", action="store_true", help="every section on tiny sizes: does it run?"
+    )
     arguments = parser.parse_args(argv)
-    numbers = {}
-    for part in [arguments.only] if arguments.only else PARTS:
-        print(f"{part}:")
-        numbers[part] = PARTS[part]()
+    unknown = [name for name in arguments.sections if name not in SECTIONS]
+    if unknown:
+        parser.error(f"no section {unknown[0]}, expected one of {', '.join(SECTIONS)}")
+    found: dict[str, list[Outcome]] = {}
+    for name in arguments.sections or SECTIONS:
+        measure: Callable[[bool], list[Outcome]] = import_module(SECTIONS[name][0]).measure
+        begin = time.monotonic()
+        try:
+            found[name] = measure(arguments.tiny)
+        except (RuntimeError, OSError) as error:  # a rival that fails must not end the others
+            found[name] = [Skipped(name, f"{type(error).__name__}: {error}")]
+        print_section(name, found[name], time.monotonic() - begin)
     if arguments.json:
-        arguments.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(as_json(found), indent=1) + "\n", encoding="utf-8")
     return 0
 
 

@@ -155,6 +155,13 @@ def test_dead_sensor_is_found_only_while_something_happens():
     assert found(record(wire_voltage=TRIANGLE * 0, wire_temperature=flat)) == {}
 
 
+def test_an_elongation_that_stays_is_a_clamp_where_a_force_changes_and_dead_where_none_does():
+    flat = np.zeros(len(CLOCK))
+    clamped = record(wire_voltage=TRIANGLE, elongation=flat, force=5.0 * TRIANGLE)
+    assert "elongation" not in found(clamped)
+    assert "stays at 0" in found(record(wire_voltage=TRIANGLE, elongation=flat))["elongation"]
+
+
 def test_what_is_absent_is_told():
     told = found(record(wire_voltage=TRIANGLE), "info")
     assert told["wire.current"] == told["wire.temperature"] == "absent from the record"

@@ -292,3 +292,62 @@ def test_any_damage_ends_in_a_record_or_one_line(tmp_path, write_bag, ramp, dama
             else:
                 describe(record)
                 assert all("\n" not in str(finding) for finding in record.findings)
+
+
+def test_the_row_before_a_damaged_page_is_read(tmp_path, write_bag, messages):
+    """Python's cursor steps on before it gives out a row, and so lost the last good one."""
+    content = []
+    for k in range(3000):
+        stamp = messages.start + k * 10_000_000
+        content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
+    bag = write_bag(tmp_path / "bag", content, "sqlite3")
+    file = next(bag.glob("*.db3"))
+    raw = bytearray(file.read_bytes())
+    places = [raw.find(messages.serialise(message)) // 4096 for _, message, _ in content]
+    page = places[1500] + 1
+    raw[page * 4096 : (page + 1) * 4096] = bytes(4096)
+    file.write_bytes(bytes(raw))
+    found = set(np.rint(read_record(bag)["wire.temperature"].values - 293.15).astype(int).tolist())
+    assert {k for k, place in enumerate(places) if place != page} == found
+
+
+def test_a_table_that_leads_back_into_itself_ends(tmp_path, write_bag, messages):
+    """A damaged tree once gave its rows for ever, until the memory was full."""
+    content = []
+    for k in range(3000):
+        stamp = messages.start + k * 10_000_000
+        content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
+    bag = write_bag(tmp_path / "bag", content, "sqlite3")
+    file = next(bag.glob("*.db3"))
+    raw = bytearray(file.read_bytes())
+    # The root of the message table: an interior page that names all the leaves.
+    root = max(
+        (at for at in range(0, len(raw), 4096) if raw[at] == 0x05),
+        key=lambda at: struct.unpack_from(">H", raw, at + 3)[0],
+    )
+    (cells,) = struct.unpack_from(">H", raw, root + 3)
+    pointers = [struct.unpack_from(">H", raw, root + 12 + 2 * k)[0] for k in range(cells)]
+    first = raw[root + pointers[2] : root + pointers[2] + 4]
+    for pointer in pointers[cells // 2 :]:
+        raw[root + pointer : root + pointer + 4] = first
+    raw[root + 8 : root + 12] = first
+    file.write_bytes(bytes(raw))
+    record = read_record(bag)
+    assert 1000 < len(record["wire.temperature"]) < 3000
+    assert "damaged" in findings(record)
+
+
+@pytest.mark.parametrize("key", ["name", "message_count"])
+def test_metadata_that_unfolds_to_gigabytes_is_passed_over(mcap, key):
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
+    )
+    topic = "{name: *a11}" if key == "name" else "{name: /b/t}"
+    count = "*a11" if key == "message_count" else "1"
+    (mcap.parent / "metadata.yaml").write_text(
+        f"{bomb}rosbag2_bagfile_information:\n  relative_file_paths: [{mcap.name}]\n"
+        f"  topics_with_message_count: [{{topic_metadata: {topic}, message_count: {count}}}]\n"
+    )
+    record = read_record(mcap.parent)
+    assert len(record["wire.voltage"]) == 200
+    assert "metadata.yaml: cannot be understood" in findings(record)

@@ -141,6 +141,18 @@ def test_a_declared_topic_without_messages_is_no_candidate(tmp_path, write_bag, 
     assert absent["/a/wire/power"] == "declared, but without a message; absent"
 
 
+def test_what_a_twin_predicts_is_not_taken_for_measured(tmp_path, write_bag, messages):
+    measured, predicted = messages.range(messages.start, 0.1), messages.range(messages.start, 0.2)
+    content = [
+        ("/bench/front/range", measured, messages.start),
+        ("/bench/twin/front/range", predicted, messages.start),
+        ("/bench/twin/residual/back/range", predicted, messages.start),
+    ]
+    record = read_record(write_bag(tmp_path / "bag", content))
+    assert [float(v) for v in record["front.range"].values] == pytest.approx([0.1])
+    assert "back.range" not in record.signals
+
+
 @pytest.mark.parametrize("namespace", ["", "/bench", "/lab/rig_b/bench"])
 def test_topics_are_found_under_any_namespace(tmp_path, write_bag, messages, namespace):
     content = [(f"{namespace}/front/range", messages.range(messages.start, 0.1), messages.start)]

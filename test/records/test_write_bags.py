@@ -17,6 +17,8 @@ from rosbags.rosbag2 import Reader
 from sma_bench.errors import InputError
 from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.contract import TEMPERATURE
+from sma_bench.records.messages import streams_of
 from sma_bench.records.write import write_record
 
 NAMES = {
@@ -180,6 +182,8 @@ def test_writer_refuses_unknown_topics_and_types(tmp_path):
 RECORDER = """
 import sys, time
 from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.contract import TEMPERATURE
+from sma_bench.records.messages import streams_of
 from sma_bench.records.messages import TYPES
 from sma_bench.records import contract
 kind = contract.STRING
@@ -230,6 +234,8 @@ FILLER = """
 import resource, sys
 from sma_bench.errors import InputError
 from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.contract import TEMPERATURE
+from sma_bench.records.messages import streams_of
 from sma_bench.records.messages import TYPES
 from sma_bench.records import contract
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
@@ -269,3 +275,32 @@ def test_full_disk_is_one_clear_line_and_what_was_written_stays_readable(tmp_pat
     found = [int(text) for _, text in read_record(bag).markers]
     assert found == list(range(len(found)))
     assert 1500 < len(found) < 2300
+
+
+def test_an_altered_bit_of_a_recorded_bag_is_noticed(tmp_path):
+    """rosbags writes its chunks without a checksum: a flipped bit was read as another number."""
+    with BagWriter(tmp_path / "bag", compress=False) as bag:
+        bag.add_topic("/b/t", "std_msgs/msg/Float64MultiArray")
+        bag.add_topic("/bench/wire/temperature", TEMPERATURE)
+        signal = ramp_signal("wire.temperature", n=500)
+        (stream,) = streams_of({signal.name: signal}, "/bench/", 10**18)
+        for stamp, blob in zip(stream.received, stream.blobs, strict=True):
+            bag.write(stream.topic, int(stamp), blob)
+    assert len(read_record(tmp_path / "bag")["wire.temperature"]) == 500
+    file = next((tmp_path / "bag").glob("*.mcap"))
+    raw = bytearray(file.read_bytes())
+    raw[raw.find(stream.blobs[250]) + len(stream.blobs[250]) - 12] ^= 4  # of the temperature
+    file.write_bytes(bytes(raw))
+    with pytest.raises(InputError, match="wrong checksum"):
+        read_record(tmp_path / "bag")
+
+
+def test_a_bag_that_cannot_be_begun_leaves_no_file_open(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(BagWriter, "_write_metadata", full)
+    with pytest.raises(InputError, match="the disk is full"):
+        BagWriter(tmp_path / "bag")
+    held = [os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.exists()]
+    assert not [path for path in held if str(tmp_path) in path]

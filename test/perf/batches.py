@@ -1,0 +1,66 @@
+"""A batch of bags over the cores of this machine, and over a local dask cluster."""
+
+import os
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from figures import Figure, Outcome, Skipped
+from whole_commands import staircase_signals
+
+from sma_bench.batch import Task, on_cluster, on_processes
+from sma_bench.batch.task import IDENTIFY
+from sma_bench.parameters import Parameters
+from sma_bench.records.write import write_record
+
+BAGS = 200
+_DURATION = 30.0  # s, of each
+
+
+def measure(tiny: bool = False) -> list[Outcome]:
+    """Bags a second on one process, on one a core, and on as many workers of a cluster."""
+    count, cores = (2 if tiny else BAGS), len(os.sched_getaffinity(0))
+    case = f"{count} bags of {_DURATION:g} s identified"
+    with TemporaryDirectory() as folder:
+        bag = Path(folder, "bag")
+        write_record(bag, staircase_signals(_DURATION))
+        tasks = [Task(IDENTIFY, str(bag), Parameters.defaults())] * count
+        one = _seconds(lambda: on_processes(tasks, 1))
+        outcomes: list[Outcome] = [Figure(case, "one process", count / one, "bags/s")]
+        if tiny:
+            return outcomes
+        many = _seconds(lambda: on_processes(tasks, cores))
+        outcomes += [
+            Figure(case, f"{cores} processes", count / many, "bags/s"),
+            Figure(case, f"gain of {cores} processes over one", one / many, "x",
+                   ("least", 0.85 * cores)),
+        ]
+        return outcomes + _on_dask(case, tasks, cores, many, folder)
+
+
+def _on_dask(
+    case: str, tasks: list[Task], cores: int, processes: float, folder: str
+) -> list[Outcome]:
+    try:
+        from distributed import LocalCluster
+    except ImportError:
+        return [Skipped("dask", "distributed is not installed")]
+    with LocalCluster(
+        n_workers=cores, threads_per_worker=1, dashboard_address=None, host="127.0.0.1",
+        local_directory=folder,
+    ) as cluster:
+        address = cluster.scheduler_address
+        spread = _seconds(lambda: on_cluster(tasks, address))
+    return [
+        Figure(case, f"dask, {cores} local workers", len(tasks) / spread, "bags/s"),
+        Figure(case, "dask: times the time of processes", spread / processes, "x"),
+    ]
+
+
+def _seconds(batch: Callable[[], Iterable]) -> float:
+    begin = time.perf_counter()
+    failed = [outcome.error for _, outcome in batch() if outcome.error]
+    if failed:
+        raise RuntimeError(failed[0])
+    return time.perf_counter() - begin

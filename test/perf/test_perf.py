@@ -1,0 +1,121 @@
+"""The benchmark runs on tiny sizes and says all that it promises; the figures' own rules."""
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from figures import Figure, Skipped, as_json, at_least, at_most
+from perf import SECTIONS
+from timing import exponent, interleaved, ratio
+
+PERF = Path(__file__).with_name("perf.py")
+CASES = ("one wire", "one wire, effects on", "four wires", "four wires, effects on")
+
+
+def run(tmp_path, *sections):
+    file = tmp_path / "perf.json"
+    process = subprocess.run(
+        [sys.executable, str(PERF), *sections, "--tiny", "--json", str(file)],
+        capture_output=True, text=True, check=False,
+    )
+    assert process.returncode == 0, process.stderr
+    return json.loads(file.read_text()), process.stdout
+
+
+def measures(document, section):
+    found = {}
+    for figure in document["sections"][section]["figures"]:
+        assert figure["value"] is not None and np.isfinite(figure["value"]), figure
+        assert figure["met"] in ((None,) if figure["aim"] is None else (True, False))
+        found.setdefault(figure["case"], {})[figure["measure"]] = figure["value"]
+    return found
+
+
+def is_there(module):
+    return importlib.util.find_spec(module) is not None
+
+
+@pytest.mark.slow
+def test_simulation_is_held_against_solvers_and_c(tmp_path):
+    document, out = run(tmp_path, "simulation")
+    found = measures(document, "simulation")
+    for case in CASES:
+        assert case in out
+        assert found[case]["scipy LSODA: times slower"] > 1.0
+        assert found[case]["error, of the range"] < (5e-3 if "effects" in case else 1e-6)
+        assert found[case]["scipy LSODA: its error"] < 1e-2
+        if is_there("sksundae"):
+            assert found[case]["scikit-sundae CVODE: times slower"] > 1.0
+        if shutil.which("cc"):
+            assert found[case]["difference from C, of the range"] < 1e-9
+            assert found[case]["times the time of C"] > 0.0
+    assert any("parameter sets" in case for case in found)
+    assert list(document["sections"]) == ["simulation"]
+    assert document["machine"]["cores"] >= 1 and document["machine"]["versions"]["numpy"]
+
+
+@pytest.mark.slow
+def test_reading_growth_commands_and_batch_are_complete(tmp_path):
+    document, _ = run(tmp_path, "reading", "growth", "commands", "batch")
+    bags = measures(document, "reading")
+    for case, found in bags.items():
+        assert found["rosbags, message by message: times slower"] > 0.0
+        if is_there("mcap_ros2") and "mcap" in case:
+            assert found["mcap-ros2-support: times slower"] > 0.0
+    assert len(bags) == 2
+    growth = measures(document, "growth")
+    for what in ("samples", "wires", "parameter sets", "effects"):
+        assert f"simulation over {what}" in growth
+    assert len(growth) == 6
+    commands = measures(document, "commands")
+    assert {"--help", "identify --help", "identify a minute's bag"} == set(commands)
+    assert all(found["warm: processor"] > 0.0 for found in commands.values())
+    assert sum(len(found) for found in measures(document, "batch").values()) == 1
+
+
+@pytest.mark.slow
+def test_a_node_is_measured(tmp_path, ros_domain):
+    pytest.importorskip("rclpy")
+    document, _ = run(tmp_path, "nodes")
+    found = measures(document, "nodes")["simulator at 100 Hz"]
+    assert found["power readings a second"] > 0.0
+    assert found["command to reading, median"] > 0.0
+
+
+def test_an_unknown_section_is_one_line():
+    process = subprocess.run(
+        [sys.executable, str(PERF), "speed"], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 2
+    assert "no section speed, expected one of simulation, reading" in process.stderr
+    assert "nodes" in SECTIONS
+
+
+def test_aims_are_judged_and_what_was_not_measured_is_kept():
+    outcomes = [
+        Figure("a", "b", 2.0, "x", at_least(3.0)), Figure("a", "c", 2.0, "x", at_most(3.0)),
+        Figure("a", "d", float("nan"), "x"), Skipped("e", "no compiler"),
+    ]
+    section = as_json({"s": outcomes})["sections"]["s"]
+    assert [figure["met"] for figure in section["figures"]] == [False, True, None]
+    assert section["figures"][2]["value"] is None
+    assert section["skipped"] == [{"what": "e", "why": "no compiler"}]
+
+
+def test_calls_run_in_turn_and_the_first_round_does_not_count():
+    ran = []
+    calls = {"a": lambda: ran.append("a"), "b": lambda: ran.append("b")}
+    seconds = interleaved(calls, 3)
+    assert ran == ["a", "b"] * 4
+    assert seconds["a"].shape == (3,)
+
+
+def test_ratio_is_by_round_and_growth_is_a_slope():
+    assert ratio(np.array([2.0, 20.0, 6.0]), np.array([1.0, 10.0, 2.0])) == 2.0
+    sizes = np.array([1.0, 10.0, 100.0])
+    assert exponent(sizes, 3.0 * sizes**2) == pytest.approx(2.0)
