@@ -19,6 +19,7 @@ NODES = [
     "recorder",
     "identification",
     "diagnosis",
+    "twin",
     "temperature_controller",
     "deflection_controller",
 ]
@@ -42,13 +43,15 @@ setup(
     license=MANIFEST.findtext("license"),
     python_requires=">=3.11",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.j2", "**/*.c"]},
+    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.js", "**/*.j2", "**/*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         *shared_files("config", "launch", "firmware"),
     ],
     install_requires=["setuptools"],
+    # The rest of the package works without.
+    extras_require={"notebook": ["pandas"], "cluster": ["distributed"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [

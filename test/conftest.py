@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,6 +22,10 @@ os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "sma_be
 os.environ.setdefault("MPLBACKEND", "Agg")
 # Before anything imports numpy, as the command line does: small matrices, idle threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# A busy machine is no failure; what hangs is seen all the same.
+hypothesis.settings.register_profile("any machine", deadline=None)
+hypothesis.settings.load_profile("any machine")
 
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
 DOMAINS = range(10, 102)
@@ -97,6 +102,24 @@ def uno(emulator: Path, firmware_image: Path) -> Any:
     from sma_bench.emulation.emulated_uno import EmulatedUno
 
     return EmulatedUno(emulator, firmware_image)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless Chromium; not for the whole session: it keeps an event loop running."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no browser here (Debian package chromium)")
+    # As root, and without asking its maker for news: what is tested needs no network.
+    options = [
+        "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+        "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    ]  # fmt: skip
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=program, args=options, timeout=120e3)
+        yield chromium
+        chromium.close()
 
 
 @pytest.fixture

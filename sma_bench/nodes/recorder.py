@@ -41,6 +41,7 @@ class Recorder(BenchNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_LOOK_EVERY, self._look, clock=steady)
         self.create_timer(_FLUSH_EVERY, self._flush, clock=steady)
+        self.get_logger().info(f"writing {self._bag.path}")
         self._look()
         self._publish_state("recording")
 
@@ -57,6 +58,9 @@ class Recorder(BenchNode):
         """Finish the bag with its index."""
         self._guarded(self._bag.close)
         self._publish_state("failed" if self.failure else "closed")
+        if not self.failure:
+            count = sum(self._messages.values())
+            self.get_logger().info(f"closed {self._bag.path}: {count} messages")
         # Listeners would otherwise miss how it ended.
         self._state.wait_for_all_acked(Duration(seconds=_LAST_WORD))
 

@@ -26,6 +26,8 @@ def make_house(folder: Path, requirements: str = ONE_SMALL_PACKAGE) -> Path:
     texts = {
         "requirements.txt": requirements,
         "requirements-test.txt": "cycler==0.12.1\n",
+        "requirements-docs.txt": "cycler==0.12.1\n",
+        "requirements-perf.txt": "cycler==0.12.1\n",
         "setup.py": SETUP,
         "package.xml": "",
         "sma_bench/__init__.py": "",

@@ -27,9 +27,12 @@ THIRD_PARTY = {
     "ruamel": ("ruamel-yaml", None),  # comes with rosbags
     "scipy": ("scipy", "python3-scipy"),
     "serial": ("pyserial", "python3-serial"),
+    "tornado": ("tornado", "python3-tornado"),
     "yaml": ("pyyaml", "python3-yaml"),
     "zstandard": ("zstandard", None),  # a Debian package, but no rosdep key
 }
+# The same of what the package does without, with the extra of setup.py that names it.
+OPTIONAL = {"distributed": ("distributed", "cluster"), "pandas": ("pandas", "notebook")}
 ROS = re.compile(r"rclpy|rosidl_\w+|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 
 
@@ -43,6 +46,10 @@ def imported() -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.partition(".")[0])
     return found - sys.stdlib_module_names - {"sma_bench"}
+
+
+STAGED = ("requirements-build.txt", "requirements.txt", "requirements-test.txt",
+          "requirements-docs.txt", "requirements-perf.txt")  # fmt: skip
 
 
 def pins(*names: str) -> dict[str, str]:
@@ -66,10 +73,20 @@ def test_every_import_is_pinned_and_declared() -> None:
         if ROS.fullmatch(module):
             assert module in declared, f"{module} is not in package.xml"
             continue
+        if module in OPTIONAL:
+            continue
         assert module in THIRD_PARTY, f"{module} is imported but not known here"
         package, key = THIRD_PARTY[module]
         assert package in pinned, f"{package} is not in requirements.txt"
         assert key is None or key in declared, f"{key} is not in package.xml"
+
+
+def test_optional_imports_are_pinned_for_the_tests_and_extras_of_the_package() -> None:
+    extras = metadata.metadata("sma_bench").get_all("Provides-Extra") or []
+    for module in sorted(imported() & set(OPTIONAL)):
+        package, extra = OPTIONAL[module]
+        assert package in pins(*STAGED)
+        assert extra in extras, f"setup.py has no extra {extra}"
 
 
 def test_pins_are_exact() -> None:
@@ -83,7 +100,7 @@ def test_pins_are_exact() -> None:
 def test_pinned_packages_fit_together_and_are_complete() -> None:
     if not Path(sys.prefix).is_relative_to(ROOT):
         pytest.skip("not in the environment of ./bench")
-    wanted = pins("requirements-build.txt", "requirements.txt", "requirements-test.txt")
+    wanted = pins(*STAGED)
     there = {
         re.sub(r"[-_.]+", "-", name).lower(): distribution.version
         for distribution in metadata.distributions(path=[str(p) for p in site_packages()])

@@ -1,0 +1,1 @@
+"""The reliability campaign: what is done to the software, and what it must do then."""

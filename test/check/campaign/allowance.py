@@ -1,0 +1,44 @@
+"""How much memory and time a piece of work may take: more ends in an exception."""
+
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+class TooLong(Exception):
+    """The work went on beyond its time."""
+
+
+@contextmanager
+def allowance(memory: int, seconds: float) -> Iterator[None]:
+    """MemoryError beyond `memory` bytes more than now, TooLong beyond `seconds` of CPU time.
+
+    Of the main thread only, for the signal; CPU time, for a busy machine is no fault.
+    """
+
+    def too_long(*_: object) -> None:
+        raise TooLong(f"more than {seconds:g} s")
+
+    before, hard = resource.getrlimit(resource.RLIMIT_AS)
+    handler = signal.signal(signal.SIGVTALRM, too_long)
+    resource.setrlimit(resource.RLIMIT_AS, (address_space() + memory, hard))
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        resource.setrlimit(resource.RLIMIT_AS, (before, hard))
+        signal.signal(signal.SIGVTALRM, handler)
+
+
+def address_space() -> int:
+    """Bytes that this process has mapped."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return pages * resource.getpagesize()
+
+
+def resident(pid: int | str = "self") -> int:
+    """Bytes of memory that a process holds."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()

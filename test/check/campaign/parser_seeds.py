@@ -1,0 +1,165 @@
+"""What the parsers read: one good input each, small, and the call that reads it."""
+
+import contextlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sma_bench.hardware.serial_framing import Splitter, frame, line
+from sma_bench.hardware.serial_messages import ProtocolError, decode
+from sma_bench.nodes.arguments import check_arguments
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.protocols import load_protocol
+from sma_bench.protocols.references import TEMPERATURE, load_reference
+from sma_bench.records import open_record, read_record
+from sma_bench.report.result_file import read_result
+
+PYRIS = """Filename:\tC:\\run.dcd
+Sample ID:\tNiTi wire
+Sample Weight:\t10.000 mg
+1)\tHold for 1.0 min at 100.00\xb0C
+2)\tCool from 100.00\xb0C to 70.00\xb0C at 10.00\xb0C/min
+1) DSC Isothermal
+\tTime     \tUnsubtracted\tBaseline     \tProgram     \tSample     \tApprox.
+\t          \tHeat Flow     \tHeat Flow     \tTemperature\tTemperature\tGas Flow
+\t0.000000\t10.0\t1.0\t100.0\t99.0\t0.0
+2) DSC Temperature Scan
+\t1.000000\t5.0\t1.0\t100.0\t99.0\t0.0
+\t2.000000\t4.0\t1.0\t90.0\t89.5\t0.0
+"""
+TA = """Version\t4.1
+Run\t1
+Size\t10.0\tmg
+ExoDown
+Nsig\t3
+Sig1\tTime (min)
+Sig2\tTemperature (\xb0C)
+Sig3\tHeat Flow (mW)
+StartOfData
+0.0\t20.0\t0.1
+0.1\t21.0\t0.2
+0.2\t22.0\t0.1
+"""
+PARAMETERS = """/**:
+  ros__parameters:
+    wire: {resistance: 2.7, mass: 9.1e-5}
+    bench: {channels: [front_1, back_1], channel_sides: [front, back]}
+    uncertainty.wire.resistance: 0.03
+"""
+PROTOCOL = """name: triangle
+description: two of them
+repeat: 2
+steps:
+  - {kind: triangle, name: heat, drive: all, peak: 6.0, rise: 30.0, fall: 30.0}
+  - {kind: ramp, start: 0.0, stop: 2.7, duration: 7.0}
+  - {kind: rest, duration: 60.0}
+"""
+REFERENCE = """name: steps
+steps:
+  - {kind: hold, level: 330.0, duration: 10.0}
+  - {kind: ramp, start: 330.0, stop: 340.0, duration: 7.0}
+"""
+METADATA = """rosbag2_bagfile_information:
+  version: 9
+  storage_identifier: mcap
+  message_count: 2
+  topics_with_message_count:
+    - topic_metadata: {name: /bench/wire/power, type: sensor_msgs/msg/BatteryState}
+      message_count: 2
+  relative_file_paths: [bag.mcap]
+"""
+RESULT = {
+    "parameters": {
+        "wire.resistance": {"value": 2.7, "std": 0.1, "unit": "ohm", "method": "E1", "n": 9}
+    },
+    "experiments": [{"name": "E1", "record": "bag"}],
+    "warnings": ["one"],
+}
+
+
+@dataclass(frozen=True)
+class Parser:
+    """A parser, a good input, and the file name that it goes by."""
+
+    name: str
+    seed: bytes
+    read: Callable[[Path], object]
+    file: str = "input.txt"
+
+
+def _table(*columns: np.ndarray) -> bytes:
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return "\n".join("\t".join(f"{number:.4f}" for number in row) for row in rows).encode()
+
+
+def _isobaric() -> bytes:
+    heat = np.linspace(20.0, 120.0, 30)
+    return _table(np.concatenate([heat, heat[::-1]]), np.linspace(4.0, 0.0, 60), np.full(60, 99.0))
+
+
+def _tensile() -> bytes:
+    strain = np.linspace(0.0, 0.02, 40)
+    return b"Strain (-)\tStress (MPa)\n" + _table(strain, 22_800.0 * strain)
+
+
+def _bag(file: Path) -> object:
+    return read_record(file.parent)
+
+
+def _node_arguments(file: Path) -> None:
+    """A parameter file for a node, and each of its lines as -p name:=value."""
+    check_arguments("experiment", ["--ros-args", "--params-file", str(file)])
+    for text in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        name, _, value = text.strip().partition(": ")
+        check_arguments("experiment", ["--ros-args", "-p", f"{name}:={value}"])
+
+
+def _serial(file: Path) -> None:
+    """The stream in pieces, as lines and as frames; a wrong message is a ProtocolError."""
+    received = file.read_bytes()
+    for binary in (False, True):
+        splitter = Splitter()
+        splitter.expect(binary)
+        for start in range(0, len(received), 13):
+            for body in splitter.feed(received[start : start + 13]):
+                _decode(body)
+        # What comes with a right checksum is not thereby right.
+        for body in received.split(b"\n"):
+            _decode(body)
+
+
+def _decode(body: bytes) -> None:
+    with contextlib.suppress(ProtocolError):
+        decode(body)
+
+
+_TELEMETRY = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
+_SERIAL = (
+    b"".join(line(text.decode()) for text in (_TELEMETRY, b"K A 13841", b"N V 6", b"P 3 9 5"))
+    + frame(bytes.fromhex("42390010fb30000100e32e9aff00009a3a8e3a1c0b00000000ffff0100"))
+    + _TELEMETRY
+)
+
+
+def parsers() -> tuple[Parser, ...]:
+    """Every parser of what comes from outside."""
+    wire = Parameters.defaults()
+    return (
+        Parser("calorimeter, Pyris", PYRIS.encode("latin-1"), open_record),
+        Parser("calorimeter, TA", TA.encode(), open_record),
+        Parser("isobaric test", _isobaric(), open_record, "100 MPa.txt"),
+        Parser("tensile test", _tensile(), open_record),
+        Parser("parameter file", PARAMETERS.encode(), read_parameters),
+        Parser("parameters of a node", PARAMETERS.encode(), _node_arguments),
+        Parser("protocol", PROTOCOL.encode(), lambda p: load_protocol(p, wire), "input.yaml"),
+        Parser(
+            "reference", REFERENCE.encode(), lambda p: load_reference(p, wire, TEMPERATURE),
+            "input.yaml",
+        ),
+        Parser("metadata of a bag", METADATA.encode(), _bag, "metadata.yaml"),
+        Parser("result", json.dumps(RESULT, indent=1).encode(), read_result, "input.json"),
+        Parser("serial bytes", _SERIAL, _serial),
+    )  # fmt: skip

@@ -1,0 +1,241 @@
+"""The SROS 2 policy against the nodes themselves: every topic and service of each.
+
+Makes every node in this process, for both rigs, asks what it publishes, reads, serves and calls,
+and compares that with config/sros2/policy.xml. `--write` writes the policy from it.
+
+    ./bench check policy [--write]
+"""
+
+import argparse
+import importlib
+import inspect
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import rclpy
+from rclpy.node import Node
+
+from sma_bench.emulation.build import missing_tools
+from sma_bench.hardware.thermal_settings import regions_side_by_side
+from sma_bench.nodes.base import BenchNode
+from sma_bench.nodes.processes import private_ros_environment
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+
+ROOT = Path(__file__).resolve().parents[2]
+POLICY = ROOT / "config" / "sros2" / "policy.xml"
+NAMESPACE = "/bench"
+RIGS = ("wire_rig.yaml", "composite_rig.yaml")
+DASHBOARD = "dashboard"
+
+# Attribute of sros2's policy, by what a node has.
+KINDS = {
+    "publish": ("topics", "topic"), "subscribe": ("topics", "topic"),
+    "reply": ("services", "service"), "request": ("services", "service"),
+}  # fmt: skip
+# Of CONTRACT's table; `*` is a channel, whose names are the bench's own.
+CONTRACT = (
+    "voltage_command", "*/power", "*/temperature", "front/range", "back/range", "joint_states",
+    "thermal_image", "ambient/temperature", "experiment/marker",
+)  # fmt: skip
+# These listen to whatever of the contract is there, and stop what can be stopped.
+LISTENERS = ("recorder", DASHBOARD)
+_STOPS = ("*/stop", "*/get_parameters")
+_CLOCK = "/clock"
+_STATES = ("/diagnostics", "*/state", "*/progress", "*/result")
+_PICTURE = (382, 288)
+
+# Node -> kind of KINDS -> names, relative to the namespace or absolute.
+Rules = dict[str, dict[str, set[str]]]
+
+
+def nodes_rules() -> tuple[Rules, list[str]]:
+    """What the nodes of this package have, and the nodes that cannot be made on this machine."""
+    private_ros_environment()
+    rules: Rules = {}
+    left_out = []
+    for name in NODE_TABLES:
+        if name == "emulated_bench" and missing_tools():
+            left_out.append(name)
+            continue
+        for rig in RIGS:
+            if name == "deflection_controller" and rig == RIGS[0]:
+                continue  # a straight wire bends nothing
+            channels = _channels(rig)
+            with tempfile.TemporaryDirectory() as folder:
+                found = _made(name, ROOT / "config" / rig, channels, Path(folder))
+            _add(rules, name, found, channels)
+    for name in LISTENERS:
+        of = rules.setdefault(name, {kind: set() for kind in KINDS})
+        of["subscribe"] |= set(CONTRACT)
+    rules[DASHBOARD]["subscribe"] |= set(_STATES)
+    rules[DASHBOARD]["publish"] |= {"voltage_command", "/rosout", "/parameter_events"}
+    rules[DASHBOARD]["request"] |= set(_STOPS)
+    return rules, left_out
+
+
+def _channels(rig: str) -> tuple[str, ...]:
+    groups = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
+    own = groups - {name.split(".")[0] for name in Parameters.defaults()}
+    return read_parameters(ROOT / "config" / rig, ignore=own)["bench.channels"]
+
+
+def _made(
+    name: str, file: Path, channels: tuple[str, ...], folder: Path
+) -> dict[str, set[str]]:
+    """Absolute names by kind."""
+    module = importlib.import_module(f"sma_bench.nodes.{name}")
+    (kind,) = (
+        value for _, value in inspect.getmembers(module, inspect.isclass)
+        if issubclass(value, BenchNode) and value.__module__ == module.__name__
+    )  # fmt: skip
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", str(file),
+                     *_needed(name, channels, folder)])  # fmt: skip
+    node = kind()
+    try:
+        return _names(node)
+    finally:
+        node.close()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _needed(name: str, channels: tuple[str, ...], folder: Path) -> list[str]:
+    """What a node cannot do without."""
+    if name == "recorder":
+        return ["-p", f"output:={folder / 'bag'}"]
+    if name == "serial_bridge":
+        return ["-p", "port:=/dev/no_such_port"]
+    if name == "ir_camera":
+        regions = regions_side_by_side(len(channels), *_PICTURE)
+        size = ["-p", f"image_width:={_PICTURE[0]}", "-p", f"image_height:={_PICTURE[1]}"]
+        return [*size, "-p", f"regions:={list(regions)}"]
+    return []
+
+
+def _names(node: Node) -> dict[str, set[str]]:
+    def resolved(things: Iterable[Any], attribute: str) -> set[str]:
+        return {getattr(thing, attribute) for thing in things}
+
+    return {
+        "publish": resolved(node.publishers, "topic_name"),
+        "subscribe": resolved(node.subscriptions, "topic_name") | {_CLOCK},
+        "reply": resolved(node.services, "service_name"),
+        "request": resolved(node.clients, "service_name"),
+    }
+
+
+def _add(
+    rules: Rules, name: str, found: dict[str, set[str]], channels: tuple[str, ...]
+) -> None:
+    of = rules.setdefault(name, {kind: set() for kind in KINDS})
+    for kind, names in found.items():
+        of[kind] |= {_relative(absolute, name, channels) for absolute in names}
+
+
+def _relative(absolute: str, node: str, channels: tuple[str, ...]) -> str:
+    """`*/power` of /bench/front_1/power, `~start` of /bench/experiment/start."""
+    own = f"{NAMESPACE}/{node}/"
+    if absolute.startswith(own):
+        return "~" + absolute.removeprefix(own)
+    name = absolute.removeprefix(f"{NAMESPACE}/")
+    parts = name.split("/")
+    return "/".join("*" if part in channels else part for part in parts)
+
+
+def read_policy(path: Path = POLICY) -> Rules:
+    """Names that the policy allows, by node; ValueError where it is not as sros2's schema says."""
+    policy = ElementTree.parse(path).getroot()
+    _require(policy.tag == "policy" and policy.get("version") == "0.2.0", "policy 0.2.0")
+    (enclaves,) = policy
+    _require(enclaves.tag == "enclaves", "enclaves")
+    rules: Rules = {}
+    for enclave in enclaves:
+        _require(enclave.tag == "enclave" and str(enclave.get("path")).startswith("/"), "a path")
+        (profiles,) = enclave
+        _require(profiles.tag == "profiles", "profiles")
+        for profile in profiles:
+            _require(profile.tag == "profile" and bool(profile.get("ns")), "a profile with ns")
+            of = rules.setdefault(str(profile.get("node")), {kind: set() for kind in KINDS})
+            for group in profile:
+                for kind, permission in group.attrib.items():
+                    wanted, item = KINDS[kind]
+                    _require(group.tag == wanted, f"{kind} in {wanted}")
+                    _require(permission == "ALLOW", "ALLOW")
+                    _require(len(group) > 0, "a rule")
+                    _require(all(entry.tag == item for entry in group), item)
+                    of[kind] |= {str(entry.text) for entry in group}
+    return rules
+
+
+def _require(holds: bool, what: str) -> None:
+    if not holds:
+        raise ValueError(f"{POLICY.name}: expected {what}")
+
+
+def missing_rules(wanted: Rules, given: Rules) -> Rules:
+    """What is in `wanted` that no rule of `given` covers."""
+    return {
+        node: {kind: lacking}
+        for node, kinds in wanted.items()
+        for kind, names in kinds.items()
+        if (lacking := {n for n in names if not _covered(n, given.get(node, {}).get(kind, ()))})
+    }
+
+
+def _covered(name: str, rules: Iterable[str]) -> bool:
+    return any(name == rule or fnmatchcase(name, rule) for rule in rules)
+
+
+def write_policy(rules: Rules, path: Path = POLICY) -> None:
+    """The policy that allows exactly these."""
+    policy = ElementTree.Element("policy", version="0.2.0")
+    enclaves = ElementTree.SubElement(policy, "enclaves")
+    for node in sorted(rules):
+        enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{NAMESPACE}/{node}")
+        profiles = ElementTree.SubElement(enclave, "profiles")
+        profile = ElementTree.SubElement(profiles, "profile", ns=NAMESPACE, node=node)
+        for kind, (group, item) in KINDS.items():
+            if names := sorted(rules[node][kind]):
+                allowed = ElementTree.SubElement(profile, group, {kind: "ALLOW"})
+                for name in names:
+                    ElementTree.SubElement(allowed, item).text = name
+    ElementTree.indent(policy)
+    head = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Who may say what: docs/threats.md. Written '
+        "from the nodes by ./bench check policy with its option write. -->\n"
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 when the policy allows all that the nodes have, and nothing else."""
+    parser = argparse.ArgumentParser(prog="./bench check policy")
+    parser.add_argument("--write", action="store_true", help="write the policy from the nodes")
+    options = parser.parse_args(argv)
+    found, left_out = nodes_rules()
+    if left_out:
+        print(f"not made here: {', '.join(left_out)}: {missing_tools()}", file=sys.stderr)
+    if options.write:
+        if left_out:
+            return 2
+        write_policy(found)
+    policy = {n: kinds for n, kinds in read_policy().items() if n not in left_out}
+    absent, unused = missing_rules(found, policy), missing_rules(policy, found)
+    for title, rules in (("had, but not allowed", absent), ("allowed, but not had", unused)):
+        for node, kinds in rules.items():
+            for kind, names in kinds.items():
+                print(f"{title}: {node} {kind} {', '.join(sorted(names))}")
+    count = sum(len(names) for node in policy.values() for names in node.values())
+    print(f"{len(policy)} nodes, {count} rules")
+    return 1 if absent or unused else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+"""Every section of `./bench check reliability`, small: what it found once stays mended."""
+
+import os
+import random
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
+
+from campaign.allowance import TooLong, allowance  # noqa: E402
+from campaign.damaged_bags import damaged_bags, judge  # noqa: E402
+from campaign.full_disk import full_disk  # noqa: E402
+from campaign.fuzzed_parsers import edited, fuzzed_parsers, try_input  # noqa: E402
+from campaign.numbered_bag import MESSAGES, numbered_bag  # noqa: E402
+from campaign.parser_seeds import Parser, parsers  # noqa: E402
+
+from sma_bench.errors import InputError  # noqa: E402
+
+
+def failed(outcomes):
+    return [f"{o.what}: {o.found}" for o in outcomes if not o.met]
+
+
+def test_damaged_bags_are_read_up_to_the_damage_and_the_loss_is_stated(tmp_path):
+    outcomes = damaged_bags(108, 5, tmp_path)
+    assert sum(outcome.tried for outcome in outcomes) == 108
+    assert failed(outcomes) == []
+
+
+def test_a_message_before_the_damage_that_is_not_read_is_noticed(tmp_path):
+    bag = numbered_bag(tmp_path / "bag", "mcap, plain")
+    storage = bag.path / bag.storage
+    raw = storage.read_bytes()
+    storage.write_bytes(raw[: len(raw) // 2])
+    whole = bag.numbers_before(len(raw) // 2)
+    assert 0.2 * MESSAGES < len(whole) < 0.6 * MESSAGES
+    assert judge(bag, bag.path, whole).failure == ""
+    verdict = judge(bag, bag.path, whole | {MESSAGES - 1})
+    assert verdict.failure.startswith("1 messages before the damage not read")
+
+
+def test_a_full_disk_costs_one_line_and_nothing_good(tmp_path):
+    assert failed(full_disk(1, 1, tmp_path)) == []
+
+
+def test_parsers_take_anything(tmp_path):
+    outcomes = fuzzed_parsers(25, 1, tmp_path)
+    assert len(outcomes) == len(parsers()) + 1
+    assert failed(outcomes) == []
+
+
+def test_the_fuzzer_finds_what_falls_over(tmp_path):
+    def careless(path):
+        float(path.read_text())
+
+    def greedy(path):
+        raise InputError("two\nlines")
+
+    assert try_input(Parser("careless", b"1", careless), b"x", tmp_path).startswith("ValueError")
+    assert try_input(Parser("greedy", b"1", greedy), b"x", tmp_path).startswith("more than one")
+    assert edited(b"a: 1, b: 2", [("replace", 0.3, 1, b"nan")]) == b"a: nan, b: 2"
+
+
+def test_an_allowance_ends_what_takes_too_long_or_too_much():
+    with pytest.raises(TooLong), allowance(1 << 30, 0.2):
+        while True:
+            pass
+    with pytest.raises(MemoryError), allowance(1 << 28, 10.0):
+        np.ones(1 << 27)
+
+
+@pytest.mark.slow
+def test_killed_recorders_lose_a_second_at_most(ros_domain, tmp_path):
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from campaign.killed_recorder import killed_recorder
+
+    assert failed(killed_recorder(8, random.Random(os.urandom(4)).randrange(100), tmp_path)) == []
+
+
+@pytest.mark.slow
+def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, tmp_path):
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from campaign.foreign_traffic import foreign_traffic, leaping_clocks
+
+    assert failed(foreign_traffic(20, 1, tmp_path)) == []
+    assert failed(leaping_clocks(3, 1, tmp_path)) == []
+
+
+@pytest.mark.slow
+def test_killed_nodes_start_again_and_memory_stays_flat(ros_domain, tmp_path):
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from campaign.restarted_nodes import orders, restarted_nodes
+    from campaign.soak import slope
+
+    assert len(set(orders())) == 36
+    assert failed(restarted_nodes(1, 7, tmp_path)) == []
+    hours = np.linspace(0.0, 2.0, 100)
+    assert slope(hours, 50.0 + 3.0 * hours)[0] == pytest.approx(3.0)
