@@ -15,11 +15,12 @@ PACKAGE = "sma_bench"
 LONGEST_FILE = 350
 
 # Every room (folder or file of the package) and the rooms that it may import.
-LEAVES = {"errors", "findings", "compiled"}
+LEAVES = {"errors", "findings", "compiled", "progress"}
 ARROWS = {
     "errors": set(),
     "findings": set(),
     "compiled": set(),
+    "progress": set(),
     "share": {"errors"},
     "parameters": LEAVES,
     "protocols": LEAVES | {"parameters", "share"},
@@ -32,9 +33,18 @@ ARROWS = {
     "synthetic": LEAVES
     | {"records", "physics", "parameters", "protocols", "control", "hardware"},
     "diagnose": LEAVES | {"identify", "records", "physics", "parameters", "protocols"},
+    # The running twin learns noise as the diagnosis does, and steps the simulator's own core.
+    "twin": LEAVES | {"diagnose", "identify", "physics", "parameters"},
+    "batch": LEAVES | {"diagnose", "identify", "records", "parameters"},
     "report": LEAVES
     | {"diagnose", "identify", "records", "physics", "parameters", "protocols"},
+    "dashboard": LEAVES | {"report"},
     "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
+    "api": LEAVES
+    | {
+        "diagnose", "identify", "synthetic", "physics", "protocols", "records", "parameters",
+    },
+    "": {"api"},  # `import sma_bench` itself
 }
 ABOVE_ALL = {"nodes", "commands", "cli"}  # these use everything, and nothing below uses them
 USES_ROS = "nodes"

@@ -28,6 +28,7 @@ except ImportError:
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments, node_help
+from sma_bench.nodes.discovery import choose_discovery
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
@@ -53,6 +54,8 @@ class BenchNode(Node):
 
     frozen = False
     """True where nothing may change while the node runs."""
+    fixed: frozenset[str] = frozenset()
+    """Names that may not change while the node runs, where others may."""
     with_uncertainty = False
     """True where the node has use for the `uncertainty.` parameters."""
 
@@ -137,6 +140,10 @@ class BenchNode(Node):
             for change in changes
             if change.name in self._own or change.name in self._contract
         }
+        for name in self.fixed & changed.keys():
+            if _plain(changed[name]) != _plain(self.get_parameter(name).value):
+                reason = f"{name} cannot change while the node runs"
+                return SetParametersResult(successful=False, reason=reason)
         try:
             settings, _ = self._validated(changed)
             if any(name in self._own for name in changed):
@@ -166,6 +173,7 @@ def run_node(
         return 0
     try:
         check_arguments(name, arguments)
+        choose_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except InputError as error:
         return _refuse(name, error)

@@ -10,14 +10,15 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from sma_bench.nodes import replay_plan
-from sma_bench.nodes.bench_plan import Argument, PlannedNode, Rig, plan_bench
+from sma_bench.nodes.bench_plan import Argument, PlannedNode, Rig, plan_bench, switch
+from sma_bench.nodes.discovery import discovery_range
 
 
 def bench_launch(rig: Rig) -> LaunchDescription:
     """Launch description of a rig."""
 
     def actions(values: dict[str, str]) -> list[Any]:
-        return [_node(node, values["namespace"]) for node in plan_bench(values)]
+        return [_node(node, values) for node in plan_bench(values)]
 
     return _description(rig.arguments, actions)
 
@@ -28,10 +29,10 @@ def replay_launch() -> LaunchDescription:
     def actions(values: dict[str, str]) -> list[Any]:
         command, nodes = replay_plan.plan_replay(values)
         player = ExecuteProcess(
-            cmd=command, name="player", output="screen",
+            cmd=command, name="player", output="screen", additional_env=_discovery(values),
             on_exit=Shutdown(reason="the record is over"),
         )
-        return [*(_node(node, values["namespace"]) for node in nodes), player]
+        return [*(_node(node, values) for node in nodes), player]
 
     return _description(replay_plan.ARGUMENTS, actions)
 
@@ -54,14 +55,19 @@ def _declared(name: str, argument: Argument) -> DeclareLaunchArgument:
     )
 
 
-def _node(planned: PlannedNode, namespace: str) -> Node:
+def _discovery(values: Mapping[str, str]) -> dict[str, str]:
+    return discovery_range(switch(values, "network"))
+
+
+def _node(planned: PlannedNode, values: Mapping[str, str]) -> Node:
     own = {name: _parameter(value) for name, value in planned.parameters.items()}
     files = [planned.file] if planned.file else []
     end = Shutdown(reason=f"{planned.executable} has ended") if planned.vital else None
     return Node(
         package=planned.package, executable=planned.executable, name=planned.executable,
-        namespace=namespace, parameters=[*files, *([own] if own else [])],
+        namespace=values["namespace"], parameters=[*files, *([own] if own else [])],
         remappings=list(planned.remappings.items()), output="screen", on_exit=end,
+        additional_env=_discovery(values),
     )
 
 

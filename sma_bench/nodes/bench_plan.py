@@ -49,6 +49,12 @@ class Argument:
     choices: tuple[str, ...] = ()
 
 
+OPEN_TO_NETWORK = Argument(
+    "false", "Let other machines of the network find the bench, and drive it; else this one "
+    "only, unless the environment says otherwise.", SWITCH,
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class PlannedNode:
     """One process: `parameters` are its own, over those of the rig's `file`."""
@@ -99,12 +105,17 @@ class Rig:
                 "auto", "Temperatures by ir_camera: of the driver's pictures on hardware, of "
                 "synthetic ones otherwise. auto: on hardware only.", ("auto", *SWITCH),
             ),
+            "twin": Argument(
+                "false", "Run the model beside the bench: predictions and residuals below twin/, "
+                "and where a gap grows.", SWITCH,
+            ),
             "record": Argument("true", "Record all topics of the bench.", SWITCH),
             "output": Argument("", "New folder for the bag; empty for record_<date>_<time>."),
             "nodes": Argument(
                 "identification", f"Further nodes, separated by commas: {', '.join(SERVICES)}."
             ),
             "port": Argument("", "Serial port of the Uno; empty for the only one."),
+            "network": OPEN_TO_NETWORK,
         }  # fmt: skip
         if self.bends:
             found["description"] = Argument(
@@ -143,6 +154,8 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
     }))  # fmt: skip
     if switch(values, "record"):
         nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))
+    if switch(values, "twin"):
+        nodes.append(PlannedNode("twin", clock))
     nodes += services(values)
     planned = [PlannedNode(n.executable, n.parameters, n.remappings, file=values["params"])
                for n in nodes]  # fmt: skip

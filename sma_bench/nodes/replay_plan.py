@@ -10,6 +10,7 @@ from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.bench_plan import (
+    OPEN_TO_NETWORK,
     SERVICES,
     SWITCH,
     Argument,
@@ -42,10 +43,14 @@ ARGUMENTS = {
         "false", "Read the recorded pictures anew with ir_camera; recorded temperatures step "
         "aside.", SWITCH,
     ),
+    "twin": Argument(
+        "false", "Run the model of `params` beside the record, and say where a gap grows.", SWITCH
+    ),
     "nodes": Argument("", f"Further nodes, separated by commas: {', '.join(SERVICES)}."),
     "description": Argument(
         "false", "Publish the beam's URDF, so that RViz shows it bend.", SWITCH
     ),
+    "network": OPEN_TO_NETWORK,
 }  # fmt: skip
 
 
@@ -75,6 +80,7 @@ def plan_replay(values: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]
     ]  # fmt: skip
     clock = {"use_sim_time": True}
     beside = [PlannedNode("ir_camera", clock)] if camera else []
+    beside += [PlannedNode("twin", clock)] if switch(values, "twin") else []
     nodes = [
         PlannedNode(n.executable, n.parameters, file=values["params"])
         for n in [*beside, *services(values)]
@@ -101,14 +107,17 @@ def _counts(bag: str) -> dict[tuple[str, str], int]:
     metadata = Path(bag) / "metadata.yaml"
     if not metadata.is_file():
         return {(name, t.type): t.count for name, t in read_record(bag).topics.items()}
-    document: Any = read_document(metadata)
+    document: Any = read_document(metadata, aliases=True)  # rosbags writes some
     try:
         entries = document["rosbag2_bagfile_information"]["topics_with_message_count"]
-        return {
-            (entry["topic_metadata"]["name"], entry["topic_metadata"]["type"]):
-                int(entry["message_count"])
-            for entry in entries
-        }  # fmt: skip
+        counts: dict[tuple[str, str], int] = {}
+        for entry in entries:
+            topic, count = entry["topic_metadata"], entry["message_count"]
+            name, kind = topic["name"], topic["type"]
+            if not (isinstance(name, str) and isinstance(kind, str) and isinstance(count, int)):
+                raise TypeError
+            counts[name, kind] = count
+        return counts
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{metadata}: expected rosbag2's list of topics") from None
 

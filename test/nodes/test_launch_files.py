@@ -68,6 +68,7 @@ def test_a_rig_names_an_existing_file_and_a_protocol_that_fits_it(rig):
         ({"camera": "true"}, ["simulator", *CAMERA, *REST]),
         ({"nodes": "identification,diagnosis"}, ["simulator", *REST, "diagnosis"]),
         ({"nodes": "", "record": "false"}, ["simulator", "experiment"]),
+        ({"twin": "true"}, ["simulator", "experiment", "recorder", "twin", "identification"]),
         ({"mode": "hardware"}, ["serial_bridge", "ir_camera", *REST]),
         ({"mode": "hardware", "camera": "false"}, ["serial_bridge", *REST]),
         ({"mode": "emulated"}, [*FRONT_UNIT, *REST]),
@@ -91,21 +92,35 @@ def test_the_end_of_a_node_that_holds_the_outputs_ends_the_bench(monkeypatch):
     simulated = built(BENCHES["wire_bench"], monkeypatch)
     assert isinstance(node(simulated, "simulator").on_exit, Shutdown)
     assert node(simulated, "recorder").on_exit is None
+    beside = built(BENCHES["composite_bench"], monkeypatch, twin="true", nodes="diagnosis")
+    going_on = {a.given.executable for a in beside if a.given.on_exit is None}
+    assert going_on == {"recorder", "twin", "diagnosis"}
 
 
 def test_arguments_reach_the_nodes(monkeypatch):
     actions = built(
         BENCHES["wire_bench"], monkeypatch, protocol="ramp", speed="10", output="20261121",
-        autostart="True", namespace="lab",
+        autostart="True", namespace="lab", twin="true",
     )
     assert own(actions, "simulator") == {"speed": 10.0}
     assert own(actions, "experiment") == {
         "protocol": "ramp", "autostart": True, "use_sim_time": True
     }
     assert own(actions, "recorder") == {"output": "20261121", "use_sim_time": True}
+    assert own(actions, "twin") == {"use_sim_time": True}
     # Else launch_ros reads a number where the node wants a text.
     assert isinstance(node(actions, "recorder").parameters[-1]["output"], Text)
     assert {action.given.namespace for action in actions} == {"lab"}
+
+
+@pytest.mark.parametrize("name", list(BENCHES))
+def test_nodes_are_found_on_this_machine_unless_the_network_is_asked_for(name, monkeypatch):
+    for variable in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"):
+        monkeypatch.delenv(variable, raising=False)
+    for network, expected in (("false", "LOCALHOST"), ("true", "SUBNET")):
+        actions = built(BENCHES[name], monkeypatch, network=network)
+        ranges = {a.given.additional_env["ROS_AUTOMATIC_DISCOVERY_RANGE"] for a in actions}
+        assert ranges == {expected}
 
 
 @pytest.mark.parametrize("mode", ["simulated", "emulated"])

@@ -55,6 +55,13 @@ def test_recorded_commands_never_reach_a_bench(bag):
     assert moved[commands[0]] == "/bench/replayed/voltage_command"
 
 
+def test_a_twin_listens_to_the_record_on_its_clock(bag):
+    _, nodes = plan_replay(values(bag=str(bag), twin="true", params="lab.yaml"))
+    assert [node.executable for node in nodes] == ["twin"]
+    assert nodes[0].parameters == {"use_sim_time": True} and nodes[0].file == "lab.yaml"
+    assert not nodes[0].vital
+
+
 def test_recorded_temperatures_step_aside_for_the_camera(bag):
     command, nodes = plan_replay(values(bag=str(bag), camera="true", loop="true"))
     assert "/replay/replayed/wire/temperature" in remapped(command).values()

@@ -87,6 +87,15 @@ def test_a_node_is_measured(tmp_path, ros_domain):
     assert found["command to reading, median"] > 0.0
 
 
+@pytest.mark.slow
+def test_the_twin_is_measured(tmp_path, ros_domain):
+    pytest.importorskip("rclpy")
+    document, _ = run(tmp_path, "twin")
+    for rig in ("one wire", "four wires"):
+        assert measures(document, "twin")[f"{rig} at 500 Hz"]["twin without ROS"] > 0.0
+    assert measures(document, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
+
+
 def test_an_unknown_section_is_one_line():
     process = subprocess.run(
         [sys.executable, str(PERF), "speed"], capture_output=True, text=True, check=False

@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from figures import Figure, Outcome, Skipped, at_least, at_most
 
 from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -21,19 +22,16 @@ _STEP = 0.02
 _STARTING = 120.0
 
 
-def measure(seconds: float = 8.0) -> dict[str, float]:
-    """Share of a core of the twin alone and of its node, and the pace it keeps; printed as well."""
-    numbers: dict[str, float] = {}
-    for name, rig in RIGS.items():
-        numbers |= _alone(name, CONFIG / rig, seconds)
-    for name, rig in RIGS.items():
-        numbers |= _node(name, CONFIG / rig, seconds)
-    for key, value in numbers.items():
-        print(f"  {key:66s} {value:9.3g}")
-    return numbers
+def measure(tiny: bool = False) -> list[Outcome]:
+    """Share of a core of the twin alone and of its node, and the pace it keeps."""
+    seconds = 1.0 if tiny else 8.0
+    outcomes: list[Outcome] = [_alone(name, CONFIG / rig, seconds) for name, rig in RIGS.items()]
+    for name, rig in list(RIGS.items())[: 1 if tiny else None]:
+        outcomes += _node(f"{name} at {RATE:g} Hz", CONFIG / rig, seconds)
+    return outcomes
 
 
-def _alone(name: str, rig: Path, seconds: float) -> dict[str, float]:
+def _alone(name: str, rig: Path, seconds: float) -> Figure:
     """No ROS: readings handed over as the node does, every 20 ms."""
     parameters = read_parameters(rig)
     compile_model(parameters)
@@ -53,16 +51,15 @@ def _alone(name: str, rig: Path, seconds: float) -> dict[str, float]:
         if k % round(_STEP * RATE) == 0:
             twin.advance()
     used = (time.process_time() - begin) / seconds
-    return {f"{name} at {RATE:g} Hz: twin without ROS, share of a core": used}
+    return Figure(f"{name} at {RATE:g} Hz", "twin without ROS", used, "cores", at_most(1.0))
 
 
-def _node(name: str, rig: Path, seconds: float) -> dict[str, float]:
+def _node(case: str, rig: Path, seconds: float) -> list[Outcome]:
     try:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
     except ImportError:
-        print("  (no ROS 2: the node is not measured)")
-        return {}
+        return [Skipped(f"twin node, {case}", "no ROS 2 (rclpy) here")]
     from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
 
     private_ros_environment()
@@ -98,20 +95,24 @@ def _node(name: str, rig: Path, seconds: float) -> dict[str, float]:
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    label = f"{name} at {RATE:g} Hz"
+    shares: list[Outcome] = [
+        Figure(case, f"{name} node", used[name], "cores", at_most(1.0) if name == "twin" else None)
+        for name in used
+    ]
     if len(told) < 2:
-        return {f"{label}: twin, share of a core": used["twin"]}
+        return [*shares, Skipped(f"twin node's pace, {case}", "it told nothing twice")]
     (first, start), (last, end) = told[0], told[-1]
-    wires = len(read_parameters(rig)["bench.channels"])
-    rates = [float(values["voltage_readings_rate"]) for _, values in told[1:]]
-    return {
-        f"{label}: model seconds a second": (float(end["model_time"]) - float(start["model_time"]))
-        / (last - first),
-        f"{label}: voltages taken of each wire [1/s]": float(np.mean(rates)) / wires,
-        f"{label}: twin began anew": float(end["restarts"]) - float(start["restarts"]),
-        f"{label}: readings too late": float(end["readings_late"]) - float(start["readings_late"]),
-        **{f"{label}: {k}, share of a core": share for k, share in used.items()},
-    }
+
+    def grown(key: str) -> float:
+        return float(end[key]) - float(start[key])
+
+    return [
+        Figure(case, "model time a second", grown("model_time") / (last - first), "s/s",
+               at_least(0.98)),
+        Figure(case, "twin began anew", grown("restarts"), "times", at_most(0.0)),
+        Figure(case, "readings too late", grown("readings_late"), "readings", at_most(0.0)),
+        *shares,
+    ]  # fmt: skip
 
 
 def _cpu(pid: int) -> float:
@@ -119,6 +120,3 @@ def _cpu(pid: int) -> float:
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
-
-if __name__ == "__main__":
-    measure()

@@ -1,0 +1,179 @@
+"""Runs the model beside the bench on the measured voltages, and says where the two part."""
+
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import BatteryState, JointState, Temperature
+from std_srvs.srv import Trigger
+
+from sma_bench.hardware.safety import CELSIUS_ZERO
+from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.nodes.twin_topics import TwinTopics
+from sma_bench.twin import Twin, compile_model
+from sma_bench.twin.twin import NANOSECONDS
+from sma_bench.twin.verdict import GAP, GREW, StageState
+
+# Reliable unless a publisher that is there already is not: a lost voltage is a wrong prediction.
+# Deep, as a player or a simulation faster than life comes in bursts.
+_OFFERED = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_AVAILABLE)
+_STEP_EVERY = 0.02
+_DIAGNOSE_EVERY = 1.0
+_SILENCE = 2.0
+
+
+class TwinNode(BenchNode):
+    """Listens, and drives nothing. Parameters, effects among them, may change while it runs."""
+
+    fixed = frozenset({"bench.channels", "bench.channel_sides"})
+    with_uncertainty = True  # a diagnosis's file loads whole into the running node
+
+    def __init__(self) -> None:
+        super().__init__("twin")
+        channels = self.parameters["bench.channels"]
+        self._joint = "tip" if len(channels) > 1 else "wire"
+        self._topics = TwinTopics(self, channels)
+        compile_model(self.parameters)
+        self._twin = Twin(
+            self.parameters, self.settings, self._topics.predict, self._topics.residual
+        )
+        self._loaded = self.parameters, self.settings
+        self._judged = self._twin.verdict
+        self._said = ""
+        self._heard, self._readings, self._hertz = time.monotonic(), 0, 0.0
+        self._reported = 0, self._heard
+        self._restarts = 0
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        for k, channel in enumerate(channels):
+            self.create_subscription(
+                BatteryState, f"{channel}/power", partial(self._on_power, k), _OFFERED
+            )
+            self.create_subscription(
+                Temperature, f"{channel}/temperature", partial(self._on_temperature, k), _OFFERED
+            )
+        self.create_subscription(JointState, "joint_states", self._on_joint, _OFFERED)
+        self.create_service(Trigger, "~/accept", self._accept)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_STEP_EVERY, self._step, clock=steady)
+        self.create_timer(_DIAGNOSE_EVERY, self._diagnose, clock=steady)
+
+    # Readings
+
+    def _on_power(self, wire: int, message: BatteryState) -> None:
+        self._heard = time.monotonic()
+        self._readings += 1
+        self._twin.power(wire, _stamp(message), message.voltage, message.current)
+
+    def _on_temperature(self, wire: int, message: Temperature) -> None:
+        self._twin.temperature(wire, _stamp(message), message.temperature + CELSIUS_ZERO)
+
+    def _on_joint(self, message: JointState) -> None:
+        if self._joint not in message.name:
+            return
+        k = list(message.name).index(self._joint)
+        position = message.position[k] if k < len(message.position) else math.nan
+        if self._joint == "tip":
+            self._twin.mechanics(_stamp(message), position)
+        elif k < len(message.effort):
+            elongation = 0.0 if math.isnan(position) else position
+            self._twin.mechanics(_stamp(message), message.effort[k], elongation)
+
+    # What follows from them
+
+    def _step(self) -> None:
+        if self._loaded[0] is not self.parameters:
+            self._take_over()
+        self._twin.advance()
+        if self._restarts != self._twin.restarts:
+            self._restarts = self._twin.restarts
+            self.get_logger().info(f"began anew: {self._twin.reason}")
+        verdict = self._twin.verdict
+        if verdict is not self._judged:
+            self._judged = verdict
+            self._topics.energies(verdict)
+            if verdict.message != self._said and verdict.measured:
+                self._diagnose()
+
+    def _take_over(self) -> None:
+        parameters, settings = self._loaded
+        self._loaded = self.parameters, self.settings
+        if settings != self.settings:
+            self._twin.tune(self.settings)
+        if parameters != self.parameters:
+            self._twin.change(self.parameters)
+
+    def _accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._twin.accept()
+        response.success = True
+        response.message = "the present gap is known; only more of it counts as grown"
+        return response
+
+    # Diagnostics
+
+    def _diagnose(self) -> None:
+        verdict = self._twin.verdict
+        silence = time.monotonic() - self._heard
+        level, message = DiagnosticStatus.OK, verdict.message
+        if verdict.state in (GAP, GREW):
+            level = DiagnosticStatus.WARN
+        if silence > _SILENCE:
+            level, message = DiagnosticStatus.STALE, "no voltages"
+        if message != self._said:
+            # Two lines of code: rclpy pins the severity of each.
+            if level == DiagnosticStatus.OK:
+                self.get_logger().info(message)
+            else:
+                self.get_logger().warning(message)
+            self._said = message
+        whole = self._status("gap", level, message, {
+            "state": verdict.state, "stages": " ".join(verdict.stages),
+            "sides": " ".join(verdict.sides), "model_time": f"{self._twin.stamp / NANOSECONDS:.3f}",
+            "voltage_readings_rate": f"{self._rate():.1f}",
+            "silence": f"{silence:.1f}", **self._twin.counts,
+        })  # fmt: skip
+        array = DiagnosticArray(status=[whole, *map(self._stage_status, verdict.measured)])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _rate(self) -> float:
+        """Readings of voltages a second, of all channels, over the last half second or more."""
+        now, (count, then) = time.monotonic(), self._reported
+        if now - then > 0.5 * _DIAGNOSE_EVERY:
+            self._hertz = (self._readings - count) / (now - then)
+            self._reported = self._readings, now
+        return self._hertz
+
+    def _stage_status(self, state: StageState) -> DiagnosticStatus:
+        named = state.stage in self._twin.verdict.stages
+        numbers = {"energy": f"{state.energy:.3g}", "gap_over_noise": f"{state.gap:.3g}"}
+        learned = not math.isnan(state.energy)
+        message = f"{state.gap:.1f} times the noise" if learned else "learning the noise"
+        level = DiagnosticStatus.WARN if named else DiagnosticStatus.OK
+        return self._status(state.stage, level, message, numbers)
+
+    def _status(
+        self, name: str, level: bytes, message: str, values: dict[str, Any]
+    ) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
+            hardware_id="twin",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+
+def _stamp(message: Any) -> int:
+    return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    return run_node("twin", TwinNode, argv)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,268 @@
+"""The twin: measured readings in, predictions, residuals and a verdict out. No ROS, no clock."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.diagnose.noise import estimate_noise
+from sma_bench.parameters import Parameters
+from sma_bench.physics.boundary import side_names
+from sma_bench.twin.comparison import Comparison
+from sma_bench.twin.drive import Drive
+from sma_bench.twin.free_run import FreeRun
+from sma_bench.twin.signal_bins import BIN
+from sma_bench.twin.verdict import LEARNING, Judge, Rules, Verdict
+
+Array = NDArray[np.float64]
+
+NANOSECONDS = 1_000_000_000
+CURRENT, TEMPERATURE, MECHANICS = "current", "temperature", "mechanics"
+_WAIT_FOR_TEMPERATURES = 1.0  # s
+_FRESH = 0.5  # s
+_FAR_AHEAD = 2.0  # s; readings of a record's last round
+_QUEUE = 4000
+_EVERY = 5  # bins between two verdicts
+_CLAMPED = 1e-4  # m; a wire whose end has moved further is not the one that is modelled
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the model says at a time (ns): (w,) A and K, and the deflection [m] or force [N]."""
+
+    stamp: int
+    voltage: Array
+    current: Array
+    temperature: Array
+    mechanics: float
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Measured less predicted, of one reading; `wire` is 0 for the mechanics."""
+
+    kind: str
+    wire: int
+    stamp: int
+    value: float
+
+
+class Twin:
+    """Runs the model on measured voltages and compares what else is measured.
+
+    Stamps are ns, readings SI. What cannot be used (NaN, late, out of order) is counted.
+
+    Attributes:
+        verdict: the newest; restarts: how often the twin began anew, and `reason` why.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        settings: Mapping[str, Any],
+        on_prediction: Callable[[Prediction], None],
+        on_residual: Callable[[Residual], None],
+    ) -> None:
+        """`settings` are the twin node's own parameters; the callbacks get the output."""
+        self._parameters = parameters
+        self._on_prediction, self._on_residual = on_prediction, on_residual
+        self._channels = parameters["bench.channels"]
+        self._wires = len(self._channels)
+        self._period = 1.0 / settings["publish_rate"]
+        self.tune(settings)
+        self._drive = Drive(self._wires, settings["voltage_timeout"])
+        self._judge = Judge(side_names(parameters))
+        self._origin: int | None = None
+        self._ignored = 0
+        self.restarts, self.reason = 0, ""
+        self._begin_anew()
+
+    def tune(self, settings: Mapping[str, Any]) -> None:
+        """Take over the settings of the judgement."""
+        self._rules = Rules(
+            settings["threshold"], settings["window"], round(settings["learning"] / BIN),
+            {q: settings[f"allowed.{q}"]
+             for q in ("current", "temperature", "deflection", "force")},
+        )  # fmt: skip
+
+    def _begin_anew(self) -> None:
+        self._run: FreeRun | None = None
+        self._comparison: Comparison | None = None
+        self._waited_since: float | None = None
+        self._kelvin: dict[int, tuple[float, float]] = {}
+        self._pending: dict[tuple[str, int], deque[tuple[float, int, float, float]]] = {}
+        self._next_due: dict[tuple[str, int], float] = {}
+        self._unjudged = 0
+        self._judge.forget()
+        self.verdict = Verdict(LEARNING, "learning: waiting for voltages")
+
+    def power(self, wire: int, stamp: int, volt: float, ampere: float) -> None:
+        """A reading of a channel's voltage [V] and current [A], NaN for what is not measured."""
+        time = self._time(stamp)
+        if reason := self._drive.take(wire, time, volt):
+            self._begin_anew()
+            self.restarts, self.reason = self.restarts + 1, reason
+        if math.isfinite(ampere) and math.isfinite(volt):
+            self._queue(CURRENT, wire, time, stamp, ampere, volt)
+
+    def temperature(self, wire: int, stamp: int, kelvin: float) -> None:
+        """A reading of a wire's temperature [K]."""
+        time = self._time(stamp)
+        if not math.isfinite(kelvin):
+            self._ignored += 1
+            return
+        self._kelvin[wire] = time, kelvin
+        self._queue(TEMPERATURE, wire, time, stamp, kelvin)
+
+    def mechanics(self, stamp: int, value: float, elongation: float = 0.0) -> None:
+        """A deflection [m], or the force [N] of a wire elongated by so much [m]."""
+        if not math.isfinite(value) or abs(elongation) > _CLAMPED:
+            self._ignored += 1
+            return
+        self._queue(MECHANICS, 0, self._time(stamp), stamp, value)
+
+    def change(self, parameters: Parameters) -> None:
+        """Go on with other parameters of the same channels; the last minute is lived again."""
+        self._parameters = parameters
+        if self._run is not None:
+            self._run.change(parameters)
+            self._comparison = Comparison(self._run, self._rules.allowed["temperature"])
+            self._unjudged = 0
+            self.verdict = Verdict(LEARNING, "learning: parameters have changed")
+
+    def accept(self) -> None:
+        """Take the present gap as known: only more of it counts as grown."""
+        self._judge.accept()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What was left out, by reason, and how often the twin began anew."""
+        late = self._comparison.late if self._comparison else 0
+        return {
+            "voltages_not_a_number": self._drive.dropped["not a number"],
+            "voltages_out_of_order": self._drive.dropped["out of order"],
+            "readings_not_usable": self._ignored, "readings_late": late,
+            "restarts": self.restarts,
+        }
+
+    @property
+    def stamp(self) -> int:
+        """ns, up to which the model has run; 0 before it has begun."""
+        return self._stamp(self._run.time) if self._run else 0
+
+    def _time(self, stamp: int) -> float:
+        if self._origin is None:
+            self._origin = stamp
+        return (stamp - self._origin) / NANOSECONDS
+
+    def _stamp(self, time: float) -> int:
+        return (self._origin or 0) + round(time * NANOSECONDS)
+
+    def _queue(
+        self, kind: str, wire: int, time: float, stamp: int, value: float, factor: float = 1.0
+    ) -> None:
+        key = kind, wire
+        if key not in self._pending:
+            self._pending[key] = deque(maxlen=_QUEUE)
+        self._pending[key].append((time, stamp, value, factor))
+
+    def advance(self) -> None:
+        """Run the model as far as the voltages are known, compare, and judge every second."""
+        time, volts = self._drive.changes()
+        if self._run is None:
+            self._join(time, volts)
+            time = time[:0]
+        run, comparison = self._run, self._comparison
+        if run is None or comparison is None:
+            self._say_what_is_missing()
+        elif len(time):
+            run.advance(time, volts)
+            self._predict(run, time, volts)
+            self._compare(run, comparison)
+            self._unjudged += comparison.close(run)
+            if self._unjudged >= _EVERY:
+                self._unjudged = 0
+                self.verdict = self._judge.judge(comparison, self._rules)
+
+    def _say_what_is_missing(self) -> None:
+        missing = [self._channels[k] for k in self._drive.missing()]
+        said = f"voltage of {', '.join(missing)}" if missing else "temperatures to begin with"
+        self.verdict = Verdict(LEARNING, f"learning: waiting for {said}")
+
+    def _join(self, time: Array, volts: Array) -> None:
+        """Begin where temperatures are known, or a second later without those that never came."""
+        known = np.flatnonzero(~np.isnan(volts).any(axis=1))
+        if not len(known):
+            return
+        now = float(time[-1])
+        if self._waited_since is None:
+            self._waited_since = float(time[known[0]])
+        fresh = {w: v for w, (then, v) in self._kelvin.items() if abs(then - now) < _FRESH}
+        if len(fresh) < self._wires and now - self._waited_since < _WAIT_FOR_TEMPERATURES:
+            return
+        kelvin = np.array([fresh.get(w, math.nan) for w in range(self._wires)])
+        # At the newest moment: a wire may be heating by the time its temperature is heard.
+        self._run = FreeRun(self._parameters, now, kelvin, volts[-1])
+        self._comparison = Comparison(self._run, self._rules.allowed["temperature"])
+        self.verdict = Verdict(LEARNING, "learning the noise")
+
+    def _compare(self, run: FreeRun, comparison: Comparison) -> None:
+        for (kind, wire), waiting in self._pending.items():
+            count = sum(1 for _ in takewhile(lambda one: one[0] <= run.time, waiting))
+            if not count:
+                if waiting and waiting[0][0] > run.time + _FAR_AHEAD:
+                    self._ignored += len(waiting)
+                    waiting.clear()
+                continue
+            taken = [waiting.popleft() for _ in range(count)]
+            time, value, factor = np.array([(at, v, f) for at, _, v, f in taken]).T
+            predicted = np.interp(time, run.course.time, _column(run, kind, wire)) * factor
+            if kind == CURRENT:
+                comparison.current(wire, time, value, predicted)
+            elif kind == TEMPERATURE:
+                comparison.temperature(wire, time, value, predicted)
+            else:
+                comparison.mechanics(time, value, predicted)
+            residual = (value - predicted).tolist()
+            for k in self._due(kind, wire, time):
+                self._on_residual(Residual(kind, wire, taken[k][1], residual[k]))
+
+    def _predict(self, run: FreeRun, time: Array, volts: Array) -> None:
+        course = run.course
+        rows = np.searchsorted(course.time, time)
+        for k in self._due("prediction", 0, time):
+            row = min(int(rows[k]), len(course.time) - 1)
+            self._on_prediction(Prediction(
+                self._stamp(float(time[k])), volts[k], volts[k] * course.conductance[row],
+                course.reading[row], float(course.mechanics[row]),
+            ))  # fmt: skip
+
+    def _due(self, kind: str, wire: int, time: Array) -> list[int]:
+        """Which of the times (n,) are to be published."""
+        due, chosen = self._next_due.get((kind, wire), -math.inf), []
+        for k, at in enumerate(time.tolist()):
+            if at >= due - 1e-6:
+                due = max(due + self._period, at + 0.5 * self._period)
+                chosen.append(k)
+        self._next_due[kind, wire] = due
+        return chosen
+
+
+def compile_model(parameters: Parameters) -> None:
+    """Compile what a twin runs, which may take seconds, before readings arrive."""
+    wires = len(parameters["bench.channels"])
+    run = FreeRun(parameters, 0.0, np.full(wires, math.nan), np.zeros(wires))
+    run.advance(np.array([BIN]), np.zeros((1, wires)))
+    estimate_noise([np.zeros(2)], 1.0, BIN)
+
+
+def _column(run: FreeRun, kind: str, wire: int) -> Array:
+    """(n,) course of what a sensor reads; of a current, the conductance."""
+    if kind == MECHANICS:
+        return run.course.mechanics
+    return (run.course.conductance if kind == CURRENT else run.course.reading)[:, wire]

@@ -1,0 +1,295 @@
+"""The twin beside a synthetic bench: what it says of effects, of none, and of bad streams."""
+
+import math
+
+import numpy as np
+import pytest
+from planted import true_bench
+from scipy.signal import lfilter
+
+from sma_bench.nodes.virtual_bench import VirtualBench
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.twin import Twin
+from sma_bench.twin.twin import CURRENT, NANOSECONDS, TEMPERATURE
+from sma_bench.twin.verdict import GAP, GREW, LEARNING, QUIET
+
+SIMULATOR = {p.name: p.default for p in NODE_TABLES["simulator"]} | {
+    "rate.power": 50.0, "rate.mechanics": 50.0, "rate.temperature": 40.0,
+}
+SETTINGS = {p.name: p.default for p in NODE_TABLES["twin"]}
+EPOCH = 1_700_000_000 * NANOSECONDS
+SLICE = 0.05  # s
+REST, PULSE = 7.0, 8.0  # s
+BENCH = true_bench({})
+COUPLED = {"effect.side_heat_coupling.conductance": 0.002}
+UNDERFILL = {"effect.temperature_underfill.missing": 0.15}
+
+
+def by_turns(time):
+    """A rest, then front and back by turns; V."""
+    if time < REST:
+        return 0.0, 0.0
+    return [(2.0, 0.0), (0.0, 0.0), (0.0, 2.0), (1.6, 0.0)][int((time - REST) / PULSE) % 4]
+
+
+def one_wire(time):
+    return (0.0 if time < REST else 2.5 * (1.0 - abs((time - REST) / 10.0 % 2.0 - 1.0)),)
+
+
+class Stream:
+    """A bench of its own clock, heard by a twin; `spoil` changes readings before it hears them.
+
+    `said` are the verdicts in the order of time.
+    """
+
+    def __init__(self, truth, belief, drive=by_turns, spoil=None, simulator=None, **settings):
+        self.bench = VirtualBench(truth, SIMULATOR | (simulator or {}))
+        self.predictions, self.residuals, self.said = [], [], []
+        self.twin = Twin(
+            belief, SETTINGS | settings, self.predictions.append, self.residuals.append
+        )
+        self.drive, self.spoil = drive, spoil or (lambda kind, time, values: values)
+        self.time, self.shift = 0.0, 0.0
+
+    def run(self, seconds, heard=True):
+        for _ in range(round(seconds / SLICE)):
+            until = round((self.time + SLICE) * NANOSECONDS)
+            for reading in self.bench.advance(tuple(self.drive(self.time)), until):
+                if heard:
+                    self.tell(reading)
+            self.time = round(self.time + SLICE, 6)
+            if round(self.time / SLICE) % 4 == 0:
+                self.twin.advance()
+                self.said.append(self.twin.verdict)
+        return self.twin.verdict
+
+    def tell(self, reading):
+        stamp = EPOCH + reading.time + round(self.shift * NANOSECONDS)
+        values = self.spoil(reading.kind, reading.time / NANOSECONDS, reading.values)
+        if values is None:
+            return
+        if reading.kind == "power":
+            for wire, (volt, ampere) in enumerate(values):
+                self.twin.power(wire, stamp, volt, ampere)
+        elif reading.kind == "temperature":
+            for wire, celsius in enumerate(values):
+                self.twin.temperature(wire, stamp, celsius + 273.15)
+        elif reading.kind == "mechanics":
+            first, second = values
+            value = 0.5 * (second - first) if self.bench.composite else second
+            self.twin.mechanics(stamp, value)
+
+    def states(self):
+        return {verdict.state for verdict in self.said}
+
+
+def stage(verdict, name):
+    return next(s for s in verdict.measured if s.stage == name)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_bench_that_does_as_believed_is_never_called_a_gap(seed):
+    stream = Stream(BENCH, BENCH, simulator={"seed": seed})
+    verdict = stream.run(60.0)
+    assert stream.states() == {LEARNING, QUIET}
+    assert verdict.message == "no gap beyond the noise"
+    assert all(0.5 < s.energy < 2.0 for s in verdict.measured)
+
+
+def test_a_clamped_wire_that_does_as_believed_is_never_called_a_gap():
+    wire = Parameters.defaults().replace({"wire.martensite_start_temperature": 345.0})
+    stream = Stream(wire, wire, one_wire)
+    verdict = stream.run(40.0)
+    assert stream.states() == {LEARNING, QUIET}
+    assert [s.stage for s in verdict.measured] == ["electrical", "thermal", "mechanical"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (COUPLED, "thermal"),
+        ({"effect.latent_heat.heat": 15e3}, "thermal"),
+        ({"effect.supply_drop.resistance": 0.3}, "electrical"),
+        ({"effect.side_asymmetry.ratio": 0.3}, "mechanical"),
+        ({"effect.transition_drift.shift": -12.0, "effect.transition_drift.cycles": 0.2},
+         "mechanical"),
+        (UNDERFILL, "sensor"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else next(iter(value)).split(".")[1],
+)
+def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage(effect, expected):
+    stream = Stream(BENCH.replace(effect), BENCH)
+    stream.run(7.0 + 4.5 * PULSE)
+    named = [v.stages for v in stream.said if v.state == GREW]
+    assert named and named[-1] == (expected,)
+    # That a thermometer reads low is seen when the wires begin to pull.
+    before = {"thermal"} if expected == "sensor" else set()
+    assert {s for stages in named for s in stages} - before == {expected}
+
+
+def test_the_side_whose_wire_is_off_is_named():
+    def warmer_behind(kind, time, values):
+        return [values[0], values[1] + 4.0] if kind == "temperature" and time > 12.0 else values
+
+    stream = Stream(BENCH, BENCH, spoil=warmer_behind)
+    verdict = stream.run(25.0)
+    assert verdict.state == GREW and verdict.sides == ("back",)
+    assert verdict.message in (
+        "gap grew: thermal stage, back side", "gap grew: temperature sensor, back side"
+    )
+
+
+@pytest.mark.parametrize("memory", [0.3, 3.0, 30.0])
+def test_coloured_noise_of_a_thermometer_is_no_gap(memory):
+    random = np.random.default_rng(5)
+    phi = math.exp(-1.0 / (40.0 * memory))
+    drawn = random.standard_normal((4000, 2)) * 0.4 * math.sqrt(1.0 - phi**2)
+    noise = iter(lfilter([1.0], [1.0, -phi], drawn, axis=0))
+
+    def coloured(kind, _, values):
+        return list(np.array(values) + next(noise)) if kind == "temperature" else values
+
+    stream = Stream(BENCH, BENCH, spoil=coloured)
+    stream.run(60.0)
+    assert stream.states() == {LEARNING, QUIET}
+
+
+def test_predictions_of_the_twin_are_those_of_the_bench_without_noise():
+    exact = {"sensor.voltage_noise": 0.0, "sensor.voltage_resolution": 0.0}
+    stream = Stream(BENCH, BENCH, simulator=exact)
+    stream.run(20.0)
+    found = [r.value for r in stream.residuals if r.kind == TEMPERATURE]
+    assert np.std(found) == pytest.approx(math.hypot(0.08, 0.1 / math.sqrt(12.0)), rel=0.15)
+    assert abs(np.mean(found)) < 0.05
+    currents = [r.value for r in stream.residuals if r.kind == CURRENT]
+    assert np.std(currents) == pytest.approx(
+        math.hypot(SIMULATOR["sensor.current_noise"],
+                   SIMULATOR["sensor.current_resolution"] / math.sqrt(12.0)), rel=0.15
+    )
+    driven = next(p for p in stream.predictions if p.stamp == EPOCH + 10 * NANOSECONDS)
+    assert driven.voltage == pytest.approx([2.0, 0.0], abs=0.02)
+    assert driven.temperature[0] > driven.temperature[1] + 30.0
+
+
+def test_a_change_of_parameters_takes_the_gap_away_and_the_past_with_it():
+    truth = BENCH.replace(COUPLED)
+    stream, knowing = Stream(truth, BENCH), Stream(truth, truth)
+    stream.run(33.0)
+    knowing.run(33.0)
+    assert stream.said[-1].state == GREW
+    stream.twin.change(truth)
+    assert stream.twin.verdict.state == LEARNING
+    stream.run(0.5)
+    knowing.run(0.5)
+    last, reference = stream.predictions[-1], knowing.predictions[-1]
+    assert last.stamp == reference.stamp
+    assert last.temperature == pytest.approx(reference.temperature, abs=1e-9)
+    assert last.mechanics == pytest.approx(reference.mechanics, abs=1e-12)
+    stream.said.clear()
+    assert stream.run(20.0).state == QUIET
+    assert stream.states() == {LEARNING, QUIET}
+
+
+def test_a_change_after_more_than_the_remembered_minute_goes_on_from_its_beginning():
+    stream = Stream(BENCH.replace(COUPLED), BENCH)
+    stream.run(95.0)
+    stream.twin.change(BENCH.replace(COUPLED))
+    assert stream.run(15.0).state == QUIET
+
+
+def test_a_gap_that_was_there_at_first_is_known_and_more_of_it_has_grown():
+    stream = Stream(BENCH.replace(COUPLED), BENCH, drive=lambda _: (1.5, 0.0))
+    stream.run(30.0)
+    assert GREW not in stream.states()
+    assert stream.said[-1].message.startswith("gap, as it was known: thermal stage")
+    stream = Stream(BENCH.replace(COUPLED), BENCH)
+    assert stream.run(30.0).state == GREW
+    stream.twin.accept()
+    stream.said.clear()
+    stream.run(3.0)
+    assert stream.said[-1].state == GAP
+
+
+def test_a_record_that_begins_again_is_judged_anew():
+    """Played twice, as by a looping player: the second round's bench is cold again."""
+    stream = Stream(BENCH, BENCH)
+    stream.run(30.0)
+    again = Stream(BENCH, BENCH)
+    again.twin = stream.twin
+    again.run(30.0)
+    assert stream.twin.restarts == 1
+    assert stream.twin.reason.startswith("time went back by")
+    assert again.states() == {LEARNING, QUIET}
+    assert again.said[-1].state == QUIET
+
+
+def test_a_hole_in_the_voltages_begins_anew_and_a_clock_that_jumps_too():
+    stream = Stream(BENCH, BENCH)
+    stream.run(12.0)
+    stream.run(3.0, heard=False)
+    stream.run(20.0)
+    assert stream.twin.restarts == 1 and stream.twin.reason == "no voltages for 3.02 s"
+    stream.shift = 5000.0
+    stream.run(20.0)
+    assert stream.twin.restarts == 2
+    assert stream.states() == {LEARNING, QUIET}
+    assert stream.said[-1].state == QUIET
+
+
+def test_what_is_not_a_number_is_counted_and_changes_nothing():
+    def spoiled(kind, time, values):
+        if round(time * 1000) % 200:
+            return values
+        if kind == "power":
+            return [(math.nan, math.nan), (values[1][0], math.nan)]
+        return [math.nan if kind == "temperature" else math.inf for _ in values]
+
+    stream = Stream(BENCH, BENCH, spoil=spoiled)
+    stream.run(40.0)
+    assert stream.states() == {LEARNING, QUIET}
+    assert stream.said[-1].state == QUIET
+    counts = stream.twin.counts
+    assert counts["voltages_not_a_number"] == 200
+    assert counts["readings_not_usable"] == 600
+    assert counts["restarts"] == 0
+
+
+def test_nothing_is_predicted_while_a_channel_is_silent():
+    def without_back(kind, _, values):
+        return values[:1] if kind == "power" else values
+
+    stream = Stream(BENCH, BENCH, spoil=without_back)
+    verdict = stream.run(10.0)
+    assert verdict.state == LEARNING
+    assert verdict.message == "learning: waiting for voltage of back_1"
+    assert not stream.predictions
+
+
+@pytest.mark.parametrize("late", [10.5, 16.5, 24.0])
+def test_a_twin_that_joins_late_begins_at_the_measured_temperatures(late):
+    """In a pulse, in the rest after it while the wire cools, and in the other side's pulse."""
+    stream = Stream(BENCH, BENCH)
+    stream.run(late, heard=False)
+    stream.run(45.0)
+    assert stream.states() == {LEARNING, QUIET}
+    assert stream.said[-1].message == "no gap beyond the noise"
+    first = stream.predictions[0]
+    measured = next(r for r in stream.residuals if r.kind == TEMPERATURE)
+    assert abs(measured.value) < 5.0
+    assert first.temperature.max() > 300.0
+
+
+def test_wires_without_temperatures_leave_the_stage_open():
+    def blind(kind, _, values):
+        return None if kind == "temperature" else values
+
+    stream = Stream(BENCH, BENCH, spoil=blind)
+    verdict = stream.run(60.0)
+    assert stream.states() == {LEARNING, QUIET}
+    assert verdict.message == "no gap beyond the noise; not judged: thermal"
+    stream = Stream(BENCH.replace({"effect.side_asymmetry.ratio": 0.3}), BENCH, spoil=blind)
+    verdict = stream.run(30.0)
+    assert verdict.message.startswith(
+        "gap grew: thermal or mechanical stage (wires without temperatures)"
+    )
