@@ -1,0 +1,53 @@
+"""The paper's own wires: a fifth of a second slow, so that a few milliseconds of a jump count."""
+
+import numpy as np
+import pytest
+from planted import few_effects
+
+from sma_bench.diagnose import diagnose
+from sma_bench.parameters import read_parameters
+from sma_bench.protocols import load_protocol
+from sma_bench.records import read_record
+from sma_bench.records.write import write_record
+from sma_bench.synthetic.simulated import read_signals, signals_of, simulate_finely
+
+pytestmark = pytest.mark.slow
+pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+
+@pytest.fixture(scope="module")
+def rig(pytestconfig):
+    return read_parameters(pytestconfig.rootpath / "config" / "composite_rig.yaml")
+
+
+def synthetic_record(rig, protocol, folder):
+    time, voltage = load_protocol(protocol, rig).sample(0.02)
+    bench = rig.replace({"effect.latent_heat.heat": 12e3})
+    write_record(folder, read_signals(signals_of(simulate_finely(bench, time, voltage)), 3))
+    return read_record(folder)
+
+
+def test_what_a_jump_does_is_the_candidates_own_affair(rig, tmp_path):
+    # composite_step begins under voltage and jumps between samples that lie 20 ms apart.
+    smooth = synthetic_record(rig, "composite_triangle", tmp_path / "smooth")
+    jumping = synthetic_record(rig, "composite_step", tmp_path / "jumping")
+    with few_effects(("latent_heat", "viscoelastic_matrix")):
+        found = diagnose([smooth], rig, [jumping])
+    assert found.decision.cause == ("latent_heat",)
+    assert found.improved["effect.latent_heat.heat"] == pytest.approx(12e3, rel=0.01)
+    assert found.search.best.surprise < 16.0
+    left = found.search.left_by_best
+    assert left.ratio < 4.0 and left.outlier < 6.0
+
+
+def test_short_steps_do_not_change_what_the_paper_has(rig):
+    time, voltage = load_protocol("composite_step", rig).sample(0.02)
+    plain = simulate_finely(rig, time, voltage)
+    assert np.array_equal(plain.time, time)
+    # With a latent heat the steps matter, and shorter ones yet hardly do.
+    bench = rig.replace({"effect.latent_heat.heat": 12e3})
+    fine = simulate_finely(bench, time, voltage)
+    finer_time = np.arange((len(time) - 1) * 40 + 1) * 0.0005
+    finer = simulate_finely(bench, finer_time, np.repeat(voltage, 40, axis=0)[: len(finer_time)])
+    assert np.array_equal(fine.time, time) and fine.temperature.shape == voltage.shape
+    assert fine.temperature == pytest.approx(finer.temperature[::40], abs=0.5)
