@@ -27,8 +27,8 @@ static struct serial_counts counts;
 
 void serial_init(void)
 {
+    UCSR0A = _BV(U2X0); /* first: the emulator divides by what it is when the next is written */
     UBRR0 = DIVIDER;
-    UCSR0A = _BV(U2X0);
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
 }

@@ -25,7 +25,7 @@ NAMESPACE = "/demo_hardware"
 PROTOCOLS = ("quick_staircase", "quick_ramp")
 WITHIN_SIGMAS = 3.0
 """of each number's stated error: three true ones are all within it but once in 120 times"""
-LARGEST_RELATIVE_STD = 0.05
+LARGEST_RELATIVE_STD = 0.1
 """an error larger than this would not be worth stating"""
 
 _CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
@@ -103,8 +103,9 @@ def hardware_act(
         progress("demo", course) as report,
         HardwareStage(out, NAMESPACE, report, plan) as stage,
     ):
-        found = stage.start_hardware(truth_file, out / "uno", PROTOCOLS[0])
-        stage.start_service("identification", {"output_directory": str(out)})
+        # Not beside the results: a service writes into no folder with links out of it.
+        found = stage.start_hardware(truth_file, out / "logs" / "uno", PROTOCOLS[0])
+        stage.start_service("identification", {"output_directory": "."})
         bags = [str(stage.record(protocol)) for protocol in PROTOCOLS]
         answer = stage.ask("identification", "identify", {"record": bags})
     console.print(f"self test: {escape(found)}")

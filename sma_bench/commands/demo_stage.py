@@ -43,6 +43,8 @@ class Stage:
             plan: seconds that each step takes, by protocol and service, in order.
         """
         self.bags, self._logs = folder / "bags", folder / "logs"
+        # A service reads and writes nothing outside; the folder may lie anywhere.
+        self._roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
         self._namespace = namespace
         self._report, self._shares = report, shares(plan)
         self._asked = self._service = ""
@@ -97,8 +99,8 @@ class Stage:
     def start_service(
         self, node: str, settings: Mapping[str, Any], files: tuple[Path, ...] = ()
     ) -> None:
-        """A node to `ask` later."""
-        self._nodes.start(node, settings, files)
+        """A node to `ask` later; relative paths among its settings are the folder's."""
+        self._nodes.start(node, {**self._roots, **settings}, files)
 
     def record(self, protocol: str) -> Path:
         """Run a protocol into a bag of its name.

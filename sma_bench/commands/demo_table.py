@@ -98,7 +98,7 @@ def _identified(
     plan = {protocol: recording_time(protocol, truth, speed) for protocol in PROTOCOLS}
     with Stage(out, NAMESPACE, report, {**plan, "identify": _IDENTIFYING}) as stage:
         stage.start_bench(truth_file, PROTOCOLS[0], {"speed": speed})
-        stage.start_service("identification", {"output_directory": str(out)})
+        stage.start_service("identification", {"output_directory": "."})
         bags = {protocol: stage.record(protocol) for protocol in PROTOCOLS}
         records = [str(bags[protocol]) for protocol in FITTED]
         return stage.ask("identification", "identify", {"record": records})

@@ -18,11 +18,16 @@ _WARM_UP = 0.01
 class EmulatedBench:
     """A rig on an emulated Uno, in real time; `path` is the port to open."""
 
-    def __init__(self, uno: EmulatedUno, plant: Plant, pins: PinWatch, port: PtyBench) -> None:
+    def __init__(
+        self, uno: EmulatedUno, plant: Plant, pins: PinWatch, port: PtyBench, power_up: float
+    ) -> None:
         self.uno = uno
         self.plant = plant
         self.pins = pins
         self.port = port
+        self.power_up = power_up
+        """s of the monotonic clock at which the Uno's time was 0; it runs with the wall's, but for
+        `port.lag`"""
 
     @property
     def path(self) -> str:
@@ -62,5 +67,6 @@ def emulated_bench(
             plant.advance()
             pins.look()
 
+        before = uno.time
         with on_a_port(uno, each_slice) as port:
-            yield EmulatedBench(uno, plant, pins, port)
+            yield EmulatedBench(uno, plant, pins, port, port.began - before)

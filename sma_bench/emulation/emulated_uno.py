@@ -7,6 +7,8 @@ import ctypes
 from pathlib import Path
 
 CHANNELS = 4
+START_UP = 0.875e-3
+"""s from power-up until the firmware's clock runs: it paints its memory first"""
 _CHUNK = 4096
 _FOUR = ctypes.c_double * CHANNELS
 _TWO = ctypes.c_double * 2

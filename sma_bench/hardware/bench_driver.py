@@ -111,6 +111,7 @@ class BenchDriver:
             raise LinkError("enabled: stop first")
         self._link.reset()
         self._interlock.reset()
+        self._guard.recorder("")
 
     def self_test(self) -> list[Finding]:
         """Check what can be checked without driving; ends disabled, at 0 V.
@@ -138,6 +139,10 @@ class BenchDriver:
         """Note a wire's temperature (K), acquired at `stamp` s of the readings' clock."""
         self._guard.temperature(channel, kelvin, stamp, now, self._limits)
 
+    def recorder(self, failure: str) -> None:
+        """Note why the recorder failed, "" when it records."""
+        self._guard.recorder(failure)
+
     def tick(self, now: float) -> str:
         """Check everything, then keep the device supplied; the reason when it stops here."""
         if not self.enabled:
@@ -164,7 +169,7 @@ class BenchDriver:
 
     def _fault(self, now: float) -> str:
         status = self._link.status
-        return _device_fault(status) or self._guard.fault(now)
+        return _device_fault(status) or _another_host(status) or self._guard.fault(now)
 
     def _obstacle(self, now: float) -> str:
         if self._interlock.tripped:
@@ -192,6 +197,12 @@ def _device_fault(status: LinkStatus) -> str:
         refused = status.last_refusal if status.cause == TIMEOUT_CAUSE else ""
         return f"{status.cause_text}, found by the device" + (f" ({refused})" if refused else "")
     return ""
+
+
+def _another_host(status: LinkStatus) -> str:
+    if not status.unasked:
+        return ""
+    return f"another host speaks to the device: it answered {status.unasked!r}, not asked from here"
 
 
 def _not_connected(status: LinkStatus) -> str:

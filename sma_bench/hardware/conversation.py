@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from sma_bench.hardware.serial_framing import Splitter, line
 from sma_bench.hardware.serial_messages import (
+    REASONS,
     Accepted,
     Message,
     Named,
@@ -23,6 +24,10 @@ ANSWER_TIMEOUT = 0.5
 
 Answers = list[Message]
 
+# What changes who drives is always asked for, and answered one at a time.
+_ALWAYS_ASKED = "ADR"
+_NOT_OUR_SESSION = REASONS.index("wrong nonce or session")
+
 
 class LinkError(Exception):
     """The device did not do what was asked; one line says why."""
@@ -39,9 +44,11 @@ class Conversation:
         self._one_question = threading.Lock()
         self._answered = threading.Condition()
         self._answers: Answers = []
-        self._asking = False
+        self._asked = ""
         self._open = True
         self.not_understood = 0
+        self.unasked = ""
+        """the newest answer to a question that this host did not ask: another one speaks too"""
 
     @property
     def damaged(self) -> int:
@@ -94,6 +101,8 @@ class Conversation:
         messages = list(self._decoded(self._splitter.feed(received)))
         answers: Answers = [m for m in messages if not isinstance(m, Telemetry | Pong)]
         if answers:
+            # Before they are handed over: whoever asked may be gone a moment later.
+            self._look_for_another_host(answers)
             self._hand_over(answers)
         return messages, now
 
@@ -112,13 +121,13 @@ class Conversation:
             LinkError: they do not come in time, or the port is closed.
         """
         with self._one_question:
-            self._asking = True
+            self._asked = letter
             try:
                 self._answers = []
                 self.say(letter, *numbers)
                 return self._wait(letter, complete, pump)
             finally:
-                self._asking = False
+                self._asked = ""
 
     def ask_for_consent(self, letter: str, *numbers: int) -> int:
         """The value with which a command was accepted.
@@ -157,6 +166,16 @@ class Conversation:
                 yield decode(body)
             except ProtocolError:
                 self.not_understood += 1
+
+    def _look_for_another_host(self, answers: Answers) -> None:
+        for answer in answers:
+            if not isinstance(answer, Accepted | Refused):
+                continue
+            foreign = answer.letter in _ALWAYS_ASKED and answer.letter != self._asked
+            if isinstance(answer, Refused) and answer.letter == "V":
+                foreign = answer.reason == _NOT_OUR_SESSION
+            if foreign:
+                self.unasked = str(answer)
 
     def _hand_over(self, answers: Answers) -> None:
         with self._answered:

@@ -1,39 +1,48 @@
-"""The device's microseconds on the host's clock: offset and drift, estimated from pings."""
+"""The device's microseconds on the host's clock: offset and drift, from what was heard earliest."""
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 _MICROSECOND = 1e-6
 _WRAP = 1 << 32
-# An Uno's ceramic resonator is good for half a percent.
-_DRIFT_STD = 5e-3
-# s: scheduling of the host beyond what a round trip shows.
-_JITTER = 2e-5
-# Of the shortest half round trip: how much the way there varies among equally short ones.
-_SCATTER = 0.1
-_WINDOW = 60.0
-_MOST = 600
+# An Uno's ceramic resonator is good for half a percent; twice that is a broken one.
+_MOST_DRIFT = 1e-2
+# s of the device's clock: one point a bin, the earliest heard.
+_BIN = 0.1
+_WINDOW = 30.0
+_PINGS = 400
+# Of the pings: the share whose answers came most promptly, and of these the one in the way there.
+_PROMPT = 0.1
+_FEWEST_PROMPT = 5
+_SOONEST = 0.2
 
 
 class DeviceClock:
-    """Host time = offset + (1 + drift) device time, a weighted straight line.
+    """Host time = offset + (1 + drift) device time.
 
-    Of a ping four times are known: sent and heard on the host's clock, arrived and left on the
-    device's. The middles of both pairs are one moment, if both ways took equally long; half of
-    what the ways took bounds the error. What a ping took beyond the shortest one was spent
-    waiting, on one way or the other: the shortest ones weigh most.
-    Host times are seconds of one monotonic clock.
+    What delays a message (the host's scheduling, a full cable, a busy computer) only ever makes
+    it later. So the line that no frame was heard before, and that is as late as that allows, has
+    the drift, and lies behind the device's clock by the least time that a frame takes; delays,
+    however long and frequent, do not move it (Moon, Skelly, Towsley, INFOCOM 1999, for packets).
+    How far behind, pings tell: the soonest question there and the soonest answer back took equally
+    long, as far as anyone can know. Host times are seconds of one monotonic clock.
     """
 
     def __init__(self) -> None:
         self._last_us: int | None = None
         self._turns = 0
-        self._points: deque[tuple[float, float, float]] = deque(maxlen=_MOST)
+        self._frames = _Earliest()
+        self._answers = _Earliest()
+        self._pings: deque[tuple[float, float, float, float]] = deque(maxlen=_PINGS)
         self._line = (0.0, 0.0, 1.0)
         self.uncertainty = math.inf
-        """s, bound of the error: half of what the ways of the quickest ping took"""
+        """s, bound of the error: half of what the quickest ways there and back took"""
 
     @property
     def drift(self) -> float:
@@ -43,18 +52,21 @@ class DeviceClock:
     @property
     def synchronised(self) -> bool:
         """True as soon as one ping was answered."""
-        return bool(self._points)
+        return bool(self._pings)
+
+    def heard(self, time_us: int, heard: float) -> None:
+        """A frame of the device's time `time_us` was heard at `heard` (s)."""
+        self._frames.add(self._seconds(time_us), heard)
 
     def add(self, sent: float, arrived_us: int, left_us: int, heard: float) -> None:
         """A ping that had left the host at `sent` and whose answer was heard at `heard` (s)."""
         arrived, left = self._seconds(arrived_us), self._seconds(left_us)
         if heard < sent or left < arrived:
             return
-        half = max(0.0, 0.5 * ((heard - sent) - (left - arrived)))
-        device = 0.5 * (arrived + left)
-        self._points.append((device, 0.5 * (sent + heard), half))
-        while self._points[0][0] < device - _WINDOW:
-            self._points.popleft()
+        self._answers.add(left, heard)
+        self._pings.append((sent, arrived, left, heard))
+        while self._pings[0][1] < arrived - _WINDOW:
+            self._pings.popleft()
         self._fit()
 
     def host_time(self, time_us: int) -> float:
@@ -74,18 +86,66 @@ class DeviceClock:
         return self._turns * _MICROSECOND
 
     def _fit(self) -> None:
-        """Least squares with a prior of no drift, about the newest point."""
-        device, host, half = np.array(self._points).T
-        reference, start = device[-1], host[-1]
-        x, y = device - reference, host - device - (start - reference)
-        shortest = half.min()
-        weight = 1.0 / ((half - shortest) ** 2 + (_SCATTER * shortest) ** 2 + _JITTER**2)
-        matrix = np.array(
-            [
-                [weight.sum(), (weight * x).sum()],
-                [(weight * x).sum(), (weight * x**2).sum() + _DRIFT_STD**-2],
-            ]
-        )
-        offset, drift = np.linalg.solve(matrix, [(weight * y).sum(), (weight * x * y).sum()])
-        self._line = (float(reference), float(start + offset), float(1.0 + drift))
-        self.uncertainty = float(shortest)
+        sent, arrived, left, heard = np.array(self._pings).T
+        reference = arrived[-1]
+        many = 2 * len(self._frames) > len(self._answers)
+        level, drift = (self._frames if many else self._answers).line(reference)
+        slope = 1.0 + drift
+        back = heard - level - slope * (left - reference)
+        there = level + slope * (arrived - reference) - sent
+        # A device that is late itself (an emulated one) seems to have been asked sooner than it
+        # was: only the pings with prompt answers show what the way there takes.
+        prompt = np.argsort(back)[: max(_FEWEST_PROMPT, round(_PROMPT * len(back)))]
+        soonest = float(np.quantile(there[prompt], _SOONEST))
+        behind = 0.5 * (soonest - float(back.min()))
+        self._line = (float(reference), level - behind, slope)
+        self.uncertainty = 0.5 * max(0.0, soonest + float(back.min()))
+
+
+class _Earliest:
+    """Of messages (device s, host s), those that came earliest, and the line below all of them."""
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, float]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def add(self, device: float, host: float) -> None:
+        """Keep it if it is the earliest of its bin."""
+        points = self._points
+        if points and int(points[-1][0] / _BIN) == int(device / _BIN):
+            if host - device < points[-1][1] - points[-1][0]:
+                points[-1] = (device, host)
+            return
+        points.append((device, host))
+        while points[0][0] < device - _WINDOW:
+            points.popleft()
+
+    def line(self, reference: float) -> tuple[float, float]:
+        """Host time at device time `reference`, and the drift, of the line below all points that
+        comes closest to them in the mean."""
+        device, host = np.array(self._points).T
+        x, late = device - reference, host - device
+        middle = float(x.mean())
+        corners = _lower_hull(zip(x, late, strict=True))
+        drift = 0.0
+        for (x0, y0), (x1, y1) in zip(corners, corners[1:], strict=False):
+            drift = (y1 - y0) / (x1 - x0)
+            if x1 >= middle:
+                break
+        drift = min(max(drift, -_MOST_DRIFT), _MOST_DRIFT)
+        return reference + float((late - drift * x).min()), drift
+
+
+def _lower_hull(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Corners of the lower convex hull of points in the order of their rising x (Andrew 1979)."""
+    corners: list[tuple[float, float]] = []
+    for x, y in points:
+        while len(corners) > 1:
+            (x0, y0), (x1, y1) = corners[-2:]
+            if (y1 - y0) * (x - x0) < (y - y0) * (x1 - x0):
+                break
+            corners.pop()
+        corners.append((float(x), float(y)))
+    return corners

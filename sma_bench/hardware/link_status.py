@@ -31,6 +31,8 @@ class LinkStatus:
     not_understood: int = 0
     refused: int = 0
     last_refusal: str = ""
+    unasked: str = ""
+    """newest answer, since this host armed, to what it had not asked"""
     counters: dict[str, int] = field(default_factory=dict)
     """the device's own (S line), once a second"""
     connections: int = 0

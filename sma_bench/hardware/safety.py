@@ -222,6 +222,11 @@ class Guard:
         }
         self._wires = {channel: WireWatch(channel, timeout) for channel in channels}
         self._readings: dict[str, str] = {}
+        self._recording = ""
+
+    def recorder(self, failure: str) -> None:
+        """Note why the recorder failed (a full disk), "" when it records or nobody minds."""
+        self._recording = f"recording failed: {failure}" if failure else ""
 
     def commanded(self, voltage: Sequence[float]) -> None:
         """Note the volts that were sent, one a channel: readings must follow them."""
@@ -256,7 +261,7 @@ class Guard:
 
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""
-        faults = [reason for reason in self._readings.values() if reason]
+        faults = [reason for reason in (self._recording, *self._readings.values()) if reason]
         faults += [fault for fresh in self._fresh.values() if (fault := fresh.fault(now))]
         return faults[0] if faults else ""
 

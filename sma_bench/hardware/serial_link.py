@@ -114,6 +114,7 @@ class SerialLink:
             LinkError: not connected, stopped, no supply, no answer.
         """
         conversation = self._connected()
+        conversation.unasked = self._status.unasked = ""
         greeting = conversation.ask_named("?", "H")["H"]
         session = conversation.ask_for_consent("A", int(greeting.values["nonce"]))
         self._status.last_refusal = ""
@@ -240,6 +241,7 @@ class SerialLink:
                 self._act(message, now)
             self._status.damaged = conversation.damaged
             self._status.not_understood = conversation.not_understood
+            self._status.unasked = conversation.unasked
             # A host that was stopped itself has not listened: no wait counts for longer than asked.
             silence = 0.0 if messages else silence + min(now - last, _LONGEST_WAIT)
             last = now
@@ -274,6 +276,7 @@ class SerialLink:
             self._session = None
             self._on_event(f"the device stopped: {self._status.cause_text}")
         self._time_command(telemetry.echo, now)
+        self._device_clock.heard(telemetry.time_us, now)
         if self._device_clock.synchronised:
             # A window cannot end after it was received.
             ended = min(self._device_clock.host_time(telemetry.time_us), now)

@@ -34,8 +34,17 @@ def node_help(node: str) -> str:
     ]
     for parameter in NODE_TABLES[node]:
         unit = f" [{parameter.unit}]" if parameter.unit else ""
-        lines.append(f"  {parameter.name:28} {parameter.description}{unit}")
+        default = _shown(parameter.default)
+        lines.append(f"  {parameter.name:28} {parameter.description}{unit} (default {default})")
     return "\n".join(lines) + "\n"
+
+
+def _shown(default: object) -> str:
+    if isinstance(default, (tuple, list)):
+        return f"[{', '.join(map(str, default))}]"
+    if isinstance(default, bool):
+        return str(default).lower()
+    return str(default) or "none"
 
 
 def check_arguments(node: str, argv: Sequence[str]) -> None:

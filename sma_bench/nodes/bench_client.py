@@ -1,6 +1,7 @@
 """A client of the bench's nodes for scripts: wait for states, call services, set parameters."""
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
@@ -17,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED
+from sma_bench.nodes.discovery import choose_discovery
 
 _SPIN = 0.05
 _MATCHING = 0.3
@@ -29,6 +31,7 @@ class BenchClient:
     """
 
     def __init__(self, namespace: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        choose_discovery()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("bench_client", namespace=namespace)
         self._namespace = namespace.rstrip("/")
@@ -73,6 +76,24 @@ class BenchClient:
             self._meanwhile()
             rclpy.spin_once(self._node, timeout_sec=_SPIN)
         return value
+
+    def find(self, service: str, timeout: float = 10.0) -> None:
+        """Make sure that a std_srvs/Trigger service is there.
+
+        Raises:
+            InputError: it is not, within `timeout` s.
+        """
+        client = self._node.create_client(Trigger, service)
+        try:
+            self.wait(service, client.service_is_ready, timeout)
+        except InputError:
+            domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+            raise InputError(
+                f"{self._namespace}/{service}: no such service found within {timeout:g} s in ROS "
+                f"domain {domain}: does the node run, in this namespace?"
+            ) from None
+        finally:
+            self._node.destroy_client(client)
 
     def trigger(self, service: str, timeout: float = 10.0) -> str:
         """Call a std_srvs/Trigger service and return its message.

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any
 
-from sma_bench.nodes.job_process import given, records_inside, run_job
+from sma_bench.nodes.job_process import given, output_inside, records_inside, run_job, tell
 from sma_bench.parameters import Parameters
+from sma_bench.progress import part
 
 NO_GAP = "no_gap"
+_DIAGNOSED = 0.9  # of the time, about; the rest draws the report
 _AT_NOISE = 1.05  # rms of the error over the noise of a sample
 
 
@@ -28,14 +30,14 @@ class Job:
         """Snapshot of the diagnosis node's parameters.
 
         Raises:
-            InputError: no record, or one outside `record_root`.
+            InputError: no record, one outside `record_root`, or a result outside `output_root`.
         """
         root, held_out = settings["record_root"], given(settings["hold_out"])
         return cls(
             records=records_inside(root, given(settings["record"])),
             hold_out=records_inside(root, held_out, "hold_out") if held_out else [],
-            improved=settings["improved"],
-            report=settings["report"],
+            improved=output_inside(settings["output_root"], settings["improved"], "improved"),
+            report=output_inside(settings["output_root"], settings["report"], "report"),
             values={name: parameters[name] for name in parameters.given},
             uncertainty=parameters.given_uncertainty,
         )
@@ -46,20 +48,23 @@ class Job:
         Raises:
             InputError: a record or a path is not as it should be.
         """
-        from sma_bench.commands.diagnose import write_improved
+        from sma_bench.commands.diagnose import diagnosis_steps, write_improved
         from sma_bench.commands.output import json_text
         from sma_bench.diagnose import diagnose
         from sma_bench.records import read_record
 
         records = [read_record(path) for path in self.records]
         held_out = [read_record(path) for path in self.hold_out]
-        result = diagnose(records, Parameters(self.values, self.uncertainty), held_out)
+        parameters = Parameters(self.values, self.uncertainty)
+        share = _DIAGNOSED if self.report else 1.0
+        told = diagnosis_steps(part(tell, 0.0, share))
+        result = diagnose(records, parameters, held_out, told)
         if self.improved:
             write_improved(self.improved, result, "the diagnosis node")
         if self.report:
             from sma_bench.report.diagnosis_report import write_diagnosis_report
 
-            write_diagnosis_report(self.report, result)
+            write_diagnosis_report(self.report, result, part(tell, share, 1.0))
         return json_text(result.to_json())
 
 

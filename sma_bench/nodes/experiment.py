@@ -5,6 +5,8 @@ them (0 V when done or aborted) until `~/reset`. Should it die without a word, t
 of the bridge or the simulator puts the outputs to 0 V.
 """
 
+import json
+import math
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -20,6 +22,7 @@ from std_srvs.srv import Trigger
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Interlock, Limits
 from sma_bench.nodes.base import LATCHED, MEASURED, BenchNode, run_node
+from sma_bench.nodes.recorder_state import follow_recorder
 from sma_bench.protocols import Protocol, load_protocol
 
 _FEEDBACK = ("power", "temperature")
@@ -31,6 +34,7 @@ _SIMULATION_PAUSE = 10.0
 _LAST_WORD = 1.0
 # Wall seconds of 0 V before a protocol: by then a simulated bench runs in step with the commands.
 _LEAD_IN = 0.25
+_PROGRESS_EVERY = 0.25
 
 
 class Experiment(BenchNode):
@@ -54,6 +58,7 @@ class Experiment(BenchNode):
         self._begin = 0.0
         self._state = "idle"
         self._step = ""
+        self._progress_due = 0.0
         self._autostart = self.settings["autostart"]
         channels = self.parameters["bench.channels"]
         self._zero = [0.0] * len(channels)
@@ -62,6 +67,7 @@ class Experiment(BenchNode):
         self._command = self.create_publisher(Float64MultiArray, "voltage_command", MEASURED)
         self._marker = self.create_publisher(String, "experiment/marker", MEASURED)
         self._state_publisher = self.create_publisher(String, "~/state", LATCHED)
+        self._progress = self.create_publisher(String, "~/progress", LATCHED)
         for channel in channels:
             self.create_subscription(
                 BatteryState, f"{channel}/power", partial(self._on_power, channel),
@@ -71,12 +77,16 @@ class Experiment(BenchNode):
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, channel),
                 NEWEST,
             )
+        follow_recorder(self, self._guard.recorder)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0 / self.settings["command_rate"], self._tick, clock=self._clock)
         self.create_timer(_WATCH_EVERY, self._watch, clock=steady)
         self._enter("idle")
+        if not self._autostart:
+            name = self.get_fully_qualified_name()
+            self.get_logger().info(f"starts with {name}/start, or by itself: -p autostart:=true")
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """A protocol must be readable before it becomes the parameter's value."""
@@ -161,6 +171,7 @@ class Experiment(BenchNode):
             return
         self._mark(self._protocol.step_at(elapsed))
         self._send(self.volts(elapsed))
+        self._tell_progress(elapsed)
 
     # What happens
 
@@ -202,6 +213,17 @@ class Experiment(BenchNode):
             self._step = step
             self._marker.publish(String(data=f"{self._protocol.name}/{step}"))
 
+    def _tell_progress(self, elapsed: float) -> None:
+        """A few times a second, for people: the protocol, its step, s gone and in all."""
+        if (now := time.monotonic()) < self._progress_due:
+            return
+        self._progress_due = now + _PROGRESS_EVERY
+        duration = self._protocol.duration
+        self._progress.publish(String(data=json.dumps({
+            "protocol": self._protocol.name, "step": self._step, "elapsed": round(elapsed, 3),
+            "duration": duration if math.isfinite(duration) else None,
+        })))  # fmt: skip
+
     def _send(self, voltage: list[float]) -> None:
         self._guard.commanded(voltage)
         self._command.publish(Float64MultiArray(data=voltage))
@@ -231,6 +253,7 @@ class Experiment(BenchNode):
         if self._state == "running":
             return _answer(response, False, "running: stop first")
         self._interlock.reset()
+        self._guard.recorder("")
         self._enter("idle")
         return _answer(response, True, "idle")
 

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from sma_bench.commands.output import write_json
-from sma_bench.nodes.job_process import given, made_folder, records_inside, run_job
+from sma_bench.nodes.job_process import (
+    given,
+    made_folder,
+    output_inside,
+    records_inside,
+    run_job,
+    tell,
+)
 from sma_bench.parameters import Parameters, write_parameters
 
 PARAMETER_FILE = "identified.yaml"
@@ -27,12 +34,14 @@ class Job:
         """Snapshot of the identification node's parameters.
 
         Raises:
-            InputError: no record, or one outside `record_root`.
+            InputError: no record, one outside `record_root`, or a result outside `output_root`.
         """
         return cls(
             records=records_inside(settings["record_root"], given(settings["record"])),
             experiments=given(settings["experiments"]),
-            output_directory=settings["output_directory"],
+            output_directory=output_inside(
+                settings["output_root"], settings["output_directory"], "output_directory"
+            ),
             values={name: parameters[name] for name in parameters.given},
             uncertainty=parameters.given_uncertainty,
         )
@@ -48,7 +57,7 @@ class Job:
 
         records = [open_record(path) for path in self.records]
         parameters = Parameters(self.values, self.uncertainty)
-        result = identify(records, parameters, self.experiments or None)
+        result = identify(records, parameters, self.experiments or None, tell)
         folder = made_folder(self.output_directory)
         comment = "Identified by the identification node from " + ", ".join(self.records)
         write_parameters(folder / PARAMETER_FILE, result.parameters, comment.replace("\n", " "))

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED, BenchNode
-from sma_bench.nodes.job_process import Job, JobProcess
+from sma_bench.nodes.job_process import Job, JobProcess, busy
 
 # One request at work, one that is refused, and the node's other callbacks.
 _THREADS = 4
@@ -23,7 +23,7 @@ _THREADS = 4
 class JobNode(BenchNode, ABC):
     """Answers a service (std_srvs/Trigger) whose message is a result as JSON, or why there is none.
 
-    Latched: `~/state` ("idle", "busy") and `~/result` (the last JSON).
+    Latched: `~/state` ("idle", "busy", "busy: 42 %, pairs") and `~/result` (the last JSON).
     """
 
     with_uncertainty = True
@@ -62,12 +62,15 @@ class JobNode(BenchNode, ABC):
             self._busy.release()
         return response
 
+    def _tell(self, share: float, what: str) -> None:
+        self._state.publish(String(data=busy(share, what)))
+
     def _answer(self, response: Trigger.Response) -> None:
         self._state.publish(String(data="busy"))
         try:
             # What is set from here on is for the next request.
             job = self.job()
-            response.message = self._process.run(job)
+            response.message = self._process.run(job, self._tell)
             response.success = True
         except InputError as error:
             response.success = False

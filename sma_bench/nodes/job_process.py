@@ -1,16 +1,22 @@
 """Work that takes its time, as a process of its own, so that it cannot block a node. No ROS."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
 from sma_bench.errors import InputError
+from sma_bench.progress import Report, silent
 
 _BAD_INPUT = 2
+_TOLD = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
+_BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
 
 
 class Job(Protocol):
@@ -31,30 +37,43 @@ class JobProcess:
         self._running: subprocess.Popen[str] | None = None
         self._killed = False
 
-    def run(self, job: Job) -> str:
+    def run(self, job: Job, report: Report = silent) -> str:
         """The job's result, waited for without using the processor.
+
+        Args:
+            report: told what the job tells meanwhile.
 
         Raises:
             InputError: what the job raised, or that it was ended.
         """
-        self._running = subprocess.Popen(
+        process = self._running = subprocess.Popen(
             [sys.executable, "-m", type(job).__module__],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             # Ctrl-C in a terminal is for the node, which then ends this process.
             start_new_session=True,
         )
         if self._killed:
-            self._running.kill()
-        output, errors = self._running.communicate(json.dumps(asdict(job)))
-        status = self._running.returncode
+            process.kill()
+        errors: list[str] = []
+        assert process.stdin and process.stdout and process.stderr
+        with ThreadPoolExecutor(1) as beside:  # a pipe that nobody reads would stop the process
+            output = beside.submit(process.stdout.read)
+            with suppress(BrokenPipeError), process.stdin:  # it has ended; its status says why
+                process.stdin.write(json.dumps(asdict(job)))
+            for line in process.stderr:
+                if told := _TOLD.match(line):
+                    report(float(told["share"]), told["what"])
+                else:
+                    errors.append(line)
+        status = process.wait()
         self._running = None
         if status == 0:
-            return output
+            return output.result()
         if status == _BAD_INPUT:
-            raise InputError(output.strip())
+            raise InputError(output.result().strip())
         if self._killed:
             raise InputError(f"{self._work}: ended with its node")
-        last = errors.strip().splitlines()[-1:] or [f"status {status}"]
+        last = [line.strip() for line in errors if line.strip()][-1:] or [f"status {status}"]
         raise InputError(f"{self._work}: failed: {last[0]}")
 
     def kill(self) -> None:
@@ -63,6 +82,22 @@ class JobProcess:
         running = self._running
         if running is not None:
             running.kill()
+
+
+def tell(share: float, what: str = "") -> None:
+    """Said by a job to whoever waits for it: the share that is done, and what comes now."""
+    print(f"progress {share:.3f} {what}", file=sys.stderr, flush=True)
+
+
+def busy(share: float, what: str) -> str:
+    """The state of a node whose job is so far."""
+    return f"busy: {100.0 * share:.0f} %, {what}"
+
+
+def told_share(state: str) -> tuple[float, str] | None:
+    """What `busy` put into a state; None of another one."""
+    found = _BUSY.match(state)
+    return (int(found["percent"]) / 100.0, found["what"]) if found else None
 
 
 def run_job(kind: Callable[..., Job]) -> int:
@@ -76,18 +111,39 @@ def run_job(kind: Callable[..., Job]) -> int:
 
 
 def records_inside(root: str, records: list[str], parameter: str = "record") -> list[str]:
-    """Paths of `records`, relative ones below `root`; with a root, none may lie outside.
+    """Paths of `records`, relative ones below `root`; none may lie outside.
 
     Raises:
-        InputError: no records, or one outside the root, `..` and links followed.
+        InputError: no records, or one outside the root, `..` and links followed, those in the
+            folder of a bag too.
     """
     if not records:
         raise InputError(f"{parameter}: is empty, expected the path of one record or more")
-    paths = [Path(root) / record for record in records]
-    for path in paths:
-        if root and not path.resolve().is_relative_to(Path(root).resolve()):
-            raise InputError(f"{parameter}: {path} lies outside record_root {root}")
-    return [str(path) for path in paths]
+    return [str(_inside(root, record, parameter, "record_root")) for record in records]
+
+
+def output_inside(root: str, path: str, parameter: str) -> str:
+    """The path of what is to be written, a relative one below `root`; "" stays "".
+
+    Raises:
+        InputError: it lies outside the root, `..` and links followed.
+    """
+    return str(_inside(root, path, parameter, "output_root")) if path else ""
+
+
+def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
+    top = Path(root or ".").resolve()
+    found = Path(root, path)
+    try:
+        # A bag from elsewhere may hold a link to any file of this computer.
+        parts = [found, *(found.iterdir() if found.is_dir() else ())]
+        outside = any(not part.resolve().is_relative_to(top) for part in parts)
+    except (OSError, ValueError, RuntimeError):  # no permission, a zero byte, a circle of links
+        outside = True
+    if outside:
+        where = root or f"{top} (where the node was started; {root_parameter} names another)"
+        raise InputError(f"{parameter}: {found} lies outside {root_parameter} {where}")
+    return found
 
 
 def given(names: Sequence[str]) -> list[str]:

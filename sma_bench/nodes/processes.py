@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from sma_bench.errors import InputError
+from sma_bench.nodes.discovery import RANGE, THIS_MACHINE
 
 _PATIENCE = 8.0
 _PRIVATE_DOMAINS = range(120, 220)
@@ -17,7 +18,7 @@ _PRIVATE_DOMAINS = range(120, 220)
 
 def private_ros_environment() -> None:
     """Keep this process and its nodes away from any other bench: own domain, this machine only."""
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ[RANGE] = THIS_MACHINE
     os.environ["ROS_DOMAIN_ID"] = str(_PRIVATE_DOMAINS[os.getpid() % len(_PRIVATE_DOMAINS)])
 
 

@@ -30,6 +30,7 @@ from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port
 from sma_bench.nodes.base import LATCHED, BenchNode, run_node
 from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics
+from sma_bench.nodes.recorder_state import follow_recorder
 
 _NANOSECONDS = 1e9
 _TICK = 0.005
@@ -95,6 +96,7 @@ class SerialBridge(BenchNode):
             self.create_subscription(
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, channel), 10
             )
+        follow_recorder(self, self._driver.recorder)
         requests = {
             "enable": self._enable, "stop": self._stop, "reset": self._reset,
             "self_test": self._self_test,

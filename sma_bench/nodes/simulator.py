@@ -55,6 +55,8 @@ class Simulator(BenchNode):
         self.create_timer(tick, self._tick, clock=steady)
         self.create_timer(1.0, self._diagnose, clock=steady)
         self._reported = (0, self._topics.counts())
+        channels = ", ".join(self._bench.channels)
+        self.get_logger().info(f"simulating {channels}, {speed:g} s a second")
 
     def _command(self, message: Float64MultiArray) -> None:
         now = self._now / NANOSECONDS

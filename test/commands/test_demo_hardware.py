@@ -49,15 +49,15 @@ def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there():
 
 
 def test_a_large_stated_error_excuses_nothing():
-    assert demo_hardware.numbers_hold(estimates(0.049), TRUTH)
-    assert not demo_hardware.numbers_hold(estimates(0.051), TRUTH)
+    assert demo_hardware.numbers_hold(estimates(0.099), TRUTH)
+    assert not demo_hardware.numbers_hold(estimates(0.101), TRUTH)
 
 
 def test_the_table_shows_the_deviation_in_stated_errors():
     console = Console(record=True, width=120)
     demo_hardware._print_table(console, estimates(0.01, R=1.025), TRUTH)
     row = next(line for line in console.export_text().splitlines() if line.startswith("R "))
-    assert "+2.50%" in row and "+2.50 " in row.replace("+2.50%", "")
+    assert row.split()[-2:] == ["+2.50%", "+2.50"]
 
 
 def test_a_call_is_retried_until_it_succeeds_or_patience_ends():
@@ -82,5 +82,5 @@ def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(emulator, 
     status = main(["demo", "--hardware", "--out", str(out)])
     said = capfd.readouterr()
     assert status == 0, said.out + said.err
-    assert "within 3 standard errors of the truth, errors under 5%: yes" in said.out
+    assert "within 3 standard errors of the truth, errors under 10%: yes" in said.out
     assert (out / "identified.yaml").is_file()

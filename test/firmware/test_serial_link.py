@@ -16,6 +16,7 @@ from sma_bench.emulation.pty_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.serial_framing import line
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_messages import State
 from sma_bench.hardware.serial_port import find_port, open_port
@@ -156,6 +157,31 @@ def test_second_host_cannot_open_the_port(bench: PtyBench, link: Watched) -> Non
         wait_for(lambda: other.status.problem)
         assert not other.status.connected
     assert link.status.connected
+
+
+@pytest.mark.parametrize(
+    ("body", "answer"),
+    [
+        ("A 1", "device refused A: armed already"),
+        ("V 1 1 9000 0 0 0", "device refused V: wrong nonce or session"),
+        ("D", "Accepted(letter='D', value=0)"),
+    ],
+)
+def test_what_another_host_asks_is_noticed(
+    bench: PtyBench, link: Watched, body: str, answer: str
+) -> None:
+    link.arm()
+    link.drive(VOLTS)
+    time.sleep(0.1)
+    assert link.status.unasked == ""
+    bench.do(lambda: bench.device.write(line(body)))
+    wait_for(lambda: link.status.unasked == answer)
+    link.stop()
+    wait_for(lambda: link.status.state == State.STOPPED or body == "D")
+    link.reset()
+    link.arm()
+    time.sleep(0.1)
+    assert link.status.unasked == ""
 
 
 def test_pulled_cable_is_told_and_comes_back_disarmed(host_library: Path) -> None:

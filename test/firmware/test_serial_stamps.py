@@ -5,12 +5,9 @@ import time
 import pytest
 from virtual_port import VirtualPort
 
-from sma_bench.emulation.emulated_uno import EmulatedUno
+from sma_bench.emulation.emulated_uno import START_UP, EmulatedUno
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-
-# s from power-up until the Uno's clock runs: it paints its memory first.
-START_UP = 0.5e-3
 
 
 @pytest.mark.parametrize(

@@ -191,6 +191,24 @@ def test_a_lost_connection_is_the_reason(driving):
     assert driving.driver.state.startswith("stopped: not connected")
 
 
+def test_a_failed_recorder_stops_the_drive_and_a_reset_forgets_it(driving):
+    driving.driver.recorder("disk full")
+    assert driving.pass_time(0.1, command=3.0) == "recording failed: disk full"
+    assert not driving.link.armed
+    with pytest.raises(LinkError, match="stopped: recording failed"):
+        driving.driver.enable(driving.now)
+    driving.driver.reset()
+    driving.driver.enable(driving.now)
+    assert driving.pass_time(0.1, command=3.0) == ""
+
+
+def test_an_answer_that_nobody_here_asked_for_stops_the_drive(driving):
+    driving.link.status.unasked = "device refused A: armed already"
+    reason = driving.pass_time(0.1, command=3.0)
+    assert reason.startswith("another host speaks to the device: it answered 'device refused A")
+    assert not driving.link.armed
+
+
 def test_a_limit_beyond_the_devices_is_refused():
     bench = Bench(maximum_voltage=12.0)
     bench.pass_time(0.1)

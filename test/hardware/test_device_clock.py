@@ -45,10 +45,11 @@ def test_drift_is_estimated() -> None:
 def test_uncertainty_is_half_of_what_the_quickest_ways_took() -> None:
     clock = DeviceClock()
     assert clock.uncertainty == math.inf
-    clock.add(1.0, 0, 1_000, 1.005)
-    clock.add(2.0, 1_000_000, 1_005_000, 2.007)
-    clock.add(3.0, 2_000_000, 2_000_000, 3.010)
-    assert clock.uncertainty == pytest.approx(1e-3)
+    for k in range(20):
+        late = 0.0 if k % 3 else 0.05
+        clock.add(k + 0.998, 1_000_000 * k, 1_000_000 * k + 1_000, k + 1.005 + late)
+    assert clock.uncertainty == pytest.approx(3e-3, rel=0.01)
+    assert clock.host_time(19_000_000) == pytest.approx(20.001, abs=1e-5)
 
 
 def test_wrap_of_the_microsecond_counter_is_not_a_jump() -> None:
@@ -79,3 +80,95 @@ def test_slow_answers_hardly_move_it() -> None:
     stamp = round(now * 1e6)
     clock.add(now, stamp, stamp, now + 0.2)
     assert clock.host_time(round(now * 1e6)) == pytest.approx(good, abs=5e-5)
+
+
+# --- busy computers -------------------------------------------------------------------------------
+
+STEP = 1e-4
+
+
+def stalled(random: np.random.Generator, host: np.ndarray, a_second: float) -> np.ndarray:
+    """When nothing runs: stalls of heavy-tailed length, 1 ms to 0.3 s, half of them above 2 ms."""
+    still = np.zeros(len(host), dtype=bool)
+    for begin in random.uniform(0.0, host[-1], round(a_second * host[-1])):
+        length = min(1e-3 * (1.0 - random.uniform()) ** (-1.0 / 0.9), 0.3)
+        still[(host >= begin) & (host < begin + length)] = True
+    return still
+
+
+def listened(
+    seed: int, *, busy: bool, stumbling: bool, drift: float = 0.0, rate: int = 100,
+    seconds: float = 10.0,
+) -> np.ndarray:
+    """Errors in s of the stamps of all frames after 5 s.
+
+    A `busy` host neither writes nor reads during its stalls. A `stumbling` device stands still
+    during its own, and catches up at three times the speed, as an emulator does.
+    """
+    random = np.random.default_rng(seed)
+    host = np.arange(0.0, seconds + 3.0, STEP)
+    still = stalled(random, host, 20.0 if busy else 0.0)
+    awake = host[~still]
+    lag = np.zeros(len(host))
+    for k in np.flatnonzero(stalled(random, host, 10.0 if stumbling else 0.0)):
+        lag[k] = STEP
+    for k in range(1, len(host)):
+        lag[k] = lag[k - 1] + STEP if lag[k] else max(0.0, lag[k - 1] - 2.0 * STEP)
+
+    def when_awake(time: np.ndarray) -> np.ndarray:
+        """A moment later than a time: nobody is quick even when awake."""
+        time = time + random.exponential(3e-4, len(time))
+        return np.maximum(time, awake[np.searchsorted(awake, time - STEP)])
+
+    def stamps(time: np.ndarray) -> np.ndarray:
+        return np.rint(time * (1.0 - drift) * 1e6).astype(int)
+
+    frames = np.arange(1.0 / rate, seconds, 1.0 / rate)
+    sent = np.arange(0.3, seconds, 0.0837)
+    arrived = np.interp(when_awake(sent) + 3e-4, host, host - lag)
+    left = arrived + random.uniform(1e-3, 3e-3, len(sent))
+    heard = np.maximum.accumulate(when_awake(np.interp(frames, host - lag, host) + 3e-3))
+    answered = when_awake(np.interp(left, host - lag, host) + 3e-4)
+    came = [(time, -1, k) for k, time in enumerate(heard)]
+    came += [(time, k, 0) for k, time in enumerate(answered)]
+    clock, errors = DeviceClock(), []
+    for now, ping, frame in sorted(came):
+        if ping >= 0:
+            asked, answer = stamps(arrived[ping : ping + 1])[0], stamps(left[ping : ping + 1])[0]
+            clock.add(float(sent[ping]), int(asked), int(answer), float(now))
+            continue
+        stamp = int(stamps(frames[frame : frame + 1])[0])
+        clock.heard(stamp, float(now))
+        if frames[frame] > 5.0:
+            errors.append(clock.host_time(stamp) - frames[frame])
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("rate", [100, 500])
+@pytest.mark.parametrize("drift", [-4e-3, 0.0, 4e-3])
+def test_a_busy_host_does_not_move_the_stamps(rate: int, drift: float) -> None:
+    for seed in range(2):
+        errors = listened(seed, busy=True, stumbling=False, drift=drift, rate=rate)
+        assert len(errors) > 0.9 * 5.0 * rate
+        assert np.abs(errors).max() < 1e-3
+
+
+def test_a_stumbling_emulator_does_not_move_the_stamps() -> None:
+    for seed in range(3):
+        assert np.abs(listened(seed, busy=False, stumbling=True)).max() < 1e-3
+
+
+def test_both_at_once_do_not_move_the_stamps() -> None:
+    for seed in range(3):
+        assert np.abs(listened(seed, busy=True, stumbling=True)).max() < 1e-3
+
+
+def test_a_host_that_slept_for_two_seconds_finds_its_stamps_right() -> None:
+    clock, now = synchronised(1e-3, 10.0)
+    device = now * (1.0 - 1e-3)
+    for k in range(200):
+        stamp = round((device + 0.01 * k) * 1e6)
+        clock.heard(stamp, now + 2.0 + 1e-3 * k)
+    clock.add(now, round(device * 1e6), round((device + 1e-3) * 1e6), now + 2.2)
+    later = round((device + 1.0) * 1e6)
+    assert clock.host_time(later) == pytest.approx(now + 1.0 / (1.0 - 1e-3), abs=1e-3)

@@ -149,3 +149,11 @@ def test_guard_without_a_camera_demands_power_only_but_heeds_a_temperature_that_
     assert made.fault(1.5) == ""
     made.temperature("a", 500.0, stamp=1.0, now=1.0, limits=LIMITS)
     assert "over-temperature" in made.fault(1.5)
+
+
+def test_guard_minds_a_recorder_that_failed_until_another_records():
+    made = guard()
+    made.recorder("bag: cannot be written: No space left on device")
+    assert made.fault(1.5) == "recording failed: bag: cannot be written: No space left on device"
+    made.recorder("")
+    assert made.fault(1.5) == ""

@@ -1,10 +1,13 @@
 """A bridge process on an emulated bench, and a commander of the test's own."""
 
+import json
+import resource
 import signal
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,25 +18,37 @@ from sma_bench.emulation.emulated_bench import EmulatedBench, emulated_bench
 from sma_bench.parameters import Parameters
 
 COMMAND_PERIOD = 0.05
+PATIENCE = 10.0
 CELSIUS_ZERO = 273.15
+# A picture small enough for a loaded machine, of a wire that shows.
+PICTURE = {"image_width": 120, "image_height": 80}
 WARM = (3.0,)
 
 
 class BridgedRig:
     """One emulated bench, one serial_bridge, and the topics between them and the test.
 
-    While the test waits with `until`, commands and temperatures are published 20 times a second.
+    While the test waits with `until`, commands and temperatures are published 20 times a second:
+    as the wire's readings, or with a `camera` as what a synthetic one sees for `ir_camera`.
     """
 
-    def __init__(self, bench, hardware: EmulatedBench, **parameters) -> None:
+    def __init__(self, bench, hardware: EmulatedBench, camera=False, **parameters) -> None:
         self.bench = bench
         self.hardware = hardware
         self.states = bench.latched("serial_bridge/state", String)
         self.power = bench.listen("wire/power", BatteryState)
         self.diagnostics = bench.listen("/diagnostics", DiagnosticArray)
         self.node = bench.start("serial_bridge", port=hardware.path, **parameters)
+        self.seen = None
         self._command = bench.talk("voltage_command", Float64MultiArray)
-        self._camera = bench.talk("wire/temperature", Temperature)
+        if camera:
+            self.camera = bench.start("synthetic_camera", **PICTURE, rate=20.0)
+            bench.start("ir_camera", **PICTURE, read_cold_wires=True)
+            # Known from now on, so that breaking it takes no time.
+            assert bench.set_parameter("synthetic_camera", "fault", "none").successful
+            self.seen = bench.listen("wire/temperature", Temperature)
+        place = "true_temperature" if camera else "temperature"
+        self._camera = bench.talk(f"wire/{place}", Temperature)
         self._due = 0.0
         self.voltage: tuple[float, ...] | None = (0.0,)
         self.fever: float | None = 0.0
@@ -69,6 +84,14 @@ class BridgedRig:
                     return item.value
         return ""
 
+    def camera_says(self) -> str:
+        """Newest message of `ir_camera` about its pictures, "" before the first."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name == "/bench/ir_camera: camera":
+                    return status.message
+        return ""
+
     def until(self, condition, patience: float = 30.0):
         """Wait for a condition as `bench.until`, commanding and looking at the wire meanwhile."""
 
@@ -84,9 +107,14 @@ class BridgedRig:
 
     def enable(self) -> None:
         """Wait until all readings are there, then enable."""
-        self.until(lambda: self.state == "idle" and self.power)
+        self.until(lambda: self.state == "idle" and self.power and self.seen != [])
         self.for_a_while(0.3)
         answer = self.ask("enable")
+        end = time.monotonic() + PATIENCE
+        # The bridge meets the camera's node in its own time.
+        while "was never received" in answer.message and time.monotonic() < end:
+            self.for_a_while(0.2)
+            answer = self.ask("enable")
         assert answer.success, answer.message
 
     def ask(self, service: str):
@@ -106,6 +134,18 @@ class BridgedRig:
         self.until(
             lambda: self.power and abs(self.power[-1].voltage - voltage[0]) < 0.1
         )
+
+    def record(self, folder: Path) -> None:
+        """Start a recorder and wait until it has written what the bench says."""
+        states = self.bench.latched("recorder/state", String)
+        self.recorder = self.bench.start("recorder", output=folder)
+        self.until(lambda: states and any(json.loads(states[-1].data)["messages"].values()))
+
+    def fill_disk(self, folder: Path) -> None:
+        """No file of the recorder grows from now on."""
+        largest = max(path.stat().st_size for path in folder.rglob("*"))
+        limits = (largest, resource.RLIM_INFINITY)
+        resource.prlimit(self.recorder.process.pid, resource.RLIMIT_FSIZE, limits)
 
     def off_after(self, moment: float, patience: float = 30.0) -> float:
         """s of the Uno's clock from `moment` until its last pulse; 0 when none came after it.
@@ -137,13 +177,13 @@ class BridgedRig:
 
 @contextmanager
 def bridged_rig(
-    bench, uno, parameters: Parameters | None = None, **settings
+    bench, uno, parameters: Parameters | None = None, camera=False, **settings
 ) -> Iterator[BridgedRig]:
     """The wire rig behind a serial_bridge, enabled by nobody yet."""
     # The emulator's thread must get its turn between two slices, every half a millisecond.
     sys.setswitchinterval(1e-4)
     with emulated_bench(parameters or Parameters.defaults(), uno) as hardware:
-        rig = BridgedRig(bench, hardware, **settings)
+        rig = BridgedRig(bench, hardware, camera, **settings)
         try:
             yield rig
         finally:

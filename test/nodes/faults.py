@@ -6,11 +6,15 @@ The test, `./bench check faults` and the table of docs/safety.md are this list.
 import math
 import random
 import signal
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from emulated_rig import BridgedRig
+
+from sma_bench.hardware.serial_framing import line
 
 STOP = ord("!")
 
@@ -21,7 +25,8 @@ class Fault:
 
     `make` brings it about and returns the moment in s of the Uno's clock; within `limit` s of it
     the last pulse has passed. `cause` is a part of the reason that `told` (the bridge's state,
-    unless it is given) reports. `quick` ones belong to the short run of the tests.
+    unless it is given) reports. `quick` ones belong to the short run of the tests; those of the
+    `camera` have a synthetic one and the node `ir_camera`.
     """
 
     name: str
@@ -32,13 +37,14 @@ class Fault:
     make: Callable[[BridgedRig], float]
     volts: float = 3.0
     quick: bool = False
+    camera: bool = False
     reaction: str = "0 V until a reset"
     told: Callable[[BridgedRig], str] = lambda rig: rig.state
 
     @property
     def by_host(self) -> bool:
         """True where the bridge, not the device, has to notice."""
-        return self.detection.startswith("bridge")
+        return "bridge" in self.detection
 
     @property
     def row(self) -> str:
@@ -110,6 +116,36 @@ def _camera_looks_elsewhere(rig: BridgedRig) -> float:
     return _now(rig)
 
 
+def _camera_fault(kind: str) -> Callable[[BridgedRig], float]:
+    def make(rig: BridgedRig) -> float:
+        moment = _now(rig)
+        assert rig.bench.set_parameter("synthetic_camera", "fault", kind).successful
+        return moment
+
+    return make
+
+
+def _with_camera(rig: BridgedRig) -> str:
+    """What the bridge says, and what the camera's node does."""
+    rig.until(lambda: rig.camera_says() not in ("", "running"))
+    return f"{rig.state} (ir_camera: {rig.camera_says()})"
+
+
+def _full_disk(rig: BridgedRig) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        rig.record(bag)
+        moment = rig.hardware.do(lambda: rig.fill_disk(bag))
+        rig.until(lambda: rig.recorder.process.poll() is not None)
+        return moment
+
+
+def _second_host(rig: BridgedRig) -> float:
+    """The handshake of a host that the port's lock did not keep out, and its attempt to arm."""
+    says = b"".join(line(body) for body in ("T 100", "?", "A 1", "V 1 1 9000 0 0 0"))
+    return rig.hardware.do(lambda: rig.hardware.uno.write(b"\n" + says))
+
+
 def _silence(rig: BridgedRig) -> float:
     rig.voltage = None
     return _now(rig)
@@ -137,7 +173,7 @@ def _value(key: str) -> Callable[[BridgedRig], str]:
     def told(rig: BridgedRig) -> str:
         seen, end = len(rig.diagnostics), time.monotonic() + 5.0
         rig.until(lambda: len(rig.diagnostics) > seen + 1 or time.monotonic() > end)
-        return rig.value(key)
+        return f"{key}: {rig.value(key)}"
 
     return told
 
@@ -152,7 +188,7 @@ FAULTS = (
     Fault("cable_pulled", "serial cable pulled", "device: command timeout 0.2 s", 0.25,
           "not connected", lambda rig: rig.hardware.do(rig.hardware.port.unplug)),
     Fault("commander_silent", "commanding node dies", "bridge: bench.command_timeout 0.5 s", 0.7,
-          "1", _silence, told=_value("command_timeouts"),
+          "command_timeouts: 1", _silence, told=_value("command_timeouts"),
           reaction="0 V until the next command"),
     Fault("nonsense_commanded", "NaN, infinite, too many or too large volts",
           "bridge: rejected, counted, then its command timeout", 0.7,
@@ -164,6 +200,9 @@ FAULTS = (
           0.25, "command timeout", _noise, quick=True),
     Fault("commands_replayed", "recorded commands sent again", "device: session and sequence",
           0.01, "idle", _replay, reaction="refused, nothing is driven"),
+    Fault("two_hosts", "second host gets through to the device",
+          "device: a greeting disarms; bridge: answers that it did not ask for", 0.25,
+          "another host speaks to the device", _second_host, quick=True),
     Fault("firmware_hung", "firmware's main loop hangs", "device: 30 ms without its loop", 0.04,
           "the device restarted", lambda rig: rig.hardware.do(
               lambda: rig.hardware.uno.hang(interrupts=True)), quick=True),
@@ -180,11 +219,19 @@ FAULTS = (
           "disagreement: wire carries", _electrics(resistance=(math.inf,))),
     Fault("over_temperature", "wire hotter than bench.maximum_temperature",
           "bridge: each temperature", 0.3, "over-temperature: wire", _fever, quick=True),
-    Fault("camera_lost", "temperatures stop coming", "bridge: feedback_timeout 1 s", 1.4,
+    Fault("temperature_lost", "temperatures stop coming", "bridge: feedback_timeout 1 s", 1.4,
           "stale feedback: nothing new from wire/temperature", _blindness),
+    Fault("camera_lost", "camera stops sending pictures", "bridge: feedback_timeout 1 s", 1.6,
+          "limit 1 s (ir_camera: no frame for", _camera_fault("silent"), camera=True,
+          told=_with_camera),
+    Fault("camera_frozen", "camera sends the same picture again and again",
+          "ir_camera: equal pictures; bridge: feedback_timeout 1 s", 1.6,
+          "limit 1 s (ir_camera: frozen", _camera_fault("frozen"), camera=True, told=_with_camera),
     Fault("camera_astray", "camera does not look at the wire",
           "bridge: temperature against the model for 1 s", 1.7,
           "disagreement: wire measured at", _camera_looks_elsewhere, volts=6.0),
+    Fault("disk_full", "recorder's disk is full", "recorder, within a second; bridge: its state",
+          2.0, "recording failed:", _full_disk),
     Fault("supply_lost", "supply below 6 V", "device: supply in each conversion", 0.1,
           "supply out of range", _electrics(supply=3.0)),
 )

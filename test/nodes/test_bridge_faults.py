@@ -17,7 +17,7 @@ MARKED = [
 
 @pytest.mark.parametrize("fault", MARKED)
 def test_outputs_go_to_zero_in_time_and_the_cause_is_told(bench, uno, fault, record_property):
-    with bridged_rig(bench, uno) as rig:
+    with bridged_rig(bench, uno, camera=fault.camera) as rig:
         rig.enable()
         rig.drive(fault.volts)
         measured = rig.off_after(fault.make(rig))

@@ -1,5 +1,6 @@
 """The experiment as a process: it follows the protocol, and leaves the wire cold."""
 
+import json
 import math
 import signal
 import time
@@ -9,6 +10,8 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
+
+from sma_bench.nodes.base import LATCHED
 
 SHORT = {
     "name": "short",
@@ -85,6 +88,28 @@ def until_zero(bench, fake):
     seen = len(fake.commands)
     bench.until(lambda: len(fake.commands) > seen + 5)
     assert fake.last(3) == [[0.0]] * 3
+
+
+def test_a_recorder_that_fails_ends_the_run_and_a_reset_goes_on_without_it(bench, running):
+    fake, _ = running
+    recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
+    bench.until(recorder.get_subscription_count)
+    recorder.publish(String(data="not what a recorder says"))
+    failed = {"state": "failed", "failure": "bag: cannot be written: No space left on device"}
+    recorder.publish(String(data=json.dumps({"state": "recording", "failure": ""})))
+    until_still_driven(bench, fake)
+    recorder.publish(String(data=json.dumps(failed)))
+    bench.until(lambda: fake.state.startswith("aborted: recording failed: bag: cannot be written"))
+    until_zero(bench, fake)
+    assert not bench.trigger("experiment/start").success
+    assert bench.trigger("experiment/reset").success
+    assert bench.trigger("experiment/start").success
+
+
+def until_still_driven(bench, fake):
+    seen = len(fake.commands)
+    bench.until(lambda: len(fake.commands) > seen + 20)
+    assert fake.last(5) == [[3.0]] * 5
 
 
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):

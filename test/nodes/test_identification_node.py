@@ -8,7 +8,8 @@ import pytest
 from std_msgs.msg import String
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.identification_job import Job, records_inside
+from sma_bench.nodes.identification_job import Job
+from sma_bench.nodes.job_process import output_inside, records_inside
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
@@ -62,10 +63,11 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     states = bench.latched("identification/state", String)
     out = tmp_path / "out"
     node = bench.start(
-        "identification", record_root=bag.parent, record=f"[{bag.name}]", output_directory=out
+        "identification", record_root=bag.parent, record=f"[{bag.name}]", output_directory=out,
+        output_root=tmp_path,
     )
     first = bench.trigger_later("identification/identify")
-    bench.until(lambda: states and states[-1].data == "busy")
+    bench.until(lambda: states and states[-1].data.startswith("busy"))
     before = processor_seconds(node)
     second = bench.trigger("identification/identify")
     assert not second.success and second.message.startswith("busy")
@@ -91,7 +93,9 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
 def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
     bench, bag, tmp_path
 ):
-    node = bench.start("identification", record_root=bag.parent, output_directory=tmp_path)
+    node = bench.start(
+        "identification", record_root=bag.parent, output_directory=tmp_path, output_root=tmp_path
+    )
     answer = bench.trigger("identification/identify")
     assert not answer.success and answer.message.startswith("record: is empty")
     bench.set_parameter("identification", "record", ["no_such_bag"])
@@ -103,7 +107,7 @@ def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
     bench.set_parameter("identification", "record", [bag.name])
     states = bench.latched("identification/state", String)
     bench.trigger_later("identification/identify")
-    bench.until(lambda: states and states[-1].data == "busy")
+    bench.until(lambda: states and states[-1].data.startswith("busy"))
     assert node.end() == 0
     assert "Traceback" not in node.output
 
@@ -114,10 +118,27 @@ def test_records_are_found_below_the_root_and_links_out_of_it_are_refused(tmp_pa
     outside.mkdir()
     (root / "link").symlink_to(outside)
     assert records_inside(str(root), ["a"]) == [str(root / "a")]
-    assert records_inside("", ["/anywhere/a"]) == ["/anywhere/a"]
+    assert records_inside("", ["a"]) == ["a"]
+    assert records_inside("/", [str(outside)]) == [str(outside)]
     for record in ("link", "../outside", str(outside)):
         with pytest.raises(InputError, match="lies outside record_root"):
             records_inside(str(root), [record])
+    with pytest.raises(InputError, match="outside record_root .*where the node was started"):
+        records_inside("", [str(outside)])
+
+
+def test_links_inside_a_bag_and_results_outside_the_root_are_refused(tmp_path):
+    root = tmp_path / "root"
+    (root / "bag").mkdir(parents=True)
+    assert records_inside(str(root), ["bag"]) == [str(root / "bag")]
+    (root / "bag" / "bag.mcap").symlink_to("/etc/passwd")
+    with pytest.raises(InputError, match="record: .*bag lies outside record_root"):
+        records_inside(str(root), ["bag"])
+    assert output_inside(str(root), "out/deep", "report") == str(root / "out" / "deep")
+    assert output_inside(str(root), "", "report") == ""
+    for path in ("../out", "/etc/cron.d", "a\0b"):
+        with pytest.raises(InputError, match="report: .*lies outside output_root"):
+            output_inside(str(root), path, "report")
 
 
 def test_a_job_carries_what_was_given_and_not_the_defaults():
