@@ -20,6 +20,8 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "sma_bench_test_log"))
 os.environ.setdefault("MPLBACKEND", "Agg")
+# pytest-xdist sets it, and tables would be as narrow.
+os.environ.pop("COLUMNS", None)
 # Before anything imports numpy, as the command line does: small matrices, idle threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -45,6 +47,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("acceptance"):
                 item.add_marker(reason)
+    # Real nodes and the wall's clock share the machine with whatever else it does. What fails once
+    # and passes afresh was the machine; pytest tells of every such rerun.
+    for item in items:
+        if "ros_domain" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.flaky(reruns=2))
     # Files with long tests first, lest one worker is left with them at the end.
     long = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in long)

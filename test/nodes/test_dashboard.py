@@ -142,6 +142,7 @@ def test_a_bench_without_a_stop_service_is_commanded_to_zero(bench, tmp_path):
         assert answer["stopped"] and answer["answers"] == []
 
 
+@pytest.mark.acceptance
 def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
     bench, uno, tmp_path, record_property
 ):

@@ -15,6 +15,7 @@ from sma_bench.records import read_record
 
 NODES = ("simulator", "experiment", "recorder")
 # The contract's command timeout, and what a busy machine needs to notice.
+_ATTEMPTS = 20
 _TIMEOUT, _SLACK = 0.5, 1.0
 _VOLTS = 1.0
 # A killed recorder has lost a second.
@@ -71,8 +72,12 @@ def _restart(
         powers.clear()
         talker.until("readings", lambda: powers)
         talker.until("recorded", lambda: recorders and "wire/power" in recorders[-1].data)
-        answer = talker.call(Trigger, "experiment/start")
-        if not answer.success:
+        for _ in range(_ATTEMPTS):
+            answer = talker.call(Trigger, "experiment/start")
+            if answer.success:
+                break
+            talker.listen(0.5)  # readings reach each node in its own time
+        else:
             raise RuntimeError(answer.message)
         talker.until("driven", lambda: powers[-1].voltage > 0.5 * _VOLTS)
         talker.listen(_TO_DISK)
