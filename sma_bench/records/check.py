@@ -192,7 +192,8 @@ def _saturation(record: Record) -> Iterator[Finding]:
 
 def _is_clamped(record: Record) -> bool:
     """Whether a force changes: then an elongation that does not is no dead sensor."""
-    return "force" in record.signals and bool(np.ptp(record["force"].values) > 0)
+    force = record.signals.get("force")
+    return force is not None and len(force) > 0 and bool(np.ptp(force.values) > 0)
 
 
 def _is_voltage(name: str, signal: Signal) -> bool:

@@ -97,6 +97,10 @@ def test_pins_are_exact() -> None:
             assert not requirement or re.fullmatch(exact, requirement), f"{path.name}: {line}"
 
 
+# In Python's own library from 3.14 on, or from 3.12 on.
+OF_SOME_PYTHONS = {"backports-zstd", "importlib-metadata", "lazy-importer", "zipp"}
+
+
 def test_pinned_packages_fit_together_and_are_complete() -> None:
     if not Path(sys.prefix).is_relative_to(ROOT):
         pytest.skip("not in the environment of ./bench")
@@ -107,7 +111,7 @@ def test_pinned_packages_fit_together_and_are_complete() -> None:
         if (name := distribution.metadata["Name"])
     }
     differing = {name: there.get(name) for name in wanted if there.get(name) != wanted[name]}
-    assert set(differing) <= {"backports-zstd"}  # in Python's own library from 3.14 on
+    assert set(differing) <= OF_SOME_PYTHONS
     check = [sys.executable, "-m", "pip", "check"]
     process = subprocess.run(check, capture_output=True, text=True, check=False)
     assert process.returncode == 0, process.stdout
