@@ -5,12 +5,13 @@ from sma_bench.compiled import compiled
 
 _MESSAGE = 0x05
 _HEAD = 9  # opcode and length
+_TIME_TOP = 22  # the time's highest byte
 _LEAST = 22  # bytes of a message record: channel, sequence and two times; the data follow
 
 
 @compiled
 def number(buffer, position, size):
-    """Unsigned little-endian number; above 2^63 it comes out negative."""
+    """Unsigned little-endian number; compiled, one from 2^63 on comes out negative."""
     value = 0
     for k in range(size):
         value |= int(buffer[position + k]) << (8 * k)
@@ -35,7 +36,8 @@ def find_messages(buffer, position, end, starts, stops, channels, times):
             break
         length = number(buffer, position + 1, 8)
         time = number(buffer, position + 15, 8)
-        if length < _LEAST or length > end - position - _HEAD or time < 0:
+        beyond = buffer[position + _TIME_TOP] > 127  # no time is 2^63 ns or more
+        if length < _LEAST or length > end - position - _HEAD or beyond:
             break
         starts[count] = position + _HEAD + _LEAST
         stops[count] = position + _HEAD + length
