@@ -190,7 +190,7 @@ def _measured(
     if count:
         text = f"{name} is NaN in {count} of {len(values)} messages; these are left out"
         samples.remark("info", text, nan=count)
-    keep = ~missing
+    keep = ~missing if count else slice(None)
     time, received = _seconds(samples.stamp, start), _seconds(samples.received, start)
     return Signal(name, unit, time[keep], values[keep], received[keep], samples.topic)
 

@@ -6,8 +6,9 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -31,6 +32,7 @@ _FORMAT_VERSION: Literal[9] = 9
 _FLUSH_EVERY = 0.5
 # From the beginning of an mcap's chunk record: opcode, length, two times, size.
 _TO_CHECKSUM = 1 + 8 + 8 + 8 + 8
+_LENGTH = struct.Struct("<I")
 
 
 class BagWriter:
@@ -95,7 +97,9 @@ class BagWriter:
             except WriterError as error:
                 raise InputError(f"{self.path}: {error}") from None
         if self._live:
-            _give_chunks_a_checksum(self._writer.storage)
+            storage: Any = self._writer.storage
+            _give_chunks_a_checksum(storage)
+            storage.chunks = _ChunkIndex()
         self.flush()
 
     def add_topic(self, topic: str, msgtype: str) -> None:
@@ -254,6 +258,36 @@ class BagWriter:
             "ros_distro": "jazzy",
         }
         return yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+
+
+class _ChunkIndex:
+    """Index records of an mcap's chunks until its end, where they are written.
+
+    The one thing that grows with a bag, by two to three chunks a second: as bytes, one behind the
+    other, 1.3 MB an hour, where rosbags' list of a BytesIO each takes twice that.
+    """
+
+    def __init__(self) -> None:
+        self._records = bytearray()
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, record: BytesIO) -> None:
+        self._records += _LENGTH.pack(record.tell())
+        self._records += record.getbuffer()
+        self._count += 1
+
+    def __iter__(self) -> Iterator[BytesIO]:
+        start = 0
+        while start < len(self._records):
+            (length,) = _LENGTH.unpack_from(self._records, start)
+            start += _LENGTH.size
+            record = BytesIO()  # with its position at the end, as rosbags takes its length from it
+            record.write(self._records[start : start + length])
+            yield record
+            start += length
 
 
 def _give_chunks_a_checksum(storage: Any) -> None:

@@ -12,6 +12,7 @@ middleware may append a few.
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,10 +229,16 @@ def _decode_matrix(joined: bytes, rows: NDArray[np.int64], msgtype: str) -> Iter
 
 
 def _matches(matrix: NDArray[np.uint8], layout: Layout) -> NDArray[np.bool_]:
+    """Which rows share the layout's guards, (n,); compared eight bytes at a time."""
     same = np.ones(len(matrix), dtype=bool)
     for offset, content in layout.guards:
-        for index, byte in enumerate(content, start=offset):
-            same &= matrix[:, index] == byte
+        words = len(content) // 8 * 8
+        for at in (*range(0, words, 8), *range(words, len(content))):
+            kind = np.uint64 if at < words else np.uint8
+            column: NDArray[Any] = np.ndarray(
+                len(matrix), kind, matrix, offset + at, matrix.strides[:1]
+            )
+            same &= column == np.frombuffer(content, kind, 1, at)
     return same
 
 

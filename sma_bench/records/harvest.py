@@ -1,5 +1,6 @@
 """What is gathered from the storage files of one bag before any message is decoded."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -7,6 +8,9 @@ import numpy as np
 
 from sma_bench.findings import Finding
 from sma_bench.records.record import IntArray
+
+# Bytes: a smaller file is read one message after the other before numba is even loaded.
+_WORTH_LOADING = 8 << 20
 
 
 @dataclass
@@ -23,9 +27,9 @@ class RawTopic:
     count: int = 0
     times: list[int] = field(default_factory=list)
     blobs: list[bytes] = field(default_factory=list)
-    _runs: list[tuple[IntArray, IntArray, bytes]] = field(default_factory=list)
+    _runs: list[tuple[IntArray, IntArray, bytes | memoryview]] = field(default_factory=list)
 
-    def add_run(self, times: IntArray, lengths: IntArray, joined: bytes) -> None:
+    def add_run(self, times: IntArray, lengths: IntArray, joined: bytes | memoryview) -> None:
         """Add messages whose bytes lie one after the other."""
         self._end_run()
         self._runs.append((times, lengths, joined))
@@ -34,8 +38,6 @@ class RawTopic:
         """Receive times (n,) [ns], lengths (n,) and all bytes, joined; the topic is empty then."""
         self._end_run()
         runs, self._runs = self._runs, []
-        if len(runs) == 1:
-            return runs[0]
         empty: IntArray = np.empty(0, dtype=np.int64)
         times, lengths = (np.concatenate([empty, *(run[k] for run in runs)]) for k in (0, 1))
         return times, lengths, b"".join(run[2] for run in runs)
@@ -79,6 +81,15 @@ class Harvest:
     def lost(self, subject: str, text: str, **numbers: float) -> None:
         """Note that something of the bag could not be read."""
         self.findings.append(Finding("warning", subject, text, dict(numbers)))
+
+
+def is_compiled(size: int) -> bool:
+    """Whether compiled code sorts the messages of a file of `size` bytes."""
+    if size < _WORTH_LOADING and "numba" not in sys.modules:
+        return False
+    from sma_bench.compiled import COMPILES
+
+    return COMPILES
 
 
 def normal_type(msgtype: str) -> str:

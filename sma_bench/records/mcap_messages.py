@@ -46,13 +46,3 @@ def find_messages(buffer, position, end, starts, stops, channels, times):
         position += _HEAD + length
         count += 1
     return count, position
-
-
-@compiled
-def join_messages(buffer, starts, lengths, joined):
-    """Copy pieces of `buffer` to `joined`, one after the other."""
-    position = 0
-    for k in range(starts.size):
-        for j in range(lengths[k]):
-            joined[position + j] = buffer[starts[k] + j]
-        position += lengths[k]

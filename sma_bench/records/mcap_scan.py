@@ -8,14 +8,14 @@ Format: https://mcap.dev/spec.
 import mmap
 import re
 import struct
-import sys
 import zlib
 from pathlib import Path
 
 import numpy as np
 
 from sma_bench.records.compression import decompress_lz4, decompress_zstd
-from sma_bench.records.harvest import Harvest, RawTopic
+from sma_bench.records.harvest import Harvest, RawTopic, is_compiled
+from sma_bench.records.record import IntArray
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -27,8 +27,6 @@ _FOOTER_SIZE = 9 + 20 + len(MAGIC)
 
 _CANDIDATE = re.compile(rb"[\x01-\x0f].{4}\x00{4}", re.DOTALL)
 _LARGEST_CHUNK = 1 << 28
-# A smaller file is read one record after the other before numba is even loaded.
-_WORTH_LOADING = 8 << 20
 _WINDOW = 1 << 20
 _LEAST_MESSAGE = 31
 _LATEST = 1 << 63
@@ -52,6 +50,7 @@ class _Scan:
         self.remarks: list[str] = []
         self.orphans = 0
         self.compiled = False
+        self.found: IntArray | None = None
         self.handlers = {_SCHEMA: self._schema, _CHANNEL: self._channel, _CHUNK: self._chunk}
 
     def walk(self, buffer: _Bytes, position: int, end: int) -> None:
@@ -94,25 +93,27 @@ class _Scan:
 
         None is taken where something is odd about the first.
         """
-        from sma_bench.records.mcap_messages import find_messages, join_messages
+        from sma_bench.records.by_topic import measure_topic, take_topic
+        from sma_bench.records.mcap_messages import find_messages
 
-        window = buffer[position : min(end, position + _WINDOW)]
-        most = len(window) // _LEAST_MESSAGE
-        starts, stops, channels, times = np.empty((4, most), dtype=np.int64)
-        raw = np.frombuffer(window, dtype=np.uint8)
-        count, passed = find_messages(raw, 0, len(window), starts, stops, channels, times)
-        for channel in np.unique(channels[:count]).tolist():
-            rows = np.flatnonzero(channels[:count] == channel)
-            topic = self.channels.get(channel)
-            if topic is None:
-                self.orphans += len(rows)
-                continue
-            topic.count += len(rows)
-            if topic.wanted:
-                lengths = stops[rows] - starts[rows]
-                joined = np.empty(int(lengths.sum()), dtype=np.uint8)
-                join_messages(raw, starts[rows], lengths, joined)
-                topic.add_run(times[rows], lengths, joined.tobytes())
+        # A copy of the file's own bytes: a map that arrays look into cannot be closed.
+        source = memoryview(buffer) if isinstance(buffer, bytes) else buffer
+        raw = np.frombuffer(source[position : min(end, position + _WINDOW)], dtype=np.uint8)
+        if self.found is None:
+            self.found = np.empty((4, _WINDOW // _LEAST_MESSAGE), dtype=np.int64)
+        count, passed = find_messages(raw, 0, len(raw), *self.found)
+        starts, stops, channels, times = self.found[:, :count]
+        known = 0
+        for channel, topic in self.channels.items():
+            rows, size = measure_topic(channel, starts, stops, channels)
+            known += rows
+            topic.count += rows
+            if rows and topic.wanted:
+                taken, lengths = np.empty((2, rows), dtype=np.int64)
+                joined = np.empty(size, dtype=np.uint8)
+                take_topic(raw, channel, starts, stops, channels, times, taken, lengths, joined)
+                topic.add_run(taken, lengths, joined.data)
+        self.orphans += count - known
         return position + passed
 
     def read_summary(self, buffer: _Bytes) -> None:
@@ -215,7 +216,7 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
         harvest.lost(path.name, "the file is empty")
         return
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as buffer:
-        scan.compiled = _is_compiled(size)
+        scan.compiled = is_compiled(size)
         scan.read_summary(buffer)
         start = len(MAGIC)
         if buffer[:start] != MAGIC:
@@ -223,15 +224,6 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
             scan._damage("the file does not begin like an mcap file", start)
         scan.walk(buffer, start, size)
     scan.report(size)
-
-
-def _is_compiled(size: int) -> bool:
-    """Whether to look for messages with compiled code in a file of this size."""
-    if size < _WORTH_LOADING and "numba" not in sys.modules:
-        return False
-    from sma_bench.compiled import COMPILES
-
-    return COMPILES
 
 
 def _string(buffer: _Bytes, position: int, stop: int) -> tuple[str, int]:

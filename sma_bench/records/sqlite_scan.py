@@ -6,10 +6,14 @@ import sqlite3
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from sma_bench.records.harvest import Harvest, RawTopic
+import numpy as np
+
+from sma_bench.records.harvest import Harvest, RawTopic, is_compiled
+from sma_bench.records.record import IntArray
 
 MAGIC = b"SQLite format 3\0"
 
@@ -19,7 +23,7 @@ _LARGEST_FILE = 2**38
 _MOST_HOLES = 10_000
 _SIDE_FILES = ("-wal", "-journal")
 
-_Row = tuple[object, object, object, object]
+_Row = tuple[int, int, int, bytes]
 # A damaged schema can make sqlite3 fail to decode its own error message.
 _READ_ERRORS = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 
@@ -38,7 +42,8 @@ def scan_sqlite(path: Path, harvest: Harvest) -> None:
     if missing or any(_size(path.with_name(path.name + suffix)) for suffix in _SIDE_FILES):
         _scan_copy(path, announced if missing else 0, harvest)
     else:
-        _scan(f"{path.resolve().as_uri()}?mode=ro&immutable=1", path.name, harvest)
+        uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+        _scan(uri, path.name, path.stat().st_size, harvest)
 
 
 def _announced_size(path: Path) -> int:
@@ -63,20 +68,21 @@ def _scan_copy(path: Path, size: int, harvest: Harvest) -> None:
             beside = path.with_name(path.name + suffix)
             if beside.exists():
                 shutil.copyfile(beside, copy.with_name(copy.name + suffix))
-        _scan(copy.as_uri(), path.name, harvest)
+        _scan(copy.as_uri(), path.name, size, harvest)
 
 
 def _size(path: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 
 
-def _scan(uri: str, name: str, harvest: Harvest) -> None:
+def _scan(uri: str, name: str, size: int, harvest: Harvest) -> None:
     try:
         with closing(sqlite3.connect(uri, uri=True)) as database:
-            database.text_factory = lambda raw: raw.decode(errors="replace")
+            database.text_factory = bytes
             topics = _topics(database, harvest)
             holes = _Holes()
-            _take_messages(database, topics, holes)
+            joined = is_compiled(size) and _is_plain_text(database)
+            _take_messages(database, topics, holes, joined)
             _count_others(database, topics)
     except _READ_ERRORS as error:
         harvest.lost(name, f"damaged: {error}")
@@ -90,27 +96,52 @@ def _scan(uri: str, name: str, harvest: Harvest) -> None:
 def _topics(database: sqlite3.Connection, harvest: Harvest) -> dict[int, RawTopic]:
     query = "SELECT id, name, type, serialization_format FROM topics"
     return {
-        number: harvest.topic(name, msgtype, encoding)
-        for number, name, msgtype, encoding in database.execute(query)
-        if isinstance(number, int) and all(isinstance(x, str) for x in (name, msgtype, encoding))
+        number: harvest.topic(*(text.decode(errors="replace") for text in texts))
+        for number, *texts in database.execute(query)
+        if isinstance(number, int) and all(isinstance(text, bytes) for text in texts)
     }
 
 
+def _is_plain_text(database: sqlite3.Connection) -> bool:
+    """Whether bytes can pass as text without being recoded."""
+    return bool(database.execute("PRAGMA encoding").fetchone() == (b"UTF-8",))
+
+
 def _take_messages(
-    database: sqlite3.Connection, topics: dict[int, RawTopic], holes: "_Holes"
+    database: sqlite3.Connection, topics: dict[int, RawTopic], holes: "_Holes", joined: bool
 ) -> None:
     wanted = {number: topic for number, topic in topics.items() if topic.wanted}
     if not wanted:
         return
-    sinks = {n: (topic.times.append, topic.blobs.append) for n, topic in wanted.items()}
-    for batch in _batches(database, tuple(wanted), holes):
-        for _, number, time, data in batch:
-            if type(data) is bytes and type(time) is int and time >= 0:
-                add_time, add_blob = sinks[number]  # type: ignore[index]
-                add_time(time)
-                add_blob(data)
-    for topic in wanted.values():
-        topic.count = len(topic.blobs)
+    for batch in _batches(database, tuple(wanted), holes, joined):
+        if isinstance(batch, list):
+            _take_rows(batch, wanted)
+        else:
+            _take_joined(batch, wanted)
+
+
+def _take_rows(rows: list[_Row], wanted: dict[int, RawTopic]) -> None:
+    for _, number, time, data in rows:
+        topic = wanted[number]
+        topic.count += 1
+        topic.times.append(time)
+        topic.blobs.append(data)
+
+
+def _take_joined(batch: "_Joined", wanted: dict[int, RawTopic]) -> None:
+    from sma_bench.records.by_topic import measure_topic, take_topic
+
+    raw = np.frombuffer(batch.data, dtype=np.uint8)
+    stops = np.cumsum(batch.lengths)
+    found = stops - batch.lengths, stops, batch.topics
+    for number, topic in wanted.items():
+        rows, size = measure_topic(number, *found)
+        if rows:
+            times, lengths = np.empty((2, rows), dtype=np.int64)
+            joined = np.empty(size, dtype=np.uint8)
+            take_topic(raw, number, *found, batch.times, times, lengths, joined)
+            topic.count += rows
+            topic.add_run(times, lengths, joined.data)
 
 
 def _count_others(database: sqlite3.Connection, topics: dict[int, RawTopic]) -> None:
@@ -138,24 +169,39 @@ def _in(numbers: Sequence[int]) -> str:
     return f"topic_id IN ({','.join('?' * len(numbers))})"
 
 
+@dataclass
+class _Joined:
+    """Rows: `data` one after the other, and their topics, times [ns] and lengths, (n,) each."""
+
+    data: bytes
+    topics: IntArray
+    times: IntArray
+    lengths: IntArray
+
+
 def _batches(
-    database: sqlite3.Connection, numbers: tuple[int, ...], holes: _Holes
-) -> Iterator[list[_Row]]:
-    """Rows (rowid, topic, time, data) in the order of rowid."""
+    database: sqlite3.Connection, numbers: tuple[int, ...], holes: _Holes, joined: bool
+) -> Iterator[list[_Row] | _Joined]:
+    """Rows in the order of rowid, a few thousand each time; row by row before damage."""
     query = _query(numbers)
     last, single = -1, False
     while holes.found < _MOST_HOLES:
         try:
             if single:
                 one = query + " LIMIT 1"
-                while batch := database.execute(one, (last + 1, *numbers)).fetchall():
-                    last = _last_row(batch, last)
+                while rows := database.execute(one, (last + 1, *numbers)).fetchall():
+                    last = _last_row(rows[-1][0], len(rows), last)
+                    yield rows
+                return
+            if joined:
+                while found := _read_joined(database, numbers, last):
+                    last, batch = found
                     yield batch
                 return
             cursor = database.execute(query, (last + 1, *numbers))
-            while batch := cursor.fetchmany(_BATCH):
-                last = _last_row(batch, last)
-                yield batch
+            while rows := cursor.fetchmany(_BATCH):
+                last = _last_row(rows[-1][0], len(rows), last)
+                yield rows
             return
         except _READ_ERRORS:
             if not single:
@@ -176,14 +222,40 @@ def _query(numbers: tuple[int, ...]) -> str:
     # Not `rowid > ?`: from the last row of a damaged page that would look into this page.
     return (
         "SELECT rowid, topic_id, timestamp, data FROM messages "
-        f"WHERE rowid >= ? AND {_in(numbers)} ORDER BY rowid"
+        f"WHERE rowid >= ? AND {_in(numbers)} AND typeof(data) = 'blob' "
+        "AND typeof(timestamp) = 'integer' AND timestamp >= 0 ORDER BY rowid"
     )
 
 
-def _last_row(batch: list[_Row], before: int) -> int:
+def _read_joined(
+    database: sqlite3.Connection, numbers: tuple[int, ...], last: int
+) -> tuple[int, _Joined] | None:
+    """The rows after `last`, put together by SQLite itself: a row of Python's costs far more.
+
+    Raises:
+        sqlite3.DatabaseError: they do not fit each other.
+    """
+    found = database.execute(
+        "SELECT max(rowid), count(*), group_concat(CAST(data AS TEXT), ''), "
+        "group_concat(timestamp), group_concat((topic_id << 32) + length(data)) FROM "
+        f"(SELECT rowid, * FROM messages WHERE rowid >= ? AND {_in(numbers)} "
+        f"AND typeof(data) = 'blob' ORDER BY rowid LIMIT {_BATCH})",
+        (last + 1, *numbers),
+    )
+    highest, count, data, *texts = found.fetchone()
+    if not count:
+        return None
+    times, packed = (np.fromstring(text, dtype=np.int64, sep=",") for text in texts)
+    topics, lengths = packed >> 32, packed & 0xFFFFFFFF
+    fit = len(times) == len(packed) == count and lengths.sum() == len(data)
+    if not fit or times.min() < 0:
+        raise sqlite3.DatabaseError("rows do not fit each other")
+    return _last_row(highest, count, last), _Joined(data, topics, times, lengths)
+
+
+def _last_row(last: object, count: int, before: int) -> int:
     """The last row number; sqlite3.DatabaseError where a damaged tree leads back, for ever."""
-    last = batch[-1][0]
-    if not isinstance(last, int) or last - before < len(batch):
+    if not isinstance(last, int) or last - before < count:
         raise sqlite3.DatabaseError("rows out of order")
     return last
 

@@ -13,7 +13,7 @@ from sma_bench.records.mcap_scan import scan_mcap
 
 def scanned(path, compiled, monkeypatch, wanted=lambda name, msgtype: True):
     """Everything that a scan finds: counts, times, bytes, what it says was lost."""
-    monkeypatch.setattr(mcap_scan, "_is_compiled", lambda size: compiled)
+    monkeypatch.setattr(mcap_scan, "is_compiled", lambda size: compiled)
     harvest = Harvest(wanted)
     scan_mcap(path, harvest)
     topics = {}
