@@ -74,21 +74,24 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
     """Mean of a signal in each window.
 
     Args:
-        time: (n,) s; values: (n,); bounds: (p, 2) s.
+        time: (n,) s, increasing; values: (n,); bounds: (p, 2) s.
         what: name of the signal, for messages.
 
     Raises:
         InputError: a window without enough samples.
     """
+    finite = np.isfinite(values)
+    time, values = time[finite], values[finite]
+    first = np.searchsorted(time, bounds[:, 0], side="left")
+    beyond = np.searchsorted(time, bounds[:, 1], side="right")
     windows_of_samples = []
-    for start, stop in bounds:
-        inside = (time >= start) & (time <= stop) & np.isfinite(values)
-        if np.sum(inside) < _FEWEST_SAMPLES:
+    for (start, stop), i, j in zip(bounds, first, beyond, strict=True):
+        if j - i < _FEWEST_SAMPLES:
             raise InputError(
-                f"{what}: {int(np.sum(inside))} samples between {start:.1f} s and {stop:.1f} s, "
+                f"{what}: {j - i} samples between {start:.1f} s and {stop:.1f} s, "
                 f"expected {_FEWEST_SAMPLES} or more to average"
             )
-        windows_of_samples.append((time[inside], values[inside]))
+        windows_of_samples.append((time[i:j], values[i:j]))
     n = np.array([len(v) for _, v in windows_of_samples], dtype=np.float64)
     fits = [_trend(t, v) for t, v in windows_of_samples]
     residuals = [residual for _, _, residual in fits]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from sma_bench.identify.estimate import Array
 
@@ -39,9 +40,9 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
         values: (n,) measured y.
         covariance: (n, n) of y, positive definite.
     """
-    factor = np.linalg.cholesky(covariance)
-    whitened = np.linalg.solve(factor, design)
-    target = np.linalg.solve(factor, values)
+    factor = cholesky(covariance, lower=True, check_finite=False)
+    whitened = solve_triangular(factor, design, lower=True, check_finite=False)
+    target = solve_triangular(factor, values, lower=True, check_finite=False)
     beta, *_ = np.linalg.lstsq(whitened, target, rcond=None)
     left = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)

@@ -15,7 +15,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.records.write import write_record
 
 BAGS = 200
-_DURATION = 30.0  # s, of each
+_DURATION = 300.0  # s, of each
 
 
 def measure(tiny: bool = False) -> list[Outcome]:

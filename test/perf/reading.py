@@ -26,7 +26,7 @@ try:
 except ImportError:
     read_ros2_messages = None
 
-MESSAGES = 120_000
+MESSAGES = 480_000
 _TOPICS = 4
 _CHUNK = 0x06
 
