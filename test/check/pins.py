@@ -11,12 +11,14 @@ ask, says so.
 """
 
 import argparse
+import json
 import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / "locks"
@@ -26,7 +28,6 @@ OLDEST = "3.11"
 UNLOCKED = ("requirements-noble.txt",)
 _PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)([^\\\n#]*)", re.MULTILINE)
 _HASHED = re.compile(r"^[\w.-]+==.*\\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
-_FOUND, _UNREACHABLE = 1, 2
 
 
 def pinned(text: str) -> set[tuple[str, str, str]]:
@@ -89,16 +90,31 @@ def audit(folder: Path) -> int:
     for path in requirement_files():
         process = subprocess.run(
             [str(tool), "--disable-pip", "--no-deps", "--progress-spinner", "off", "--timeout",
-             "15", "-r", str(LOCKS / path.name)],
+             "15", "--format", "json", "-r", str(LOCKS / path.name)],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
-        if process.returncode and not process.stdout.strip():
+        if not process.stdout.strip():
             last = process.stderr.strip().splitlines()[-1:] or ["no answer"]
             print(f"pins: not audited: the vulnerability service cannot be asked: {last[0][:120]}")
             return 0
-        print(f"{path.name}: {(process.stdout or process.stderr).strip()}")
-        found |= process.returncode
+        lines = audited(path.name, json.loads(process.stdout)["dependencies"])
+        print("\n".join(lines))
+        found |= len(lines) > 1
     return found
+
+
+def audited(name: str, packages: list[dict[str, Any]]) -> list[str]:
+    """How many packages of a lock the service knows, then a line for each vulnerability."""
+    known = [package for package in packages if "skip_reason" not in package]
+    head = f"{name}: {len(known)} of {len(packages)} packages audited"
+    if len(known) < len(packages):
+        head += ", the others are unknown to the vulnerability service"
+    return [head] + [
+        f"  {package['name']} {package['version']}: {flaw['id']}, "
+        f"mended in {', '.join(flaw['fix_versions']) or 'no version yet'}"
+        for package in known
+        for flaw in package["vulns"]
+    ]
 
 
 def _tool(pin: str, folder: Path) -> Path:

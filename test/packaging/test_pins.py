@@ -41,3 +41,19 @@ def test_a_lock_that_is_not_its_requirement_file_is_found(
     requirements.write_text(REQUIREMENTS)
     lock.write_text(LOCK.replace(old, new) if old else LOCK)
     assert sorted(pins.disagreements(requirements, lock)) == sorted(f"lock.txt: {f}" for f in found)
+
+
+def test_the_audit_says_what_it_could_not_ask_about_and_names_each_flaw():
+    flaw = {"id": "PYSEC-2030-1", "fix_versions": ["2.1"]}
+    packages = [
+        {"name": "known", "version": "2.0", "vulns": [flaw, {**flaw, "fix_versions": []}]},
+        {"name": "sound", "version": "1.0", "vulns": []},
+        {"name": "ros-rcl", "skip_reason": "not found"},
+    ]
+    assert pins.audited("requirements.txt", packages) == [
+        "requirements.txt: 2 of 3 packages audited, the others are unknown to the vulnerability "
+        "service",
+        "  known 2.0: PYSEC-2030-1, mended in 2.1",
+        "  known 2.0: PYSEC-2030-1, mended in no version yet",
+    ]
+    assert pins.audited("a.txt", packages[1:2]) == ["a.txt: 1 of 1 packages audited"]

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from figures import Figure, Outcome, Skipped
+import numpy as np
+from figures import Figure, Outcome, Skipped, at_most
+from timing import exponent
 from whole_commands import staircase_signals
 
 from sma_bench.batch import Task, on_cluster, on_processes
@@ -30,6 +32,11 @@ def measure(tiny: bool = False) -> list[Outcome]:
         outcomes: list[Outcome] = [Figure(case, "one process", count / one, "bags/s")]
         if tiny:
             return outcomes
+        sizes = np.array([count // 8, count // 4, count // 2, count])
+        fewer = [_seconds(lambda n=n: on_processes(tasks[:n], 1)) for n in sizes[:-1].tolist()]
+        growth = exponent(sizes, np.array([*fewer, one]))
+        what = f"one process: exponent from {sizes[0]} to {count} bags"
+        outcomes.append(Figure(case, what, growth, "", at_most(1.15)))
         many = _seconds(lambda: on_processes(tasks, cores))
         outcomes += [
             Figure(case, f"{cores} processes", count / many, "bags/s"),
