@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +164,33 @@ def test_writer_is_readable_after_every_flush(tmp_path, messages):
     assert read_record(tmp_path / "bag").findings == ()
     with pytest.raises(InputError, match="closed"):
         writer.write("/bench/wire/temperature", 1, b"")
+
+
+def test_the_index_of_hours_of_chunks_takes_little_memory(tmp_path, messages, monkeypatch):
+    # A recorder closes two to three chunks a second: 10,000 an hour.
+    topics = [f"/bench/{place}/temperature" for place in ("wire", "front", "back", "ambient")]
+    data = messages.serialise(messages.temperature(messages.start, 20.0))
+    monkeypatch.setattr(BagWriter, "_write_metadata", lambda _: None)  # YAML takes time, not room
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in topics:
+            writer.add_topic(topic, TEMPERATURE)
+
+        def record(chunks):
+            for _ in range(chunks):
+                stamp = messages.start + writer.count
+                writer.write_many((topic, stamp + k, data) for k, topic in enumerate(topics))
+                writer.flush()
+
+        record(100)
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        record(400)
+        a_chunk = (tracemalloc.get_traced_memory()[0] - before) / 400
+        tracemalloc.stop()
+    assert a_chunk < 180.0
+    with Reader(tmp_path / "bag") as reader:
+        stamps = [stamp for _, stamp, _ in reader.messages()]
+    assert stamps == list(range(messages.start, messages.start + 2000))
 
 
 def test_writer_refuses_unknown_topics_and_types(tmp_path):

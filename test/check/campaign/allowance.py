@@ -39,6 +39,9 @@ def address_space() -> int:
     return pages * resource.getpagesize()
 
 
-def resident(pid: int | str = "self") -> int:
-    """Bytes of memory that a process holds."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()
+def own_memory(pid: int | str = "self") -> int:
+    """Bytes of memory that a process holds and cannot give back: its files' pages are not, as the
+    system drops those and reads them again as it likes."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    fields = dict(line.split(":", 1) for line in lines)
+    return sum(1024 * int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem"))

@@ -1,0 +1,108 @@
+"""What grows in a node is found: by the soak's slope, and in seconds in the recorder itself."""
+
+import gc
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
+
+import rclpy  # noqa: E402
+from campaign.allowance import own_memory  # noqa: E402
+from campaign.soak import LIMIT, judge, slope  # noqa: E402
+from sensor_msgs.msg import BatteryState  # noqa: E402
+
+from sma_bench.nodes.base import MEASURED  # noqa: E402
+from sma_bench.nodes.recorder import Recorder  # noqa: E402
+
+MESSAGES_AN_HOUR = 3600 * 281  # of a wire's bench: 100, 80, 100 and 1 Hz
+HOURS = np.linspace(0.0, 3.0, 1500)
+WARMING = 45.0 + 5.0 * (1.0 - np.exp(-HOURS / 0.1))
+
+
+def test_warming_up_and_a_busy_moment_are_no_growth():
+    assert judge(HOURS, WARMING)[1]
+    assert judge(HOURS, WARMING + 2.0 * (HOURS > 1.8))[1]
+
+
+@pytest.mark.parametrize("rate", [LIMIT, 10.0, 20.0])
+def test_a_leak_is_found_below_the_noise_of_an_allocator(rate):
+    scatter = np.random.default_rng(0).normal(0.0, 1.0, len(HOURS))
+    found, met = judge(HOURS, WARMING + rate * HOURS + scatter)
+    assert not met, found
+
+
+def test_a_slope_that_may_be_above_the_limit_is_not_let_pass():
+    stairs = 50.0 + np.repeat([0.0, 20.0] * 6, len(HOURS) // 12)
+    fitted, doubt = slope(HOURS, stairs)
+    assert fitted < LIMIT < fitted + doubt
+    assert not judge(HOURS, stairs)[1]
+    assert not judge(HOURS[:4], WARMING[:4])[1]
+
+
+def test_looks_while_the_bench_stands_still_do_not_weigh_more():
+    waiting = np.full(5000, 1.4)
+    hours = np.sort(np.concatenate([HOURS, waiting]))
+    assert slope(hours, 50.0 + 3.0 * hours)[0] == pytest.approx(3.0)
+
+
+def test_memory_counts_what_a_process_made_and_not_its_files(tmp_path):
+    before = own_memory()
+    made = np.ones(4_000_000)
+    assert own_memory() - before == pytest.approx(made.nbytes, rel=0.1)
+    file = tmp_path / "file"
+    made.tofile(file)
+    before = own_memory()
+    assert np.memmap(file, float, "r").sum() == len(made)
+    assert own_memory() - before < 0.1 * made.nbytes
+
+
+@pytest.fixture
+def recorder(ros_domain, tmp_path):
+    """A recorder that has found the power of a wire, and looked at the graph."""
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/bench", "-p", f"output:={tmp_path / 'bag'}"])
+    talker = rclpy.create_node("talker")
+    publisher = talker.create_publisher(BatteryState, "/bench/wire/power", MEASURED)
+    node = Recorder()
+    end = time.monotonic() + 30.0
+    while not publisher.get_subscription_count() and time.monotonic() < end:
+        due(node)
+    yield node
+    node.close()
+    node.destroy_node()
+    talker.destroy_node()
+    rclpy.shutdown()
+
+
+def due(node):
+    """Everything that the node's timers do."""
+    for timer in node.timers:
+        timer.callback()
+
+
+def test_a_recorder_keeps_nothing_of_a_message(recorder):
+    # As the executor calls it: what publishers and middleware keep is for the soak to find.
+    (take,) = [s.callback for s in recorder.subscriptions if s.topic_name == "/bench/wire/power"]
+    data = bytes(range(200))
+
+    def held_after(seconds):
+        for _ in range(seconds):
+            for _ in range(200):
+                take(data)
+            due(recorder)
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    held_after(5)
+    tracemalloc.start()
+    try:
+        before = held_after(10)
+        kept = (held_after(20) - before) / (20 * 200)
+    finally:
+        tracemalloc.stop()
+    assert MESSAGES_AN_HOUR * kept < 0.5e6 * LIMIT, f"{kept:.1f} bytes a message"
