@@ -10,8 +10,10 @@ import warnings
 from collections.abc import Sequence
 
 from sma_bench import __version__
+from sma_bench.commands.interrupts import terminated_as_interrupted
 from sma_bench.commands.parser import CommandParser, command_parser
 from sma_bench.errors import InputError
+from sma_bench.lifeline import end_with_parent
 
 COMMANDS = {
     "info": "what a record holds and whether it can be trusted",
@@ -51,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for variable in _BLAS_THREADS:
         os.environ.setdefault(variable, "1")
     warnings.showwarning = _show_warning
+    end_with_parent(inherited=True)
     try:
         return _dispatch(arguments)
     except InputError as error:
@@ -88,7 +91,7 @@ def _dispatch(arguments: list[str]) -> int:
     args = parser.parse_args(rest)
     from sma_bench.commands.output import results_apart  # --help does without what it brings along
 
-    with results_apart(args):
+    with results_apart(args), terminated_as_interrupted():
         return module.run(args)
 
 

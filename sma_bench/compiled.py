@@ -56,6 +56,33 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(function, **_OPTIONS, _nrt=False, forceinline=True)
 
 
+def is_compiled(room: str) -> bool:
+    """Whether machine code of a room (`physics`) is on the disk; compiling it takes half a minute,
+    once after an installation. Without numba there is nothing to wait for."""
+    if numba is None:
+        return True
+    folder = _cache_folder(PACKAGE / room)
+    return folder is not None and any(folder.rglob("*.nbi"))
+
+
+def when_compiling(told: Callable[[], None]) -> Any:
+    """Have `told` called whenever this process begins to compile a function; numba's listener."""
+    if numba is None:
+        return None
+    from numba.core import event
+
+    class Told(event.Listener):  # type: ignore[misc]
+        def on_start(self, _: Any) -> None:
+            told()
+
+        def on_end(self, _: Any) -> None:
+            pass
+
+    listener = Told()
+    event.register("numba:compile", listener)
+    return listener
+
+
 def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     if numba is None:
         return function

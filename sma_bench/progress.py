@@ -8,6 +8,9 @@ T = TypeVar("T")
 Report = Callable[[float, str], None]
 """told the share that is done (0 to 1), and what comes now ("": as before)"""
 
+COMPILING = "compiling, once after an installation"
+"""what comes where functions of the physics have no machine code yet: nothing moves for a while"""
+
 
 def silent(share: float, what: str = "") -> None:
     """For callers that do not ask."""

@@ -15,12 +15,14 @@ PACKAGE = "sma_bench"
 LONGEST_FILE = 350
 
 # Every room (folder or file of the package) and the rooms that it may import.
-LEAVES = {"errors", "findings", "compiled", "progress"}
+LEAVES = {"errors", "findings", "compiled", "progress", "lifeline", "worker_pool"}
 ARROWS = {
     "errors": set(),
     "findings": set(),
     "compiled": set(),
     "progress": set(),
+    "lifeline": set(),
+    "worker_pool": {"lifeline"},
     "share": {"errors"},
     "parameters": LEAVES,
     "protocols": LEAVES | {"parameters", "share"},

@@ -1,19 +1,18 @@
 """Who does the tasks: processes of this machine, or the workers of a dask cluster.
 
 Both yield (index of the task, outcome) as soon as each is done, and end what still runs when the
-caller is interrupted or stops asking.
+caller is interrupted, is killed or stops asking.
 """
 
-import multiprocessing
-import signal
 from collections import deque
 from collections.abc import Generator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from sma_bench.batch.task import Outcome, Task, run_task
 from sma_bench.errors import InputError
+from sma_bench.worker_pool import WorkerPool
 
 MOST_JOBS = 1024
 _CONNECTING = "10s"
@@ -45,34 +44,20 @@ def _in_one_pool(
     waiting: deque[tuple[int, Task]], jobs: int
 ) -> Generator[tuple[int, Outcome], None, list[int]]:
     """Work the queue off until it is empty or a process is killed; returns what is left undone."""
-    context = multiprocessing.get_context("spawn")
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_leave_interrupts_alone)
     running: dict[Future[Outcome], int] = {}
-    finished = False
     try:
-        while waiting or running:
-            while waiting and len(running) < jobs:
-                k, task = waiting[0]
-                running[pool.submit(run_task, task)] = k
-                waiting.popleft()
-            for done in wait(running, return_when=FIRST_COMPLETED).done:
-                outcome = done.result()
-                yield running.pop(done), outcome
-        finished = True
-        return []
+        with WorkerPool(jobs) as pool:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    k, task = waiting[0]
+                    running[pool.submit(run_task, task)] = k
+                    waiting.popleft()
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    outcome = done.result()
+                    yield running.pop(done), outcome
     except BrokenProcessPool:
         return sorted(running.values())
-    finally:
-        if not finished:
-            for process in set(multiprocessing.active_children()) - before:
-                process.terminate()
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _leave_interrupts_alone() -> None:
-    """Ctrl-C reaches the whole group; the parent then ends its processes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return []
 
 
 def on_cluster(tasks: Sequence[Task], address: str) -> Generator[tuple[int, Outcome], None, None]:

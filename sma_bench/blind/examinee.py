@@ -15,6 +15,7 @@ from typing import Any
 
 from sma_bench.blind.answers import checked_answer
 from sma_bench.errors import InputError
+from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import read_parameters
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[2]
@@ -132,7 +133,9 @@ def _environment(desk: Path) -> dict[str, str]:
     environment = {k: v for k, v in os.environ.items() if k not in ("PWD", "OLDPWD", "_")}
     paths = [str(PACKAGE_ROOT), *filter(None, [environment.get("PYTHONPATH")])]
     one_thread = dict.fromkeys(_ONE_THREAD, "1")
-    return {**environment, **one_thread, "PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
+    return tied_to_this_process(
+        {**environment, **one_thread, "PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
+    )
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -2,11 +2,9 @@
 
 import hashlib
 import json
-import multiprocessing
 import shutil
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +28,7 @@ from sma_bench.blind.stage import RECORDS, Stage
 from sma_bench.errors import InputError
 from sma_bench.parameters import write_parameters
 from sma_bench.records.write import write_record
+from sma_bench.worker_pool import WorkerPool
 
 NOMINAL = "nominal.yaml"
 LARGEST_SET = 9999
@@ -117,29 +116,20 @@ def _make_all(
             progress(len(labels))
         return labels
     found: dict[int, dict[str, Any]] = {}
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_leave_interrupts_alone)
     waiting: dict[Future, int] = {}
     coming = list(enumerate(cases))[::-1]
     try:
-        while coming or waiting:
-            # No more than can run at once: an interrupt need not wait for a queue.
-            while coming and len(waiting) < jobs:
-                k, case = coming.pop()
-                waiting[pool.submit(make_case, case, folder)] = k
-            for done in wait(waiting, return_when=FIRST_COMPLETED).done:
-                found[waiting.pop(done)] = done.result()
-            progress(len(found))
+        with WorkerPool(jobs) as pool:
+            while coming or waiting:
+                while coming and len(waiting) < jobs:
+                    k, case = coming.pop()
+                    waiting[pool.submit(make_case, case, folder)] = k
+                for done in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    found[waiting.pop(done)] = done.result()
+                progress(len(found))
     except BrokenProcessPool:
         raise InputError("blind make: a process was killed, expected enough memory") from None
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
     return [found[k] for k in range(len(cases))]
-
-
-def _leave_interrupts_alone() -> None:
-    """Ctrl-C reaches the parent, which lets its processes finish their cases and tidies up."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:

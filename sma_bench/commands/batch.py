@@ -8,7 +8,6 @@ from pathlib import Path
 
 from sma_bench.batch import Outcome, Task, on_cluster, on_processes
 from sma_bench.batch.task import DIAGNOSE, IDENTIFY
-from sma_bench.commands.interrupts import terminated_as_interrupted
 from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.progress_bar import progress
@@ -55,11 +54,7 @@ def run(args: argparse.Namespace) -> int:
         _make(Path(args.out))
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:
-        with (
-            terminated_as_interrupted(),
-            progress(f"batch {args.kind}") as report,
-            closing(_work(args, tasks)) as work,
-        ):
+        with progress(f"batch {args.kind}") as report, closing(_work(args, tasks)) as work:
             told = counted(report, len(tasks), "record")
             for done, (k, outcome) in enumerate(work, start=1):
                 outcomes[k] = outcome

@@ -4,8 +4,6 @@ import argparse
 import os
 import time
 
-from sma_bench.blind.make import make
-from sma_bench.commands.interrupts import terminated_as_interrupted
 from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.progress_bar import progress
 from sma_bench.progress import counted
@@ -28,8 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the set; all of it appears, or nothing."""
+    from sma_bench.blind.make import make
+
     started = time.monotonic()
-    with terminated_as_interrupted(), progress("blind make") as report:
+    with progress("blind make") as report:
         cases = counted(report, args.n, "case")
         manifest = make(args.out, args.seed, args.n, args.jobs, cases)
     if args.json:

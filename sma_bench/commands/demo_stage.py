@@ -5,18 +5,19 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
+from sma_bench.compiled import is_compiled
 from sma_bench.errors import InputError
 from sma_bench.nodes.job_process import told_share
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.progress import Report, part, shares, silent
+from sma_bench.progress import COMPILING, Report, part, shares, silent
 from sma_bench.protocols import load_protocol
 
 # Nothing may take longer than this without a sign of life, on however loaded a machine.
 PATIENCE = 60.0
 _BEGINNING = 10.0
+_COMPILING = 600.0
 STARTING = 4.0
 """s until a bench's nodes, or a recorder, are there"""
 
@@ -68,13 +69,8 @@ class Stage:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, traceback)
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
 
     def start_bench(
         self, bench_file: Path, protocol: str, simulator: Mapping[str, Any]
@@ -85,7 +81,16 @@ class Stage:
             simulator: parameters of the simulator node alone.
         """
         self._nodes.start("simulator", simulator, (bench_file,))
+        if self.compiles():
+            self._client.wait("simulator", lambda: self._client.simulated_seconds, _COMPILING)
         self.start_experiment(bench_file, protocol)
+
+    def compiles(self) -> bool:
+        """Whether the nodes have to compile the physics first, which is told."""
+        waits = not is_compiled("physics")
+        if waits:
+            self._report(0.0, COMPILING)
+        return waits
 
     def start_experiment(self, bench_file: Path, protocol: str) -> None:
         """The experiment node at its protocol."""

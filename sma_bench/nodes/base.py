@@ -27,6 +27,7 @@ except ImportError:
     from rclpy.executors import SingleThreadedExecutor as OneThreadExecutor
 
 from sma_bench.errors import InputError
+from sma_bench.lifeline import end_with_parent
 from sma_bench.nodes.arguments import check_arguments, node_help
 from sma_bench.nodes.discovery import choose_discovery
 from sma_bench.parameters import TABLE, Parameter, Parameters
@@ -167,6 +168,7 @@ def run_node(
     Returns:
         0 at a clean end, 2 after bad input, of which one line goes to standard error.
     """
+    end_with_parent(signal.SIGINT)
     arguments = list(sys.argv[1:] if argv is None else argv)
     if "-h" in arguments or "--help" in arguments:
         print(node_help(name), end="")

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sma_bench.errors import InputError
-from sma_bench.progress import Report, silent
+from sma_bench.lifeline import end_with_parent, tied_to_this_process
+from sma_bench.progress import COMPILING, Report, silent
 
 _BAD_INPUT = 2
 _TOLD = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
@@ -50,7 +51,7 @@ class JobProcess:
             [sys.executable, "-m", type(job).__module__],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             # Ctrl-C in a terminal is for the node, which then ends this process.
-            start_new_session=True,
+            start_new_session=True, env=tied_to_this_process(),
         )
         if self._killed:
             process.kill()
@@ -102,6 +103,10 @@ def told_share(state: str) -> tuple[float, str] | None:
 
 def run_job(kind: Callable[..., Job]) -> int:
     """The program: a job as JSON on standard input, its result on standard output."""
+    from sma_bench.compiled import when_compiling  # brings numba, which the node does without
+
+    end_with_parent()
+    when_compiling(lambda: tell(0.0, COMPILING))
     try:
         print(kind(**json.load(sys.stdin)).run(), end="")
     except InputError as error:

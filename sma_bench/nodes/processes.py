@@ -6,10 +6,10 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from sma_bench.errors import InputError
+from sma_bench.lifeline import tied_to_this_process
 from sma_bench.nodes.discovery import RANGE, THIS_MACHINE
 
 _PATIENCE = 8.0
@@ -23,7 +23,10 @@ def private_ros_environment() -> None:
 
 
 class NodeProcesses:
-    """Nodes of this package in one namespace; leaving the context ends them all."""
+    """Nodes of this package in one namespace; leaving the context ends them all.
+
+    They end as well where this process is killed and cannot leave the context.
+    """
 
     def __init__(self, namespace: str, logs: Path) -> None:
         self._namespace = namespace
@@ -33,12 +36,7 @@ class NodeProcesses:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        _value: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for name in reversed(list(self._running)):
             self.end(name)
 
@@ -59,7 +57,8 @@ class NodeProcesses:
             command += ["-p", f"{key}:={_yaml(value)}"]
         with open(self._logs / f"{name}.log", "ab") as log:
             self._running[name] = subprocess.Popen(
-                command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL
+                command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                env=tied_to_this_process(),
             )
 
     def check(self) -> None:

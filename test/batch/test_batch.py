@@ -45,8 +45,8 @@ def sma_bench(*words):
     )
 
 
-def wait_for(condition):
-    end = time.monotonic() + _LONG
+def wait_for(condition, patience=_LONG):
+    end = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < end, "waited too long"
         time.sleep(0.05)
@@ -63,6 +63,37 @@ def children_of(pid):
         if int(fields[1]) == pid:
             found |= {int(stat.parent.name), *children_of(int(stat.parent.name))}
     return found
+
+
+def half_done_batch(bags, folder):
+    """A batch of two records that has done one, in folder/out, and will never do the other; and the
+    numbers of its processes."""
+    blocking = folder / "blocking"
+    os.mkfifo(blocking)  # opening it waits for a writer that never comes
+    done = folder / "out" / "wire_2.5.yaml"
+    process = sma_bench(
+        "batch", "identify", bags / "wire_2.5", blocking, "--out", done.parent, "--jobs", 2
+    )
+    wait_for(lambda: done.exists() or process.poll() is not None)
+    below = children_of(process.pid)
+    assert len(below) >= 2
+    return process, below
+
+
+def is_running(pid):
+    """Not even waiting for whoever inherits it to take note of its end."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def loaded_by(pid):
+    """Libraries that a process has loaded."""
+    try:
+        return Path(f"/proc/{pid}/maps").read_text()
+    except OSError:
+        return ""
 
 
 # --- the command --------------------------------------------------------------------------------
@@ -97,15 +128,7 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(bags, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
-    blocking = tmp_path / "blocking"
-    os.mkfifo(blocking)  # opening it waits for a writer that never comes
-    out = tmp_path / "out"
-    process = sma_bench(
-        "batch", "identify", bags / "wire_2.5", blocking, "--out", out, "--jobs", 2
-    )
-    wait_for(lambda: (out / "wire_2.5.yaml").exists() or process.poll() is not None)
-    below = children_of(process.pid)
-    assert len(below) >= 2
+    process, below = half_done_batch(bags, tmp_path)
     os.kill(process.pid, number)
     stdout, stderr = process.communicate(timeout=_LONG)
     assert process.returncode == 130
@@ -113,7 +136,25 @@ def test_an_interrupt_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, 
     assert "Traceback" not in stderr
     assert "not done: interrupted" in stdout and "1 of 2 records done" in stdout
     wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in below))
-    assert json.loads((out / "wire_2.5.json").read_text())["parameters"]
+    assert json.loads((tmp_path / "out" / "wire_2.5.json").read_text())["parameters"]
+
+
+@pytest.mark.slow
+def test_a_killed_parent_leaves_no_process_behind(bags, tmp_path):
+    process, below = half_done_batch(bags, tmp_path)
+    process.kill()
+    process.wait()
+    wait_for(lambda: not any(is_running(pid) for pid in below), 20.0)
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_processes_begin_is_one_line(bags):
+    process = sma_bench("batch", "identify", bags / "wire_2.5", bags / "wire_2.9", "--jobs", 2)
+    wait_for(lambda: any("numpy" in loaded_by(pid) for pid in children_of(process.pid)))
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=_LONG)
+    assert process.returncode == 130
+    assert "Traceback" not in stderr and stderr.endswith("sma-bench: interrupted\n")
 
 
 def test_files_of_records_with_one_name_do_not_meet():

@@ -1,0 +1,43 @@
+"""Processes that end with the one that started them, even where that is killed outright.
+
+A process that is killed cannot end those it has started; they have to notice by themselves.
+"""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Mapping
+
+_VARIABLE = "SMA_BENCH_STARTED_BY"
+_LOOK = 0.5  # s
+
+
+def tied_to_this_process(environment: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Environment (this process's own when None) of a process that is to end with this one."""
+    given = os.environ if environment is None else environment
+    return {**given, _VARIABLE: str(os.getpid())}
+
+
+def end_with_parent(number: int = signal.SIGTERM, inherited: bool = False) -> None:
+    """Where the environment ties this process to its parent, get signal `number` after it has
+    ended; at once where it has already.
+
+    Args:
+        number: what ends this process.
+        inherited: a program in between may have passed the environment on, which ties nothing.
+    """
+    parent = os.environ.pop(_VARIABLE, "")
+    if parent and not (inherited and parent != str(os.getppid())):
+        end_after(int(parent), number)
+
+
+def end_after(parent: int, number: int = signal.SIGTERM) -> None:
+    """Get signal `number` after the process `parent`, which has started this one, has ended."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK)
+        os.kill(os.getpid(), number)
+
+    threading.Thread(target=watch, name="lifeline", daemon=True).start()

@@ -1,0 +1,115 @@
+"""A process that is killed outright leaves none of those behind that it has started."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sma_bench.lifeline import tied_to_this_process
+
+_TIED = "import time; from sma_bench.lifeline import end_with_parent; end_with_parent({}); "
+_TIED += "print('here', flush=True); time.sleep(600)"
+_PATIENCE = 20.0  # s, on a busy machine
+
+_STARTS_A_PROCESS = """
+import subprocess, sys, time
+from sma_bench.lifeline import tied_to_this_process
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], env=tied_to_this_process())
+print(child.pid, flush=True)
+time.sleep(600)
+"""
+_STARTS_A_NODE = """
+import sys, time
+from pathlib import Path
+from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
+private_ros_environment()
+nodes = NodeProcesses("/killed", Path(sys.argv[1]))
+nodes.start("recorder", {"output": sys.argv[1] + "/bag"})
+while not Path(sys.argv[1], "bag").exists():
+    nodes.check()
+    time.sleep(0.05)
+print(nodes.pid("recorder"), flush=True)
+time.sleep(600)
+"""
+_RUNS_A_JOB = """
+import sys, threading, time
+from sma_bench.nodes.identification_job import Job
+from sma_bench.nodes.job_process import JobProcess
+job, process = Job([sys.argv[1]], [], "", {}, {}), JobProcess("identification")
+threading.Thread(target=process.run, args=(job,), daemon=True).start()
+while process._running is None:
+    time.sleep(0.01)
+print(process._running.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def started(program, *words):
+    """A Python program that starts a process, and the number of that one."""
+    parent = subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, words)], stdout=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )
+    line = parent.stdout.readline()
+    assert line, f"status {parent.wait()}"
+    return parent, int(line)
+
+
+def is_there(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def ends_with(parent, pid):
+    assert is_there(pid)
+    parent.kill()
+    parent.wait()
+    end = time.monotonic() + _PATIENCE
+    while is_there(pid) and time.monotonic() < end:
+        time.sleep(0.05)
+    left = is_there(pid)
+    if left:
+        os.kill(pid, signal.SIGKILL)
+    return not left
+
+
+def test_a_process_ends_with_its_parent():
+    assert ends_with(*started(_STARTS_A_PROCESS, _TIED.format("")))
+
+
+def test_a_node_ends_with_its_parent_and_leaves_a_whole_bag(tmp_path):
+    pytest.importorskip("rclpy")
+    assert ends_with(*started(_STARTS_A_NODE, tmp_path))
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+
+
+def test_the_job_of_a_node_ends_with_it(tmp_path):
+    pytest.importorskip("rclpy")
+    blocking = tmp_path / "blocking"
+    os.mkfifo(blocking)  # opening it waits for a writer that never comes
+    assert ends_with(*started(_RUNS_A_JOB, blocking))
+
+
+@pytest.mark.parametrize(("inherited", "lives"), [("inherited=True", True), ("", False)])
+def test_an_environment_passed_on_by_a_program_in_between(inherited, lives):
+    """As if started by another process: a shell around the command, or a parent that is gone."""
+    environment = tied_to_this_process() | {"SMA_BENCH_STARTED_BY": str(os.getppid())}
+    process = subprocess.Popen(
+        [sys.executable, "-c", _TIED.format(inherited)], env=environment, stdout=subprocess.PIPE
+    )
+    try:
+        if lives:
+            assert process.stdout.readline() == b"here\n"
+            time.sleep(1.0)
+            assert process.poll() is None
+        else:
+            assert process.wait(_PATIENCE) == -signal.SIGTERM
+    finally:
+        process.kill()
+        process.communicate()
