@@ -10,24 +10,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sma_bench.api import (
-        Diagnosis,
-        Identification,
-        InputError,
-        Parameters,
-        Record,
-        Signal,
-        Simulation,
-        diagnose,
-        identify,
-        load,
-        load_parameters,
-        measure,
-        simulate,
-        to_frame,
-        write_parameters,
-        write_record,
-    )
+    from sma_bench.api import *  # what type checkers see; the list below is its `__all__`
 
 __version__ = "0.1.0"
 __all__ = [

@@ -13,6 +13,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import MEASURED
 from sma_bench.nodes.experiment import Experiment
+from sma_bench.parameters.node_tables import TUNING
 from sma_bench.protocols import Protocol, Segment
 from sma_bench.protocols.reading import Quantity
 from sma_bench.protocols.references import load_reference
@@ -31,6 +32,11 @@ class Controller(Experiment, ABC):
         self._law = self.design()
         self._setpoint = self.create_publisher(message, "~/setpoint", MEASURED)
         self.create_subscription(message, "~/reference", self._on_reference, 10)
+
+    @property
+    def tuning(self) -> dict[str, Any]:
+        """What of the node's parameters a controller is designed with, by its arguments' names."""
+        return {parameter.name: self.settings[parameter.name] for parameter in TUNING}
 
     @abstractmethod
     def design(self) -> Any:

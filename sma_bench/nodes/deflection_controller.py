@@ -29,14 +29,7 @@ class DeflectionControllerNode(Controller):
 
     def design(self) -> DeflectionController:
         """The controller for the parameters of the moment."""
-        return DeflectionController(
-            self.parameters,
-            self._period,
-            delay=self.settings["delay"],
-            closed_loop_time=self.settings["closed_loop_time"],
-            maximum_power=self.settings["maximum_power"],
-            power_rate=self.settings["power_rate"],
-        )
+        return DeflectionController(self.parameters, self._period, **self.tuning)
 
     def fault(self) -> str:
         """Why the wires must not be driven now, or ""."""

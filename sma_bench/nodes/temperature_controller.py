@@ -28,14 +28,7 @@ class TemperatureControllerNode(Controller):
 
     def design(self) -> TemperatureController:
         """The controller for the parameters of the moment."""
-        return TemperatureController(
-            self.parameters,
-            self._period,
-            delay=self.settings["delay"],
-            closed_loop_time=self.settings["closed_loop_time"],
-            maximum_power=self.settings["maximum_power"],
-            power_rate=self.settings["power_rate"],
-        )
+        return TemperatureController(self.parameters, self._period, **self.tuning)
 
     def reference_fault(self, level: Sequence[float]) -> str:
         """Why wire temperatures cannot be followed, or ""."""

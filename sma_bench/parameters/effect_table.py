@@ -169,3 +169,4 @@ SENSOR = (
 EFFECT_TABLE: tuple[Parameter, ...] = (
     *ELECTRICAL, *THERMAL, *TRANSFORMATION, *MECHANICAL, *SENSOR,
 )
+EFFECT_NAMES = tuple(dict.fromkeys(parameter.name.split(".")[1] for parameter in EFFECT_TABLE))

@@ -2,7 +2,7 @@
 
 from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
 from sma_bench.parameters.camera_tables import IR_CAMERA, SYNTHETIC_CAMERA
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Parameter, fixed
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.parameters.twin_table import TWIN
@@ -15,83 +15,80 @@ COMMAND_RATE = Parameter(
     "choice: ten commands within the default command timeout", 2.0, 500.0, read_only=True,
 )
 
-SIMULATOR = (
+SIMULATOR = fixed(
     Parameter(
         "speed", "1", 1.0,
         "Simulated seconds per second; above 1 the node publishes /clock and other nodes need "
         "use_sim_time.",
-        "choice", 1.0, 1000.0, read_only=True,
+        "choice", 1.0, 1000.0,
     ),
     Parameter(
         "seed", "", 1, "Seed of the sensor noise.", "choice", 0, 2**31 - 1, kind="integer",
-        read_only=True,
     ),
     Parameter(
         "lockstep_patience", "s", 5.0,
         "Wall time that simulated time waits for the next command of an active driver.",
-        "choice: far above the pauses of a loaded machine", 0.01, 60.0, read_only=True,
+        "choice: far above the pauses of a loaded machine", 0.01, 60.0,
     ),
     COMMAND_RATE,
     Parameter(
         "rate.power", "Hz", 100.0, "Rate of <channel>/power.",
-        "assumed: an Uno reads six channels at 10 kHz in all", 1.0, 1000.0, read_only=True,
+        "assumed: an Uno reads six channels at 10 kHz in all", 1.0, 1000.0,
     ),
     Parameter(
         "rate.temperature", "Hz", 80.0, "Rate of <channel>/temperature.",
-        "Optris Xi 400, 80 Hz", 1.0, 1000.0, read_only=True,
+        "Optris Xi 400, 80 Hz", 1.0, 1000.0,
     ),
     Parameter(
         "rate.mechanics", "Hz", 100.0, "Rate of joint_states and of the range sensors.",
-        "assumed: read together with the power channels", 1.0, 1000.0, read_only=True,
+        "assumed: read together with the power channels", 1.0, 1000.0,
     ),
     Parameter(
         "rate.ambient", "Hz", 1.0, "Rate of ambient/temperature.", "choice", 0.1, 100.0,
-        read_only=True,
     ),
     Parameter(
         "sensor.voltage_noise", "V", 0.002, "Standard deviation of the measured voltage.",
-        "assumed: half the least significant bit of a quiet divider", 0.0, 10.0, read_only=True,
+        "assumed: half the least significant bit of a quiet divider", 0.0, 10.0,
     ),
     Parameter(
         "sensor.voltage_resolution", "V", 10.0 / _ADC_10_BIT,
         "Step of the measured voltage; 0 for none.",
-        "ATmega328: 10 bit over 10 V", 0.0, 10.0, read_only=True,
+        "ATmega328: 10 bit over 10 V", 0.0, 10.0,
     ),
     Parameter(
         "sensor.current_noise", "A", 0.019, "Standard deviation of the measured current.",
         "ACS714 -05B datasheet: 21 mV peak to peak at 185 mV/A, over 6", 0.0, 10.0,
-        read_only=True,
     ),
     Parameter(
         "sensor.current_resolution", "A", 5.0 / _ADC_10_BIT / 0.185,
         "Step of the measured current; 0 for none.",
-        "ACS714 -05B, 185 mV/A, on 10 bit over 5 V", 0.0, 10.0, read_only=True,
+        "ACS714 -05B, 185 mV/A, on 10 bit over 5 V", 0.0, 10.0,
     ),
     Parameter(
         "sensor.temperature_noise", "K", 0.08, "Standard deviation of the measured temperature.",
-        "Optris Xi 400: 80 mK", 0.0, 50.0, read_only=True,
+        "Optris Xi 400: 80 mK", 0.0, 50.0,
     ),
     Parameter(
         "sensor.temperature_resolution", "K", 0.1,
         "Step of the measured temperature; 0 for none.",
-        "Optris image format, 0.1 degC", 0.0, 50.0, read_only=True,
+        "Optris image format, 0.1 degC", 0.0, 50.0,
     ),
     Parameter(
         "sensor.range_standoff", "m", 0.1,
         "Distance from each range sensor to the undeflected tip.",
-        "assumed: middle of a 40 to 300 mm triangulation sensor", 0.01, 1.0, read_only=True,
+        "assumed: middle of a 40 to 300 mm triangulation sensor", 0.01, 1.0,
     ),
     Parameter(
         "sensor.range_noise", "m", 1e-4, "Standard deviation of a measured distance.",
-        "assumed: 0.1 % of the distance", 0.0, 0.1, read_only=True,
+        "assumed: 0.1 % of the distance", 0.0, 0.1,
     ),
     Parameter(
         "sensor.range_resolution", "m", 1e-4, "Step of a measured distance; 0 for none.",
-        "assumed: as its noise", 0.0, 0.1, read_only=True,
+        "assumed: as its noise", 0.0, 0.1,
     ),
     Parameter(
         "sensor.force_noise", "N", 0.02, "Standard deviation of the measured wire force.",
-        "assumed: 0.05 % of a 50 N load cell", 0.0, 10.0, read_only=True,
+        "assumed: 0.05 % of a 50 N load cell", 0.0, 10.0,
     ),
 )
 
@@ -130,26 +127,26 @@ EXPERIMENT = (
     ),
 )
 
-RECORDER = (
+RECORDER = fixed(
     Parameter(
         "output", "", "",
         "Folder of the new bag, which must not exist; empty for record_<date>_<time>.",
-        "choice", kind="string", read_only=True,
+        "choice", kind="string",
     ),
 )
 
 # Any program that finds the node may set its parameters and call its service.
-_ROOTS = (
+_ROOTS = fixed(
     Parameter(
         "record_root", "", "",
         "Folder that records must lie in; empty for the one the node is started in, / for any.",
-        "choice", kind="string", read_only=True,
+        "choice", kind="string",
     ),
     Parameter(
         "output_root", "", "",
         "Folder that results are written below; empty for the one the node is started in, / for "
         "any.",
-        "choice", kind="string", read_only=True,
+        "choice", kind="string",
     ),
 )
 
@@ -195,7 +192,7 @@ DIAGNOSIS = (
 
 _RUN = tuple(p for p in EXPERIMENT if p.name != "protocol")
 
-_CONTROL = (
+TUNING = (
     Parameter(
         "delay", "s", 0.05,
         "Time from a reading to the voltage that answers it, beyond half a command period.",
@@ -225,7 +222,7 @@ TEMPERATURE_CONTROLLER = (
         "experiment E8", kind="string",
     ),
     *_RUN,
-    *_CONTROL,
+    *TUNING,
 )
 
 DEFLECTION_CONTROLLER = (
@@ -236,7 +233,7 @@ DEFLECTION_CONTROLLER = (
         "experiment E12", kind="string",
     ),
     *_RUN,
-    *_CONTROL,
+    *TUNING,
 )
 
 NODE_TABLES: dict[str, tuple[Parameter, ...]] = {

@@ -1,7 +1,7 @@
 """One parameter of the bench: what it is called, what it may be, and where the number is from."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from sma_bench.errors import InputError
@@ -101,3 +101,8 @@ class Parameter:
             if self._inside(value * factor) and self.low != 0.0:
                 return f" (times {factor:g} it would fit: wrong unit prefix?)"
         return ""
+
+
+def fixed(*parameters: Parameter) -> tuple[Parameter, ...]:
+    """The same parameters, as ones that a running node cannot change."""
+    return tuple(replace(parameter, read_only=True) for parameter in parameters)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import zstandard
 
@@ -26,16 +27,7 @@ def decompress_zstd(data: bytes, limit: int) -> tuple[bytes, bool]:
     except (zstandard.ZstdError, MemoryError):
         pass
     stream = decompressor.decompressobj()
-    output, size = [], 0
-    try:
-        for start in range(0, len(data), _PIECE):
-            if size > limit or stream.eof:
-                break
-            output.append(stream.decompress(data[start : start + _PIECE]))
-            size += len(output[-1])
-    except (zstandard.ZstdError, MemoryError):
-        return b"".join(output), False
-    return b"".join(output), stream.eof and size <= limit
+    return _piece_by_piece(stream, data, limit, (zstandard.ZstdError, MemoryError))
 
 
 def decompress_lz4(data: bytes, limit: int) -> tuple[bytes, bool]:
@@ -45,6 +37,13 @@ def decompress_lz4(data: bytes, limit: int) -> tuple[bytes, bool]:
     except ImportError:
         return b"", False
     stream = lz4.frame.LZ4FrameDecompressor()
+    return _piece_by_piece(stream, data, limit, (RuntimeError, MemoryError, EOFError))
+
+
+def _piece_by_piece(
+    stream: Any, data: bytes, limit: int, broken: tuple[type[Exception], ...]
+) -> tuple[bytes, bool]:
+    """What a stream makes of the data until it raises one of `broken`, and whether that is all."""
     output, size = [], 0
     try:
         for start in range(0, len(data), _PIECE):
@@ -52,7 +51,7 @@ def decompress_lz4(data: bytes, limit: int) -> tuple[bytes, bool]:
                 break
             output.append(stream.decompress(data[start : start + _PIECE]))
             size += len(output[-1])
-    except (RuntimeError, MemoryError, EOFError):
+    except broken:
         return b"".join(output), False
     return b"".join(output), stream.eof and size <= limit
 

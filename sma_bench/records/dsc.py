@@ -17,6 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import FloatArray
+from sma_bench.records.text_table import head_of
 
 SegmentKind = Literal["heating", "cooling", "isothermal"]
 
@@ -104,12 +105,7 @@ class DscRecord:
 
 def is_dsc(path: Path) -> bool:
     """Whether a file looks like a Pyris export: its header or a step's title in the beginning."""
-    try:
-        with path.open("rb") as file:
-            # Without the zeros, UTF-16 looks like what it encodes.
-            head = file.read(8192).replace(b"\0", b"")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    head = head_of(path, 8192)
     return b"Sample Weight:" in head or b") DSC " in head
 
 

@@ -17,7 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.dsc import DscRecord, DscSegment, SegmentKind
-from sma_bench.records.text_table import FloatArray, plain_unit, read_lines
+from sma_bench.records.text_table import FloatArray, head_of, plain_unit, read_lines
 
 _START = "StartOfData"
 _STEP = "[step]"
@@ -68,12 +68,7 @@ class _Block:
 
 def is_ta_dsc(path: Path) -> bool:
     """Whether a file looks like a DSC text export of Universal Analysis or TRIOS."""
-    try:
-        with path.open("rb") as file:
-            # Without the zeros, UTF-16 looks like what it encodes.
-            head = file.read(65536).replace(b"\0", b"")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    head = head_of(path, 65536)
     universal = b"StartOfData" in head and b"Sig1" in head and b"DSC" in head
     return universal or (b"[step]" in head and b"Heat Flow" in head)
 

@@ -116,6 +116,20 @@ def read_text_table(path: Path | str) -> TextTable:
     )
 
 
+def head_of(path: Path, size: int) -> bytes:
+    """The first bytes of a file, at most `size`, without zeros: without them, UTF-16 looks like
+    what it encodes.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(size).replace(b"\0", b"")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file in UTF-8, UTF-16 or Latin-1.
 

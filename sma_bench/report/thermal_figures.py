@@ -1,7 +1,7 @@
 """Figures 2 to 6 of the paper, redrawn from records."""
 
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array, Experiment
@@ -17,34 +17,25 @@ _JUMP = 0.2  # V between two samples
 
 def resistance_picture(e1: Experiment) -> Picture:
     """Fig. 2: current over voltage in both directions, with the fitted line."""
-    figure, (ax,) = new_figure()
-    curves = e1.curves
-    _plot_directions(ax, curves, "current")
     estimate = e1.estimates["wire.resistance"]
     label = f"R = {estimate.value:.4f} ± {estimate.std:.4f} ohm"
-    ax.plot(curves["line_voltage"], curves["line_current"], color=MODEL, label=label)
-    ax.set(xlabel="voltage [V]", ylabel="current [A]")
-    ax.legend()
+    figure = _plateau_figure(e1.curves, "current", "current [A]", label)
     caption = f"Plateau means and straight line, eq. (3), as Fig. 2. {e1.source}"
     return Picture("figure_02_resistance", "Current against voltage", caption, figure)
 
 
 def heat_transfer_picture(e2: Experiment) -> Picture:
     """Fig. 3: steady temperature over voltage, with eq. (4) fitted."""
-    figure, (ax,) = new_figure()
-    curves = e2.curves
-    _plot_directions(ax, curves, "temperature")
     estimate = e2.estimates["wire.heat_transfer_coefficient"]
     label = f"h = {estimate.value:.2f} ± {estimate.std:.2f} W/(m² K)"
-    ax.plot(curves["line_voltage"], curves["line_temperature"], color=MODEL, label=label)
-    ax.set(xlabel="voltage [V]", ylabel="steady temperature [K]")
-    ax.legend()
+    figure = _plateau_figure(e2.curves, "temperature", "steady temperature [K]", label)
     caption = f"Plateau means and eq. (4), as Fig. 3. {e2.source}"
     return Picture("figure_03_heat_transfer", "Steady temperature against voltage", caption, figure)
 
 
-def _plot_directions(ax: Axes, curves: dict[str, Array], quantity: str) -> None:
-    """Plateau means over voltage, heating and cooling told apart."""
+def _plateau_figure(curves: dict[str, Array], quantity: str, axis: str, fitted: str) -> Figure:
+    """Plateau means of a quantity over voltage, heating and cooling told apart, and its line."""
+    figure, (ax,) = new_figure()
     heating = curves["heating"] > 0.5
     for chosen, marker, colour, label in (
         (heating, "+", SECOND, "heating"), (~heating, "o", MEASURED, "cooling"),
@@ -53,6 +44,10 @@ def _plot_directions(ax: Axes, curves: dict[str, Array], quantity: str) -> None:
             curves["voltage"][chosen], curves[quantity][chosen], marker, ms=6, mfc="none",
             color=colour, label=label,
         )
+    ax.plot(curves["line_voltage"], curves[f"line_{quantity}"], color=MODEL, label=fitted)
+    ax.set(xlabel="voltage [V]", ylabel=axis)
+    ax.legend()
+    return figure
 
 
 def ramp_picture(e3: Experiment) -> Picture:

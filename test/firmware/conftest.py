@@ -13,18 +13,22 @@ from sma_bench.emulation.emulated_uno import EmulatedUno
 @pytest.fixture(scope="session")
 def compiler() -> str:
     """A C compiler for this computer."""
-    path = shutil.which("cc")
-    if path is None:
-        pytest.skip("no C compiler (cc) here")
-    return path
+    return _found("cc", "no C compiler (cc) here")
 
 
 @pytest.fixture(scope="session")
 def avr_toolchain() -> str:
     """The compiler for the Uno."""
-    path = shutil.which("avr-gcc")
+    return _found(
+        "avr-gcc", "no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)"
+    )
+
+
+def _found(program: str, otherwise: str) -> str:
+    """Path of a program; the test is skipped where there is none."""
+    path = shutil.which(program)
     if path is None:
-        pytest.skip("no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
+        pytest.skip(otherwise)
     return path
 
 

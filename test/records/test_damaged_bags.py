@@ -25,6 +25,21 @@ def db3(tmp_path, write_bag, ramp):
     return next(write_bag(tmp_path / "bag", ramp, "sqlite3").glob("*.db3"))
 
 
+@pytest.fixture
+def temperature_bag(tmp_path, write_bag, messages):
+    """Writes a bag of one temperature topic: temperature_bag(celsius, period_ns, storage, ...)."""
+
+    def write(celsius, period, *storage, **options):
+        stamps = [messages.start + k * period for k in range(len(celsius))]
+        content = [
+            ("/b/wire/temperature", messages.temperature(stamp, value), stamp)
+            for stamp, value in zip(stamps, celsius, strict=True)
+        ]
+        return write_bag(tmp_path / "bag", content, *storage, **options)
+
+    return write
+
+
 def voltages(record):
     return np.rint(record["wire.voltage"].values * 1000).astype(int).tolist()
 
@@ -48,13 +63,9 @@ def test_truncated_mcap_is_read_up_to_the_cut(mcap, fraction):
     assert "of 200 messages announced by metadata.yaml cannot be read" in findings(record)
 
 
-def test_truncated_compressed_chunk_gives_what_its_blocks_hold(tmp_path, write_bag, messages):
-    rng = np.random.default_rng(0)
-    content = []
-    for k in range(20_000):
-        stamp = messages.start + k * 1_000_000
-        content.append(("/b/wire/temperature", messages.temperature(stamp, rng.normal()), stamp))
-    bag = write_bag(tmp_path / "bag", content, compression=CompressionMode.STORAGE)
+def test_truncated_compressed_chunk_gives_what_its_blocks_hold(temperature_bag):
+    celsius = np.random.default_rng(0).normal(size=20_000)
+    bag = temperature_bag(celsius, 1_000_000, compression=CompressionMode.STORAGE)
     file = next(bag.glob("*.mcap"))
     whole = file.read_bytes()
     # Half the file is the index of the first chunk.
@@ -116,12 +127,8 @@ def test_chunk_with_a_wrong_checksum_is_left_out(mcap):
     assert "wrong checksum" in findings(record)
 
 
-def test_zeroed_pages_of_a_db3_cost_only_their_rows(tmp_path, write_bag, messages):
-    content = []
-    for k in range(5000):
-        stamp = messages.start + k * 10_000_000
-        content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
-    bag = write_bag(tmp_path / "bag", content, "sqlite3")
+def test_zeroed_pages_of_a_db3_cost_only_their_rows(temperature_bag):
+    bag = temperature_bag(range(20, 5020), 10_000_000, "sqlite3")
     file = next(bag.glob("*.db3"))
     raw = bytearray(file.read_bytes())
     # Leaf pages of the message table begin with 0x0d and hold the topic's frame_id often.
@@ -141,12 +148,8 @@ def test_zeroed_pages_of_a_db3_cost_only_their_rows(tmp_path, write_bag, message
     assert f"{lost} of 5000 messages announced by metadata.yaml" in findings(record)
 
 
-def test_truncated_db3_is_read_up_to_the_cut(tmp_path, write_bag, messages):
-    content = []
-    for k in range(5000):
-        stamp = messages.start + k * 10_000_000
-        content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
-    bag = write_bag(tmp_path / "bag", content, "sqlite3")
+def test_truncated_db3_is_read_up_to_the_cut(temperature_bag):
+    bag = temperature_bag(range(20, 5020), 10_000_000, "sqlite3")
     file = next(bag.glob("*.db3"))
     raw = file.read_bytes()
     file.write_bytes(raw[: int(len(raw) * 0.6) // 4096 * 4096])
@@ -178,13 +181,9 @@ def test_db3_left_with_a_write_ahead_log_is_recovered_without_touching_it(tmp_pa
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_truncated_zstd_file_is_read_up_to_the_cut(tmp_path, write_bag, messages, storage):
-    rng = np.random.default_rng(0)
-    content = []
-    for k in range(10_000):
-        stamp = messages.start + k * 1_000_000
-        content.append(("/b/wire/temperature", messages.temperature(stamp, rng.normal()), stamp))
-    bag = write_bag(tmp_path / "bag", content, storage, CompressionMode.FILE)
+def test_truncated_zstd_file_is_read_up_to_the_cut(temperature_bag, storage):
+    celsius = np.random.default_rng(0).normal(size=10_000)
+    bag = temperature_bag(celsius, 1_000_000, storage, CompressionMode.FILE)
     file = next(bag.glob("*.zstd"))
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2])
@@ -311,13 +310,9 @@ def test_the_row_before_a_damaged_page_is_read(tmp_path, write_bag, messages):
     assert {k for k, place in enumerate(places) if place != page} == found
 
 
-def test_a_table_that_leads_back_into_itself_ends(tmp_path, write_bag, messages):
+def test_a_table_that_leads_back_into_itself_ends(temperature_bag):
     """A damaged tree once gave its rows for ever, until the memory was full."""
-    content = []
-    for k in range(3000):
-        stamp = messages.start + k * 10_000_000
-        content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
-    bag = write_bag(tmp_path / "bag", content, "sqlite3")
+    bag = temperature_bag(range(20, 3020), 10_000_000, "sqlite3")
     file = next(bag.glob("*.db3"))
     raw = bytearray(file.read_bytes())
     # The root of the message table: an interior page that names all the leaves.

@@ -5,7 +5,7 @@ effects that a diagnosis could know. Sensor features are carried here so that a 
 table; they act where the signals are measured, not in the simulation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,7 @@ class Feature:
 
 
 def _stage(stage: str, *features: Feature) -> tuple[Feature, ...]:
-    return tuple(
-        Feature(f.name, f.unit, f.off, f.low, f.high, f.text, stage, f.outside, f.setting)
-        for f in features
-    )
+    return tuple(replace(feature, stage=stage) for feature in features)
 
 
 ELECTRICAL = _stage(
