@@ -71,6 +71,11 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 }
 .view .hint { font-size: .85rem; margin: .2rem 0; opacity: .85; }
 @media screen { .drawn .wide { display: none; } }
+/* Figures are drawn on white, for papers: light and dark change places, hues stay, and white
+   becomes the page's own #121212. */
+@media screen and (prefers-color-scheme: dark) {
+  figure img { filter: invert(.93) hue-rotate(180deg); }
+}
 @media screen and (max-width: 44rem) {
   th, td { padding: .25rem .5rem; } table { font-size: .9rem; }
   .wide img { max-width: none; width: 40rem; }

@@ -1,10 +1,12 @@
 """The reports in a real browser: nothing sticks out, everything can be read, no complaint."""
 
+import io
 import json
 
 import numpy as np
 import pytest
 from browser_page import DESKTOP, PHONE, opened
+from PIL import Image
 
 from sma_bench.cli import main
 from sma_bench.records import Signal
@@ -74,6 +76,18 @@ def test_figures_keep_their_size_on_a_phone_and_scroll_in_themselves(browser, pa
             const box = document.querySelector('figure:not(.drawn) .wide'); box.scrollLeft = 100;
             return box.scrollLeft; }"""
         assert shown.page.evaluate(scrolled) == 100
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+@pytest.mark.parametrize(("scheme", "paper", "ink"), [("light", 255, 0), ("dark", 18, 237)])
+def test_a_figure_has_the_paper_of_its_page(browser, pages, size, scheme, paper, ink):
+    with opened(browser, pages["record"].as_uri(), size, scheme) as shown:
+        png = shown.page.locator("figure:not(.drawn) img").first.screenshot()
+        back = shown.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert back == f"rgb({paper}, {paper}, {paper})"
+    grey = np.asarray(Image.open(io.BytesIO(png)).convert("L"), dtype=int)
+    assert np.bincount(grey.ravel()).argmax() == pytest.approx(paper, abs=1)
+    assert np.abs(grey - ink).min() <= 20  # axes and letters
 
 
 VALUES = "[...document.querySelectorAll('.view .value')].map((value) => value.textContent)"
