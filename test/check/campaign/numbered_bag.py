@@ -77,17 +77,22 @@ def numbered_bag(path: Path, form: str) -> NumberedBag:
 
 
 def numbers_in(record: Record) -> dict[int, int]:
-    """Number by place in the sequence, of the voltages of a record."""
+    """Number by place in the sequence, of the voltages of a record.
+
+    Of two with nearly the same stamp it is the nearer: a damaged stamp may come close to another.
+    """
     voltage = record.get("wire.voltage")
     if voltage is None:
         return {}
     places = ((record.start_ns - START) * 1e-9 + voltage.time) / STEP
     numbers = np.rint(voltage.values * 1e3)
-    return {
-        round(place): int(number) if np.isfinite(number) and abs(number) < 1e9 else -1
-        for place, number in zip(places.tolist(), numbers.tolist(), strict=True)
-        if abs(place - round(place)) < _SAME_STAMP and 0 <= round(place) < MESSAGES
-    }
+    away = np.abs(places - np.rint(places))
+    found = {}
+    for k in np.argsort(-away, kind="stable").tolist():
+        place, number = round(places[k]), float(numbers[k])
+        if away[k] < _SAME_STAMP and 0 <= place < MESSAGES:
+            found[place] = int(number) if np.isfinite(number) and abs(number) < 1e9 else -1
+    return found
 
 
 def _stream() -> Stream:
