@@ -2,8 +2,6 @@
 
 import argparse
 
-from sma_bench.blind.figures import NAMES, write_page, write_symptom
-from sma_bench.blind.make import new_folder
 from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.progress_bar import progress
 from sma_bench.progress import in_turn
@@ -20,6 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw all effects; all of them appear, or nothing."""
+    from sma_bench.blind.figures import NAMES, write_page, write_symptom
+    from sma_bench.blind.make import new_folder
+
     with new_folder(args.out) as folder, progress("blind figures") as report:
         seen = [
             write_symptom(folder, name, args.seed)

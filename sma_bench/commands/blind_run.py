@@ -4,19 +4,20 @@ import argparse
 import shlex
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.blind.case_set import CaseSet, read_case_set
-from sma_bench.blind.examination import examine, open_cases
-from sma_bench.blind.examinee import Examinee
-from sma_bench.blind.kept import Examination, write_examination
-from sma_bench.blind.rivals import RIVALS
 from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
 from sma_bench.progress import counted
+
+if TYPE_CHECKING:
+    from sma_bench.blind.case_set import CaseSet
+    from sma_bench.blind.examinee import Examinee
 
 DIAGNOSIS = "diagnosis"
 _SMA_BENCH = (sys.executable, "-m", "sma_bench.cli")
@@ -26,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("set", metavar="DIR", help="folder that blind make has written")
     who = parser.add_mutually_exclusive_group()
-    who.add_argument("--rival", choices=[*RIVALS], help="a naive method instead of the diagnosis")
+    who.add_argument(
+        "--rival", type=one_of(rivals), metavar="NAME",
+        help="a naive method instead of the diagnosis: rmse, score or bic",
+    )
     who.add_argument(
         "--program", metavar="COMMAND",
         help="any other command line that takes the arguments of sma-bench diagnose",
@@ -48,6 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Ask what has no answer yet; 0 whatever the answers are."""
+    from sma_bench.blind.case_set import read_case_set
+    from sma_bench.blind.examination import open_cases
+    from sma_bench.blind.examinee import Examinee
+    from sma_bench.blind.kept import Examination, write_examination
+
     for option, value in (("jobs", args.jobs), ("limit", args.limit)):
         if value is not None and value < 1:
             raise InputError(f"--{option} is {value}, expected 1 or more")
@@ -72,6 +81,13 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def rivals() -> tuple[str, ...]:
+    """Names of the naive methods."""
+    from sma_bench.blind.rivals import RIVALS
+
+    return tuple(RIVALS)
+
+
 def _who(args: argparse.Namespace) -> tuple[str, tuple[str, ...]]:
     """Name and command line of the examinee."""
     if args.rival:
@@ -85,9 +101,11 @@ def _who(args: argparse.Namespace) -> tuple[str, tuple[str, ...]]:
 
 
 def _ask(
-    cases: CaseSet, examinee: Examinee, waiting: list[str], answers: Path, jobs: int
+    cases: "CaseSet", examinee: "Examinee", waiting: list[str], answers: Path, jobs: int
 ) -> int:
     """Examine under a progress bar; the number of failed cases."""
+    from sma_bench.blind.examination import examine
+
     failures = []
     with progress(f"blind run, {answers.name}") as report:
         told = counted(report, len(waiting), "case")

@@ -5,13 +5,16 @@ Made from the parsers of this version, so that a press of TAB starts no Python.
 
 import argparse
 import importlib
+from collections.abc import Callable, Iterable
 
 from sma_bench.commands import blind
+from sma_bench.commands.blind_run import rivals
+from sma_bench.commands.diagnose import quantities
+from sma_bench.commands.identify import experiments
 from sma_bench.commands.parser import CommandParser, command_parser
+from sma_bench.parameters.effect_table import EFFECT_NAMES
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics.effects import EFFECTS
-from sma_bench.protocols import protocol_names
 
 SHELLS = ("bash", "zsh")
 
@@ -96,8 +99,17 @@ def _choices(action: argparse.Action) -> list[str]:
     """Words that may follow an option."""
     if action.choices:
         return [str(choice) for choice in action.choices]
-    named = {"protocol": protocol_names(), "overrides": list(BY_NAME), "effects": list(EFFECTS)}
-    return list(named.get(action.dest, ()))
+    named: dict[str, Callable[[], Iterable[str]]] = {
+        "protocol": _protocol_names, "overrides": lambda: BY_NAME, "effects": lambda: EFFECT_NAMES,
+        "experiments": experiments, "signals": quantities, "rival": rivals,
+    }
+    return list(named[action.dest]()) if action.dest in named else []
+
+
+def _protocol_names() -> Iterable[str]:
+    from sma_bench.protocols import protocol_names
+
+    return protocol_names()
 
 
 def _reply(pattern: str, words: list[str], indent: int, then: str = "") -> str:

@@ -10,10 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sma_bench.commands.demo_gap import gap_act
-from sma_bench.commands.demo_hardware import hardware_act
-from sma_bench.commands.demo_stage import make_folder
-from sma_bench.commands.demo_table import simulated_truth, table_act
 from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.progress_bar import Course
 from sma_bench.commands.tables import output_console
@@ -34,6 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
         "the effect of this draw instead of one by the clock",
     )
+    parser.add_argument(
+        "--quick", action="store_true",
+        help="Table I from the short protocols quick_staircase and quick_ramp: half the time",
+    )
     add_json_option(parser, "truth, estimates, diagnosis and the reports' paths")
     parser.add_argument(
         "--hardware", action="store_true",
@@ -45,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
+    from sma_bench.commands.demo_gap import gap_act
+    from sma_bench.commands.demo_hardware import hardware_act
+    from sma_bench.commands.demo_stage import make_folder
+    from sma_bench.commands.demo_table import FITTED, QUICK, simulated_truth, table_act
+
     course, console = Course(), output_console()
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
@@ -56,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
         acts = {"table_one": hardware_act(console, out, truth, course)}
     else:
         console.print("[bold]1. From a commanded volt to Table I[/]")
-        acts = {"table_one": table_act(console, out, args.speed, truth, course)}
+        fitted = QUICK if args.quick else FITTED
+        acts = {"table_one": table_act(console, out, fitted, args.speed, truth, course)}
         console.print("\n[bold]2. The gap between simulation and bench[/]")
         seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
         acts["gap"] = gap_act(console, out / "simulated_gap", args.speed, seed, course)

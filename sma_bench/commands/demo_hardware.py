@@ -45,6 +45,7 @@ class HardwareStage(Stage):
         Raises:
             InputError: a node ended, or the self test failed.
         """
+        self.compiles()
         files = (bench_file,)
         hidden = {"wire/temperature": "wire/true_temperature"}
         self._nodes.start("emulated_bench", {"port": str(port)}, files, hidden)

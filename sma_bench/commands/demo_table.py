@@ -16,8 +16,9 @@ from sma_bench.share import share_directory
 
 NAMESPACE = "/demo"
 # The paper's experiments in their order: E1 and E2 share the staircase, E3, E4.
-PROTOCOLS = ("staircase", "ramp", "triangle")
 FITTED = ("staircase", "ramp")
+QUICK = ("quick_staircase", "quick_ramp")
+VALIDATION = "triangle"
 TABLE_ONE = {
     "wire.resistance": "R",
     "wire.heat_transfer_coefficient": "h",
@@ -34,9 +35,10 @@ _HEADER = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
 
 
 def table_act(
-    console: Console, out: Path, speed: float, truth: Parameters, course: Course
+    console: Console, out: Path, fitted: tuple[str, ...], speed: float, truth: Parameters,
+    course: Course,
 ) -> dict[str, Any]:
-    """Simulate `truth`, identify it and print Table I.
+    """Simulate `truth`, identify it from the protocols `fitted` and print Table I.
 
     Returns:
         For the demo's JSON; `holds`, whether it holds what the demo promises.
@@ -45,10 +47,10 @@ def table_act(
     write_parameters(truth_file, truth, "What the simulated bench is made of.")
     with progress("demo", course) as report:
         own = part(report, 0.0, SHARE)
-        answer = _identified(part(own, 0.0, _DRAWING), out, truth_file, speed, truth)
+        answer = _identified(part(own, 0.0, _DRAWING), out, truth_file, fitted, speed, truth)
         estimates = answer["parameters"]
         own(_DRAWING, "report")
-        page = _report(out, estimates, truth, part(own, _DRAWING, 1.0))
+        page = _report(out, fitted, estimates, truth, part(own, _DRAWING, 1.0))
     right = range(2, len(_HEADER))
     print_table(console, _HEADER, _rows(estimates, truth), right, title="Table I")
     for warning in answer["warnings"]:
@@ -92,15 +94,18 @@ def promise_holds(estimates: dict[str, Any], truth: Parameters) -> bool:
 
 
 def _identified(
-    report: Report, out: Path, truth_file: Path, speed: float, truth: Parameters
+    report: Report, out: Path, truth_file: Path, fitted: tuple[str, ...], speed: float,
+    truth: Parameters,
 ) -> dict[str, Any]:
     """Run the protocols on the nodes, record them, and ask the service; its answer."""
-    plan = {protocol: recording_time(protocol, truth, speed) for protocol in PROTOCOLS}
+    protocols = (*fitted, VALIDATION)
+    plan = {protocol: recording_time(protocol, truth, speed) for protocol in protocols}
     with Stage(out, NAMESPACE, report, {**plan, "identify": _IDENTIFYING}) as stage:
-        stage.start_bench(truth_file, PROTOCOLS[0], {"speed": speed})
+        stage.start_bench(truth_file, protocols[0], {"speed": speed})
         stage.start_service("identification", {"output_directory": "."})
-        bags = {protocol: stage.record(protocol) for protocol in PROTOCOLS}
-        records = [str(bags[protocol]) for protocol in FITTED]
+        bags = {protocol: stage.record(protocol) for protocol in protocols}
+        stage.end_bench()
+        records = [str(bags[protocol]) for protocol in fitted]
         return stage.ask("identification", "identify", {"record": records})
 
 
@@ -117,7 +122,8 @@ def _rows(estimates: dict[str, Any], truth: Parameters) -> list[tuple[str, ...]]
 
 
 def _report(
-    out: Path, estimates: dict[str, Any], truth: Parameters, report: Report
+    out: Path, fitted: tuple[str, ...], estimates: dict[str, Any], truth: Parameters,
+    report: Report,
 ) -> Path:
     """Figures 2 to 6 from the bags, fitted anew at the desk by the same code as the service."""
     from sma_bench.identify import identify
@@ -126,9 +132,9 @@ def _report(
     from sma_bench.report.page import Section, Table, write_report
     from sma_bench.report.thermal_figures import validation_picture
 
-    records = [read_record(out / "bags" / name) for name in FITTED]
+    records = [read_record(out / "bags" / name) for name in fitted]
     result = identify(records, Parameters.defaults())
-    picture, _ = validation_picture(read_record(out / "bags" / "triangle"), result.parameters)
+    picture, _ = validation_picture(read_record(out / "bags" / VALIDATION), result.parameters)
     table = Table(_HEADER, _rows(estimates, truth), frozenset(range(2, 7)))
     sections = [
         Section("Table I", notes=["Synthetic: simulated bench, real nodes."], tables=[table]),

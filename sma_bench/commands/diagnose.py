@@ -2,18 +2,19 @@
 
 import argparse
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
 from sma_bench.commands.tables import output_console, print_table
-from sma_bench.diagnose import Diagnosis, diagnose
-from sma_bench.diagnose.view import QUANTITIES
 from sma_bench.parameters import write_parameters
-from sma_bench.physics.effects import EFFECTS
+from sma_bench.parameters.effect_table import EFFECT_NAMES
 from sma_bench.progress import Report, by_name, in_turn, part
-from sma_bench.records import read_record
-from sma_bench.report.diagnosis_words import headline, what_next
+
+if TYPE_CHECKING:
+    from sma_bench.diagnose import Diagnosis
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
@@ -24,7 +25,7 @@ _READING = 0.05  # of the time
 _PLAN = {
     "records": 0.1,
     "recalibration": 4.7,
-    **dict.fromkeys(EFFECTS, 0.4),
+    **dict.fromkeys(EFFECT_NAMES, 0.4),
     "effects instead of surprising parameters": 6.0,
     "the best again, carefully": 0.5,
     "pairs": 2.5,
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="bags on which the shrinkage is measured, unseen by its fit",
     )
     parser.add_argument(
-        "--signals", metavar="QUANTITY", nargs="+", choices=QUANTITIES, default=QUANTITIES,
+        "--signals", metavar="QUANTITY", nargs="+", type=one_of(quantities),
         help="compare these only, of current, temperature, deflection: what would the record "
         "have told without the others?",
     )
@@ -56,6 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
+    from sma_bench.diagnose import diagnose
+    from sma_bench.records import read_record
+
     parameters = parameters_from_options(args)
     with progress("diagnose") as report:
         reading = part(report, 0.0, _READING)
@@ -63,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
         records = [read_record(path) for path in paths]
         seen = len(args.records)
         told = diagnosis_steps(part(report, _READING, 1.0))
-        result = diagnose(records[:seen], parameters, records[seen:], told, args.signals)
+        compared = args.signals or quantities()
+        result = diagnose(records[:seen], parameters, records[seen:], told, compared)
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
@@ -78,12 +83,19 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def quantities() -> tuple[str, ...]:
+    """Quantities that a diagnosis compares."""
+    from sma_bench.diagnose.view import QUANTITIES
+
+    return QUANTITIES
+
+
 def diagnosis_steps(report: Report) -> Callable[[str], None]:
     """Turns what a diagnosis tells into a share of its time."""
     return by_name(report, _PLAN)
 
 
-def write_improved(path: str, result: Diagnosis, author: str) -> None:
+def write_improved(path: str, result: "Diagnosis", author: str) -> None:
     """Write the improved parameters, those only that are not left at their default.
 
     Raises:
@@ -95,8 +107,10 @@ def write_improved(path: str, result: Diagnosis, author: str) -> None:
     write_parameters(path, result.improved, comment, names)
 
 
-def print_result(result: Diagnosis) -> None:
+def print_result(result: "Diagnosis") -> None:
     """The argument in a few tables."""
+    from sma_bench.report.diagnosis_words import headline, what_next
+
     console = output_console()
     console.print(f"{result.decision.verdict}: {headline(result)}\n", markup=False)
     for headings, rows in (_candidates(result), _where(result), _chain(result), _shrinkage(result)):
@@ -107,28 +121,28 @@ def print_result(result: Diagnosis) -> None:
     print_findings(result.findings)
 
 
-def _candidates(result: Diagnosis) -> _Table:
+def _candidates(result: "Diagnosis") -> _Table:
     return ("candidate", "probability", "gap/noise", "log evidence"), [
         (c.name, f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:.1f}")
         for c in result.decision.candidates if c.probability >= _LEAST_SHOWN
     ]
 
 
-def _where(result: Diagnosis) -> _Table:
+def _where(result: "Diagnosis") -> _Table:
     return ("where", "phase", "side", "gap/noise", "share"), [
         (cell.signal, cell.phase, cell.side, f"{cell.gap:.2f}", f"{100.0 * cell.share:.0f} %")
         for cell in result.where[:_CELLS_SHOWN]
     ]
 
 
-def _chain(result: Diagnosis) -> _Table:
+def _chain(result: "Diagnosis") -> _Table:
     return ("block, no effect", "gap/noise", "90 % interval"), [
         (link.block, f"{link.gap:.2f}", f"{link.ci90[0]:.2f} to {link.ci90[1]:.2f}")
         for link in result.chain
     ]
 
 
-def _shrinkage(result: Diagnosis) -> _Table:
+def _shrinkage(result: "Diagnosis") -> _Table:
     headings = ("held out", "RMSE before", "after", "noise", "gap gone", "90 % interval")
     rows: list[tuple[str, ...]] = []
     for name, s in result.shrinkage.items():

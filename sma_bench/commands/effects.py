@@ -1,12 +1,13 @@
 """sma-bench effects: what the paper's model leaves out, as a table or as the documentation page."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.tables import output_console, print_table
-from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.effects.documentation import effects_page, range_of
-from sma_bench.physics.effects.effect import Effect
+
+if TYPE_CHECKING:
+    from sma_bench.physics.effects import Effect
 
 DESCRIPTION = "show every effect with its stage, the unit and range of its size, and how it shows"
 
@@ -19,6 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the table or the page."""
+    from sma_bench.physics.effects import EFFECTS
+    from sma_bench.physics.effects.documentation import effects_page, range_of
+
     if args.json:
         write_json(args.json, {"effects": [_entry(effect) for effect in EFFECTS.values()]})
     if args.markdown:
@@ -29,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _entry(effect: Effect) -> dict[str, object]:
+def _entry(effect: "Effect") -> dict[str, object]:
     return {
         "name": effect.name,
         "stage": effect.stage,

@@ -74,7 +74,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "run simulator --help",
     ),
     "demo": (
-        "demo",
+        "demo --quick",
         "demo --out my_demo --draw 7 --json demo.json",
     ),
     "completion": (

@@ -1,15 +1,18 @@
 """sma-bench identify: parameters of Table I from bags and instrument files."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
 from sma_bench.commands.tables import output_console, print_table
-from sma_bench.identify import EXPERIMENTS, Identification, identify
 from sma_bench.parameters import write_parameters
 from sma_bench.progress import in_turn, part
-from sma_bench.records import open_record
+
+if TYPE_CHECKING:
+    from sma_bench.identify import Identification
 
 _READING = 0.2  # of the time, about
 
@@ -21,8 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_parameter_options(parser)
     parser.add_argument(
-        "--experiment", action="append", choices=EXPERIMENTS, dest="experiments",
-        help="do this one only (repeatable; default: all that the records hold)",
+        "--experiment", action="append", type=one_of(experiments), dest="experiments",
+        metavar="EXPERIMENT",
+        help="do this one only, of E1, E2, ... E10 (repeatable; default: all that the records "
+        "hold)",
     )
     parser.add_argument("--namespace", help="where two benches are in one bag: the one to take")
     parser.add_argument(
@@ -34,6 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print a table, write the files that were asked for."""
+    from sma_bench.identify import identify
+    from sma_bench.records import open_record
+
     parameters = parameters_from_options(args)
     with progress("identify") as report:
         paths = in_turn(args.records, part(report, 0.0, _READING), lambda path: f"reading {path}")
@@ -54,7 +62,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def print_result(result: Identification) -> None:
+def experiments() -> tuple[str, ...]:
+    """Experiments that parameters are identified from."""
+    from sma_bench.identify import EXPERIMENTS
+
+    return EXPERIMENTS
+
+
+def print_result(result: "Identification") -> None:
     """A table of the numbers, and below it every remark on them."""
     rows = [
         (name, f"{e.value:.6g}", f"{e.std:.2g}", e.unit, str(e.n), result.origin(name))

@@ -10,7 +10,6 @@ from sma_bench.commands.output import add_json_option, print_findings, write_jso
 from sma_bench.commands.progress_bar import progress
 from sma_bench.commands.tables import output_console, print_table
 from sma_bench.findings import Finding
-from sma_bench.records import describe, open_record
 
 _MOST_MARKERS = 20
 
@@ -64,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print topics, signals and findings; exit code 0 whatever they say."""
+    from sma_bench.records import describe, open_record
+
     with progress("reading"):
         description = describe(open_record(args.record, args.namespace))
     if args.json:

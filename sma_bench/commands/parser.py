@@ -1,7 +1,7 @@
 """The parser that every command shares: examples below the options, errors in one line."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NoReturn
 
 from sma_bench.commands.examples import EXAMPLES
@@ -27,6 +27,20 @@ def command_parser(name: str, description: str | None) -> CommandParser:
         epilog=example_text(EXAMPLES.get(name, ())),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+def one_of(words: Callable[[], Iterable[str]]) -> Callable[[str], str]:
+    """Type of an option that takes one of some words, which are looked up when it is used: the help
+    need not load what knows them."""
+
+    def checked(word: str) -> str:
+        known = tuple(words())
+        if word not in known:
+            choices = ", ".join(map(repr, known))
+            raise argparse.ArgumentTypeError(f"invalid choice: {word!r} (choose from {choices})")
+        return word
+
+    return checked
 
 
 def example_text(examples: Sequence[str]) -> str:

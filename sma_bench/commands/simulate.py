@@ -7,13 +7,7 @@ from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
-from sma_bench.physics.effects import effect_values
 from sma_bench.progress import part
-from sma_bench.protocols import load_protocol
-from sma_bench.records import read_record
-from sma_bench.records.held_voltages import held_voltages
-from sma_bench.records.write import write_record
-from sma_bench.synthetic.simulated import read_signals, signals_of, simulate_finely
 
 LARGEST_RATE = 10_000.0
 _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
@@ -44,6 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
+    from sma_bench.protocols import load_protocol
+    from sma_bench.records import read_record
+    from sma_bench.records.held_voltages import held_voltages
+    from sma_bench.records.write import write_record
+    from sma_bench.synthetic.simulated import read_signals, signals_of, simulate_finely
+
     parameters = parameters_from_options(args)
     for text in args.effects:
         parameters = parameters.replace(_effect(text), where="--effect")
@@ -78,6 +78,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _effect(text: str) -> dict[str, float]:
+    from sma_bench.physics.effects import effect_values
+
     name, equals, value = text.partition("=")
     try:
         return effect_values(name.strip(), float(value))

@@ -20,11 +20,21 @@ from sma_bench.commands.demo_hidden import (
     hidden_numbers,
 )
 from sma_bench.commands.demo_reveal import confidently_wrong, gap_on_new_drive, reveal
-from sma_bench.commands.demo_table import TABLE_ONE, promise_holds, simulated_truth
+from sma_bench.commands.demo_stage import Stage
+from sma_bench.commands.demo_table import (
+    FITTED,
+    QUICK,
+    TABLE_ONE,
+    VALIDATION,
+    promise_holds,
+    simulated_truth,
+)
+from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.protocols import load_protocol
+from sma_bench.synthetic.bench_records import protocol_record
 
 FIGURES = {
     "figure_02_resistance", "figure_03_heat_transfer", "figure_04_ramp",
@@ -54,6 +64,16 @@ def test_the_promise_is_two_standard_errors_and_one_percent(deviation, relative_
     assert promise_holds(estimates(deviation, relative_std), Parameters.defaults()) is holds
 
 
+@pytest.mark.parametrize("protocols", [FITTED, QUICK], ids=["whole", "quick"])
+def test_either_pair_of_protocols_keeps_the_promise(protocols):
+    for seed in (3, 4):
+        truth = simulated_truth(seed)
+        records = [protocol_record(name, truth, seed) for name in protocols]
+        found = identify(records, Parameters.defaults()).estimates
+        told = {name: {"value": found[name].value, "std": found[name].std} for name in TABLE_ONE}
+        assert promise_holds(told, truth)
+
+
 def test_another_wire_is_drawn_around_table_one_and_differs_by_seed():
     first, second = simulated_truth(1), simulated_truth(2)
     table = Parameters.defaults()
@@ -66,6 +86,15 @@ def test_another_wire_is_drawn_around_table_one_and_differs_by_seed():
 def test_an_output_folder_that_exists_is_refused_before_anything_starts(tmp_path, capsys):
     assert main(["demo", "--out", str(tmp_path)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_fresh_installation_says_that_it_compiles(tmp_path, monkeypatch, there):
+    told = []
+    monkeypatch.setattr("sma_bench.commands.demo_stage.is_compiled", lambda room: there)
+    stage = Stage(tmp_path / "stage", "/demo", lambda *said: told.append(said), {"staircase": 1.0})
+    assert stage.compiles() == (not there)
+    assert told == ([] if there else [(0.0, "compiling, once after an installation")])
 
 
 def test_a_negative_seed_is_refused_before_anything_starts(tmp_path, capsys):
@@ -192,13 +221,16 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
     out = tmp_path / "demo"
     answer_file = tmp_path / "demo.json"
-    assert main(["demo", "--out", str(out), "--draw", "3", "--json", str(answer_file)]) == 0
+    # At a higher speed the processors are busy with benches that nobody drives yet.
+    words = ["--quick", "--speed", "10", "--draw", "3"]
+    assert main(["demo", *words, "--out", str(out), "--json", str(answer_file)]) == 0
     printed = capsys.readouterr().out
     assert "errors under 1%: yes" in printed
     truth = yaml.safe_load((out / "truth.yaml").read_text())["/**"]["ros__parameters"]["wire"]
     identified = read_parameters(out / "identified.yaml")
     assert truth["resistance"] != pytest.approx(2.6987, rel=0.01)
     assert identified["wire.resistance"] == pytest.approx(truth["resistance"], rel=0.005)
+    assert {path.name for path in (out / "bags").iterdir()} == {*QUICK, VALIDATION}
     assert {path.stem for path in (out / "report").glob("*.png")} == FIGURES
     assert (out / "report" / "index.html").stat().st_size > 100_000
     found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))

@@ -4,25 +4,19 @@ import json
 
 import numpy as np
 import pytest
-from planted import believed, few_effects, planted_record
+from planted import ONE_WIRE, believed, few_effects, supply_drop_lab
 
 from sma_bench.cli import main
-from sma_bench.parameters import read_parameters, write_parameters
+from sma_bench.parameters import read_parameters
 from sma_bench.records import Signal
 from sma_bench.records.write import write_record
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-RIG = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
-
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("lab")
-    belief = believed().replace(RIG)
-    write_parameters(folder / "lab.yaml", belief)
-    bench = belief.replace({"effect.supply_drop.resistance": 0.3})
-    planted_record(folder / "bag", quantities=("current", "temperature"), bench=bench)
+    folder = supply_drop_lab(tmp_path_factory.mktemp("lab"))
     time = np.arange(0.0, 5.0, 0.02)
     write_record(folder / "mute", [Signal("wire.temperature", "K", time, 300.0 + 0.0 * time)])
     write_record(folder / "lonely", [Signal("wire.voltage", "V", time, 1.0 + 0.0 * time)])
@@ -47,7 +41,7 @@ def test_a_diagnosis_prints_the_argument_and_writes_every_file(lab, tmp_path, ca
     assert "What next?" in (files["page"] / "index.html").read_text()
     improved = read_parameters(files["improved.yaml"])
     assert improved["effect.supply_drop.resistance"] == pytest.approx(0.3, abs=0.05)
-    assert improved.given >= believed().replace(RIG).given
+    assert improved.given >= believed().replace(ONE_WIRE).given
 
 
 @pytest.mark.parametrize(

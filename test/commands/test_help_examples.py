@@ -3,6 +3,8 @@
 import importlib
 import json
 import shlex
+import subprocess
+import sys
 
 import pytest
 
@@ -134,3 +136,18 @@ def test_a_set_of_cases_as_json_is_its_manifest(tmp_path, capsys):
     assert main([*words, "--out", str(folder), "--json", str(target)]) == 0
     found = json.loads(target.read_text())
     assert found["set"] == str(folder) and found["sha256"]
+
+
+def test_help_loads_nothing_heavy():
+    """It is there in a moment, of every command."""
+    code = (
+        "import contextlib, io, sys\n"
+        "from sma_bench.cli import COMMANDS, main\n"
+        "from sma_bench.commands import blind\n"
+        "for words in [*([c] for c in COMMANDS), *(['blind', c] for c in blind.COMMANDS)]:\n"
+        "    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
+        "        main([*words, '--help'])\n"
+        "print(sorted({'scipy', 'numba', 'matplotlib', 'rclpy'} & set(sys.modules)))"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert process.stdout.strip() == "[]", process.stderr
