@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sma_bench.diagnose import search
-from sma_bench.parameters import Parameters
+from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.electrical import current
@@ -27,6 +27,7 @@ from sma_bench.records.write import write_record
 Array = NDArray[np.float64]
 
 CHANNELS = ("front_1", "back_1")
+ONE_WIRE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
 RATE = 50.0  # Hz
 FINER = 4  # steps of the bench between samples
 DURATION = 20.0  # s
@@ -165,6 +166,16 @@ def planted_record(
         signals.append(_signal("deflection", time, found.deflection_reading[::FINER] + noise))
     write_record(path, signals)
     return read_record(path)
+
+
+def supply_drop_lab(folder: Path) -> Path:
+    """The folder, with a `bag` of a wire whose leads drop voltage and what its lab believes of it
+    in `lab.yaml`."""
+    belief = believed().replace(ONE_WIRE)
+    write_parameters(folder / "lab.yaml", belief)
+    bench = belief.replace({"effect.supply_drop.resistance": 0.3})
+    planted_record(folder / "bag", quantities=("current", "temperature"), bench=bench)
+    return folder
 
 
 def _current(found: Simulation, voltage: Array, wire: int) -> Array:

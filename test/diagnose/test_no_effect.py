@@ -5,6 +5,7 @@ from planted import KINDS, believed, few_effects, planted_pair
 
 from sma_bench.diagnose import diagnose
 
+pytestmark = pytest.mark.slow
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
 BENIGN = ("recalibration", "no_gap")

@@ -7,7 +7,7 @@ from sma_bench.identify import identify
 from sma_bench.identify.thermal.resistance import SCALE_STD
 from sma_bench.parameters import Parameters
 
-TRIALS = 100
+TRIALS = 60
 NAMES = ("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat")
 
 

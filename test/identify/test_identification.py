@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sma_bench import records
 from sma_bench.commands import identify as command
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
@@ -177,7 +178,7 @@ def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_pat
 
 
 def test_unwritable_folder_is_one_line_and_leaves_no_file(staircase, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "open_record", lambda path, namespace=None: staircase())
+    monkeypatch.setattr(records, "open_record", lambda path, namespace=None: staircase())
     import argparse
 
     parser = argparse.ArgumentParser()

@@ -128,7 +128,7 @@ def test_intervals_cover_the_truth() -> None:
         "wire.stress_influence_austenite", "wire.stress_influence_martensite",
     ]
     inside = []
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         truth = TRUTH.replace(
             {

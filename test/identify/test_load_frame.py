@@ -35,6 +35,7 @@ def lab():
     return bench, records
 
 
+@pytest.mark.slow
 def test_held_loads_and_clamps_give_back_every_parameter_of_the_wire(lab):
     bench, records = lab
     found = identify_load_frame(list(records.values()), bench.known)
@@ -77,6 +78,7 @@ def test_each_held_load_becomes_an_isobaric_test(lab):
         assert np.ptp(cycle.branches[0].strain) == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.slow
 def test_tangents_stand_beside_the_fit(lab):
     bench, records = lab
     found = identify_load_frame([records["isobaric"]], bench.known)

@@ -4,18 +4,17 @@ import json
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from planted import believed, planted_record
+from planted import supply_drop_lab
 from std_msgs.msg import String
 
 from sma_bench.blind.answers import checked_answer
 from sma_bench.errors import InputError
 from sma_bench.nodes.diagnosis_job import Job, gap_states
-from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-RIG = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
 ANSWER = {
     "verdict": "effect", "cause": ["slack"],
     "candidates": [{"name": "slack", "probability": 0.9}],
@@ -32,12 +31,7 @@ ANSWER = {
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
     """Folder with a bag of a wire whose leads drop voltage, and the lab's parameters."""
-    folder = tmp_path_factory.mktemp("rig")
-    belief = believed().replace(RIG)
-    write_parameters(folder / "lab.yaml", belief)
-    bench = belief.replace({"effect.supply_drop.resistance": 0.3})
-    planted_record(folder / "bag", quantities=("current", "temperature"), bench=bench)
-    return folder
+    return supply_drop_lab(tmp_path_factory.mktemp("rig"))
 
 
 def test_a_bag_is_diagnosed_its_gap_published_and_the_improvement_written(bench, rig, tmp_path):

@@ -5,8 +5,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -69,15 +69,53 @@ def installed(house: Path) -> str:
     )
 
 
+class FirstUses(NamedTuple):
+    """A checkout whose first setup was killed and then begun again, by two uses at once."""
+
+    house: Path
+    first: tuple[int, str, str]
+    second: tuple[int, str, str]
+
+
 @pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A checkout that has been used once."""
-    folder = make_house(tmp_path_factory.mktemp("house with space") / "sma_bench")
-    code, out, err = bench(folder, "first", "use")
+def first_uses(tmp_path_factory: pytest.TempPathFactory) -> FirstUses:
+    """Every setup of an environment takes long, so the tests share these."""
+    house = make_house(tmp_path_factory.mktemp("house with space") / "sma_bench")
+    killed = start(house, "killed")
+    for line in killed.stderr:
+        if "packages of requirements.txt" in line:
+            break
+    os.killpg(killed.pid, signal.SIGKILL)
+    assert killed.communicate()[0] == ""
+    first = start(house, "first", "use")
+    begun = first.stderr.readline()
+    second = start(house, "two")
+    (out, rest), (out_2, err_2) = first.communicate(), second.communicate()
+    return FirstUses(
+        house, (first.returncode, out, begun + rest), (second.returncode, out_2, err_2)
+    )
+
+
+@pytest.fixture(scope="module")
+def house(first_uses: FirstUses) -> Path:
+    """A checkout that has been used."""
+    return first_uses.house
+
+
+@pytest.mark.slow
+def test_interrupted_setup_is_done_again(first_uses: FirstUses) -> None:
+    code, out, err = first_uses.first
     assert (code, out) == (2, "first use\n"), err
-    assert "setting up .venv-" in err
+    assert err.startswith("bench: setting up .venv-")
     assert "ready in" in err
-    return folder
+
+
+@pytest.mark.slow
+def test_second_of_two_at_once_waits_for_the_first(first_uses: FirstUses) -> None:
+    code, out, err = first_uses.second
+    assert (code, out) == (1, "two\n"), err
+    assert err.endswith("waiting for it\n")
+    assert len(err.splitlines()) == 1
 
 
 @pytest.mark.slow
@@ -107,34 +145,6 @@ def test_changed_setup_py_installs_the_package_again_and_nothing_else(house: Pat
     assert "sma_bench itself" in err
     assert "setting up" not in err
     assert "sma_bench-1.dist-info" in installed(house)
-
-
-@pytest.mark.slow
-def test_interrupted_setup_is_done_again(tmp_path: Path) -> None:
-    house = make_house(tmp_path / "house")
-    process = start(house, "x")
-    for line in process.stderr:
-        if "packages of requirements.txt" in line:
-            break
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
-    code, out, err = bench(house, "x")
-    assert (code, out) == (1, "x\n"), err
-    assert "setting up .venv-" in err
-
-
-@pytest.mark.slow
-def test_second_of_two_at_once_waits_for_the_first(tmp_path: Path) -> None:
-    house = make_house(tmp_path / "house")
-    first = start(house, "one")
-    while not list(house.glob(".venv-*")):
-        time.sleep(0.01)
-    second = start(house, "two")
-    (out_1, err_1), (out_2, err_2) = first.communicate(), second.communicate()
-    assert (out_1, out_2) == ("one\n", "two\n")
-    assert err_1.startswith("bench: setting up .venv-")
-    assert err_2.endswith("waiting for it\n")
-    assert len(err_2.splitlines()) == 1
 
 
 @pytest.mark.slow

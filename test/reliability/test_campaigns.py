@@ -90,12 +90,9 @@ def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, tmp_pa
 
 
 @pytest.mark.slow
-def test_killed_nodes_start_again_and_memory_stays_flat(ros_domain, tmp_path):
+def test_killed_nodes_start_again(ros_domain, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from campaign.restarted_nodes import orders, restarted_nodes
-    from campaign.soak import slope
 
     assert len(set(orders())) == 36
     assert failed(restarted_nodes(1, 7, tmp_path)) == []
-    hours = np.linspace(0.0, 2.0, 100)
-    assert slope(hours, 50.0 + 3.0 * hours)[0] == pytest.approx(3.0)

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sma_bench.cli import main
-from sma_bench.commands.paper import paper_page
+from sma_bench.commands.paper_drawing import paper_page
 from sma_bench.commands.paper_records import sort_records
 from sma_bench.errors import InputError
 from sma_bench.identify.whole_model.load_frame_drive import wire_length
