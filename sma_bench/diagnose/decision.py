@@ -92,7 +92,7 @@ def decide(search: Search) -> Decision:
     base = search.recalibrated.evidence
     gains = {name: fit.evidence - base for name, fit in fits.items()}
     best = max([0.0, *gains.values()])
-    scale = SCALE + SHARE * best
+    scale = scale_of(best)
     logits = {
         name: _effect_logit(search, name, gains[name], gaps[name], scale) for name in fits
     }
@@ -110,6 +110,11 @@ def decide(search: Search) -> Decision:
         key=lambda c: (-c.probability, c.name),
     )
     return _verdict(tuple(candidates))
+
+
+def scale_of(best: float) -> float:
+    """Nats that count as one, where the best effect gains `best`."""
+    return SCALE + SHARE * best
 
 
 def _effect_fits(search: Search) -> dict[str, Fit]:

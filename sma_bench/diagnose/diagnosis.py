@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from sma_bench.diagnose.chain import Link, break_chain
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
 from sma_bench.diagnose.fit import Fit, fit
-from sma_bench.diagnose.next_experiment import ENOUGH, NextExperiment, next_experiment
+from sma_bench.diagnose.missing_term import missing_term
+from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.problem import Problem
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
@@ -142,12 +143,12 @@ def diagnose(
     return Diagnosis(
         parameters, decision, found, model, improved,
         tuple(_where(found, model, decision.verdict)),
-        stage_of(decision, found, locate(found.recalibrated.problem, _missing_term(found))),
+        stage_of(decision, found, locate(found.recalibrated.problem, missing_term(found))),
         tuple(break_chain(found.recalibrated)),
         shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
         (*seen, *unseen), tuple(fitted), tuple(unfitted),
         (*audit(parameters), *_missing([*seen, *unseen]), *_inseparable(following)),
-        following if following and following.distance >= ENOUGH else None,
+        following if following and following.settles else None,
     )
 
 
@@ -161,13 +162,14 @@ def _next(
 
 
 def _inseparable(following: NextExperiment | None) -> list[Finding]:
-    if following is None or following.distance >= ENOUGH:
+    if following is None or following.settles:
         return []
-    causes = " and ".join(following.separates)
+    causes = " or ".join(following.separates)
     text = (
-        f"no protocol within the voltage that the bench has stood tells {causes} apart: at most "
-        f"{following.distance:.1f} standard deviations ({following.protocol['name']}); another "
-        "sensor or a tighter uncertainty of the parameters would"
+        f"no protocol within the voltage that the bench has stood settles whether it is {causes}: "
+        f"they differ by {following.distance:.1f} standard deviations ({following.protocol['name']}"
+        f"), and one of them would be named with a probability of {100.0 * following.chance:.0f} % "
+        "only; another sensor or a tighter uncertainty of the parameters would help"
     )
     return [Finding("info", "next experiment", text)]
 
@@ -215,17 +217,10 @@ def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:
     belief and recalibration."""
     problem = model.problem
     if verdict == UNEXPLAINED:
-        return locate(problem, _missing_term(found))
+        return locate(problem, missing_term(found))
     if model.unknowns.effects:
         return locate(problem, contribution(model, model.unknowns.effects))
     return locate(problem, between(found.recalibrated.predicted, found.nominal.predicted))
-
-
-def _missing_term(found: Search) -> list[list[Array]]:
-    """What recalibration leaves, as far as it is a response to what the bench does."""
-    if found.flexible.gain > 0.0:
-        return found.flexible.response
-    return found.recalibrated.left
 
 
 def _split(views: Sequence[View]) -> tuple[list[View], list[View]]:

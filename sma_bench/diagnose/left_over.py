@@ -25,6 +25,7 @@ class Left:
             for all fits; 0 where the ratio is not sure.
         outlier: largest whitened residual, in standard deviations: a single event shows there.
         drift: nats, how improbable the drift is that sensors had to be credited with.
+        shows: all signals whose ratio is sure.
     """
 
     ratio: float
@@ -32,6 +33,7 @@ class Left:
     size: float
     outlier: float
     drift: float
+    shows: tuple[str, ...] = ()
 
 
 def left_over(fitted: Fit) -> Left:
@@ -51,15 +53,15 @@ def left_over(fitted: Fit) -> Left:
             spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
             ratio = float(np.log(fast / slow) / spread)
             outlier = max(found.outlier, float(np.max(np.abs(white))))
-            size = 0.0
+            size, shows = found.size, found.shows
             if ratio > _SURE:
                 # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
                 noise = problem.noise[signal.name]
                 excess = np.sqrt(1.0 - slow / fast)
-                size = excess * float(np.hypot(noise.drift, noise.white))
-                size /= signal.noise * np.sqrt(float(np.median(signal.count)))
-            if ratio > found.ratio:
-                found = Left(ratio, signal.name, max(size, found.size), outlier, drift)
-            else:
-                found = Left(found.ratio, found.signal, max(size, found.size), outlier, drift)
+                drifting = excess * float(np.hypot(noise.drift, noise.white))
+                sample = signal.noise * np.sqrt(float(np.median(signal.count)))
+                size = max(size, drifting / sample)
+                shows = tuple(dict.fromkeys((*shows, signal.name)))
+            first = max((ratio, signal.name), (found.ratio, found.signal), key=lambda r: r[0])
+            found = Left(*first, size, outlier, drift, shows)
     return found

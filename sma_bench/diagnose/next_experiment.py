@@ -1,22 +1,28 @@
 """What to measure next when several causes fit: the protocol on which they differ most.
 
-Each tied cause, with the numbers that its fit gave it, is simulated on a menu of protocols; each
-rival may refit its own parameters to what the other predicts (to first order, under what the
-records have already told of them). What is left, in the noise of the bench's own sensors, is the
-distance by which that protocol would tell the two apart (T-optimal design, Atkinson and Fedorov
-1975; Hunter and Reiner 1965).
+Each tied cause, with the numbers that its fit gave it, is taken for the truth in turn and simulated
+on a menu of protocols; each rival may refit its own numbers to that (to first order, under what the
+records have already told of them). The evidence to be expected against the rival is half the square
+of the distance that remains, in the noise of the bench's own sensors, and what the freedom that it
+had to use costs it beside the truth's (Box and Hill, Technometrics 9, 1967). Direction counts: an
+effect that is there cannot be refitted away by a model without it, one that is not there can.
+
+Evidence alone breaks no tie: noise may go against the true cause, the decision trusts evidence up
+to the misfit that any model keeps, and what nothing explains stays as probable as it was beside the
+best cause. So the protocol is the one after which, by the decision's own rule, the true cause would
+most probably be named; a long one that has some of all where no shorter one would do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any
+from itertools import permutations
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate
+from sma_bench.diagnose.decision import NAMED, NO_GAP, UNEXPLAINED, Candidate, scale_of
 from sma_bench.diagnose.fit import Fit
 from sma_bench.diagnose.problem import Problem, in_threads
 from sma_bench.diagnose.view import Binned, View
@@ -25,27 +31,49 @@ from sma_bench.protocols import parse_protocol
 
 Array = NDArray[np.float64]
 
-ENOUGH = 5.0  # standard deviations between two causes
-_MOST_CAUSES = 4
-_LEAST = 0.05  # probability of a cause worth an experiment
+WORTH = 0.5  # probability that the matter is settled: more probably than not
+_MOST_CAUSES = 6
+_LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
 _PERIOD = 0.1  # s of the simulation
 _STEP = 0.05
+_UNLUCKY = 1.28  # standard deviations of noise that one draw in ten goes beyond
+
+
+class Telling(NamedTuple):
+    """What an experiment would say against a rival of the truth: the `evidence` to be expected
+    [nats], and the `distance` of the two in standard deviations, by which noise scatters it."""
+
+    evidence: float
+    distance: float
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """A protocol that separates tied causes, by `distance` standard deviations at least."""
+    """A protocol that separates tied causes.
+
+    Attributes:
+        why: what it is for; separates: the causes; protocol: as a protocol file holds it.
+        distance: by which any two of them differ at least, the one that can less refitted to the
+            other [standard deviations].
+        chance: that one of them is true and named after it.
+    """
 
     why: str
     separates: tuple[str, ...]
     protocol: dict[str, Any]
     distance: float
+    chance: float
+
+    @property
+    def settles(self) -> bool:
+        """Whether it is worth the bench's time."""
+        return self.chance >= WORTH
 
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
         return {
             "why": self.why, "separates": list(self.separates), "protocol": self.protocol,
-            "distance": self.distance,
+            "distance": self.distance, "chance": self.chance,
         }
 
 
@@ -59,8 +87,8 @@ def next_experiment(
             the bench was driven.
 
     Returns:
-        None when fewer than two causes can be simulated; a `distance` below ENOUGH when no
-        protocol separates them.
+        None when fewer than two causes can be simulated; one that does not `settle` the matter
+        when no protocol does.
     """
     tied = [
         c for c in candidates
@@ -68,17 +96,29 @@ def next_experiment(
     ][:_MOST_CAUSES]
     if len(tied) < 2:
         return None
-    best: NextExperiment | None = None
-    for name, why, steps in _menu(_highest(views, parameters), parameters):
-        document = {"name": name, "description": why, "steps": steps}
-        problem = _planned(document, tied[0].fit.problem, views[0], parameters)  # type: ignore[union-attr]
-        distance = _smallest_distance([c.fit for c in tied if c.fit is not None], problem)
-        if best is None or distance > best.distance:
-            best = NextExperiment(why, tuple(c.name for c in tied), document, distance)
-    if best is None:
-        return None
-    words = f"{best.why}: tells them apart by {best.distance:.1f} standard deviations"
+    fits = {c.name: c.fit for c in tied if c.fit is not None}
+    menu, long = _menu(_highest(views, parameters), parameters)
+    planned = [_weighed(each, fits, candidates, views[0], parameters) for each in menu]
+    if not any(experiment.settles for experiment in planned):
+        planned.append(_weighed(long, fits, candidates, views[0], parameters))
+    best = max(planned, key=lambda experiment: (experiment.chance, experiment.distance))
+    words = (
+        f"{best.why}: tells them apart by {best.distance:.1f} standard deviations; one of them "
+        f"would be named with a probability of {100.0 * best.chance:.0f} %"
+    )
     return replace(best, why=words)
+
+
+def _weighed(
+    document: dict[str, Any], fits: Mapping[str, Fit], candidates: Sequence[Candidate],
+    like: View, parameters: Parameters,
+) -> NextExperiment:
+    """A protocol of the menu with what it would tell."""
+    known = next(iter(fits.values())).problem
+    tellings = _tellings(fits, _planned(document, known, like, parameters))
+    distance = min(max(tellings[a, b].distance, tellings[b, a].distance) for a, b in tellings)
+    chance = chance_to_settle(candidates, tellings)
+    return NextExperiment(document["description"], tuple(fits), document, distance, chance)
 
 
 def _highest(views: Sequence[View], parameters: Parameters) -> float:
@@ -87,8 +127,10 @@ def _highest(views: Sequence[View], parameters: Parameters) -> float:
     return min(seen, float(parameters["bench.maximum_voltage"]))
 
 
-def _menu(volts: float, parameters: Parameters) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Name, reason and steps of protocols, each within the voltage that the bench has stood."""
+def _menu(
+    volts: float, parameters: Parameters
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Protocols within the voltage that the bench has stood, and one of a quarter of an hour."""
     sides = list(dict.fromkeys(parameters["bench.channel_sides"]))
     one = sides[0]
     other = sides[-1]
@@ -105,27 +147,44 @@ def _menu(volts: float, parameters: Parameters) -> list[tuple[str, str, list[dic
         return {"kind": "triangle", "drive": side, "peak": round(share * level, 3),
                 "rise": seconds, "fall": seconds}
 
+    def protocol(name: str, why: str, *steps: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        joined = [rest(5.0), *(part for group in steps for part in group)]
+        return {"name": name, "description": why, "steps": joined}
+
     each = (one, other) if one != other else (one,)
-    return [
-        ("long_rests", "full strokes with rests of a minute, for what is slow or stays",
-         [rest(5.0), *(s for side in each for s in (step(side, 1.0, 15.0), rest(60.0)))] * 2),
-        ("slow_triangles", "slow full strokes, for what depends on temperature and not on time",
-         [rest(5.0), *(s for side in each for s in (triangle(side, 1.0, 45.0), rest(30.0)))]),
-        ("prewarmed", "the passive side is warmed first, for what one side does to the other",
-         [rest(5.0), step(other, 0.5, 60.0), triangle(one, 1.0, 12.0), rest(20.0),
-          step(one, 0.5, 60.0), triangle(other, 1.0, 12.0), rest(40.0)]),
-        ("partial_loops", "strokes of growing height, for what depends on how far one goes",
-         [rest(5.0), *(s for side in each for share in (0.7, 0.8, 0.9, 1.0)
-                       for s in (triangle(side, share, 10.0), rest(10.0)))]),
-        ("many_cycles", "many equal strokes, for what changes from cycle to cycle",
-         [rest(5.0), *(s for _ in range(8) for side in each
-                       for s in (triangle(side, 1.0, 8.0), rest(8.0)))]),
-        ("staircase", "steps up and down, each held, for what is slow under load",
-         [rest(5.0), *(s for side in each for share in (0.5, 0.7, 0.85, 1.0, 0.85, 0.7, 0.5)
-                       for s in (step(side, share, 15.0),)), rest(40.0)]),
-        ("one_side", "one side only, again and again, for what the other side has to do with it",
-         [rest(5.0), *(s for _ in range(5) for s in (triangle(one, 1.0, 12.0), rest(20.0)))]),
+    long_rests = [s for side in each for s in (step(side, 1.0, 15.0), rest(60.0))]
+    slow = [s for side in each for s in (triangle(side, 1.0, 45.0), rest(30.0))]
+    prewarmed = [
+        step(other, 0.5, 60.0), triangle(one, 1.0, 12.0), rest(20.0),
+        step(one, 0.5, 60.0), triangle(other, 1.0, 12.0), rest(40.0),
     ]
+    growing = [s for side in each for share in (0.7, 0.8, 0.9, 1.0)
+               for s in (triangle(side, share, 10.0), rest(10.0))]
+    cycles = [s for _ in range(8) for side in each for s in (triangle(side, 1.0, 8.0), rest(8.0))]
+    stairs = [step(side, share, 15.0) for side in each
+              for share in (0.5, 0.7, 0.85, 1.0, 0.85, 0.7, 0.5)]
+    again = [s for _ in range(5) for s in (triangle(one, 1.0, 12.0), rest(20.0))]
+    return [
+        protocol("long_rests", "full strokes with rests of a minute, for what is slow or stays",
+                 long_rests, [rest(5.0)], long_rests),
+        protocol("slow_triangles",
+                 "slow full strokes, for what depends on temperature and not on time", slow),
+        protocol("prewarmed",
+                 "the passive side is warmed first, for what one side does to the other",
+                 prewarmed),
+        protocol("partial_loops",
+                 "strokes of growing height, for what depends on how far one goes", growing),
+        protocol("many_cycles", "many equal strokes, for what changes from cycle to cycle",
+                 cycles),
+        protocol("staircase", "steps up and down, each held, for what is slow under load",
+                 stairs, [rest(40.0)]),
+        protocol("one_side",
+                 "one side only, again and again, for what the other side has to do with it",
+                 again),
+    ], protocol(
+        "some_of_all", "slow and fast strokes, held and partial ones, for what no short record "
+        "tells", slow, prewarmed, stairs, [rest(40.0)], long_rests,
+    )
 
 
 def _planned(
@@ -136,8 +195,10 @@ def _planned(
     time, voltage = protocol.sample(_PERIOD)
     signals = tuple(_expected(signal, time, voltage) for signal in like.signals)
     view = replace(like, grid=time, voltage=voltage, signals=signals, path=document["name"])
-    none = tuple(np.full((len(s.time), 1), s.zero_std) for s in signals)
-    return Problem((view,), known.noise, (none,))
+    zeros = np.diag([s.zero_std for s in signals])  # of each sensor for itself
+    return Problem((view,), known.noise, (
+        tuple(np.tile(own, (len(s.time), 1)) for s, own in zip(signals, zeros, strict=True)),
+    ))
 
 
 def _expected(signal: Binned, time: Array, voltage: Array) -> Binned:
@@ -157,16 +218,48 @@ def _expected(signal: Binned, time: Array, voltage: Array) -> Binned:
     )
 
 
-def _smallest_distance(fits: Sequence[Fit], problem: Problem) -> float:
-    """Smallest distance of any two causes, the better of the two refitted to the other."""
-    predicted = [problem.predict(f.parameters) for f in fits]
-    whitened = [problem.stack(p) for p in predicted]
-    spaces = [_refit_space(f, problem, p) for f, p in zip(fits, predicted, strict=True)]
-    distances: list[float] = [
-        _left(whitened[a] - whitened[b], spaces[k])
-        for a, b in combinations(range(len(fits)), 2) for k in (a, b)
-    ]
-    return min(distances)
+def _tellings(fits: Mapping[str, Fit], problem: Problem) -> dict[tuple[str, str], Telling]:
+    """Of every (truth, rival)."""
+    predicted = {name: problem.predict(f.parameters) for name, f in fits.items()}
+    whitened = {name: problem.stack(p) for name, p in predicted.items()}
+    spaces = {name: _refit_space(f, problem, predicted[name]) for name, f in fits.items()}
+    freedom = {name: _freedom(space) for name, space in spaces.items()}
+    tellings = {}
+    for truth, rival in permutations(fits, 2):
+        distance = _left(whitened[truth] - whitened[rival], spaces[rival])
+        evidence = 0.5 * (distance**2 + freedom[rival] - freedom[truth])
+        tellings[truth, rival] = Telling(evidence, distance)
+    return tellings
+
+
+def chance_to_settle(
+    candidates: Sequence[Candidate], tellings: Mapping[tuple[str, str], Telling]
+) -> float:
+    """Probability that one of the tied causes is true and would be named after an experiment.
+
+    Args:
+        candidates: as decided now.
+        tellings: by (truth, rival) of all tied causes; others would stay as probable as they are.
+    """
+    tied = {truth for truth, _ in tellings}
+    simulated = [c for c in candidates if c.name != UNEXPLAINED]
+    most = max(c.probability for c in simulated)
+    unexplained = 1.0 - sum(c.probability for c in simulated)
+    gain = max(0.0, *(c.gain for c in simulated))
+    settled = 0.0
+    for truth in simulated:
+        if truth.name not in tied:
+            continue
+        against = truth.probability * unexplained / most
+        for rival in simulated:
+            if rival is not truth:
+                telling = tellings.get((truth.name, rival.name), Telling(0.0, 0.0))
+                nats = telling.evidence - _UNLUCKY * telling.distance
+                scale = scale_of(gain + max(nats, 0.0))
+                against += rival.probability * float(np.exp(-nats / scale))
+        if truth.probability / (truth.probability + against) >= NAMED:
+            settled += truth.probability
+    return settled
 
 
 def _refit_space(fitted: Fit, problem: Problem, predicted: list[list[Array]]) -> Array:
@@ -197,3 +290,8 @@ def _left(difference: Array, space: Array) -> float:
     seen = space.T @ difference
     left = float(difference @ difference) - float(seen @ np.linalg.solve(normal, seen))
     return float(np.sqrt(max(left, 0.0)))
+
+
+def _freedom(space: Array) -> float:
+    """Log of how much of what was possible before an experiment is so no more after it."""
+    return float(np.linalg.slogdet(space.T @ space + np.eye(space.shape[1]))[1])

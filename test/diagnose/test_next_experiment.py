@@ -3,7 +3,7 @@
 import pytest
 from planted import believed, few_effects, planted_record
 
-from sma_bench.diagnose import diagnose, diagnosis, next_experiment
+from sma_bench.diagnose import diagnose, next_experiment
 from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
@@ -29,15 +29,15 @@ def test_the_proposed_experiment_breaks_the_tie_when_it_is_run(short_record, tmp
     assert tied.decision.verdict == "ambiguous"
     proposed = tied.next_experiment
     assert {"recalibration", "ambient_drift"} <= set(proposed.separates)
-    assert proposed.distance >= next_experiment.ENOUGH
+    assert proposed.chance >= next_experiment.WORTH
     protocol = parse_protocol(proposed.protocol, believed())
     longer = planted_record(tmp_path / "bag", WARMING, protocol=protocol, seed=3, **ONLY)
     assert diagnosed([short_record, longer]).decision.cause == ("ambient_drift",)
 
 
 def test_a_protocol_that_separates_nothing_is_not_proposed(short_record, monkeypatch):
-    monkeypatch.setattr(diagnosis, "ENOUGH", 1e9)
+    monkeypatch.setattr(next_experiment, "_UNLUCKY", 50.0)
     tied = diagnosed([short_record])
     assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
-    assert "recalibration and ambient_drift apart" in remark and "another sensor" in remark
+    assert "recalibration or ambient_drift" in remark and "another sensor" in remark

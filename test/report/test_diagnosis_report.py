@@ -167,7 +167,7 @@ def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
 def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
     assert next_experiment_picture(planted_diagnosis, believed()) is None
     proposed = NextExperiment(
-        "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 9.0
+        "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 9.0, 0.8
     )
     result = replace(planted_diagnosis, next_experiment=proposed)
     assert what_next(result) == ["A long rest separates them."]
