@@ -98,7 +98,7 @@ def read_answer(path: str | Path) -> Answer:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not JSON: {str(error).splitlines()[0]}") from None
     return checked_answer(document, str(path))
 

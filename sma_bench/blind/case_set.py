@@ -56,7 +56,7 @@ def read_case_set(root: str | Path) -> CaseSet:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except (UnicodeDecodeError, json.JSONDecodeError):
+    except (ValueError, RecursionError):
         raise InputError(f"{path}: not JSON") from None
     try:
         names = tuple(_name(entry) for entry in document["cases"])

@@ -165,7 +165,7 @@ def _collected(desk: Path) -> tuple[Any, str | None]:
         result = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError("no result was written") from None
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"result is not JSON: {str(error).splitlines()[0]}") from None
     answer = checked_answer(result, "result")
     improved = desk / _IMPROVED

@@ -138,7 +138,7 @@ def _read(path: Path) -> dict[str, Any]:
         document = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file: run sma-bench blind run first") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+    except (OSError, ValueError, RecursionError):
         raise InputError(f"{path}: damaged") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: damaged")

@@ -76,5 +76,5 @@ def _parsed(answer: str) -> Any:
     """Results are JSON themselves."""
     try:
         return json.loads(answer)
-    except json.JSONDecodeError:
+    except ValueError:
         return answer

@@ -21,9 +21,10 @@ from sma_bench.records.text_table import head_of
 
 SegmentKind = Literal["heating", "cooling", "isothermal"]
 
-_TITLE = re.compile(r"^(\d+)\) DSC (Isothermal|Temperature Scan)\s*$")
+_TITLE = re.compile(r"^(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
 _STEP = re.compile(
-    r"^(\d+)\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at (?P<rate>[\d.]+)\s*\S?C/min)\s*$"
+    r"^(\d{1,9})\)\s+"
+    r"(?:Hold for .*|(?P<way>Heat|Cool) from .* at (?P<rate>[\d.]++)\s*+\S?C/min)\s*$"
 )
 _COLUMNS = 6
 _HEADING_WORDS = ("Time", "Heat Flow")
@@ -122,7 +123,7 @@ def read_dsc(path: str | Path) -> DscRecord:
     segments, findings = _read_segments(path, lines, first, steps)
     announced = header.get("Total Points in Run", "")
     points = sum(len(segment.time) for segment in segments)
-    if announced.isdecimal() and int(announced) != points:
+    if re.fullmatch(r"\d{1,9}", announced) and int(announced) != points:
         text = f"{points} points, the header announces {announced}; the file may be cut short"
         findings.append(Finding("warning", path.name, text, {"points": points}))
     return DscRecord(path, mass, header, segments, tuple(findings))

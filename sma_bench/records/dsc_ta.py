@@ -17,15 +17,20 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.dsc import DscRecord, DscSegment, SegmentKind
-from sma_bench.records.text_table import FloatArray, head_of, plain_unit, read_lines
+from sma_bench.records.text_table import (
+    FloatArray,
+    head_of,
+    name_and_unit,
+    plain_unit,
+    read_lines,
+)
 
 _START = "StartOfData"
 _STEP = "[step]"
 _MASS_KEYS = ("Size", "Sample Mass")
 _EXOTHERM_KEYS = ("Exotherm", "Exotherm Direction")
-_SIGNAL = re.compile(r"Sig(\d+)\Z")
-_COLUMN = re.compile(r"(?P<name>.*?)\s*\((?P<unit>[^()]*)\)\s*\Z")
-_RAMP = re.compile(r"Ramp\s+([\d.]+)\s*\S*C/min", re.IGNORECASE)
+_SIGNAL = re.compile(r"Sig(\d{1,9})\Z")
+_RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
 _WINDOW = 20.0  # s over which a rate is measured
 _SHORTEST = 60.0  # s
 _STILL = 0.3  # of the slowest ramp
@@ -127,9 +132,9 @@ def _universal_header(
     for line in above:
         key, _, value = line.partition("\t")
         number = _SIGNAL.match(key)
-        column = _COLUMN.match(value.strip())
+        column = name_and_unit(value)
         if number and column:
-            signals[int(number[1])] = (column["name"], column["unit"])
+            signals[int(number[1])] = column
         ramp = _RAMP.search(value) if key == "OrgMethod" else None
         if ramp:
             ramps.append(float(ramp[1]))

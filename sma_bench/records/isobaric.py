@@ -32,7 +32,7 @@ LARGEST_SPAN = 0.12
 STRONGEST = 1.5e9
 CONSTANCY = 0.05
 RELATIVE: Literal["relative"] = "relative"
-_UNIT_LINE = re.compile(r"\s*(stress|strain|temperature)\s*[=:]\s*(\S.*?)\s*\Z", re.IGNORECASE)
+_UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
 _TEMPERATURE = ("specimen temp", "temperature", "temp")
 _STRAIN = ("strain", "extension", "elongation", "crosshead")
 _NOTES = ("source", "unit", "readme")

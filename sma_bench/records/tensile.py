@@ -25,7 +25,7 @@ STEADY = 3.0  # K
 _EXTENSION = ("extension", "elongation", "displacement", "crosshead", "position")
 _FORCE = ("force", "load")
 _TEMPERATURE = re.compile(
-    r"temperature[^0-9+-]*(?P<value>[+-]?\d+(?:\.\d+)?)\s*°?\s*(?:deg)?\s*(?P<unit>[CK])\b",
+    r"temperature[^0-9+-]*+(?P<value>[+-]?\d++(?:\.\d++)?+)\s*+°?\s*+(?:deg)?\s*+(?P<unit>[CK])\b",
     re.IGNORECASE,
 )
 

@@ -23,8 +23,10 @@ _CANDIDATES: tuple[tuple[str | None, str], ...] = (
     ("\t", ","),
     (None, ","),
 )  # separator (None: blanks) and decimal sign
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\Z|[+-]?(nan|inf)\Z", re.IGNORECASE)
-_TITLE = re.compile(r"(?P<name>.*?)[\s,_]*[\(\[](?P<unit>[^\)\]]*)[\)\]]\s*\Z")
+# Possessive: thousands of digits that end in a letter would be tried again at each of them.
+_NUMBER = re.compile(
+    r"[+-]?(\d++\.?+\d*+|\.\d++)([eE][+-]?\d++)?\Z|[+-]?(nan|inf)\Z", re.IGNORECASE
+)
 
 # unit as written, without case, degree signs and carets -> factor to SI
 UNITS: dict[str, dict[str, float]] = {
@@ -198,10 +200,22 @@ def plain_unit(unit: str) -> str:
     return re.sub(r"[°º^\s]", "", plain)
 
 
+def name_and_unit(title: str) -> tuple[str, str] | None:
+    """`Stress, true (MPa)` or `... [MPa]` in its parts; None where no brackets end it."""
+    text = title.strip()
+    if not text.endswith((")", "]")):
+        return None
+    inner = text[:-1]
+    before = max(inner.rfind(")"), inner.rfind("]")) + 1
+    opening = re.compile(r"[(\[]").search(inner, before)
+    if opening is None:
+        return None
+    return inner[: opening.start()].rstrip(" \t,_"), inner[opening.end() :].strip()
+
+
 def _column(index: int, title: str) -> Column:
-    match = _TITLE.match(title)
-    if match:
-        return Column(index, match["name"].strip(), match["unit"].strip())
+    if parts := name_and_unit(title):
+        return Column(index, *parts)
     name, _, unit = title.partition("/")
     if unit:
         return Column(index, name.strip(), unit.strip())

@@ -96,3 +96,12 @@ def test_killed_nodes_start_again(ros_domain, tmp_path):
 
     assert len(set(orders())) == 36
     assert failed(restarted_nodes(1, 7, tmp_path)) == []
+
+
+@pytest.mark.parametrize("parser", parsers(), ids=lambda parser: parser.name)
+def test_long_runs_of_one_sign_take_no_longer_than_their_length(parser, tmp_path):
+    runs = (b"9" * 20_000 + b"x", b"x" + b" " * 20_000 + b"x", b"_" * 20_000, b"temperature" * 2000)
+    for run in runs:
+        for place in (0.02, 0.3, 0.8):
+            content = edited(parser.seed, [("insert", place, 1, run)])
+            assert try_input(parser, content, tmp_path) == "", (run[:12], place)
