@@ -37,6 +37,7 @@ _LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
 _PERIOD = 0.1  # s of the simulation
 _STEP = 0.05
 _UNLUCKY = 1.28  # standard deviations of noise that one draw in ten goes beyond
+_VISIBLE = 3.0  # standard deviations
 
 
 class Telling(NamedTuple):
@@ -193,7 +194,7 @@ def _planned(
     """The bench on a protocol that it has not run: the same sensors at the same rates."""
     protocol = parse_protocol(document, parameters, "next experiment")
     time, voltage = protocol.sample(_PERIOD)
-    signals = tuple(_expected(signal, time, voltage) for signal in like.signals)
+    signals = tuple(_planned_signal(signal, time, voltage) for signal in like.signals)
     view = replace(like, grid=time, voltage=voltage, signals=signals, path=document["name"])
     zeros = np.diag([s.zero_std for s in signals])  # of each sensor for itself
     return Problem((view,), known.noise, (
@@ -201,7 +202,7 @@ def _planned(
     ))
 
 
-def _expected(signal: Binned, time: Array, voltage: Array) -> Binned:
+def _planned_signal(signal: Binned, time: Array, voltage: Array) -> Binned:
     stride = max(1, round(signal.period / _PERIOD))
     rows = np.arange(len(time) // stride)
     entries = np.repeat(1.0 / stride, len(rows) * stride)
@@ -253,13 +254,26 @@ def chance_to_settle(
         against = truth.probability * unexplained / most
         for rival in simulated:
             if rival is not truth:
-                telling = tellings.get((truth.name, rival.name), Telling(0.0, 0.0))
-                nats = telling.evidence - _UNLUCKY * telling.distance
+                nats = _expected(tellings, truth.name, rival.name)
                 scale = scale_of(gain + max(nats, 0.0))
                 against += rival.probability * float(np.exp(-nats / scale))
         if truth.probability / (truth.probability + against) >= NAMED:
             settled += truth.probability
     return settled
+
+
+def _expected(tellings: Mapping[tuple[str, str], Telling], truth: str, rival: str) -> float:
+    """Nats to be expected against a rival of the truth, unlucky noise taken off.
+
+    An effect that is not there is told by not being seen, which takes an experiment that would show
+    it; without that its freedom alone speaks against it, and that settles nothing.
+    """
+    if (truth, rival) not in tellings:
+        return 0.0
+    told = tellings[truth, rival]
+    nats = told.evidence - _UNLUCKY * told.distance
+    visible = max(told.distance, tellings[rival, truth].distance) >= _VISIBLE
+    return nats if visible else min(nats, 0.0)
 
 
 def _refit_space(fitted: Fit, problem: Problem, predicted: list[list[Array]]) -> Array:

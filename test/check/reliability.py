@@ -2,7 +2,7 @@
 
 Bags damaged at random places, recorders killed, full disks, leaping clocks, foreign traffic, nodes
 killed and started again in all orders, hours of a bench in virtual time, parsers fed with anything.
-Each line says what was tried how often, what came of it and what is allowed. A quarter of an hour
+Each line says what was tried how often, what came of it and what is allowed. Some forty minutes
 on two free cores; sizes by option, the same seed damages the same places.
 
     ./bench check reliability [SECTION ...] [--scale 0.1] [--json reliability.json]

@@ -69,6 +69,17 @@ def test_an_effect_that_is_not_there_is_refitted_away_and_stays_possible():
     assert chance_to_settle(candidates, costly) == pytest.approx(0.85)
 
 
+def test_freedom_alone_settles_nothing_where_neither_would_be_seen():
+    candidates = tied(recalibration=0.57, slack=0.35)
+    blind = {
+        ("recalibration", "slack"): Telling(8.0, 0.02),
+        ("slack", "recalibration"): Telling(0.1, 0.1),
+    }
+    assert chance_to_settle(candidates, blind) == 0.0
+    seeing = blind | {("slack", "recalibration"): Telling(30.0, 8.0)}
+    assert chance_to_settle(candidates, seeing) == pytest.approx(0.92)
+
+
 @pytest.mark.parametrize("chance, settles", [(0.9, True), (WORTH, True), (0.3, False)])
 def test_only_what_settles_the_matter_is_worth_the_bench_s_time(chance, settles):
     assert NextExperiment("", BOTH, {}, 8.0, chance).settles is settles
