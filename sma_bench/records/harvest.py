@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sma_bench.findings import Finding
 from sma_bench.records.record import IntArray
@@ -33,6 +34,29 @@ class RawTopic:
         """Add messages whose bytes lie one after the other."""
         self._end_run()
         self._runs.append((times, lengths, joined))
+
+    def add_found(
+        self, number: int, raw: NDArray[np.uint8], starts: IntArray, stops: IntArray,
+        topics: IntArray, times: IntArray,
+    ) -> int:
+        """Add those of the messages found in `raw` that are of topic `number`, by compiled code.
+
+        Args:
+            starts, stops: (n,) offsets of each message's data; topics, times [ns]: (n,).
+
+        Returns:
+            How many they are; those of a topic that is not wanted are only counted.
+        """
+        from sma_bench.records.by_topic import measure_topic, take_topic
+
+        rows, size = measure_topic(number, starts, stops, topics)
+        self.count += rows
+        if rows and self.wanted:
+            taken, lengths = np.empty((2, rows), dtype=np.int64)
+            joined = np.empty(size, dtype=np.uint8)
+            take_topic(raw, number, starts, stops, topics, times, taken, lengths, joined)
+            self.add_run(taken, lengths, joined.data)
+        return int(rows)
 
     def taken(self) -> tuple[IntArray, IntArray, bytes]:
         """Receive times (n,) [ns], lengths (n,) and all bytes, joined; the topic is empty then."""

@@ -93,7 +93,6 @@ class _Scan:
 
         None is taken where something is odd about the first.
         """
-        from sma_bench.records.by_topic import measure_topic, take_topic
         from sma_bench.records.mcap_messages import find_messages
 
         # A copy of the file's own bytes: a map that arrays look into cannot be closed.
@@ -103,16 +102,10 @@ class _Scan:
             self.found = np.empty((4, _WINDOW // _LEAST_MESSAGE), dtype=np.int64)
         count, passed = find_messages(raw, 0, len(raw), *self.found)
         starts, stops, channels, times = self.found[:, :count]
-        known = 0
-        for channel, topic in self.channels.items():
-            rows, size = measure_topic(channel, starts, stops, channels)
-            known += rows
-            topic.count += rows
-            if rows and topic.wanted:
-                taken, lengths = np.empty((2, rows), dtype=np.int64)
-                joined = np.empty(size, dtype=np.uint8)
-                take_topic(raw, channel, starts, stops, channels, times, taken, lengths, joined)
-                topic.add_run(taken, lengths, joined.data)
+        known = sum(
+            topic.add_found(channel, raw, starts, stops, channels, times)
+            for channel, topic in self.channels.items()
+        )
         self.orphans += count - known
         return position + passed
 

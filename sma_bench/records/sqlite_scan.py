@@ -68,7 +68,7 @@ def _scan_copy(path: Path, size: int, harvest: Harvest) -> None:
             beside = path.with_name(path.name + suffix)
             if beside.exists():
                 shutil.copyfile(beside, copy.with_name(copy.name + suffix))
-        _scan(copy.as_uri(), path.name, size, harvest)
+        _scan(copy.as_uri(), path.name, copy.stat().st_size, harvest)
 
 
 def _size(path: Path) -> int:
@@ -129,19 +129,10 @@ def _take_rows(rows: list[_Row], wanted: dict[int, RawTopic]) -> None:
 
 
 def _take_joined(batch: "_Joined", wanted: dict[int, RawTopic]) -> None:
-    from sma_bench.records.by_topic import measure_topic, take_topic
-
     raw = np.frombuffer(batch.data, dtype=np.uint8)
     stops = np.cumsum(batch.lengths)
-    found = stops - batch.lengths, stops, batch.topics
     for number, topic in wanted.items():
-        rows, size = measure_topic(number, *found)
-        if rows:
-            times, lengths = np.empty((2, rows), dtype=np.int64)
-            joined = np.empty(size, dtype=np.uint8)
-            take_topic(raw, number, *found, batch.times, times, lengths, joined)
-            topic.count += rows
-            topic.add_run(times, lengths, joined.data)
+        topic.add_found(number, raw, stops - batch.lengths, stops, batch.topics, batch.times)
 
 
 def _count_others(database: sqlite3.Connection, topics: dict[int, RawTopic]) -> None:

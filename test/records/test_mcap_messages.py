@@ -4,6 +4,7 @@ import random
 
 import numpy as np
 import pytest
+from harvested import everything_in
 from rosbags.rosbag2.enums import CompressionMode
 
 from sma_bench.records import mcap_scan
@@ -16,11 +17,7 @@ def scanned(path, compiled, monkeypatch, wanted=lambda name, msgtype: True):
     monkeypatch.setattr(mcap_scan, "is_compiled", lambda size: compiled)
     harvest = Harvest(wanted)
     scan_mcap(path, harvest)
-    topics = {}
-    for key, topic in harvest.topics.items():
-        times, lengths, joined = topic.taken()
-        topics[key] = topic.count, times.tolist(), lengths.tolist(), joined
-    return topics, harvest.findings
+    return everything_in(harvest)
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import random
 import sqlite3
 
 import pytest
+from harvested import everything_in
 
 from sma_bench.records import sqlite_scan
 from sma_bench.records.harvest import Harvest
@@ -15,11 +16,7 @@ def scanned(path, joined, monkeypatch):
     monkeypatch.setattr(sqlite_scan, "is_compiled", lambda size: joined)
     harvest = Harvest(lambda name, msgtype: "temperature" not in name)
     scan_sqlite(path, harvest)
-    topics = {}
-    for key, topic in harvest.topics.items():
-        times, lengths, data = topic.taken()
-        topics[key] = topic.count, times.tolist(), lengths.tolist(), data
-    return topics, harvest.findings
+    return everything_in(harvest)
 
 
 def batches_of_joined_rows(monkeypatch):
