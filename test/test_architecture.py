@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "sma_bench"
-LONGEST_FILE = 350
+LONGEST_FILE = 600
 
 # Every room (folder or file of the package) and the rooms that it may import.
 LEAVES = {"errors", "findings", "compiled", "progress", "lifeline", "worker_pool"}
@@ -177,7 +177,7 @@ BAD_TREES = {
     ),
     "room without a line in the table": ({"attic/box.py": ""}, "not in the table"),
     "utils": ({"physics/utils.py": ""}, "named after what it holds"),
-    "long file": ({"physics/long.py": "x = 1\n" * 351}, "351 lines"),
+    "long file": ({"physics/long.py": "x = 1\n" * 601}, "601 lines"),
 }
 
 
