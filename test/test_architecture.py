@@ -15,9 +15,10 @@ PACKAGE = "sma_bench"
 LONGEST_FILE = 600
 
 # Every room (folder or file of the package) and the rooms that it may import.
-LEAVES = {"errors", "findings", "compiled", "progress", "lifeline", "worker_pool"}
+LEAVES = {"errors", "border", "findings", "compiled", "progress", "lifeline", "worker_pool"}
 ARROWS = {
     "errors": set(),
+    "border": {"errors"},
     "findings": set(),
     "compiled": set(),
     "progress": set(),

@@ -3,12 +3,11 @@
 import argparse
 from typing import Any
 
-import yaml
-
+from sma_bench.border import load_yaml
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import node_groups
-from sma_bench.parameters.yaml_file import load_yaml, split_names
+from sma_bench.parameters.yaml_file import split_names
 
 
 def add_parameter_options(parser: argparse.ArgumentParser) -> None:
@@ -46,5 +45,5 @@ def named_value(text: str) -> tuple[str, Any]:
         raise InputError(f"--set {text}: expected NAME=VALUE")
     try:
         return name.strip(), load_yaml(value)
-    except yaml.YAMLError:
+    except InputError:
         raise InputError(f"--set {text}: {value!r} is not a value") from None

@@ -9,14 +9,13 @@ import logging
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from yaml import YAMLError
-
+from sma_bench.border import load_yaml
 from sma_bench.errors import InputError
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.parameters.yaml_file import flatten, load_yaml, read_parameter_names, split_names
+from sma_bench.parameters.yaml_file import flatten, read_parameter_names, split_names
 
 _CONTRACT_GROUPS = frozenset(name.split(".")[0] for name in BY_NAME) | {"uncertainty"}
 _ROS_GROUPS = frozenset({"use_sim_time", "qos_overrides", "start_type_description_service"})
@@ -97,8 +96,8 @@ def _assignment(text: str) -> dict[str, Any]:
         raise InputError(f"-p {text}: expected name:=value")
     try:
         return flatten({name.split(":")[-1]: load_yaml(value)})
-    except YAMLError:
-        raise InputError(f"-p {text}: the value is not YAML") from None
+    except InputError as error:
+        raise InputError(f"-p {text:.80}: {error}") from None
 
 
 def _contract_values(node: str, values: dict[str, Any], where: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sma_bench.border import read_yaml
 from sma_bench.errors import InputError
 from sma_bench.nodes.bench_plan import (
     OPEN_TO_NETWORK,
@@ -20,7 +21,6 @@ from sma_bench.nodes.bench_plan import (
     switch,
 )
 from sma_bench.nodes.bench_plan import robot_description as description_of
-from sma_bench.parameters.yaml_file import read_document
 from sma_bench.records import read_record
 from sma_bench.records.contract import choose_topics
 from sma_bench.share import share_directory
@@ -107,7 +107,7 @@ def _counts(bag: str) -> dict[tuple[str, str], int]:
     metadata = Path(bag) / "metadata.yaml"
     if not metadata.is_file():
         return {(name, t.type): t.count for name, t in read_record(bag).topics.items()}
-    document: Any = read_document(metadata, aliases=True)  # rosbags writes some
+    document: Any = read_yaml(metadata, aliases=True)  # rosbags writes some
     try:
         entries = document["rosbag2_bagfile_information"]["topics_with_message_count"]
         counts: dict[tuple[str, str], int] = {}

@@ -1,14 +1,12 @@
 """ROS 2 parameter files, in and out."""
 
-import os
-import re
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from sma_bench.border import printable, read_yaml, write_files
 from sma_bench.errors import InputError
 from sma_bench.parameters.effect_table import EFFECT_PREFIX
 from sma_bench.parameters.parameter import Value
@@ -16,59 +14,6 @@ from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
 from sma_bench.parameters.table import TABLE
 
 WILDCARD = "/**"
-
-
-class _NumberLoader(yaml.SafeLoader):
-    """Safe loader that reads 1e-4 as the number it is to ROS (YAML 1.1 wants 1.0e-4)."""
-
-
-_NumberLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z"),
-    list("-+0123456789."),
-)
-
-
-class _RosLoader(_NumberLoader):
-    """Takes no aliases, like ROS's own: a kilobyte of them can stand for gigabytes."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not taken", mark)
-        return super().compose_node(parent, index)
-
-
-def load_yaml(text: str, aliases: bool = False) -> Any:
-    """Parse YAML as ROS does; raises yaml.YAMLError.
-
-    With `aliases`, what is loaded may hold one thing many times: ask for types before anything
-    walks through it.
-    """
-    loader = _NumberLoader(text) if aliases else _RosLoader(text)
-    try:
-        return loader.get_single_data()
-    finally:
-        loader.dispose()
-
-
-def read_document(path: str | Path, aliases: bool = False) -> Any:
-    """What a YAML file holds; of `aliases` see `load_yaml`.
-
-    Raises:
-        InputError: unreadable or not YAML, in one line.
-    """
-    try:
-        return load_yaml(Path(path).read_text(encoding="utf-8"), aliases)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise InputError(f"{path}:{line} not YAML: {problem}") from None
 
 
 def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str, Any]:
@@ -173,7 +118,7 @@ def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str
 
 
 def _write_body(path: str | Path, body: dict[str, Any], comment: str) -> None:
-    text = "".join(f"# {line}\n" for line in comment.splitlines())
+    text = "".join(f"# {printable(line)}\n" for line in comment.splitlines())
     text += yaml.safe_dump({WILDCARD: {"ros__parameters": body}}, sort_keys=False)
     write_text_atomically(path, text)
 
@@ -183,24 +128,14 @@ def _worth_writing(parameters: Parameters) -> Iterable[str]:
 
 
 def write_text_atomically(path: str | Path, text: str) -> None:
-    """Write beside the target and rename, so that a good file is never partly overwritten.
+    """Write a file whole or not at all; one that is replaced keeps its mode, a link stays one.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    path = Path(path)
-    temporary: str | None = None
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+        write_files({Path(path): text.encode("utf-8", "backslashreplace")})
     except OSError as error:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
         raise InputError(f"{path}: cannot write: {error.strerror}") from None
 
 
@@ -217,7 +152,7 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _load(path: str | Path) -> dict[str, Any]:
-    document = read_document(path)
+    document = read_yaml(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a ROS parameter file ('{WILDCARD}: ros__parameters:')")
     return document

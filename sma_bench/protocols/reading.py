@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sma_bench.border import read_yaml
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.yaml_file import read_document
 from sma_bench.protocols.protocol import Protocol, Segment
 from sma_bench.protocols.steps import KINDS, Line, Scale, StepKind
 from sma_bench.share import share_directory
@@ -75,7 +75,7 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters) -> Protocol:
             the line names file and step.
     """
     path = locate(name_or_path, VOLTAGE)
-    return parse_protocol(read_document(path), parameters, where=str(path), name=path.stem)
+    return parse_protocol(read_yaml(path), parameters, where=str(path), name=path.stem)
 
 
 def parse_protocol(

@@ -13,9 +13,9 @@ go is not known here: controllers refuse what it cannot reach.
 from pathlib import Path
 from typing import Any
 
+from sma_bench.border import read_yaml
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.yaml_file import read_document
 from sma_bench.protocols.protocol import Protocol
 from sma_bench.protocols.reading import (
     PROTOCOL_KEYS,
@@ -66,7 +66,7 @@ def load_reference(
         InputError: as load_protocol, or another unit.
     """
     path = locate(name_or_path, quantity)
-    return parse_reference(read_document(path), parameters, quantity, str(path), path.stem)
+    return parse_reference(read_yaml(path), parameters, quantity, str(path), path.stem)
 
 
 def parse_reference(

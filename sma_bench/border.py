@@ -1,0 +1,385 @@
+"""The border: what comes from outside is bounded here in bytes, depth and time before it is used.
+
+Files, topics and storage of bags may have been made to harm. Whoever reads them takes them from
+here, or spends a Budget while unfolding them; what is over ends in one line. Names from outside go
+out again as `printable` text, and files are replaced whole, by `write_files`.
+"""
+
+import json
+import math
+import os
+import re
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sma_bench.errors import InputError
+
+MEGABYTE = 1 << 20
+LARGEST_YAML = MEGABYTE
+LARGEST_TOPIC = MEGABYTE  # of JSON in one message
+DEEPEST = 64
+YAML_SECONDS = 5.0
+_LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
+_SURROGATE = re.compile(r"[\ud800-\udfff]")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_MERGE, _VALUE = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:value"
+
+
+class OverBudget(InputError):
+    """An input that asks for more than its kind may."""
+
+
+class Budget:
+    """What one input may take while it is unfolded: bytes, and seconds of this thread's CPU time
+    (a busy machine is no fault of the input)."""
+
+    def __init__(self, size: int, seconds: float) -> None:
+        self.left = self.size = size
+        self.seconds = seconds
+        self._until = time.thread_time() + seconds
+
+    def take(self, size: int) -> None:
+        """Spend bytes.
+
+        Raises:
+            OverBudget: there are not so many left, or the time is over.
+        """
+        self.left -= size
+        if self.left < 0:
+            raise OverBudget(f"unfolds to more than {self.size / MEGABYTE:.0f} MB")
+        self.check()
+
+    def check(self) -> None:
+        """Ask for the time.
+
+        Raises:
+            OverBudget: it is over.
+        """
+        if self.is_over():
+            raise OverBudget(f"takes more than {self.seconds:.3g} s to read")
+
+    def is_over(self) -> bool:
+        """Whether the time is over."""
+        return time.thread_time() > self._until
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def read_bytes(path: str | Path, largest: int) -> bytes:
+    """A regular file, whole: a pipe would block and a device never end.
+
+    Raises:
+        InputError: unreadable, no regular file, or larger than `largest` bytes.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(handle, "rb") as file:
+            require_regular(path, os.fstat(handle).st_mode)
+            content = file.read(largest + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from None
+    except InputError:
+        raise
+    except ValueError:  # a zero byte in the name
+        raise InputError(f"{path}: cannot read: no such file") from None
+    if len(content) > largest:
+        raise InputError(f"{path}: larger than {largest} bytes, expected at most that")
+    return content
+
+
+def read_text(path: str | Path, largest: int) -> str:
+    """A text file in UTF-8; raises as `read_bytes`, and for other bytes than text."""
+    try:
+        return read_bytes(path, largest).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
+
+
+def require_regular(path: str | Path, mode: int) -> None:
+    """InputError where the mode is that of a folder, pipe, socket or device."""
+    if stat.S_ISDIR(mode):
+        raise InputError(f"{path}: cannot read: Is a directory")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: a pipe, socket or device, expected a regular file")
+
+
+def is_inside(path: Path, folder: Path) -> bool:
+    """Whether a path lies in a folder once all links and `..` in both are followed."""
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError):  # no permission, a zero byte, a circle of links
+        return False
+
+
+# --- JSON and YAML ------------------------------------------------------------------------------
+
+
+def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> Any:
+    """What a JSON text holds: numbers are finite, nothing is nested deeper than DEEPEST.
+
+    Args:
+        text: of a topic, a service's answer or a file.
+        where: leads the line of an error.
+        largest: characters.
+
+    Raises:
+        InputError: too long, not JSON, too deep, or with a number that nothing can use.
+    """
+    if len(text) > largest:
+        raise InputError(f"{where}: {len(text)} characters, expected at most {largest}")
+    try:
+        document = json.loads(
+            text, parse_int=_integer, parse_float=_finite, parse_constant=_no_constant
+        )
+        if "\\" in (text if isinstance(text, str) else text.decode(errors="replace")):
+            _no_surrogates(json.dumps(document, ensure_ascii=False))
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{where}: not JSON: {reason}") from None
+    _require_shallow(document, where)
+    return document
+
+
+def read_json_object(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> dict[str, Any]:
+    """As `read_json`, for a text that must hold an object."""
+    document = read_json(text, where, largest)
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: {_kind(document)}, expected a JSON object")
+    return document
+
+
+def _kind(document: Any) -> str:
+    names = {list: "a list", str: "a text", bool: "true or false", type(None): "null"}
+    return names.get(type(document), "a number")
+
+
+def _integer(text: str) -> int:
+    if len(text) > 20 or not -_LARGEST_INTEGER <= int(text) < _LARGEST_INTEGER:
+        raise ValueError(f"an integer of {len(text)} digits, expected one of 64 bits")
+    return int(text)
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"the number {text:.20} is beyond all measure")
+    return number
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is no number, expected a finite one or null")
+
+
+def _no_surrogates(text: str) -> None:
+    if _SURROGATE.search(text):
+        raise ValueError("half a character, a surrogate without its other one")
+
+
+def _require_shallow(document: Any, where: str) -> None:
+    level = [document]
+    for _ in range(DEEPEST):
+        level = [child for node in level for child in _children(node)]
+        if not level:
+            return
+    raise InputError(f"{where}: nested deeper than {DEEPEST} levels")
+
+
+def _children(node: Any) -> list[Any]:
+    found = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    return [child for child in found if isinstance(child, (dict, list))]
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as ROS reads it, within a Budget: 1e-4 is a number (YAML 1.1 wants 1.0e-4), aliases are
+    not taken unless asked for (a kilobyte of them can stand for gigabytes), merge keys never."""
+
+    def __init__(self, text: str, aliases: bool) -> None:
+        self._budget = Budget(LARGEST_YAML, YAML_SECONDS)
+        self._aliases, self._depth = aliases, 0
+        super().__init__(text)
+
+    def fetch_more_tokens(self) -> Any:
+        self._budget.check()
+        return super().fetch_more_tokens()
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        mark = self.peek_event().start_mark
+        if not self._aliases and self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not taken", mark)
+        if self._depth >= DEEPEST:
+            text = f"nested deeper than {DEEPEST} levels"
+            raise yaml.composer.ComposerError(None, None, text, mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def flatten_mapping(self, node: Any) -> None:
+        self._budget.check()
+        for key, _ in node.value:
+            if key.tag == _MERGE:
+                raise self._refusal("merge keys (<<) are not taken", key)
+            if key.tag == _VALUE:
+                key.tag = self.DEFAULT_SCALAR_TAG
+
+    def integer(self, node: Any) -> int:
+        """An integer of 64 bits, as ROS has them."""
+        if len(node.value) > 80:
+            raise self._refusal(f"an integer of {len(node.value)} digits", node)
+        number = int(super().construct_yaml_int(node))
+        if not -_LARGEST_INTEGER <= number < _LARGEST_INTEGER:
+            raise self._refusal("an integer of more than 64 bits", node)
+        return number
+
+    def text(self, node: Any) -> str:
+        """A text that can be written again."""
+        found = str(super().construct_yaml_str(node))
+        if _SURROGATE.search(found):
+            raise self._refusal("half a character, a surrogate without its other one", node)
+        return found
+
+    @staticmethod
+    def _refusal(problem: str, node: Any) -> Exception:
+        return yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z"),
+    list("-+0123456789."),
+)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.integer)
+_Loader.add_constructor("tag:yaml.org,2002:str", _Loader.text)
+_Loader.DEFAULT_SCALAR_TAG = "tag:yaml.org,2002:str"
+
+
+# Constructors of dates, sets and bases stumble over what they do not expect.
+_WRONG_YAML = (
+    yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError,
+)  # fmt: skip
+
+
+def load_yaml(text: str, aliases: bool = False) -> Any:
+    """Parse YAML as ROS does.
+
+    With `aliases`, what is loaded may hold one thing many times: ask for types before anything
+    walks through it.
+
+    Raises:
+        InputError: not YAML, too long, too deep or too slow to read; in one line, without a name.
+    """
+    if len(text) > LARGEST_YAML:
+        raise InputError(f"{len(text)} characters, expected at most {LARGEST_YAML}")
+    try:
+        loader = _Loader(text, aliases)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
+    except InputError:
+        raise
+    except _WRONG_YAML as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f"line {mark.line + 1} " if mark else ""
+        problem = getattr(error, "problem", None) or (str(error).splitlines() or ["?"])[0]
+        raise InputError(f"{line}not YAML: {printable(problem)}") from None
+
+
+def read_yaml(path: str | Path, aliases: bool = False) -> Any:
+    """What a YAML file holds; of `aliases` see `load_yaml`.
+
+    Raises:
+        InputError: unreadable or not YAML, in one line.
+    """
+    text = read_text(path, LARGEST_YAML)
+    try:
+        return load_yaml(text, aliases)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+# --- names and files on their way out ------------------------------------------------------------
+
+
+def printable(text: str, keep: str = "") -> str:
+    """Text that does nothing to a terminal or a file: controls, escapes and half characters are
+    spelled out (`\\x1b`), except those to `keep`."""
+    if text.isprintable():
+        return text
+    return "".join(
+        letter if letter.isprintable() or letter in keep
+        else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
+
+
+def csv_cell(text: str) -> str:
+    """Text that a spreadsheet takes for text: what begins like a formula, and is no number, gets
+    an apostrophe before it."""
+    text = printable(text)
+    if not text.startswith(_FORMULA):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return "'" + text
+    return text
+
+
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Write files so that all of them appear or none: what is there is replaced once all are on the
+    disk, and put back should that fail halfway. A file that is replaced keeps its mode, and a link
+    stays one.
+
+    Raises:
+        OSError: a folder cannot be written, or something else than a file lies in the way.
+    """
+    umask = os.umask(0)
+    os.umask(umask)
+    new: dict[Path, Path] = {}
+    old: dict[Path, Path] = {}
+    replaced: list[Path] = []
+    try:
+        for path, content in files.items():
+            target = Path(os.path.realpath(path))
+            mode = target.stat().st_mode if target.exists() else None
+            if mode is not None and not stat.S_ISREG(mode):
+                raise OSError(0, "something else than a file lies there")
+            allowed = 0o666 & ~umask if mode is None else stat.S_IMODE(mode)
+            new[target] = _beside(target, content, allowed)
+            if mode is not None and len(files) > 1:
+                old[target] = _beside(target, b"", 0o600)
+                shutil.copy2(target, old[target])
+        for target, staged in new.items():
+            os.replace(staged, target)
+            replaced.append(target)
+    except BaseException:
+        for target in replaced:
+            if target in old:
+                old[target].replace(target)
+            else:
+                target.unlink()
+        raise
+    finally:
+        for left in (*new.values(), *old.values()):
+            left.unlink(missing_ok=True)
+
+
+def _beside(target: Path, content: bytes, mode: int) -> Path:
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        os.chmod(name, mode)
+    except BaseException:
+        os.unlink(name)
+        raise
+    return Path(name)
