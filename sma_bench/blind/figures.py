@@ -11,8 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from sma_bench.blind.cases import Case, draw_case
-from sma_bench.blind.deck import ALL, QUANTITIES, SINGLE, Card
+from sma_bench.blind.cases import ALL, QUANTITIES, SINGLE, Card, Case, draw_case
 from sma_bench.blind.reality import BY_NAME, World
 from sma_bench.blind.rigs import CHANNELS
 from sma_bench.blind.sensors import UNITS, measure

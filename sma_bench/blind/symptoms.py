@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sma_bench.blind.effect_names import STAGE_OF
+from sma_bench.blind.answers import STAGE_OF
 from sma_bench.blind.reality import BY_NAME
 
 LOG, EVEN = "log", "even"

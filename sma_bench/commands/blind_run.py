@@ -16,8 +16,8 @@ from sma_bench.errors import InputError
 from sma_bench.progress import counted
 
 if TYPE_CHECKING:
-    from sma_bench.blind.case_set import CaseSet
-    from sma_bench.blind.examinee import Examinee
+    from sma_bench.blind.case_files import CaseSet
+    from sma_bench.blind.examination import Examinee
 
 DIAGNOSIS = "diagnosis"
 _SMA_BENCH = (sys.executable, "-m", "sma_bench.cli")
@@ -52,10 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Ask what has no answer yet; 0 whatever the answers are."""
-    from sma_bench.blind.case_set import read_case_set
-    from sma_bench.blind.examination import open_cases
-    from sma_bench.blind.examinee import Examinee
-    from sma_bench.blind.kept import Examination, write_examination
+    from sma_bench.blind.case_files import Examination, read_case_set, write_examination
+    from sma_bench.blind.examination import Examinee, open_cases
 
     for option, value in (("jobs", args.jobs), ("limit", args.limit)):
         if value is not None and value < 1:

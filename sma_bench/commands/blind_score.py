@@ -11,7 +11,7 @@ from sma_bench.commands.progress_bar import progress
 from sma_bench.progress import counted
 
 if TYPE_CHECKING:
-    from sma_bench.blind.case_set import CaseSet
+    from sma_bench.blind.case_files import CaseSet
     from sma_bench.blind.score import Labels, Paper, Score
 
 
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Judge all complete answers; the labels stay sealed while one is missing."""
-    from sma_bench.blind.case_set import read_case_set
+    from sma_bench.blind.case_files import read_case_set
     from sma_bench.blind.score import handed_in, open_labels, score
     from sma_bench.commands.blind_score_tables import print_scores, result_document
 
@@ -70,8 +70,7 @@ def _write_pages(
 
 
 def _follow_up(cases: "CaseSet", labels: "Labels", paper: "Paper", jobs: int) -> None:
-    from sma_bench.blind.examinee import Examinee
-    from sma_bench.blind.follow_up import asks_for_more, follow_up
+    from sma_bench.blind.examination import Examinee, asks_for_more, follow_up
 
     asking = sum(asks_for_more(kept) for kept in paper.kept)
     if not asking:

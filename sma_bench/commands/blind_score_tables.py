@@ -5,12 +5,19 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.blind.breakdown import COLUMNS, confusion, groups, reliability
-from sma_bench.blind.case_set import CaseSet
-from sma_bench.blind.measure_table import OTHERS, TARGETS
-from sma_bench.blind.score import Score
-from sma_bench.blind.statistics import Measured
-from sma_bench.blind.wording import MEASURE_HEADER, measure_row, side_by_side, summary
+from sma_bench.blind.case_files import CaseSet
+from sma_bench.blind.measures import OTHERS, TARGETS, Measured
+from sma_bench.blind.score import (
+    COLUMNS,
+    MEASURE_HEADER,
+    Score,
+    confusion,
+    groups,
+    measure_row,
+    reliability,
+    side_by_side,
+    summary,
+)
 from sma_bench.commands.tables import output_console, print_table
 
 _MET_STYLE = {"aim": "green", "floor": "yellow", "missed": "red", "": ""}

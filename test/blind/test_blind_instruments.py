@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import draw_case
-from sma_bench.blind.deck import Card
-from sma_bench.blind.noise import COLOURS, Noise
+from sma_bench.blind.cases import Card, draw_case
 from sma_bench.blind.reality import Outcome, World
 from sma_bench.blind.rigs import CHANNELS
-from sma_bench.blind.sensors import RADIANCE_EXPONENT, RESOLUTION, measure, readings
+from sma_bench.blind.sensors import COLOURS, RADIANCE_EXPONENT, RESOLUTION, Noise, measure, readings
 
 PERIOD = 0.02
 CASE = draw_case(7, 0, Card("none", (), (), "all", "white"), "0001")

@@ -5,10 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import draw_cases, split_of
-from sma_bench.blind.deck import SHARES, deal
+from sma_bench.blind.answers import STAGE_OF
+from sma_bench.blind.cases import SHARES, deal, draw_cases, split_of
 from sma_bench.blind.drives import COMMAND_PERIOD, draw_drives, hottest
-from sma_bench.blind.effect_names import STAGE_OF
 from sma_bench.blind.reality import BY_NAME
 from sma_bench.blind.rigs import BELIEVED, WRONG_BY, draw_nominal, draw_truth
 from sma_bench.blind.stage import phases

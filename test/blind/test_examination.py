@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sma_bench.blind.case_set import read_case_set
-from sma_bench.blind.examination import examine, open_cases
-from sma_bench.blind.examinee import Examinee
-from sma_bench.blind.kept import Examination, read_kept, write_examination
+from sma_bench.blind.case_files import Examination, read_case_set, read_kept, write_examination
+from sma_bench.blind.examination import Examinee, examine, open_cases
 from sma_bench.errors import InputError
 
 RESULT = {

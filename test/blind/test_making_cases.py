@@ -11,10 +11,9 @@ from time import monotonic, sleep
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import NUISANCE_LIMIT, draw_cases
-from sma_bench.blind.deck import QUANTITIES
+from sma_bench.blind.case_files import unseal
+from sma_bench.blind.cases import NUISANCE_LIMIT, QUANTITIES, draw_cases
 from sma_bench.blind.make import digest, make
-from sma_bench.blind.sealed import unseal
 from sma_bench.blind.stage import RECORDS, Stage
 from sma_bench.blind.symptoms import EFFECTS, OUTSIDE
 from sma_bench.cli import main

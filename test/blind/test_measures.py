@@ -4,10 +4,9 @@ import math
 
 import pytest
 
-from sma_bench.blind.answers import checked_answer
-from sma_bench.blind.effect_names import NO_EFFECT, STAGE_OF
+from sma_bench.blind.answers import NO_EFFECT, STAGE_OF, checked_answer
 from sma_bench.blind.judgement import Judged, Label, Shrunk
-from sma_bench.blind.measure_table import OTHERS, TARGETS
+from sma_bench.blind.measures import OTHERS, TARGETS
 
 MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}
 

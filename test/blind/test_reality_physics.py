@@ -6,10 +6,23 @@ from reality_rig import COMPOSITE, drive, needs_numba
 from scipy.linalg import expm
 
 from sma_bench.blind.reality import World, happen
-from sma_bench.blind.reality.air import free_convection, radiation
-from sma_bench.blind.reality.grains import grain_classes, ramp_table
-from sma_bench.blind.reality.kinetics import grains_at_rest, ramp, transform, turn
-from sma_bench.blind.reality.silicone import BACK_WIRE, FRONT_WIRE, NODES, strip, warm
+from sma_bench.blind.reality.heat import (
+    BACK_WIRE,
+    FRONT_WIRE,
+    NODES,
+    free_convection,
+    radiation,
+    strip,
+    warm,
+)
+from sma_bench.blind.reality.transformation import (
+    grain_classes,
+    grains_at_rest,
+    ramp,
+    ramp_table,
+    transform,
+    turn,
+)
 
 LOSS = 115.772 * 0.0001885  # W/K
 

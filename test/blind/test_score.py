@@ -6,20 +6,22 @@ import sys
 import numpy as np
 import pytest
 
-from sma_bench.blind import follow_up as follow_up_module
-from sma_bench.blind.answers import checked_answer
-from sma_bench.blind.case_set import read_case_set
-from sma_bench.blind.cases import draw_case
-from sma_bench.blind.deck import Card
-from sma_bench.blind.effect_names import NO_EFFECT, STAGE_OF
-from sma_bench.blind.examinee import Examinee
-from sma_bench.blind.follow_up import bench_protocol, follow_up
-from sma_bench.blind.kept import SECOND, Examination, keep, read_kept, write_examination
+from sma_bench.blind import examination as follow_up_module
+from sma_bench.blind.answers import NO_EFFECT, STAGE_OF, checked_answer
+from sma_bench.blind.case_files import (
+    SECOND,
+    Examination,
+    keep,
+    read_case_set,
+    read_kept,
+    seal,
+    write_examination,
+)
+from sma_bench.blind.cases import Card, draw_case
+from sma_bench.blind.examination import Examinee, bench_protocol, follow_up
+from sma_bench.blind.judgement import UnseenRecord, parameter_error, unseen_drive
 from sma_bench.blind.rigs import true_values
-from sma_bench.blind.score import handed_in, open_labels, score
-from sma_bench.blind.sealed import seal
-from sma_bench.blind.shrinkage import UnseenRecord, parameter_error, unseen_drive
-from sma_bench.blind.wording import beaten
+from sma_bench.blind.score import beaten, handed_in, open_labels, score
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters import write_parameters
@@ -102,7 +104,7 @@ GOOD = {
 def test_labels_stay_sealed_until_the_last_answer(made, tmp_path, monkeypatch, capsys):
     cases = hand_in(made, tmp_path, {n: GOOD[n] for n in ("0001", "0003")})
     touched = []
-    monkeypatch.setattr("sma_bench.blind.case_set.unseal", lambda *a: touched.append(a))
+    monkeypatch.setattr("sma_bench.blind.case_files.unseal", lambda *a: touched.append(a))
     assert main(["blind", "score", str(cases.root), "--answers", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "1 of 3 cases have no answer yet, the first is 0002: the labels stay sealed" in error

@@ -5,12 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import draw_case
-from sma_bench.blind.deck import ALL, QUANTITIES, Card
+from sma_bench.blind.cases import ALL, QUANTITIES, Card, draw_case
 from sma_bench.blind.figures import write_page, write_symptom
 from sma_bench.blind.reality import BY_NAME, World
-from sma_bench.blind.separation import Separation, separation
-from sma_bench.blind.sizing import measured, size
+from sma_bench.blind.severity import Separation, measured, separation, size
 from sma_bench.blind.stage import COARSE, RECORDS, Stage, gaps, quantity_of, where
 from sma_bench.blind.symptoms import EFFECTS, OUTSIDE, amount_for, draw
 

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.blind.reality.beam import ROWS, Beam, balance
-from sma_bench.blind.reality.electricity import Circuit, current
-from sma_bench.blind.reality.grains import Classes
-from sma_bench.blind.reality.kinetics import SMALLEST_MOVE, settle, transform, turn
-from sma_bench.blind.reality.silicone import (
+from sma_bench.blind.reality.heat import (
     BACK_WIRE,
     FRONT_WIRE,
     NODES,
+    Circuit,
     Strip,
+    current,
     surface_temperature,
     warm,
 )
+from sma_bench.blind.reality.transformation import SMALLEST_MOVE, Classes, settle, transform, turn
 from sma_bench.compiled import borrowing, inlined
 
 Array = NDArray[np.float64]

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sma_bench.blind.reality import air
+from sma_bench.blind.reality import heat
 from sma_bench.blind.reality.beam import beam, pull_at_rest
-from sma_bench.blind.reality.electricity import circuit
-from sma_bench.blind.reality.grains import grain_classes, ramp_table
-from sma_bench.blind.reality.kinetics import grains_at_rest
+from sma_bench.blind.reality.heat import NODES, circuit, strip
 from sma_bench.blind.reality.loop import (
     CURRENT,
     MARTENSITE,
@@ -25,7 +23,7 @@ from sma_bench.blind.reality.loop import (
     scratch_for,
     wires_at_rest,
 )
-from sma_bench.blind.reality.silicone import NODES, strip
+from sma_bench.blind.reality.transformation import grain_classes, grains_at_rest, ramp_table
 from sma_bench.blind.reality.world import World
 from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
@@ -117,7 +115,7 @@ def _course(world: World, time: Array, voltage: Array, fine: float) -> Course:
         raise InputError(f"happen: fine is {fine:g}, expected above 0")
     steps = np.ceil(gap * (fine / LONGEST_STEP) - ROUNDING).astype(np.int64)
     return Course(
-        time, voltage, air.ambient(world, time), air.gusts(world, time), np.maximum(steps, 1)
+        time, voltage, heat.ambient(world, time), heat.gusts(world, time), np.maximum(steps, 1)
     )
 
 

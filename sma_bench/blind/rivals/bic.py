@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sma_bench.blind.effect_names import NO_GAP, RECALIBRATION
+from sma_bench.blind.answers import NO_GAP, RECALIBRATION
 from sma_bench.blind.rivals.fitting import (
     Fit,
     baseline_knobs,

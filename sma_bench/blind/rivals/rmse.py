@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sma_bench.blind.effect_names import NO_GAP
+from sma_bench.blind.answers import NO_GAP
 from sma_bench.blind.rivals.fitting import effect_knobs, fit, whitened
 from sma_bench.blind.rivals.observed import Observed
 from sma_bench.parameters import Parameters

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import gammaincc, gammaln
 
-from sma_bench.blind.effect_names import NO_GAP
+from sma_bench.blind.answers import NO_GAP
 from sma_bench.blind.rivals.fitting import effect_knobs, fit, jacobian, whitened
 from sma_bench.blind.rivals.observed import Observed
 from sma_bench.blind.rivals.statement import shares_of

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sma_bench.blind.effect_names import NO_EFFECT, NO_GAP, STAGE_OF
+from sma_bench.blind.answers import NO_EFFECT, NO_GAP, STAGE_OF
 from sma_bench.blind.rivals.observed import QUANTITIES, Observed
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
@@ -142,5 +142,3 @@ def _fraction(before: float, after: float, noise: float) -> float | None:
     if before <= 1.1 * noise:
         return None
     return float(1.0 - np.sqrt(max(after - noise, 0.0) / (before - noise)))
-
-
