@@ -13,11 +13,15 @@ from typing import Any
 import hypothesis
 import pytest
 
+from sma_bench.nodes.discovery import USERS_VARIABLES, choose_discovery
+
 ROOT = Path(__file__).resolve().parents[1]
 
 # Before anything imports rclpy. The field checks turn a silent 5e-324 into an exception.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+for variable in USERS_VARIABLES:
+    os.environ.pop(variable, None)
+choose_discovery()
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "sma_bench_test_log"))
 os.environ.setdefault("MPLBACKEND", "Agg")
 # pytest-xdist sets it, and tables would be as narrow.

@@ -22,8 +22,8 @@ def run(arguments: Sequence[str]) -> int:
         examples = example_text(EXAMPLES["run"])
         print(
             f"usage: sma-bench run NODE [{NETWORK_OPTION}] [--ros-args ...]\n\n"
-            f"  {NETWORK_OPTION}  let other machines of the network find the node; else this one\n"
-            "             only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set\n\n"
+            f"  {NETWORK_OPTION}  let other machines of the network reach the node; else this one\n"
+            "             only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET\n\n"
             f"nodes: {nodes}\n\n{examples}"
         )
         return 0

@@ -11,7 +11,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from sma_bench.nodes import replay_plan
 from sma_bench.nodes.bench_plan import Argument, PlannedNode, Rig, plan_bench, switch
-from sma_bench.nodes.discovery import discovery_range
+from sma_bench.nodes.discovery import discovery_variables
 
 
 def bench_launch(rig: Rig) -> LaunchDescription:
@@ -56,7 +56,7 @@ def _declared(name: str, argument: Argument) -> DeclareLaunchArgument:
 
 
 def _discovery(values: Mapping[str, str]) -> dict[str, str]:
-    return discovery_range(switch(values, "network"))
+    return discovery_variables(switch(values, "network"))
 
 
 def _node(planned: PlannedNode, values: Mapping[str, str]) -> Node:

@@ -50,7 +50,7 @@ class Argument:
 
 
 OPEN_TO_NETWORK = Argument(
-    "false", "Let other machines of the network find the bench, and drive it; else this one "
+    "false", "Let other machines of the network reach the bench, and drive it; else this one "
     "only, unless the environment says otherwise.", SWITCH,
 )  # fmt: skip
 

@@ -1,28 +1,85 @@
-"""Who may find the nodes: programs of this machine alone, unless the user opens them. No ROS.
+"""Who may reach the nodes: programs of this machine alone, unless the user opens them. No ROS.
 
-Without SROS 2, whoever finds a bench may heat its wires. ROS's own default is the whole subnet.
+Without SROS 2, whoever reaches a bench may heat its wires. ROS's own default is the whole subnet,
+and its range LOCALHOST only keeps a node from looking: whoever names the machine as a peer still
+gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1.
 """
 
 import os
+import sys
 from collections.abc import Mapping, MutableMapping
+
+from sma_bench.share import share_directory
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 THIS_MACHINE, NETWORK = "LOCALHOST", "SUBNET"
-# Any of these is the user's own word about discovery.
-_USERS_WORD = (RANGE, "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER")
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+# Another name of it, in later releases.
+_PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")
+# Else Fast DDS reads a profile from the folder of the start too, which may hold foreign records.
+_NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
+_ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
+_MIDDLEWARE = "RMW_IMPLEMENTATION"
+USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, *_PROFILES)
+_OPEN_RANGES = (NETWORK, "SYSTEM_DEFAULT")
 
 
-def discovery_range(network: bool, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+def discovery_variables(
+    network: bool, environment: Mapping[str, str] = os.environ
+) -> dict[str, str]:
     """Variables to set for a node: open to the network, else what the user has set, else local."""
     if network:
         return {RANGE: NETWORK}
-    if any(environment.get(name) for name in _USERS_WORD):
+    if _opened(environment):
         return {}
-    return {RANGE: THIS_MACHINE}
+    variables = {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
+    if not _set(environment, *_PROFILES):
+        variables |= dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
+    return variables
 
 
 def choose_discovery(
     network: bool = False, environment: MutableMapping[str, str] = os.environ
 ) -> None:
-    """Set them for this process; before ROS starts in it."""
-    environment.update(discovery_range(network, environment))
+    """Set them for this process, before ROS starts in it; what has no effect is said."""
+    variables = discovery_variables(network, environment)
+    if PROFILE in variables:
+        for note in _notes(environment):
+            print(f"sma_bench: note: {note}", file=sys.stderr)
+    if network and environment.get(PROFILE) == _own_profile():  # of a parent that was bound
+        for name in (*_PROFILES, _NO_OTHER_PROFILE):
+            environment.pop(name, None)
+    environment.update(variables)
+
+
+def _own_profile() -> str:
+    return str(share_directory() / "config" / "dds" / "this_machine.xml")
+
+
+def _opened(environment: Mapping[str, str]) -> bool:
+    """Whether the user's own variables ask for the network; ROS heeds them in this order."""
+    if environment.get(_ONLY) == "1":
+        return False
+    if environment.get(_SERVER):
+        return True
+    if chosen := environment.get(RANGE):
+        return chosen in _OPEN_RANGES
+    return bool(environment.get(_ONLY))
+
+
+def _notes(environment: Mapping[str, str]) -> list[str]:
+    notes = []
+    if environment.get(_PEERS):
+        notes.append(
+            f"{_PEERS} has no effect, nodes are bound to this machine: {RANGE}={NETWORK} opens them"
+        )
+    middleware = environment.get(_MIDDLEWARE, "")
+    if middleware and "fastrtps" not in middleware:
+        notes.append(
+            f"{_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this machine by sma_bench"
+        )
+    return notes
+
+
+def _set(environment: Mapping[str, str], *names: str) -> bool:
+    return any(environment.get(name) for name in names)

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
-from sma_bench.nodes.discovery import RANGE, THIS_MACHINE
+from sma_bench.nodes.discovery import RANGE, THIS_MACHINE, USERS_VARIABLES
 
 _PATIENCE = 8.0
 _PRIVATE_DOMAINS = range(120, 220)
@@ -18,6 +18,8 @@ _PRIVATE_DOMAINS = range(120, 220)
 
 def private_ros_environment() -> None:
     """Keep this process and its nodes away from any other bench: own domain, this machine only."""
+    for name in USERS_VARIABLES:
+        os.environ.pop(name, None)
     os.environ[RANGE] = THIS_MACHINE
     os.environ["ROS_DOMAIN_ID"] = str(_PRIVATE_DOMAINS[os.getpid() % len(_PRIVATE_DOMAINS)])
 

@@ -30,6 +30,7 @@ from sma_bench.commands.demo_table import (
     simulated_truth,
 )
 from sma_bench.identify import identify
+from sma_bench.nodes.discovery import USERS_VARIABLES
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
@@ -215,7 +216,7 @@ def test_the_argument_is_printed_whole_on_a_narrow_terminal():
 def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsys, monkeypatch):
     if importlib.util.find_spec("rclpy") is None:
         pytest.skip("rclpy is not installed")
-    for variable in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+    for variable in ("ROS_DOMAIN_ID", *USERS_VARIABLES):
         monkeypatch.setenv(variable, "")  # the demo sets them for itself; put back afterwards
         monkeypatch.delenv(variable)
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")

@@ -16,6 +16,7 @@ from std_msgs.msg import String
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE, plan_bench
+from sma_bench.nodes.discovery import PROFILE, RANGE, USERS_VARIABLES
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import load_protocol
@@ -114,13 +115,14 @@ def test_arguments_reach_the_nodes(monkeypatch):
 
 
 @pytest.mark.parametrize("name", list(BENCHES))
-def test_nodes_are_found_on_this_machine_unless_the_network_is_asked_for(name, monkeypatch):
-    for variable in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"):
+def test_nodes_are_bound_to_this_machine_unless_the_network_is_asked_for(name, monkeypatch):
+    for variable in USERS_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     for network, expected in (("false", "LOCALHOST"), ("true", "SUBNET")):
         actions = built(BENCHES[name], monkeypatch, network=network)
-        ranges = {a.given.additional_env["ROS_AUTOMATIC_DISCOVERY_RANGE"] for a in actions}
-        assert ranges == {expected}
+        given = [action.given.additional_env for action in actions]
+        assert {variables[RANGE] for variables in given} == {expected}
+        assert {PROFILE in variables for variables in given} == {network == "false"}
 
 
 @pytest.mark.parametrize("mode", ["simulated", "emulated"])

@@ -1,4 +1,4 @@
-"""Nodes are found on this machine only, unless the user opens them to the network."""
+"""Nodes can be reached from this machine only, unless the user opens them to the network."""
 
 import subprocess
 import sys
@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
-from sma_bench.nodes.discovery import RANGE, choose_discovery, discovery_range
+from sma_bench.nodes.discovery import (
+    PROFILE,
+    RANGE,
+    USERS_VARIABLES,
+    choose_discovery,
+    discovery_variables,
+)
+from sma_bench.nodes.processes import private_ros_environment
 from sma_bench.nodes.replay_plan import ARGUMENTS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,20 +33,61 @@ command.run(sys.argv[1:])
 """
 
 
-def test_without_a_word_of_the_user_only_this_machine_is_asked() -> None:
-    assert discovery_range(False, {}) == {RANGE: "LOCALHOST"}
-    assert discovery_range(True, {}) == {RANGE: "SUBNET"}
-    assert discovery_range(True, {RANGE: "OFF"}) == {RANGE: "SUBNET"}
+def test_without_a_word_of_the_user_nodes_are_bound_to_this_machine() -> None:
+    variables = discovery_variables(False, {})
+    assert variables[RANGE] == "LOCALHOST"
+    assert "<address>127.0.0.1</address>" in Path(variables[PROFILE]).read_text()
 
 
-@pytest.mark.parametrize("name", [RANGE, "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER"])
-def test_what_the_user_set_stays(name: str) -> None:
-    environment = {name: "x"}
+LOCAL = [{}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {RANGE: "OFF"}, {RANGE: "SUBNETT"},
+         {"ROS_LOCALHOST_ONLY": "1"}, {"ROS_STATIC_PEERS": "10.0.0.1"},
+         {"ROS_LOCALHOST_ONLY": "1", RANGE: "SUBNET"}]  # fmt: skip
+OPEN = [{RANGE: "SUBNET"}, {RANGE: "SYSTEM_DEFAULT"}, {"ROS_LOCALHOST_ONLY": "0"},
+        {"ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}]  # fmt: skip
+
+
+@pytest.mark.parametrize("user", LOCAL)
+def test_only_a_word_that_asks_for_the_network_opens_it(user: dict[str, str]) -> None:
+    environment = dict(user)
     choose_discovery(environment=environment)
-    assert environment == {name: "x"}
-    environment = {name: ""}
+    assert environment[PROFILE].endswith("this_machine.xml")
+    assert environment.items() >= {k: v for k, v in user.items() if v}.items()
+    assert environment.get(RANGE) or environment["ROS_LOCALHOST_ONLY"]
+
+
+@pytest.mark.parametrize("user", OPEN)
+def test_a_word_that_asks_for_the_network_stays(user: dict[str, str]) -> None:
+    environment = dict(user)
     choose_discovery(environment=environment)
-    assert environment[RANGE] == "LOCALHOST"
+    assert environment == user
+
+
+def test_the_switch_opens_a_child_of_a_bound_process_and_a_profile_of_the_user_stays() -> None:
+    environment: dict[str, str] = {}
+    choose_discovery(environment=environment)
+    choose_discovery(network=True, environment=environment)
+    choose_discovery(environment=environment)
+    assert environment == {RANGE: "SUBNET"}
+    for network in (False, True):
+        assert PROFILE not in discovery_variables(network, {PROFILE: "own.xml"})
+
+
+def test_what_has_no_effect_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    choose_discovery(environment={"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})
+    assert capsys.readouterr().err == ""
+    user = {"ROS_STATIC_PEERS": "10.0.0.1", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
+    choose_discovery(environment=user)
+    peers, middleware = capsys.readouterr().err.splitlines()
+    assert "ROS_STATIC_PEERS has no effect" in peers
+    assert "rmw_cyclonedds_cpp: only Fast DDS is bound" in middleware
+
+
+def test_a_private_bench_forgets_what_would_open_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "1")
+    for name in USERS_VARIABLES:
+        monkeypatch.setenv(name, "0.0.0.0")
+    private_ros_environment()
+    assert discovery_variables(False)[PROFILE].endswith("this_machine.xml")
 
 
 def test_every_launch_file_has_the_switch_and_it_is_off() -> None:
@@ -54,7 +102,10 @@ def test_the_command_line_has_the_switch() -> None:
         (["simulator", "--network", "--ros-args"], "SUBNET ['--ros-args']"),
     ):
         process = subprocess.run(
-            [sys.executable, "-c", SAYS, *words], env=environment, capture_output=True, text=True,
+            [sys.executable, "-c", SAYS, *words],
+            env=environment,
+            capture_output=True,
+            text=True,
             check=True,
         )
         assert process.stdout.strip() == expected

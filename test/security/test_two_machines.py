@@ -1,0 +1,163 @@
+"""Another machine, a network namespace with memory of its own, against a bench on this one."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from sma_bench.nodes.discovery import RANGE, USERS_VARIABLES
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCH, STRANGER = "10.77.16.1", "10.77.16.2"
+# Every way of a user to say that nodes are for this machine only, or nothing at all.
+BOUND = {
+    "default": {}, "range": {RANGE: "LOCALHOST"}, "only": {"ROS_LOCALHOST_ONLY": "1"},
+    "peers": {"ROS_STATIC_PEERS": STRANGER},
+}  # fmt: skip
+OPEN = {"open": {RANGE: "SUBNET"}}
+PATIENCE = 60.0
+# Calls the stop of every namespace that it finds, for a while after the last one it waits for.
+CALLER = """
+import json, sys, time
+import rclpy
+from std_srvs.srv import Trigger
+awaited, extra = set(sys.argv[1].split(",")), float(sys.argv[2])
+rclpy.init()
+node = rclpy.create_node("caller")
+names = sys.argv[3].split(",")
+clients = {name: node.create_client(Trigger, f"/{name}/experiment/stop") for name in names}
+asked, answers, seen = {}, {}, set()
+end = time.monotonic() + 45.0
+while time.monotonic() < end:
+    rclpy.spin_once(node, timeout_sec=0.02)
+    seen |= {namespace for _, namespace in node.get_node_names_and_namespaces()}
+    for name, client in clients.items():
+        if name not in asked and client.service_is_ready():
+            asked[name] = client.call_async(Trigger.Request())
+    answers = {name: f.result().message for name, f in asked.items() if f.done()}
+    if awaited and awaited <= answers.keys():
+        awaited, end = set(), time.monotonic() + extra
+print(json.dumps([answers, sorted(name for name in names if f"/{name}" in seen)]))
+"""
+
+
+def ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True, capture_output=True, text=True, timeout=30.0)
+
+
+@pytest.fixture
+def two_machines() -> Iterator[tuple[str, str]]:
+    """Names of two network namespaces with a cable between them."""
+    if shutil.which("ip") is None or shutil.which("unshare") is None:
+        pytest.skip("no ip, unshare here (Debian packages iproute2, util-linux)")
+    names = tuple(f"sma{os.getpid()}{side}" for side in "ab")
+    try:
+        try:
+            for name in names:
+                ip("netns", "add", name)
+            first, second = names
+            ip("link", "add", first, "netns", first, "type", "veth", "peer", "name", second,
+               "netns", second)  # fmt: skip
+            for name, address in zip(names, (BENCH, STRANGER), strict=True):
+                ip("-n", name, "addr", "add", f"{address}/24", "dev", name)
+                for device in ("lo", name):
+                    ip("-n", name, "link", "set", device, "up")
+            inside(second, ["true"], {}, own_memory=True).wait(30.0)
+        except subprocess.CalledProcessError as error:
+            pytest.skip(f"no network namespaces here: {error.stderr.strip()}")
+        yield names
+    finally:
+        for name in names:
+            subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
+
+
+def inside(
+    namespace: str, command: list[str], variables: dict[str, str], own_memory: bool = False
+) -> subprocess.Popen[str]:
+    """Start a program on one of the machines, without a word about discovery but `variables`."""
+    clean = {name: value for name, value in os.environ.items() if name not in USERS_VARIABLES}
+    start = ["ip", "netns", "exec", namespace]
+    if own_memory:
+        mount = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
+        start += ["unshare", "--mount", "sh", "-c", mount, "sh"]
+    return subprocess.Popen(
+        start + command,
+        env={**clean, **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=ROOT,
+    )
+
+
+def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
+    two_machines: tuple[str, str], ros_domain: int
+) -> None:
+    here, there = two_machines
+    everything = {**BOUND, **OPEN}
+    nodes = [
+        inside(here, [sys.executable, "-m", "sma_bench.nodes.experiment", "--ros-args", "-r",
+                      f"__ns:=/{name}"], variables)
+        for name, variables in everything.items()
+    ]  # fmt: skip
+    peers = {"ROS_STATIC_PEERS": BENCH}
+    try:
+        names = ",".join(everything)
+        here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
+        local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
+        assert local.keys() == everything.keys(), "programs of this machine reach all of them"
+        stranger = inside(
+            there, [sys.executable, "-c", CALLER, "open", "3", names], peers, own_memory=True
+        )
+        answers, seen = json.loads(stranger.communicate(timeout=PATIENCE)[0])
+    finally:
+        for node in nodes:
+            node.kill()
+            node.wait()
+    assert answers == {"open": "aborted: stopped on request"}
+    assert seen == ["open"]
+
+
+def test_sockets_of_a_node_are_bound_to_this_machine(ros_domain: int, tmp_path: Path) -> None:
+    """As above where no namespaces can be made; a profile in the folder changes nothing."""
+    other = tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml"
+    other.write_text("""<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+        <participant profile_name="p" is_default_profile="true"><rtps>
+        <useBuiltinTransports>true</useBuiltinTransports></rtps></participant></profiles>""")
+    clean = {name: value for name, value in os.environ.items() if name not in USERS_VARIABLES}
+    clean["PYTHONPATH"] = str(ROOT)
+    addresses = {}
+    for variables in ({}, {RANGE: "SUBNET"}):
+        node = subprocess.Popen(
+            [sys.executable, "-m", "sma_bench.nodes.experiment"], cwd=tmp_path,
+            env={**clean, **variables}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        try:
+            assert node.stdout is not None and "idle" in node.stdout.readline()
+            addresses[len(variables)] = _listening(node.pid, ros_domain)
+        finally:
+            node.kill()
+            node.wait()
+    assert addresses[0] == {"0100007F"}, "127.0.0.1"
+    assert "00000000" in addresses[1], "0.0.0.0 where it was opened"
+
+
+def _listening(process: int, domain: int) -> set[str]:
+    """Addresses of a process's UDP sockets on the well-known ports of a ROS domain."""
+    ports = range(7400 + 250 * domain, 7650 + 250 * domain)
+    links = Path(f"/proc/{process}/fd").iterdir()
+    sockets = {os.readlink(link) for link in links if link.exists() or link.is_symlink()}
+    found = set()
+    for line in Path(f"/proc/{process}/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        address, _, port = fields[1].partition(":")
+        if f"socket:[{fields[9]}]" in sockets and int(port, 16) in ports:
+            found.add(address)
+    return found
