@@ -195,8 +195,10 @@ bool seal_binary(struct message *message)
 
 uint16_t duty_of(uint16_t millivolts, uint16_t supply_mv)
 {
+    if (!millivolts)
+        return 0; /* without a division: most channels of most commands */
     if (millivolts >= supply_mv)
-        return millivolts ? UINT16_MAX : 0;
+        return UINT16_MAX;
     uint32_t ratio = ((uint32_t)millivolts << 16) / supply_mv;
     return (uint16_t)((ratio * ratio + 0x8000) >> 16);
 }

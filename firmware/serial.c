@@ -8,13 +8,13 @@
 #include "protocol.h"
 #include "safety.h"
 
-#define RECEIVE_SIZE 128 /* powers of two; indexes are bytes */
+#define RECEIVE_SIZE 256 /* as much as a host says in 0.2 s */
 #define SEND_SIZE 256
-#define LINES 16
+#define LINES 32 /* a power of two */
 #define DIVIDER (F_CPU / (8 * BAUD_RATE) - 1)
 
 _Static_assert(F_CPU % (8 * BAUD_RATE) == 0, "the baud rate is not exact");
-_Static_assert(SEND_SIZE == 256, "its indexes wrap as bytes");
+_Static_assert(RECEIVE_SIZE == 256 && SEND_SIZE == 256, "indexes wrap as bytes");
 
 static volatile uint8_t received[RECEIVE_SIZE];
 static volatile uint8_t receive_in, receive_out;
@@ -49,11 +49,11 @@ ISR(USART_RX_vect)
     }
     if (overrun)
         counts.overruns++;
-    if ((uint8_t)(receive_in - receive_out) >= RECEIVE_SIZE) {
+    if ((uint8_t)(receive_in - receive_out) == RECEIVE_SIZE - 1) {
         counts.overruns++;
         return;
     }
-    received[receive_in++ % RECEIVE_SIZE] = byte;
+    received[receive_in++] = byte;
     if (byte == '\n')
         note_line_end();
 }
@@ -70,7 +70,7 @@ bool serial_take(uint8_t *byte)
 {
     if (receive_in == receive_out)
         return false;
-    *byte = received[receive_out % RECEIVE_SIZE];
+    *byte = received[receive_out];
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         receive_out++;

@@ -131,11 +131,11 @@ static uint8_t drive(const uint16_t *field)
 static void follow_supply(void)
 {
     uint16_t duty[CHANNELS];
-    uint16_t supply = supply_mv();
     uint32_t now = clock_us();
     if (now - refreshed_us < REFRESH_US)
         return;
     refreshed_us = now;
+    uint16_t supply = supply_mv();
     if (!supply || safety_copy().state != ARMED)
         return;
     for (uint8_t channel = 0; channel < CHANNELS; channel++)
@@ -271,14 +271,26 @@ void session_init(void)
     sampling_set_period(1000 / BOOT_RATE);
 }
 
-bool session_run(void)
+/* Up to the next line end. A host that was kept waiting says all at once what it had to say: its
+ * bytes, 20 us each, must not come faster than they are taken. */
+static bool listen(void)
 {
     uint8_t byte;
-    bool busy = serial_take(&byte);
-    if (busy && line_add(&line, byte)) {
-        obey();
-        line_clear(&line);
+    bool busy = false;
+    while (serial_take(&byte)) {
+        busy = true;
+        if (line_add(&line, byte)) {
+            obey();
+            line_clear(&line);
+            break;
+        }
     }
+    return busy;
+}
+
+bool session_run(void)
+{
+    bool busy = listen();
     follow_supply();
     greet();
     return report(sequence) || busy;

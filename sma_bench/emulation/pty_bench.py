@@ -11,6 +11,11 @@ from typing import Protocol
 
 SLICE = 5e-4
 _PRIORITY = 1
+# How much faster than the wall's the device's time may go to catch up a delay: its command timeout
+# is on that time, and a host that was never silent must not seem to be.
+_CATCH_UP = 1.25
+# s that are caught up as fast as it can.
+_AT_ONCE = 5e-3
 
 
 class Device(Protocol):
@@ -76,14 +81,18 @@ class PtyBench:
             job()
             done.set()
 
-        self._jobs.append(announced)
+        self.request(announced)
         done.wait()
+
+    def request(self, job: Callable[[], None]) -> None:
+        """Have `job` run between two slices."""
+        self._jobs.append(job)
 
     def _run(self) -> None:
         # A late emulator is a device whose clock stumbles. Not everybody may ask for this.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-        due = self.began
+        due = soonest = self.began
         while not self._stopping.is_set():
             while self._jobs:
                 self._jobs.pop(0)()
@@ -92,11 +101,12 @@ class PtyBench:
             if self._each_slice is not None:
                 self._each_slice()
             # Every delay is caught up: the device's clock must not slip against the wall's.
+            now = time.monotonic()
             due += SLICE
-            early = due - time.monotonic()
-            self.lag = max(0.0, -early)
+            soonest = max(soonest + SLICE / _CATCH_UP, now - _AT_ONCE)
+            self.lag = max(0.0, now - due)
             self.largest_lag = max(self.largest_lag, self.lag)
-            time.sleep(max(0.0, early))
+            time.sleep(max(0.0, max(due, soonest) - now))
 
     def _carry(self) -> None:
         # Nobody may have opened the port, and nobody may read: bytes are then lost, as on a cable.

@@ -193,9 +193,8 @@ def _device_fault(status: LinkStatus) -> str:
     if not status.connected:
         return _not_connected(status)
     if status.state == State.STOPPED:
-        # What it refuses does not hold off its timeout.
-        refused = status.last_refusal if status.cause == TIMEOUT_CAUSE else ""
-        return f"{status.cause_text}, found by the device" + (f" ({refused})" if refused else "")
+        why = f" ({status.silence})" if status.cause == TIMEOUT_CAUSE and status.silence else ""
+        return f"{status.cause_text}, found by the device{why}"
     return ""
 
 

@@ -31,6 +31,8 @@ class LinkStatus:
     not_understood: int = 0
     refused: int = 0
     last_refusal: str = ""
+    silence: str = ""
+    """why the device heard no command, as far as this host knows; "" unless it timed out"""
     unasked: str = ""
     """newest answer, since this host armed, to what it had not asked"""
     counters: dict[str, int] = field(default_factory=dict)
@@ -65,8 +67,16 @@ class LinkStatus:
         self.state, self.cause = State.IDLE, 0
         self._last = None
 
-    def went_back(self, telemetry: Telemetry) -> bool:
-        """True when the device's clock is before that of the last frame: it started anew."""
+    def restarted(self, telemetry: Telemetry, period_us: int) -> bool:
+        """True when the device started anew since the last frame; windows last `period_us`.
+
+        Its clock went back, or, where half a turn of the clock hides that, windows were missed
+        that do not fill the time that seems to have passed.
+        """
         if self._last is None:
             return False
-        return (telemetry.time_us - self._last.time_us) % _CLOCK > _CLOCK // 2
+        elapsed = (telemetry.time_us - self._last.time_us) % _CLOCK
+        windows = (telemetry.sequence - self._last.sequence) % _NUMBERS
+        left = (elapsed - windows * period_us + period_us) % (_NUMBERS * period_us)
+        # The window in which the rate was set is shorter or longer.
+        return elapsed > _CLOCK // 2 or (windows != 1 and left > 2 * period_us)

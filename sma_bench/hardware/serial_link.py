@@ -1,15 +1,19 @@
 """The link to the bench's Uno: one thread reads, whoever drives the bench writes.
 
-It connects by itself, again and again, and never arms by itself. Commands are sent once each:
-a host that hangs falls silent, and the device's own timeout switches off.
+It connects by itself, again and again, and never arms by itself. Commands are sent once each, and
+once more when the device says that one arrived damaged: a host that hangs falls silent, and the
+device's own timeout switches off.
 """
 
 import contextlib
 import copy
+import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import Conversation, LinkError
@@ -18,7 +22,9 @@ from sma_bench.hardware.device_identity import HANDSHAKE_LINES, DeviceIdentity
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.serial_messages import (
     CHANNELS,
+    DAMAGED,
     STOP,
+    TIMEOUT_CAUSE,
     Message,
     Named,
     Pong,
@@ -35,6 +41,11 @@ BINARY_ABOVE = 100
 _ASKS = 3
 _LONGEST_WAIT = 0.1
 _NUMBERS = 1 << 16
+# s after a command in which it may be sent again: a driver that hangs is not spoken for.
+_REPEATED_WITHIN = 0.1
+_REMEMBERED = 64
+# Of the device's timeout: a pause in which all is this host's fault.
+_LONG_PAUSE = 0.75
 
 
 @dataclass(frozen=True)
@@ -46,7 +57,7 @@ class LinkOptions:
     ping_period: float = 0.0837
     counters_period: float = 1.0
     greeting_timeout: float = 2.5
-    silence_limit: float = 0.5
+    silence_limit: float = 1.0
     first_back_off: float = 0.5
     longest_back_off: float = 8.0
 
@@ -78,6 +89,9 @@ class SerialLink:
         self._driving = threading.Lock()
         self._session: int | None = None
         self._sequence = 0
+        self._volts: tuple[int, ...] = ()
+        self._drove: deque[float] = deque(maxlen=_REMEMBERED)
+        self._refused = -math.inf
         self._unheard: tuple[int, float] | None = None
         self._ping = (0, 0.0)
         self._closing = threading.Event()
@@ -117,9 +131,10 @@ class SerialLink:
         conversation.unasked = self._status.unasked = ""
         greeting = conversation.ask_named("?", "H")["H"]
         session = conversation.ask_for_consent("A", int(greeting.values["nonce"]))
-        self._status.last_refusal = ""
+        self._status.last_refusal = self._status.silence = ""
         with self._driving:
             self._session, self._sequence, self._unheard = session, 0, None
+            self._drove.clear()
 
     def drive(self, millivolts: Sequence[int]) -> int:
         """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
@@ -131,12 +146,17 @@ class SerialLink:
         if len(millivolts) != CHANNELS:
             raise ValueError(f"{len(millivolts)} voltages, expected {CHANNELS}")
         with self._driving:
-            if self._session is None:
-                raise LinkError("not armed")
-            sequence = (self._sequence + 1) % _NUMBERS
-            self._connected().say("V", self._session, sequence, *millivolts)
-            self._sequence = sequence
-            self._unheard = self._unheard or (sequence, self._now())
+            self._volts = tuple(millivolts)
+            self._drove.append(self._now())
+            return self._say_volts()
+
+    def _say_volts(self) -> int:
+        if self._session is None:
+            raise LinkError("not armed")
+        sequence = (self._sequence + 1) % _NUMBERS
+        self._connected().say("V", self._session, sequence, *self._volts)
+        self._sequence = sequence
+        self._unheard = self._unheard or (sequence, self._now())
         return sequence
 
     def stop(self) -> None:
@@ -194,6 +214,8 @@ class SerialLink:
                 self._serve(conversation)
             except (OSError, LinkError, InputError) as error:
                 self._lose(str(error))
+            except Exception as error:  # a thread that died would go on looking connected
+                self._lose(f"{type(error).__name__}: {error}")
             self._hang_up()
             self._closing.wait(back_off)
             back_off = min(2.0 * back_off, self._options.longest_back_off)
@@ -261,16 +283,39 @@ class SerialLink:
         elif isinstance(message, Pong):
             self._synchronise(message, now)
         elif isinstance(message, Refused):
-            self._status.refused += 1
-            self._status.last_refusal = str(message)
+            self._note_refusal(message, now)
         elif isinstance(message, Named) and message.letter == "S":
             self._status.counters = {key: int(value) for key, value in message.values.items()}
 
+    def _note_refusal(self, refused: Refused, now: float) -> None:
+        self._status.refused += 1
+        self._status.last_refusal, self._refused = str(refused), now
+        if refused.reason not in DAMAGED:
+            return
+        # A byte was lost: what was said last is said again, before the device calls it silence.
+        with self._driving, contextlib.suppress(LinkError):
+            if self._drove and now - self._drove[-1] < _REPEATED_WITHIN:
+                self._say_volts()
+
+    def _why_silent(self, now: float) -> str:
+        with self._driving:
+            drove = (*self._drove, now)
+        device = self._status.device
+        pause = max((after - before for before, after in pairwise(drove)), default=0.0)
+        timeout = device.command_timeout if device else math.inf
+        if pause > _LONG_PAUSE * timeout:
+            return f"this computer sent nothing for {pause:.2f} s"
+        return self._status.last_refusal if now - self._refused < 2.0 * timeout else ""
+
     def _take(self, telemetry: Telemetry, now: float) -> None:
-        if self._status.went_back(telemetry):
+        if telemetry.state > State.STOPPED:
+            raise LinkError(f"the device is in state {telemetry.state}, which nobody knows here")
+        if self._status.restarted(telemetry, round(1e6 / self._options.rate)):
             raise LinkError("the device restarted by itself")
         with self._changed:
             stopped_already = self._status.state == State.STOPPED
+            if telemetry.cause == TIMEOUT_CAUSE and not stopped_already:
+                self._status.silence = self._why_silent(now)
             self._status.note(telemetry)
         if self._status.state == State.STOPPED and not stopped_already:
             self._session = None
@@ -305,7 +350,8 @@ class SerialLink:
             self._status.clock_uncertainty = self._device_clock.uncertainty
 
     def _lose(self, problem: str) -> None:
-        self._session = None
+        if self._session is not None:
+            self.stop()
         with self._changed:
             news = self._status.connected or problem != self._status.problem
             self._status.connected, self._status.problem = False, problem

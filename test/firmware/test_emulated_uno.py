@@ -69,6 +69,22 @@ def test_interrupts_are_never_off_for_as_long_as_two_bytes_take(driving: Virtual
     assert driving.uno.electrics.longest_blocked < 2 * BYTE
 
 
+@pytest.mark.parametrize(("rate", "letter", "commands"), [(100, "T", 20), (500, "B", 10)])
+def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(
+    host: VirtualHost, rate: int, letter: str, commands: int
+) -> None:
+    """What it had to say in 0.4 s, or in 0.2 s: it, or its cable, was kept waiting."""
+    host.arm()
+    host.say(letter, rate)
+    host.splitter.expect(binary=letter == "B")
+    for _ in range(commands):
+        host.drive(3000, 0, 0, 0)
+    host.run(0.05)
+    counters = host.named("S", "S")
+    assert counters["overruns"] == counters["rejected"] == counters["lost"] == "0"
+    assert host.telemetry[-1].echo == commands
+
+
 def test_same_bytes_give_the_same_bytes(emulator: Path, firmware_image: Path) -> None:
     def session() -> bytes:
         host = VirtualHost(EmulatedUno(emulator, firmware_image))

@@ -7,18 +7,20 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from host_firmware import HostFirmware
 
+from sma_bench.emulation.emulated_uno import EmulatedUno
 from sma_bench.emulation.pty_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_framing import line
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_messages import State
+from sma_bench.hardware.serial_messages import State, Telemetry
 from sma_bench.hardware.serial_port import find_port, open_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -284,6 +286,105 @@ def test_port_is_found_by_its_stable_name(tmp_path: Path) -> None:
     (tmp_path / "usb-Arduino_2").touch()
     with pytest.raises(InputError, match="usb-Arduino_1, .*usb-Arduino_2"):
         find_port(tmp_path)
+
+
+class Lossy:
+    """A device whose line loses bytes: of each written chunk where `lost` says so."""
+
+    def __init__(self, device: HostFirmware) -> None:
+        self.device = device
+        self.run, self.read = device.run, device.read
+        self.lost: list[int] = []
+        """places of bytes in the next commands of volts, one each"""
+
+    def write(self, data: bytes) -> None:
+        if self.lost and data.startswith(b"V "):
+            at = self.lost.pop(0) % len(data)
+            data = data[:at] + data[at + 1 :]
+        self.device.write(data)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 9, -7, -6, -3, -2, -1])
+def test_a_command_that_lost_a_byte_is_sent_again_before_the_timeout(
+    host_library: Path, lost: int
+) -> None:
+    """A driver that is so slow that its own next command would come too late."""
+    line = Lossy(HostFirmware(host_library))
+    with on_a_port(line) as bench, linked(lambda: bench.path) as link:
+        assert link.wait_connected(PATIENCE)
+        link.arm()
+        for _ in range(6):
+            link.drive(VOLTS)
+            time.sleep(0.12)
+            bench.do(lambda: line.lost.append(lost))
+        assert link.status.state == State.ARMED
+        assert link.status.refused >= 4
+        assert link.status.last_refusal in {
+            f"device refused {letter}: {reason}"
+            for letter in "-V"
+            for reason in ("bad format", "wrong checksum")
+        }
+        time.sleep(0.4)
+        assert link.status.cause_text == "command timeout"
+
+
+def test_a_timeout_says_who_was_silent(bench: PtyBench, link: Watched) -> None:
+    link.arm()
+    drive_until(link, lambda: link.status.command_latency > 0.0)
+    wait_for(lambda: link.status.state == State.STOPPED)
+    assert link.status.silence.startswith("this computer sent nothing for 0.")
+
+
+def test_a_device_that_was_kept_waiting_itself_does_not_call_the_host_silent(
+    uno: EmulatedUno
+) -> None:
+    """A starved computer: the emulator gets no turn, then its time hurries, the host's does not."""
+    with on_a_port(uno) as bench, linked(lambda: bench.path) as link:
+        assert link.wait_connected(PATIENCE)
+        wait_for(lambda: uno.time > 0.3)
+        link.arm()
+        drive_until(link, lambda: link.status.command_latency > 0.0)
+        bench.request(lambda: time.sleep(0.35))
+        end = time.monotonic() + 1.5
+        drive_until(link, lambda: time.monotonic() > end)
+        assert bench.largest_lag > 0.3
+        assert link.status.state == State.ARMED
+        assert link.status.connections == 1
+        assert link.counters()["overruns"] == 0
+
+
+def test_a_state_that_nobody_knows_ends_the_connection_with_the_stop_byte(
+    bench: PtyBench, link: Watched
+) -> None:
+    link.arm()
+    drive_until(link, lambda: bench.device.duties[0] > 0.2)
+    conversation = link._conversation
+    receive = conversation.receive
+
+    def receive_state_7(patience: float) -> tuple[list, float]:
+        messages, now = receive(patience)
+        return [replace(m, state=7) if isinstance(m, Telemetry) else m for m in messages], now
+
+    conversation.receive = receive_state_7
+    wait_for(lambda: link.status.connections == 2)
+    assert "not connected: the device is in state 7, which nobody knows here" in link.events
+    wait_for(lambda: link.status.cause_text == "stop byte")
+    assert bench.device.duties == (0.0,) * 4
+
+
+def test_whatever_ends_the_conversation_is_told_and_the_outputs_are_off(
+    bench: PtyBench, link: Watched
+) -> None:
+    link.arm()
+    drive_until(link, lambda: bench.device.duties[0] > 0.2)
+
+    def fail(_: float) -> tuple[list, float]:
+        raise ZeroDivisionError("nobody thought of this")
+
+    link._conversation.receive = fail
+    wait_for(lambda: link.status.connections == 2)
+    assert "not connected: ZeroDivisionError: nobody thought of this" in link.events
+    wait_for(lambda: link.status.cause_text == "stop byte")
 
 
 def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(

@@ -176,7 +176,7 @@ def test_missing_feedback_is_an_obstacle_and_stale_feedback_a_reason(driving):
 def test_a_device_that_stopped_or_left_is_the_reason(driving):
     driving.link.status.state = State.STOPPED
     driving.link.status.cause = CAUSES.index("command timeout")
-    driving.link.status.last_refusal = "device refused V: above the duty limit"
+    driving.link.status.silence = "device refused V: above the duty limit"
     reason = driving.pass_time(0.1, command=3.0)
     assert reason == (
         "command timeout, found by the device (device refused V: above the duty limit)"

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.link_status import LinkStatus
 from sma_bench.hardware.serial_framing import Splitter, checksum, frame, line, open_frame, open_line
 from sma_bench.hardware.serial_messages import (
     Accepted,
@@ -183,3 +184,40 @@ def test_handshake_with_something_left_out_is_refused() -> None:
     del lines["M"].values["on_s"]
     with pytest.raises(InputError, match="handshake: on_s is missing"):
         DeviceIdentity.from_lines(lines)
+
+
+def window(number: int, period_us: int = 10000) -> Telemetry:
+    """The n-th window since power-up."""
+    time_us = number * period_us % (1 << 32)
+    return Telemetry(
+        number % 65536, time_us, 0, 0, 12.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0
+    )
+
+
+@given(
+    uptime=st.integers(1000, 2_000_000), first=st.integers(1, 50),
+    period=st.sampled_from((2000, 10000, 100000)),
+)
+def test_a_restart_is_noticed_after_any_uptime(uptime: int, first: int, period: int) -> None:
+    """Most of all between half a turn of the clock, 35.8 min, and a whole one."""
+    status = LinkStatus()
+    status.note(window(uptime, period))
+    reached = status.restarted(window(first, period), period)
+    # Within three windows of a match of both counters: once in 20000 restarts.
+    same = (uptime - first) * period % (1 << 32), (uptime - first) % 65536
+    gap = (-same[0] + same[1] * period) % (65536 * period)
+    assert reached or min(gap, 65536 * period - gap) <= 3 * period
+
+
+@given(uptime=st.integers(1000, 2_000_000), lost=st.integers(0, 20000))
+def test_lost_windows_are_no_restart(uptime: int, lost: int) -> None:
+    status = LinkStatus()
+    status.note(window(uptime))
+    assert not status.restarted(window(uptime + 1 + lost), 10000)
+
+
+@pytest.mark.parametrize("minutes", [10, 40, 60, 71])
+def test_a_restart_is_noticed_at_any_time_of_the_day(minutes: int) -> None:
+    status = LinkStatus()
+    status.note(window(6000 * minutes))
+    assert status.restarted(window(1), 10000)
