@@ -50,8 +50,12 @@ setup(
         *shared_files("config", "launch", "firmware"),
     ],
     install_requires=["setuptools"],
-    # The rest of the package works without.
-    extras_require={"notebook": ["pandas"], "cluster": ["distributed"]},
+    # `test` is what makes `colcon test` run pytest; the package works without the others.
+    extras_require={
+        "cluster": ["distributed"],
+        "notebook": ["pandas"],
+        "test": ["pytest", "hypothesis"],
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [

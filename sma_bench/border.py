@@ -258,6 +258,8 @@ _Loader.add_implicit_resolver(
 )
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.integer)
 _Loader.add_constructor("tag:yaml.org,2002:str", _Loader.text)
+# launch_ros writes every list under this name; ROS's own reader passes over names of types.
+_Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_yaml_seq)
 _Loader.DEFAULT_SCALAR_TAG = "tag:yaml.org,2002:str"
 
 

@@ -43,6 +43,17 @@ def test_a_slip_in_a_parameter_file_is_one_line_with_the_file(tmp_path, text):
     assert BAD[text] in line and "rig.yaml" in line and "\n" not in line
 
 
+def test_lists_are_read_as_launch_writes_them_and_no_other_type_of_python_is(tmp_path):
+    written = "    feedback: !!python/tuple\n    - power\n"
+    check_arguments("experiment", arguments(tmp_path, written))
+    with pytest.raises(InputError, match="feedback"):
+        check_arguments("experiment", arguments(tmp_path, written.replace("power", "1")))
+    with pytest.raises(InputError, match="not YAML"):
+        check_arguments(
+            "experiment", arguments(tmp_path, "    protocol: !!python/object/apply:os.getcwd []\n")
+        )
+
+
 def test_foreign_names_are_warned_of_and_those_of_other_nodes_are_not(tmp_path, caplog):
     text = "    use_sim_time: true\n    protocol: ramp\n    gain: 2\n    wyre: 1\n"
     with caplog.at_level(logging.WARNING):

@@ -64,7 +64,7 @@ class Workspace:
     """A colcon workspace with the package built in it."""
 
     def __init__(self, folder: Path, linked: bool) -> None:
-        colcon = Path(sys.executable).with_name("colcon")
+        self.colcon = colcon = Path(sys.executable).with_name("colcon")
         if not colcon.exists():
             pytest.skip("colcon is not installed")
         self.folder, self.linked = folder, linked
@@ -126,6 +126,13 @@ def test_code_and_share_folder_are_those_of_the_workspace(workspace: Workspace) 
     home = workspace.source if workspace.linked else workspace.prefix
     assert Path(code).resolve().is_relative_to(home)
     assert share == str(home if workspace.linked else home / "share" / "sma_bench")
+
+
+def test_colcon_test_runs_the_tests_with_pytest(workspace: Workspace) -> None:
+    chosen = ["--pytest-args", "test/packaging/test_manifests.py", "-k", "version"]
+    workspace.run(workspace.colcon, "test", "--return-code-on-test-failure", *chosen)
+    said = workspace.run(workspace.colcon, "test-result", "--all")
+    assert "1 test, 0 errors, 0 failures, 0 skipped" in said.replace("tests", "test")
 
 
 def test_pip_installs_command_and_share_folder(tmp_path: Path) -> None:
