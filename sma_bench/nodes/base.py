@@ -1,24 +1,31 @@
 """What every node of the package shares: parameters from the tables, and a clean end."""
 
+import copy
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import FrameType
 from typing import Any
 
 import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 
 try:
     # A quarter of the CPU time of SingleThreadedExecutor; not in the first releases of Jazzy.
@@ -42,6 +49,12 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Signals arrive at Python only between two waits of the executor.
 _SIGNAL_LATENCY = 0.1
 
+_DIAGNOSE_EVERY = 1.0
+_OVERRIDABLE = QoSOverridingOptions((
+    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+))  # fmt: skip
+
 _RANGES = {"double": FloatingPointRange, "integer": IntegerRange}
 _RANGE_FIELDS = {"double": "floating_point_range", "integer": "integer_range"}
 
@@ -59,9 +72,11 @@ class BenchNode(Node):
     """Names that may not change while the node runs, where others may."""
     with_uncertainty = False
     """True where the node has use for the `uncertainty.` parameters."""
+    _ros_is_ready = False
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        self._ros_is_ready = True
         self.failure: InputError | None = None
         self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
         self._contract = {parameter.name: parameter for parameter in self._contract_table()}
@@ -70,6 +85,48 @@ class BenchNode(Node):
         self._load({})
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(lambda _: self._load({}))
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DIAGNOSE_EVERY, self.diagnose, clock=steady)
+
+    def create_publisher(
+        self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
+    ) -> Publisher:
+        """As rclpy's, and `qos_overrides./<topic>.publisher.` parameters change its QoS."""
+        return self._endpoint(super().create_publisher, topic, qos_profile, options, msg_type)
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[..., None],
+        qos_profile: QoSProfile | int,
+        **options: Any,
+    ) -> Subscription:
+        """As rclpy's, and `qos_overrides./<topic>.subscription.` parameters change its QoS."""
+        return self._endpoint(
+            super().create_subscription, topic, qos_profile, options, msg_type, callback
+        )
+
+    def _endpoint(
+        self,
+        create: Callable[..., Any],
+        topic: str,
+        qos: QoSProfile | int,
+        options: dict[str, Any],
+        msg_type: Any,
+        *callback: Any,
+    ) -> Any:
+        """rclpy makes a node's own topics before its parameters can be declared: these it keeps."""
+        if self._ros_is_ready:
+            options.setdefault("qos_overriding_options", _OVERRIDABLE)
+        # rclpy writes what is overridden into the profile, which other topics share.
+        profile = copy.copy(qos) if isinstance(qos, QoSProfile) else QoSProfile(depth=qos)
+        try:
+            return create(msg_type, topic, *callback, profile, **options)
+        except (RuntimeError, AssertionError, ParameterException) as error:
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"QoS of {topic}: {words}") from None
 
     def fail(self, error: InputError) -> None:
         """End the node after this callback, with the error's line and status 2.
@@ -86,6 +143,37 @@ class BenchNode(Node):
 
     def close(self) -> None:
         """Put everything in a safe state; the context is still valid."""
+
+    def health(self) -> list[DiagnosticStatus]:
+        """What the node says of itself on `/diagnostics`, once a second."""
+        return [self.status("node", message="running")]
+
+    def status(
+        self,
+        name: str,
+        level: bytes = DiagnosticStatus.OK,
+        message: str = "",
+        values: Mapping[str, Any] | None = None,
+        hardware: str = "",
+    ) -> DiagnosticStatus:
+        """One line of `health`; `name` is that of the part it speaks of."""
+        return DiagnosticStatus(
+            level=level,
+            name=f"{self.get_fully_qualified_name()}: {name}",
+            message=message,
+            hardware_id=hardware or self.get_name(),
+            values=[KeyValue(key=key, value=str(v)) for key, v in (values or {}).items()],
+        )
+
+    def diagnose(self) -> None:
+        """Publish `health` now, beside once a second."""
+        message = DiagnosticArray(status=self.health())
+        message.header.stamp = self.stamp()
+        self._diagnostics.publish(message)
+
+    def stamp(self) -> Time:
+        """Now, by the bench's clock."""
+        return self.get_clock().now().to_msg()
 
     def _contract_table(self) -> list[Parameter]:
         table = list(TABLE)
@@ -108,9 +196,7 @@ class BenchNode(Node):
             read_only=self.frozen or parameter.read_only,
         )
         if parameter.low is not None and parameter.high is not None:
-            bounds = _RANGES[parameter.kind](
-                from_value=parameter.low, to_value=parameter.high
-            )
+            bounds = _RANGES[parameter.kind](from_value=parameter.low, to_value=parameter.high)
             setattr(descriptor, _RANGE_FIELDS[parameter.kind], [bounds])
         return descriptor
 
@@ -244,8 +330,13 @@ def _refuse(name: str, error: Exception) -> int:
 
 def _uncertainty_of(parameter: Parameter) -> Parameter:
     return Parameter(
-        UNCERTAINTY_PREFIX + parameter.name, parameter.unit, parameter.uncertainty or 0.0,
-        f"Standard deviation of {parameter.name}.", "table", 0.0, 1e15,
+        UNCERTAINTY_PREFIX + parameter.name,
+        parameter.unit,
+        parameter.uncertainty or 0.0,
+        f"Standard deviation of {parameter.name}.",
+        "table",
+        0.0,
+        1e15,
     )
 
 

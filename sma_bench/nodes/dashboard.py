@@ -55,6 +55,7 @@ _LEVELS = {
     DiagnosticStatus.ERROR: "error", DiagnosticStatus.STALE: "stale",
 }  # fmt: skip
 _MODEL_TOPICS = "twin"
+_RECORDER = "recorder"
 
 
 class DashboardNode(Node):
@@ -103,6 +104,8 @@ class DashboardNode(Node):
         for service, types in self.get_service_names_and_types():
             name = service.removeprefix(self._inside).rpartition("/")[0]
             if not service.startswith(self._inside) or name == self.get_name():
+                continue
+            if name == _RECORDER:  # its stop ends the record, and drives nothing
                 continue
             if service.endswith(_STOP) and _TRIGGER in types and name not in self._stops:
                 self._stops[name] = self.create_client(Trigger, service)

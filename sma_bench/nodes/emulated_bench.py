@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Temperature
 
@@ -46,7 +46,8 @@ class EmulatedBenchNode(BenchNode):
         self._cameras = [
             Instrument(
                 self.settings["sensor.temperature_noise"],
-                self.settings["sensor.temperature_resolution"], seed,
+                self.settings["sensor.temperature_resolution"],
+                seed,
             )
             for seed in seeds
         ]
@@ -54,10 +55,9 @@ class EmulatedBenchNode(BenchNode):
             self.create_publisher(Temperature, f"{place}/temperature", MEASURED)
             for place in (*self._channels, "ambient")
         ]
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.settings["rate.temperature"], self._look, clock=steady)
-        self.create_timer(1.0, self._report, clock=steady)
+        self.create_timer(1.0, self._measure_air, clock=steady)
 
     def close(self) -> None:
         """The port is gone as if its cable were pulled."""
@@ -76,25 +76,22 @@ class EmulatedBenchNode(BenchNode):
         message.temperature = float(self._cameras[place].read(kelvin - CELSIUS_ZERO))
         self._publishers[place].publish(message)
 
-    def _report(self) -> None:
+    def _measure_air(self) -> None:
         self._publish(len(self._channels), float(self._bench.plant.bench.ambient_temperature))
+
+    def health(self) -> list[DiagnosticStatus]:
+        """Whether the emulator keeps up."""
         lag = self._bench.port.lag
-        values = {
-            "seconds": f"{self._bench.uno.time:.3f}",
-            "lag_ms": f"{1e3 * lag:.1f}",
-            "since_last_pulse_s": f"{self._bench.pins.off_for:.3f}",
-        }
         late = lag > _MOST_LAG
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if late else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: emulator",
-            message="slower than real time: the computer is busy" if late else "in real time",
-            hardware_id="emulated ATmega328P",
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
-        )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        return [self.status(
+            "emulator", DiagnosticStatus.WARN if late else DiagnosticStatus.OK,
+            "slower than real time: the computer is busy" if late else "in real time",
+            {
+                "seconds": f"{self._bench.uno.time:.3f}", "lag_ms": f"{1e3 * lag:.1f}",
+                "since_last_pulse_s": f"{self._bench.pins.off_for:.3f}",
+            },
+            "emulated ATmega328P",
+        )]  # fmt: skip
 
 
 def _link(name: str, port: str) -> Path | None:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -56,7 +57,7 @@ class Experiment(BenchNode):
         self._protocol: Protocol | None = None
         self._started: float | None = None
         self._begin = 0.0
-        self._state = "idle"
+        self._state = self._said = "idle"
         self._step = ""
         self._progress_due = 0.0
         self._autostart = self.settings["autostart"]
@@ -118,6 +119,17 @@ class Experiment(BenchNode):
         for kind in self.settings["feedback"]:
             if kind not in _FEEDBACK:
                 raise InputError(f"feedback: {kind!r}, expected {' or '.join(_FEEDBACK)}")
+
+    def health(self) -> list[DiagnosticStatus]:
+        """How the run goes, and what keeps the next one from starting."""
+        aborted = self._state == "aborted"
+        return [self.status(
+            "run", DiagnosticStatus.ERROR if aborted else DiagnosticStatus.OK, self._said,
+            {
+                "protocol": self._protocol.name if self._protocol else "", "step": self._step,
+                "obstacle": "" if self._state == "running" else self._obstacle(),
+            },
+        )]  # fmt: skip
 
     # Readings
 
@@ -204,7 +216,7 @@ class Experiment(BenchNode):
 
     def _enter(self, state: str, detail: str = "") -> None:
         self._state = state
-        text = f"{state}: {detail}" if detail else state
+        text = self._said = f"{state}: {detail}" if detail else state
         self._state_publisher.publish(String(data=text))
         self.get_logger().info(text)
 

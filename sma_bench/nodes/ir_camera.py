@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, Image, Temperature
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.hardware import camera_report
-from sma_bench.hardware.camera_report import CameraReport, Report
+from sma_bench.hardware.camera_report import CameraReport
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_settings import frame_format, frame_judge, wire_gauges
 from sma_bench.hardware.thermal_wire import WireReading
@@ -46,7 +45,6 @@ class IrCamera(BenchNode):
         self._warmth = [ExpectedWarmth(self.parameters) for _ in channels]
         self._outputs = [self._output(channel) for channel in channels]
         self._report = CameraReport(channels, self.settings["stale_limit"], time.monotonic())
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(Image, "thermal_image", self._image, _NEWEST)
         if self.settings["read_cold_wires"]:
             for k, channel in enumerate(channels):
@@ -55,7 +53,6 @@ class IrCamera(BenchNode):
                 )
         self._listen_to_flag()
         self.create_service(Trigger, "~/reset", self._reset)
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _output(self, channel: str) -> tuple[Any, Temperature]:
         message = Temperature()
@@ -124,21 +121,12 @@ class IrCamera(BenchNode):
     def _seconds(self) -> float:
         return self.get_clock().now().nanoseconds * 1e-9
 
-    def _diagnose(self) -> None:
-        message = DiagnosticArray(
-            status=[self._status(report) for report in self._report.reports(time.monotonic())]
-        )
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
-
-    def _status(self, report: Report) -> DiagnosticStatus:
-        return DiagnosticStatus(
-            level=_LEVELS[report.level],
-            name=f"{self.get_fully_qualified_name()}: {report.name}",
-            message=report.message,
-            hardware_id="infrared camera",
-            values=[KeyValue(key=key, value=value) for key, value in report.values.items()],
-        )
+    def health(self) -> list[DiagnosticStatus]:
+        """The pictures, and a line a wire."""
+        return [
+            self.status(r.name, _LEVELS[r.level], r.message, r.values, "infrared camera")
+            for r in self._report.reports(time.monotonic())
+        ]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

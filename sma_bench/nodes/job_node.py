@@ -7,6 +7,7 @@ The request waits for it in one of the executor's threads, so that parameters, a
 import threading
 from abc import ABC, abstractmethod
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from std_msgs.msg import String
@@ -14,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED, BenchNode
-from sma_bench.nodes.job_process import Job, JobProcess, busy
+from sma_bench.nodes.job_process import CANCELLED, Job, JobProcess, busy
 
 # One request at work, one that is refused, and the node's other callbacks.
 _THREADS = 4
@@ -24,6 +25,7 @@ class JobNode(BenchNode, ABC):
     """Answers a service (std_srvs/Trigger) whose message is a result as JSON, or why there is none.
 
     Latched: `~/state` ("idle", "busy", "busy: 42 %, pairs") and `~/result` (the last JSON).
+    `~/cancel` ends the work, whose request is then answered so.
     """
 
     with_uncertainty = True
@@ -37,7 +39,9 @@ class JobNode(BenchNode, ABC):
         self.create_service(
             Trigger, service, self._on_request, callback_group=ReentrantCallbackGroup()
         )
-        self._state.publish(String(data="idle"))
+        self.create_service(Trigger, "~/cancel", self._on_cancel)
+        self._requests, self._failure = 0, ""
+        self._tell_state("idle")
 
     @abstractmethod
     def job(self) -> Job:
@@ -45,6 +49,14 @@ class JobNode(BenchNode, ABC):
 
     def on_result(self, job: Job, result: str) -> None:
         """What else to do with the result of a job."""
+
+    def health(self) -> list[DiagnosticStatus]:
+        """What the node is at, and why the last request failed."""
+        failed = bool(self._failure) and not self._busy.locked()
+        return [self.status(
+            "work", DiagnosticStatus.WARN if failed else DiagnosticStatus.OK,
+            self._failure if failed else self._told, {"requests": self._requests},
+        )]  # fmt: skip
 
     def close(self) -> None:
         """Nobody waits for the work any more."""
@@ -58,15 +70,26 @@ class JobNode(BenchNode, ABC):
         try:
             self._answer(response)
         finally:
-            self._state.publish(String(data="idle"))
+            self._tell_state("idle")
             self._busy.release()
         return response
 
+    def _on_cancel(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._process.cancel()
+        response.message = CANCELLED if response.success else "nothing is running"
+        return response
+
     def _tell(self, share: float, what: str) -> None:
-        self._state.publish(String(data=busy(share, what)))
+        self._tell_state(busy(share, what))
+
+    def _tell_state(self, state: str) -> None:
+        self._told = state
+        self._state.publish(String(data=state))
 
     def _answer(self, response: Trigger.Response) -> None:
-        self._state.publish(String(data="busy"))
+        self._tell_state("busy")
+        self._requests += 1
+        self._failure = ""
         try:
             # What is set from here on is for the next request.
             job = self.job()
@@ -74,7 +97,7 @@ class JobNode(BenchNode, ABC):
             response.success = True
         except InputError as error:
             response.success = False
-            response.message = str(error)
+            response.message = self._failure = str(error)
             self.get_logger().error(response.message)
             return
         self._result.publish(String(data=response.message))

@@ -15,6 +15,7 @@ from sma_bench.errors import InputError
 from sma_bench.lifeline import end_with_parent, tied_to_this_process
 from sma_bench.progress import COMPILING, Report, silent
 
+CANCELLED = "cancelled on request"
 _BAD_INPUT = 2
 _TOLD = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
 _BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
@@ -36,7 +37,7 @@ class JobProcess:
         """`work` is what the jobs are called in messages."""
         self._work = work
         self._running: subprocess.Popen[str] | None = None
-        self._killed = False
+        self._killed = self._cancelled = False
 
     def run(self, job: Job, report: Report = silent) -> str:
         """The job's result, waited for without using the processor.
@@ -68,14 +69,25 @@ class JobProcess:
                     errors.append(line)
         status = process.wait()
         self._running = None
+        cancelled, self._cancelled = self._cancelled, False
         if status == 0:
             return output.result()
         if status == _BAD_INPUT:
             raise InputError(output.result().strip())
-        if self._killed:
-            raise InputError(f"{self._work}: ended with its node")
+        if self._killed or cancelled:
+            why = "ended with its node" if self._killed else CANCELLED
+            raise InputError(f"{self._work}: {why}")
         last = [line.strip() for line in errors if line.strip()][-1:] or [f"status {status}"]
         raise InputError(f"{self._work}: failed: {last[0]}")
+
+    def cancel(self) -> bool:
+        """End the running job, and no later one; whether there was one."""
+        running = self._running
+        if running is None:
+            return False
+        self._cancelled = True
+        running.kill()
+        return True
 
     def kill(self) -> None:
         """End the running job, and every later one."""

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Temperature
@@ -88,7 +88,6 @@ class SerialBridge(BenchNode):
         sensors = self._sensors.range_sensors
         self._ranges = RangeTopics(self, sensors) if sensors else None
         self._state = self.create_publisher(String, "~/state", LATCHED)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(
             Float64MultiArray, "voltage_command", self._on_command, QoSProfile(depth=50)
         )
@@ -105,7 +104,6 @@ class SerialBridge(BenchNode):
             self.create_service(Trigger, f"~/{name}", partial(self._answer, act))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK, self._tick, clock=steady)
-        self.create_timer(_REPORT, self._report, clock=steady)
 
     def _open(self) -> Port:
         return open_port(self.settings["port"] or find_port())
@@ -194,7 +192,8 @@ class SerialBridge(BenchNode):
             self._state.publish(String(data=state))
             self.get_logger().info(state)
 
-    def _report(self) -> None:
+    def health(self) -> list[DiagnosticStatus]:
+        """State, link and timing of the bench."""
         status, state = self._link.status, self._driver.state
         values = {
             **driver_values(self._driver, time.monotonic()),
@@ -203,18 +202,9 @@ class SerialBridge(BenchNode):
             "commanders": str(self.count_publishers("voltage_command")),
         }
         self._tally = Tally(temperatures=self._tally.temperatures)
-        message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.status = [
-            DiagnosticStatus(
-                level=self._level(state),
-                name=f"{self.get_fully_qualified_name()}: bench",
-                message=state,
-                hardware_id=values.get("firmware", "no device"),
-                values=[KeyValue(key=key, value=value) for key, value in values.items()],
-            )
-        ]
-        self._diagnostics.publish(message)
+        return [self.status(
+            "bench", self._level(state), state, values, values.get("firmware", "no device")
+        )]  # fmt: skip
 
     def _level(self, state: str) -> bytes:
         if state not in ("idle", "enabled"):

@@ -3,7 +3,8 @@
 import time
 from collections.abc import Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.qos import QoSProfile
@@ -46,14 +47,12 @@ class Simulator(BenchNode):
         self._topics = BenchTopics(self, self._bench.channels, self._bench.composite)
         self._clock_sent = 0.0
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self._fast else None
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(
             Float64MultiArray, "voltage_command", self._command, QoSProfile(depth=50)
         )
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         tick = max(slice_length / speed, _SHORTEST_TICK)
         self.create_timer(tick, self._tick, clock=steady)
-        self.create_timer(1.0, self._diagnose, clock=steady)
         self._reported = (0, self._topics.counts())
         channels = ", ".join(self._bench.channels)
         self.get_logger().info(f"simulating {channels}, {speed:g} s a second")
@@ -92,7 +91,8 @@ class Simulator(BenchNode):
         self._clock_publisher.publish(message)
         self._clock_sent = time.monotonic()
 
-    def _diagnose(self) -> None:
+    def health(self) -> list[DiagnosticStatus]:
+        """Commands taken and refused, and the rates of the readings."""
         before, counts_before = self._reported
         counts = self._topics.counts()
         self._reported = (self._now, counts)
@@ -107,20 +107,14 @@ class Simulator(BenchNode):
         }
         for kind, count in counts.items():
             values[f"{kind}_rate"] = f"{(count - counts_before[kind]) / elapsed:.1f}"
-        self._diagnostics.publish(self._diagnostic_array(values))
+        level = DiagnosticStatus.WARN if self._gate.rejected else DiagnosticStatus.OK
+        message = self._gate.last_rejection or "running"
+        return [self.status("bench", level, message, values, "simulated bench")]
 
-    def _diagnostic_array(self, values: dict[str, object]) -> DiagnosticArray:
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if self._gate.rejected else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: bench",
-            message=self._gate.last_rejection or "running",
-            hardware_id="simulated bench",
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
-        message = DiagnosticArray(status=[status])
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(self._epoch + self._now, NANOSECONDS)
-        return message
+    def stamp(self) -> Time:
+        """Simulated time: the node gives the clock and does not hear it."""
+        seconds, rest = divmod(self._epoch + self._now, NANOSECONDS)
+        return Time(sec=seconds, nanosec=rest)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, JointState, Temperature
@@ -45,7 +45,6 @@ class SyntheticCameraNode(BenchNode):
         # The message's own array: without field checks it keeps a copy of what it is given.
         self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
         self._publisher = self.create_publisher(Image, "thermal_image", _IMAGE_QOS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for k, channel in enumerate(channels):
             self.create_subscription(
                 Temperature, f"{channel}/true_temperature", partial(self._temperature, k), 10
@@ -53,7 +52,6 @@ class SyntheticCameraNode(BenchNode):
         self.create_subscription(JointState, "joint_states", self._joints, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.settings["rate"], self._take, clock=steady)
-        self.create_timer(1.0, self._diagnose, clock=steady)
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Refuse an unknown fault."""
@@ -92,23 +90,18 @@ class SyntheticCameraNode(BenchNode):
         sway = self.settings["sway"] * math.sin(2.0 * math.pi * time.monotonic() / _SWAY_PERIOD)
         return self._deflection / self.settings["pixel_size"] + sway
 
-    def _diagnose(self) -> None:
+    def health(self) -> list[DiagnosticStatus]:
+        """Whether there are pictures, and which fault they show."""
         waiting = any(math.isnan(kelvin) for kelvin in self._kelvin)
         fault = self.settings["fault"]
         rate, self._reported = self._pictures - self._reported, self._pictures
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if waiting or fault != "none" else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: pictures",
-            message=(
-                "waiting for <channel>/true_temperature" if waiting else
-                f"synthetic pictures, fault: {fault}"
-            ),
-            hardware_id="synthetic camera",
-            values=[KeyValue(key="picture_rate", value=str(rate))],
-        )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        return [self.status(
+            "pictures",
+            DiagnosticStatus.WARN if waiting or fault != "none" else DiagnosticStatus.OK,
+            "waiting for <channel>/true_temperature" if waiting
+            else f"synthetic pictures, fault: {fault}",
+            {"picture_rate": rate}, "synthetic camera",
+        )]  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:

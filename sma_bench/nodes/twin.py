@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, JointState, Temperature
@@ -48,7 +48,6 @@ class TwinNode(BenchNode):
         self._heard, self._readings, self._hertz = time.monotonic(), 0, 0.0
         self._reported = 0, self._heard
         self._restarts = 0
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         for k, channel in enumerate(channels):
             self.create_subscription(
                 BatteryState, f"{channel}/power", partial(self._on_power, k), _OFFERED
@@ -60,7 +59,6 @@ class TwinNode(BenchNode):
         self.create_service(Trigger, "~/accept", self._accept)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_STEP_EVERY, self._step, clock=steady)
-        self.create_timer(_DIAGNOSE_EVERY, self._diagnose, clock=steady)
 
     # Readings
 
@@ -97,7 +95,7 @@ class TwinNode(BenchNode):
             self._judged = verdict
             self._topics.energies(verdict)
             if verdict.message != self._said and verdict.measured:
-                self._diagnose()
+                self.diagnose()
 
     def _take_over(self) -> None:
         parameters, settings = self._loaded
@@ -115,7 +113,8 @@ class TwinNode(BenchNode):
 
     # Diagnostics
 
-    def _diagnose(self) -> None:
+    def health(self) -> list[DiagnosticStatus]:
+        """The gap, and a line a stage."""
         verdict = self._twin.verdict
         silence = time.monotonic() - self._heard
         level, message = DiagnosticStatus.OK, verdict.message
@@ -130,15 +129,13 @@ class TwinNode(BenchNode):
             else:
                 self.get_logger().warning(message)
             self._said = message
-        whole = self._status("gap", level, message, {
+        whole = self.status("gap", level, message, {
             "state": verdict.state, "stages": " ".join(verdict.stages),
             "sides": " ".join(verdict.sides), "model_time": f"{self._twin.stamp / NANOSECONDS:.3f}",
             "voltage_readings_rate": f"{self._rate():.1f}",
             "silence": f"{silence:.1f}", **self._twin.counts,
         })  # fmt: skip
-        array = DiagnosticArray(status=[whole, *map(self._stage_status, verdict.measured)])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        return [whole, *map(self._stage_status, verdict.measured)]
 
     def _rate(self) -> float:
         """Readings of voltages a second, of all channels, over the last half second or more."""
@@ -154,16 +151,7 @@ class TwinNode(BenchNode):
         learned = not math.isnan(state.energy)
         message = f"{state.gap:.1f} times the noise" if learned else "learning the noise"
         level = DiagnosticStatus.WARN if named else DiagnosticStatus.OK
-        return self._status(state.stage, level, message, numbers)
-
-    def _status(
-        self, name: str, level: bytes, message: str, values: dict[str, Any]
-    ) -> DiagnosticStatus:
-        return DiagnosticStatus(
-            level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
-            hardware_id="twin",
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        return self.status(state.stage, level, message, numbers)
 
 
 def _stamp(message: Any) -> int:

@@ -66,6 +66,13 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
         "identification", record_root=bag.parent, record=f"[{bag.name}]", output_directory=out,
         output_root=tmp_path,
     )
+    assert not bench.trigger("identification/cancel").success  # nothing runs
+    unwanted = bench.trigger_later("identification/identify")
+    bench.until(lambda: bench.trigger("identification/cancel").success)
+    bench.until(unwanted.done)
+    assert unwanted.result().message == "identification: cancelled on request"
+    assert not out.exists()
+    bench.until(lambda: states[-1].data == "idle")
     first = bench.trigger_later("identification/identify")
     bench.until(lambda: states and states[-1].data.startswith("busy"))
     before = processor_seconds(node)

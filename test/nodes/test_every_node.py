@@ -1,0 +1,96 @@
+"""What holds of every node, seen on the nodes themselves, made in this process."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+
+from sma_bench.errors import InputError  # noqa: E402
+from sma_bench.nodes.base import BenchNode, OneThreadExecutor  # noqa: E402
+from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
+
+# Made by rclpy before a node's parameters can be.
+ROS_OWN = ("/parameter_events", "/rosout", "/clock")
+COMPOSITE = Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml"
+NEEDS_FIRMWARE = "emulated_bench"
+
+
+@pytest.fixture
+def make(ros_domain, tmp_path, monkeypatch):
+    """Makes a node by its name; arguments after it are of its command line."""
+    monkeypatch.chdir(tmp_path)
+    made = []
+
+    def make(name, *arguments):
+        rclpy.init(args=["--ros-args", "-r", "__ns:=/bench", *arguments])
+        module = importlib.import_module(f"sma_bench.nodes.{name}")
+        (kind,) = [
+            k
+            for k in vars(module).values()
+            if isinstance(k, type) and issubclass(k, BenchNode) and k.__module__ == module.__name__
+        ]
+        made.append(kind())
+        return made[-1]
+
+    yield make
+    for node in made:
+        node.close()
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize("name", NODE_TABLES)
+def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(make, name, request):
+    if name == NEEDS_FIRMWARE:
+        request.getfixturevalue("emulator")
+        request.getfixturevalue("firmware_image")
+    rig = ["--params-file", str(COMPOSITE)] if name == "deflection_controller" else []
+    node = make(name, *rig)
+    for kind, endpoints in (("publisher", node.publishers), ("subscription", node.subscriptions)):
+        for endpoint in endpoints:
+            topic = getattr(endpoint, "topic_name", None) or endpoint.topic
+            overridden = node.has_parameter(f"qos_overrides.{topic}.{kind}.reliability")
+            assert overridden == (topic not in ROS_OWN), f"{kind} of {topic}"
+    heard = []
+    node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+    executor = OneThreadExecutor()
+    executor.add_node(node)
+    for _ in range(200):
+        executor.spin_once(timeout_sec=0.1)
+        if heard:
+            break
+    assert heard[0].status and all(s.name.startswith(f"/bench/{name}: ") for s in heard[0].status)
+    assert heard[0].header.stamp.sec > 0
+    executor.shutdown()
+
+
+def test_an_override_of_one_topic_is_that_topics_alone(make):
+    override = "qos_overrides./bench/experiment/progress.publisher"
+    node = make(
+        "experiment", "-p", f"{override}.reliability:=best_effort", "-p", f"{override}.depth:=7"
+    )
+
+    def offered(topic):
+        return next(p.qos_profile for p in node.publishers if p.topic_name.endswith(topic))
+
+    assert offered("/progress").depth == 7
+    assert offered("/progress").reliability.name == "BEST_EFFORT"
+    assert offered("experiment/state").depth == 1  # was made from the same profile
+    assert offered("experiment/state").reliability.name == "RELIABLE"
+
+
+@pytest.mark.parametrize(
+    ("policy", "value"), [("reliability", "rather"), ("depth", "-3"), ("depth", "many")]
+)
+def test_an_override_that_is_no_qos_is_one_line(make, policy, value):
+    with pytest.raises(InputError, match="voltage_command") as refused:
+        make(
+            "experiment",
+            "-p",
+            f"qos_overrides./bench/voltage_command.publisher.{policy}:={value}",
+        )
+    assert "\n" not in str(refused.value)
