@@ -23,7 +23,7 @@ from sma_bench.commands import blind
 from sma_bench.commands.parser import command_parser
 from sma_bench.parameters.documentation import parameter_table
 from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.report.paper_errata import paper_errata
+from sma_bench.report.errata import paper_errata
 
 ROOT = Path(__file__).resolve().parents[2]
 MORE = "More"

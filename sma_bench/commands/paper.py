@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from sma_bench.commands.paper_drawing import paper_page, to_json
     from sma_bench.records import open_record
     from sma_bench.report.page import write_report
-    from sma_bench.report.paper_tables import csv_text
+    from sma_bench.report.paper_page import csv_text
 
     started = time.monotonic()
     parameters = parameters_from_options(args)

@@ -11,18 +11,20 @@ from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.report.composite_figures import CompositeRun, composite_run
+from sma_bench.report.errata import paper_errata
 from sma_bench.report.page import Picture
-from sma_bench.report.paper_errata import paper_errata
-from sma_bench.report.paper_page import PaperPage
-from sma_bench.report.paper_results import (
+from sma_bench.report.paper_page import (
     KINDS,
+    TABLES,
     THERMAL,
     LabRecords,
     Outcome,
+    PaperPage,
+    Row,
     identified_parameters,
     identify_lab,
+    table_rows,
 )
-from sma_bench.report.paper_tables import TABLES, Row, table_rows
 from sma_bench.report.thermal_figures import validation_picture
 from sma_bench.synthetic.paper_specimens import composite_rig, wire_rig
 

@@ -14,7 +14,7 @@ from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.record import Record
 from sma_bench.records.tensile import TensileRecord
-from sma_bench.report.paper_results import LabRecords
+from sma_bench.report.paper_page import LabRecords
 from sma_bench.synthetic import paper_specimens as specimens
 
 _SAME_STRESS = 5e6  # Pa

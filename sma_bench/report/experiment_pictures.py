@@ -3,12 +3,16 @@
 from collections.abc import Callable
 
 from sma_bench.identify.estimate import Experiment
-from sma_bench.report.constitutive_figures import bench_fit_pictures, constitutive_picture
-from sma_bench.report.dsc_figures import dsc_pictures
-from sma_bench.report.isobaric_figures import isobaric_pictures
+from sma_bench.report.alloy_figures import (
+    bench_fit_pictures,
+    constitutive_picture,
+    isobaric_pictures,
+    tensile_picture,
+    thermal_expansion_picture,
+)
 from sma_bench.report.page import Picture
-from sma_bench.report.tensile_figures import tensile_picture, thermal_expansion_picture
 from sma_bench.report.thermal_figures import (
+    dsc_pictures,
     heat_transfer_picture,
     ramp_picture,
     resistance_picture,

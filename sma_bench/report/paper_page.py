@@ -1,32 +1,393 @@
 """The paper redrawn: its figures, tables and errata as one page."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
+from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Experiment
-from sma_bench.report.bench_drawing import bench_picture
+from sma_bench.identify import identify
+from sma_bench.identify.estimate import Estimate, Experiment
+from sma_bench.identify.instruments.heating_rates import identify_heating_rates
+from sma_bench.identify.instruments.isobaric import identify_isobaric
+from sma_bench.identify.instruments.tensile import identify_tensile
+from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.paper_numbers import (
+    DSC_CYCLES,
+    RESISTANCE_COOLING,
+    THERMAL_EXPANSION,
+    UPFR_FINISH,
+    UPFR_START,
+)
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.records.dsc import DscRecord
+from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.record import Record
+from sma_bench.records.tensile import TensileRecord
+from sma_bench.report.alloy_figures import (
+    stress_temperature_picture,
+    tensile_picture,
+    thermal_expansion_picture,
+    upfr_picture,
+)
 from sma_bench.report.composite_figures import (
     CompositeRun,
+    bench_picture,
     composite_deflection_picture,
     composite_voltage_picture,
 )
 from sma_bench.report.drawing import FAINT
-from sma_bench.report.dsc_overview import dsc_overview_picture
-from sma_bench.report.errata_figures import errata_picture
-from sma_bench.report.erratum import Erratum
-from sma_bench.report.isobaric_figures import stress_temperature_picture, upfr_picture
+from sma_bench.report.errata import Erratum, errata_picture, errata_sections
 from sma_bench.report.page import Picture, Section, Table
-from sma_bench.report.paper_errata import errata_sections
-from sma_bench.report.paper_results import Outcome
-from sma_bench.report.paper_tables import TABLES, Row, html_table
-from sma_bench.report.tensile_figures import tensile_picture, thermal_expansion_picture
 from sma_bench.report.thermal_figures import (
+    dsc_overview_picture,
     heat_transfer_picture,
     ramp_picture,
     resistance_picture,
     slope_picture,
 )
+
+# --- What the figures and tables of the paper are drawn from: records in, experiments out.
+
+THERMAL = ("E1", "E2", "E3")
+# One wire record need not hold all three; the first choice that it holds counts.
+_THERMAL_CHOICES = (THERMAL, ("E1", "E2"), ("E3",), ("E1",), ("E2",))
+
+
+@dataclass(frozen=True)
+class LabRecords:
+    """Records of a laboratory, sorted by what they are good for.
+
+    Attributes:
+        thermal: E1 to E3, voltage staircases and ramps below A_s of one wire.
+        validation: E4, voltages that no parameter is fitted to.
+        dsc: E5; upfr: E6 at one low load; isobaric: E6 at several loads; tensile: E7;
+        clamped: E8, a wire between clamps with its force.
+        composite: E12.
+    """
+
+    thermal: tuple[Record, ...] = ()
+    validation: tuple[Record, ...] = ()
+    dsc: tuple[DscRecord, ...] = ()
+    upfr: tuple[IsobaricRecord, ...] = ()
+    isobaric: tuple[IsobaricRecord, ...] = ()
+    tensile: tuple[TensileRecord, ...] = ()
+    clamped: tuple[Record, ...] = ()
+    composite: tuple[Record, ...] = ()
+
+    def only(self, names: Sequence[str]) -> "LabRecords":
+        """These groups and no others."""
+        return LabRecords(**{f.name: getattr(self, f.name) for f in fields(self)
+                             if f.name in names})
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results of one kind of experiment.
+
+    `experiments` one a record, `estimates` joined over them, `synthetic` whether the records are.
+    """
+
+    experiments: tuple[Experiment, ...]
+    estimates: dict[str, Estimate]
+    synthetic: bool
+
+
+# Kinds of experiment by the group of records that feeds them.
+KINDS = {
+    "thermal": THERMAL,
+    "dsc": ("E5",),
+    "upfr": ("E6",),
+    "isobaric": ("E6 stresses",),
+    "tensile": ("E7",),
+    "clamped": ("E8",),
+}
+
+
+def identify_lab(
+    records: LabRecords, parameters: Parameters, *, synthetic: bool
+) -> tuple[dict[str, Outcome], list[Finding]]:
+    """Run every experiment that the records allow.
+
+    Args:
+        parameters: what is known beforehand.
+        synthetic: whether the records are.
+
+    Returns:
+        Outcomes by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing.
+    """
+    found: dict[str, Outcome] = {}
+    notes: list[Finding] = []
+    if records.thermal:
+        found.update(_thermal(records.thermal, parameters, synthetic, notes))
+    wanted: tuple[tuple[str, Sequence[object], Callable[[], Experiment]], ...] = (
+        ("E5", records.dsc, lambda: identify_heating_rates(records.dsc)),
+        ("E6", records.upfr, lambda: identify_isobaric(records.upfr, parameters)),
+        (
+            "E6 stresses", records.isobaric,
+            lambda: identify_isobaric(records.isobaric, parameters, temperatures="cosine"),
+        ),
+        ("E7", records.tensile, lambda: identify_tensile(records.tensile, parameters)),
+        ("E8", records.clamped, lambda: _thermal_expansion(records.clamped, parameters)),
+    )
+    for kind, given, run in wanted:
+        if not given:
+            continue
+        try:
+            experiment = run()
+        except InputError as error:
+            notes.append(Finding("warning", kind, str(error)))
+        else:
+            found[kind] = Outcome((experiment,), experiment.estimates, synthetic)
+    return found, notes
+
+
+def _thermal(
+    records: Sequence[Record], parameters: Parameters, synthetic: bool, notes: list[Finding]
+) -> dict[str, Outcome]:
+    reasons: list[str] = []
+    for choice in _THERMAL_CHOICES:
+        try:
+            result = identify(records, parameters, choice)
+        except InputError as error:
+            reasons.append(str(error))
+            continue
+        notes.extend(note for note in result.notes if note.severity != "info")
+        return {kind: _outcome(result.experiments, result.estimates, kind, synthetic)
+                for kind in choice}
+    notes.append(Finding("warning", "E1 to E3", reasons[0]))
+    return {}
+
+
+def _thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
+    channel = records[0].channels[0]
+    return identify_thermal_expansion(
+        records, parameters, temperature=f"{channel}.temperature"
+    )
+
+
+def _outcome(
+    experiments: Sequence[Experiment], estimates: Mapping[str, Estimate], kind: str,
+    synthetic: bool,
+) -> Outcome:
+    mine = tuple(e for e in experiments if e.name == kind)
+    names = {name for e in mine for name in e.estimates}
+    return Outcome(mine, {n: e for n, e in estimates.items() if n in names}, synthetic)
+
+
+def identified_parameters(parameters: Parameters, outcomes: Sequence[Outcome]) -> Parameters:
+    """The given parameters with what the outcomes identified put in."""
+    estimates = {name: e for outcome in outcomes for name, e in outcome.estimates.items()}
+    return parameters.replace(
+        {name: e.value for name, e in estimates.items()},
+        {name: e.std for name, e in estimates.items()},
+        "identified",
+    )
+
+
+# --- Tables I to III of the paper, and its numbers outside the tables, beside identified values.
+
+CSV_HEADER = (
+    "quantity", "description", "unit", "paper", "paper_std", "identified", "standard_error",
+    "data", "source",
+)
+_HEADER = ("", "", "paper", "identified", "standard error", "unit", "from")
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A number of the paper and where its counterpart is found.
+
+    Attributes:
+        symbol, description, unit: as in the paper's table.
+        value, std: printed, in `unit`; std NaN where none is printed.
+        kind: of experiment, "" for what is weighed or measured and not identified.
+        estimate: name among the estimates of that kind, or among the details of its experiments.
+        scale: from SI to `unit`.
+    """
+
+    symbol: str
+    description: str
+    unit: str
+    value: float
+    std: float
+    kind: str
+    estimate: str
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """A printed number beside the identified one (None: not identified)."""
+
+    printed: Printed
+    estimate: Estimate | None
+    synthetic: bool
+    source: str
+
+    @property
+    def value(self) -> float:
+        """Identified, in the unit of the table; NaN if there is none."""
+        return self.estimate.value * self.printed.scale if self.estimate else math.nan
+
+    @property
+    def std(self) -> float:
+        """Its standard error, likewise."""
+        return self.estimate.std * self.printed.scale if self.estimate else math.nan
+
+
+_NONE = math.nan
+
+
+def _of_table(
+    symbol: str, description: str, unit: str, kind: str, name: str, scale: float = 1.0,
+    has_std: bool = False,
+) -> Printed:
+    """A number of Table I or III, which is the default of a parameter."""
+    parameter = BY_NAME[name]
+    assert isinstance(parameter.default, float)
+    std = scale * (parameter.uncertainty or 0.0) if has_std else _NONE
+    return Printed(
+        symbol, description, unit, scale * parameter.default, std, kind, name, scale
+    )
+
+
+_TABLE_I = (
+    _of_table("R", "Resistance", "Ω", "E1", "wire.resistance"),
+    _of_table("h", "Heat transfer coefficient", "W/(m² K)", "E2", "wire.heat_transfer_coefficient"),
+    _of_table("C_p", "Specific heat", "J/(kg K)", "E3", "wire.specific_heat"),
+    _of_table("m", "Mass of wire", "g", "", "wire.mass", 1e3),
+    _of_table("A_c", "Area of wire", "mm²", "", "wire.surface_area", 1e6),
+    _of_table("T_∞", "Ambient temperature", "K", "E2", "environment.ambient_temperature"),
+)
+_TABLE_II = tuple(
+    Printed(symbol, f"heat cycle {cycle}", "K", value, _NONE, "E5", f"cycle {cycle}, *: {symbol}")
+    for cycle, values in enumerate(DSC_CYCLES, start=1)
+    for symbol, value in values.items()
+)
+_TABLE_III = (
+    _of_table("E_M", "Martensitic modulus at 293.15 K", "GPa", "E7", "wire.martensite_modulus",
+              1e-9, has_std=True),
+    _of_table("E_A", "Austenitic modulus at 403.15 K", "GPa", "E7", "wire.austenite_modulus",
+              1e-9, has_std=True),
+)
+_UPFR = "UPFR under 1 N, section III.B.1"
+_TEXT = (
+    Printed("R, cooling", "section II.B.1", "Ω", RESISTANCE_COOLING, _NONE, "E1", "cooling"),
+    Printed("A_s", _UPFR, "K", *UPFR_START, "E6", "A_s (tangent) at *"),
+    Printed("A_f", _UPFR, "K", *UPFR_FINISH, "E6", "A_f (tangent) at *"),
+    _of_table("ε_L", "UPFR, section III.B.1", "%", "E6", "wire.maximum_recoverable_strain", 100.0),
+    Printed("Θ_T", "section III.B.3; see erratum 10", "MPa/K", 1e-6 * THERMAL_EXPANSION, _NONE,
+            "E8", "wire.thermal_expansion_factor", 1e-6),
+    Printed("C_A", "eq. (10); not printed", "MPa/K", _NONE, _NONE, "E6 stresses",
+            "wire.stress_influence_austenite", 1e-6),
+    Printed("C_M", "eq. (11); not printed", "MPa/K", _NONE, _NONE, "E6 stresses",
+            "wire.stress_influence_martensite", 1e-6),
+)
+TABLES: dict[str, tuple[str, tuple[Printed, ...]]] = {
+    "table_1": ("Table I: parameters of the wire", _TABLE_I),
+    "table_2": ("Table II: DSC results after two heating cycles", _TABLE_II),
+    "table_3": ("Table III: elastic moduli", _TABLE_III),
+    "numbers_in_the_text": ("Numbers that the paper gives in its text", _TEXT),
+}
+
+
+def table_rows(name: str, outcomes: Mapping[str, Outcome]) -> list[Row]:
+    """Rows of a table of TABLES with what the outcomes identified."""
+    return [_row(printed, outcomes.get(printed.kind)) for printed in TABLES[name][1]]
+
+
+def _row(printed: Printed, outcome: Outcome | None) -> Row:
+    if outcome is None:
+        return Row(printed, None, False, "not identified" if printed.kind else "taken as given")
+    estimate = outcome.estimates.get(printed.estimate) or _detail(printed.estimate, outcome)
+    source = "; ".join(dict.fromkeys(e.source for e in outcome.experiments))
+    return Row(printed, estimate, outcome.synthetic, source)
+
+
+def _detail(name: str, outcome: Outcome) -> Estimate | None:
+    """A detail of the first experiment that has it; a star stands for anything."""
+    head, _, tail = name.partition("*")
+    for experiment in outcome.experiments:
+        for key, estimate in experiment.details.items():
+            exact = key == name
+            if exact or ("*" in name and key.startswith(head) and key.endswith(tail)):
+                return estimate
+    return None
+
+
+def html_table(name: str, rows: Sequence[Row]) -> Table:
+    """A table in the paper's form; Table II one line a cycle."""
+    if name == "table_2":
+        return _by_cycle(rows)
+    shown = [
+        (
+            row.printed.symbol, row.printed.description, _paper(row.printed),
+            *_identified(row), row.printed.unit, _origin(row),
+        )
+        for row in rows
+    ]
+    return Table(_HEADER, shown, frozenset({2, 3, 4}))
+
+
+def _by_cycle(rows: Sequence[Row]) -> Table:
+    symbols = list(dict.fromkeys(row.printed.symbol for row in rows))
+    lines = []
+    for description in dict.fromkeys(row.printed.description for row in rows):
+        mine = {row.printed.symbol: row for row in rows if row.printed.description == description}
+        lines.append([description, "paper", *(_paper(mine[s].printed) for s in symbols)])
+        told = [" ± ".join(filter(None, _identified(mine[s]))) for s in symbols]
+        lines.append(["", f"identified, {_origin(mine[symbols[0]])}", *told])
+    header = ("", "", *(f"{symbol} [K]" for symbol in symbols))
+    return Table(header, lines, frozenset(range(2, 2 + len(symbols))))
+
+
+def _paper(printed: Printed) -> str:
+    if math.isnan(printed.value):
+        return "none"
+    if math.isnan(printed.std):
+        return f"{printed.value:g}"
+    return f"{printed.value:g} ± {printed.std:g}"
+
+
+def _identified(row: Row) -> tuple[str, str]:
+    """Value and standard error, as many decimals as two digits of the error need."""
+    if row.estimate is None:
+        return "", ""
+    decimals = max(1 - math.floor(math.log10(row.std)), 0) if row.std > 0.0 else 4
+    return f"{row.value:.{decimals}f}", f"{row.std:.{decimals}f}"
+
+
+def _origin(row: Row) -> str:
+    if row.estimate is None:
+        return row.source
+    data = "synthetic" if row.synthetic else "record given"
+    return f"{row.printed.kind.partition(' ')[0]}, {data}"
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """The rows as CSV, one number a line, full precision."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_HEADER)
+    for row in rows:
+        printed = row.printed
+        data = "" if row.estimate is None else "synthetic" if row.synthetic else "record"
+        numbers = [_number(x) for x in (printed.value, printed.std, row.value, row.std)]
+        writer.writerow(
+            [printed.symbol, printed.description, printed.unit, *numbers, data, row.source]
+        )
+    return text.getvalue()
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.10g}"
+
+
+# --- The paper redrawn: its figures, tables and errata as one page.
 
 # Figure of the paper: (kind of experiment, equations that it shows, how it is drawn).
 EXPERIMENT_FIGURES = (

@@ -11,7 +11,7 @@ from sma_bench.report.diagnosis_words import with_error
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, new_figure
 from sma_bench.report.page import Picture, Section, Table
 from sma_bench.report.quantities import in_print
-from sma_bench.report.record_pictures import plain
+from sma_bench.report.record_section import plain
 from sma_bench.report.result_file import DiagnoseResult, IdentifyResult, Number
 
 _LEAST_SHOWN = 0.005

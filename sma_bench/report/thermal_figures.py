@@ -1,16 +1,21 @@
-"""Figures 2 to 6 of the paper, redrawn from records."""
+"""Figures 2 to 7 of the paper, redrawn from records: the wire's heat, and its DSC."""
+
+import re
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
-from sma_bench.identify.estimate import Array, Experiment
+from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
 from sma_bench.records.held_voltages import held_voltages
 from sma_bench.records.record import Record
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.page import Picture
+
+# --- Figures 2 to 6 of the paper, redrawn from records.
 
 _JUMP = 0.2  # V between two samples
 
@@ -128,3 +133,119 @@ def _validation_figure(
     legend_above(lower)
     caption = f"Eq. (2) with the identified parameters, as Fig. 6. {record.path}"
     return Picture("figure_06_validation", "Triangular voltage and temperature", caption, figure)
+
+
+# --- Fig. 7 of the paper: heat flow of a DSC run with the tangents that give the temperatures.
+
+_ENDS = ("start", "finish")
+
+
+def dsc_pictures(e5: Experiment) -> list[Picture]:
+    """One picture a scan: heat flow (transformation upward), baselines, tangents, crossings."""
+    flows = [name for name in e5.curves if name.endswith("/heat_flow")]
+    return [_scan_picture(e5, name.removesuffix("/heat_flow")) for name in flows]
+
+
+def _scan_picture(e5: Experiment, label: str) -> Picture:
+    figure, (ax,) = new_figure()
+    curves = {
+        name.removeprefix(f"{label}/"): curve
+        for name, curve in e5.curves.items()
+        if name.startswith(f"{label}/")
+    }
+    ax.plot(curves["temperature"], curves["heat_flow"], color=MEASURED, label="heat flow")
+    ax.plot(curves["temperature"], curves["base"], ":", color=FAINT, label="baseline of the area")
+    for end in _ENDS:
+        _draw_onset(ax, e5, label, end, curves)
+    _frame(ax, e5, label, curves)
+    ax.set(xlabel="temperature [K]", ylabel="heat flow [W/kg]")
+    ax.legend()
+    heat = e5.details[f"{label}/latent_heat"]
+    caption = (
+        f"Baselines and tangents, as Fig. 7; latent heat {heat.value / 1e3:.1f} ± "
+        f"{heat.std / 1e3:.1f} kJ/kg. {e5.source}"
+    )
+    name = label.replace("/", "_")
+    return Picture(f"figure_07_dsc_{name}", f"DSC, {label.replace('_', ' ')}", caption, figure)
+
+
+def _draw_onset(
+    ax: Axes, e5: Experiment, label: str, end: str, curves: dict[str, Array]
+) -> None:
+    onset = e5.details[f"{label}/{end}"]
+    for line in ("baseline", "tangent"):
+        ax.plot(
+            curves[f"{end}/{line}_temperature"], curves[f"{end}/{line}"], color=MODEL, lw=1,
+        )
+    ax.plot(
+        curves[f"{end}/tangent_temperature"][0], curves[f"{end}/tangent"][0], "o", color=SECOND,
+        ms=6, mfc="none", label=f"{end} {onset.value:.2f} ± {onset.std:.2f} K",
+    )
+
+
+def _frame(ax: Axes, e5: Experiment, label: str, curves: dict[str, Array]) -> None:
+    """The peak and 40 K around it: a run's ends would flatten what matters."""
+    ends = [e5.details[f"{label}/{end}"].value for end in _ENDS]
+    low, high = min(ends) - 40.0, max(ends) + 40.0
+    inside = (curves["temperature"] > low) & (curves["temperature"] < high)
+    flow = curves["heat_flow"][inside]
+    margin = 0.08 * (flow.max() - flow.min())
+    ax.set_xlim(low, high)
+    ax.set_ylim(flow.min() - margin, flow.max() + margin)
+
+
+# --- Fig. 7 of the paper: all scans of a DSC run in one graph.
+
+_COLOURS = (MEASURED, SECOND, "#2e7d32", "#7b4ea3")
+_HEAT_FLOW = re.compile(r"(?P<scan>.*segment_\d+)/heat_flow\Z")
+_SYMBOLS = {"heating": ("A_s", "A_f"), "cooling": ("M_s", "M_f")}
+
+
+def dsc_overview_picture(e5: Experiment) -> Picture:
+    """Heat flow over temperature, endothermic up: heating above, cooling below, by cycle.
+
+    Args:
+        e5: of identify_heating_rates or identify_transition_temperatures.
+    """
+    figure, (ax,) = new_figure(height=4.8)
+    counts = {"heating": 0, "cooling": 0}
+    scans = [match["scan"] for key in e5.curves if (match := _HEAT_FLOW.match(key))]
+    for scan in scans:
+        start, finish = (e5.details[f"{scan}/{end}"] for end in ("start", "finish"))
+        direction = "heating" if start.value < finish.value else "cooling"
+        counts[direction] += 1
+        colour = _COLOURS[(counts[direction] - 1) % len(_COLOURS)]
+        # The curves have their peaks upward; a graph of the run has cooling below.
+        sign = 1.0 if direction == "heating" else -1.0
+        ax.plot(
+            e5.curves[f"{scan}/temperature"], sign * e5.curves[f"{scan}/heat_flow"], lw=1.2,
+            color=colour, label=f"cycle {counts[direction]}" if sign > 0.0 else None,
+        )
+        symbols = zip(_SYMBOLS[direction], (("start", start), ("finish", finish)), strict=True)
+        for symbol, (end, onset) in symbols:
+            text = f"${symbol}$ ({counts[direction]})"
+            # One row of labels a cycle: the onsets of cycles may coincide.
+            below = -9.5 * sign * counts[direction]
+            _mark(ax, e5, f"{scan}/{end}", onset, sign, colour, text, below)
+    ax.set(xlabel="temperature [K]", ylabel="heat flow, endothermic up [W/kg]")
+    ax.text(0.015, 0.93, "heating", transform=ax.transAxes, color=FAINT, fontsize=9)
+    ax.text(0.015, 0.04, "cooling", transform=ax.transAxes, color=FAINT, fontsize=9)
+    ax.legend(loc="upper right")
+    caption = (
+        "All scans of the run; rings and labels (symbol, cycle) where the tangents meet the "
+        "baselines. Heat into the sample per mass is c_p dT/dt - Δh dξ/dt: eq. (1), with ξ of "
+        f"eqs. (10), (11). {e5.source}"
+    )
+    return Picture("figure_07_dsc", "DSC measurement curve", caption, figure)
+
+
+def _mark(
+    ax: Axes, e5: Experiment, end: str, onset: Estimate, sign: float, colour: str, text: str,
+    below: float,
+) -> None:
+    level = sign * float(e5.curves[f"{end}/tangent"][0])
+    ax.plot([onset.value], [level], "o", ms=5, mfc="none", color=colour)
+    ax.annotate(
+        text, (onset.value, level), (0, below), textcoords="offset points", ha="center",
+        va="center", fontsize=8, color=colour,
+    )

@@ -20,8 +20,8 @@ from sma_bench.parameters.paper_numbers import DSC_CYCLES
 from sma_bench.physics import Boundary, simulate
 from sma_bench.protocols import load_protocol
 from sma_bench.records import Record, Signal
-from sma_bench.report.paper_errata import paper_errata
-from sma_bench.report.paper_tables import TABLES, csv_text, html_table
+from sma_bench.report.errata import paper_errata
+from sma_bench.report.paper_page import TABLES, csv_text, html_table
 from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.bench_records import protocol_record
 
