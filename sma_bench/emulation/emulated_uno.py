@@ -4,6 +4,8 @@ The processor is simavr's, wrapped by uno.c, which also holds the electrics at t
 """
 
 import ctypes
+import math
+from enum import IntEnum
 from pathlib import Path
 
 CHANNELS = 4
@@ -14,21 +16,57 @@ _FOUR = ctypes.c_double * CHANNELS
 _TWO = ctypes.c_double * 2
 
 
+class Switch(IntEnum):
+    """What a channel's transistor does."""
+
+    SOUND = 0
+    STUCK_ON = 1
+    INVERTED = 2
+
+
+class Relay(IntEnum):
+    """What the main relay's contact does."""
+
+    FOLLOWS = 0
+    WELDED = 1
+    HELD_OPEN = 2
+
+
+class Reset(IntEnum):
+    """Why a processor starts anew: the bits of its register MCUSR."""
+
+    POWER_ON = 1
+    PIN = 2
+
+
 class Electrics(ctypes.Structure):
     """What hangs on the pins; the fields mirror `struct electrics` of uno.c."""
 
     _fields_ = (
         ("supply", ctypes.c_double),
         ("supply_resistance", ctypes.c_double),
+        ("supply_limit", ctypes.c_double),
         ("resistance", _FOUR),
         ("volts_per_ampere", _TWO),
+        ("clipping", ctypes.c_double),
+        ("offset", _TWO),
         ("filter_time", ctypes.c_double),
         ("range_voltage", _TWO),
         ("noise", ctypes.c_double),
         ("divider", ctypes.c_double),
+        ("divider_time", ctypes.c_double),
+        ("reference", ctypes.c_double),
+        ("bandgap", ctypes.c_double),
+        ("relay_time", ctypes.c_double),
+        ("bootloader_time", ctypes.c_double),
+        ("switch_is", ctypes.c_int32 * CHANNELS),
+        ("relay_is", ctypes.c_int32),
+        ("lost_bytes", ctypes.c_int32),
         ("on_time", _FOUR),
+        ("wire_time", _FOUR),
         ("square_time", _FOUR),
         ("time", ctypes.c_double),
+        ("started", ctypes.c_double),
         ("longest_blocked", ctypes.c_double),
     )
 
@@ -49,6 +87,9 @@ class EmulatedUno:
             ]
         self._library.uno_outputs.argtypes = [ctypes.c_void_p]
         self._library.uno_hang.argtypes = [ctypes.c_void_p, ctypes.c_int]
+        self._library.uno_reset.argtypes = [ctypes.c_void_p, ctypes.c_uint8]
+        self._library.uno_stall.argtypes = [ctypes.c_void_p, ctypes.c_double]
+        self._library.uno_poke.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_uint8]
         self._uno = self._library.uno_new(str(image).encode(), seed)
         if not self._uno:
             raise RuntimeError(f"{image}: not an image that the emulator can load")
@@ -57,15 +98,22 @@ class EmulatedUno:
         self._connect_bench()
 
     def _connect_bench(self) -> None:
-        """Four wires, a 12 V supply, ACS712-20A sensors, range sensors at 1.5 V."""
+        """Four wires, a 12 V supply, a relay, ACS712-20A sensors, range sensors at 1.5 V."""
         electrics = self.electrics
         electrics.supply = 12.0
+        electrics.supply_limit = math.inf
         electrics.resistance[:] = [2.7] * CHANNELS
         electrics.volts_per_ampere[:] = [0.1, 0.1]
+        electrics.clipping = math.inf
         electrics.filter_time = 0.5e-3
         electrics.range_voltage[:] = [1.5, 1.5]
         electrics.noise = 2e-3
         electrics.divider = 4.0
+        electrics.divider_time = 0.75e-6
+        electrics.reference = 5.0
+        electrics.bandgap = 1.1
+        electrics.relay_time = 10e-3
+        electrics.relay_is = Relay.WELDED  # closed by hand
 
     @property
     def time(self) -> float:
@@ -98,3 +146,16 @@ class EmulatedUno:
     def hang(self, interrupts: bool) -> None:
         """The program loses its way: an endless loop, with interrupts on or off."""
         self._library.uno_hang(self._uno, int(interrupts))
+
+    def reset(self, why: Reset = Reset.PIN) -> None:
+        """Start anew: pins float, the bootloader waits `electrics.bootloader_time`, then the
+        program begins. Opening the port does it, by the reset pin."""
+        self._library.uno_reset(self._uno, int(why))
+
+    def stall(self, seconds: float) -> None:
+        """The processor executes nothing for a while, as in an interrupt that takes too long."""
+        self._library.uno_stall(self._uno, seconds)
+
+    def poke(self, address: int, value: int) -> None:
+        """A register takes a value by itself."""
+        self._library.uno_poke(self._uno, address, value)

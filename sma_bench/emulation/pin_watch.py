@@ -1,4 +1,4 @@
-"""When the outputs were on, as an oscilloscope at the pins would see it."""
+"""When current could flow, as an oscilloscope at the pins and the wires would see it."""
 
 from sma_bench.emulation.emulated_uno import EmulatedUno
 
@@ -12,13 +12,13 @@ class PinWatch:
         self.last_on = 0.0
 
     def look(self) -> None:
-        """Note whether any output was high since the last look."""
-        on_time = sum(self._uno.electrics.on_time)
+        """Note whether any output was high, or any wire connected, since the last look."""
+        on_time = sum(self._uno.electrics.on_time) + sum(self._uno.electrics.wire_time)
         if on_time > self._on_time:
             self.last_on = self._uno.time
         self._on_time = on_time
 
     @property
     def off_for(self) -> float:
-        """Time since an output was high."""
+        """Time since an output was high or a wire connected."""
         return self._uno.time - self.last_on

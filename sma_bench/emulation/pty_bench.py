@@ -34,10 +34,17 @@ class Device(Protocol):
 class PtyBench:
     """Runs a device at the speed of the wall clock; `path` is the port to open."""
 
-    def __init__(self, device: Device, each_slice: Callable[[], None] | None = None) -> None:
-        """`each_slice()` lets a plant pass the same time, in the same thread."""
+    def __init__(
+        self,
+        device: Device,
+        each_slice: Callable[[], None] | None = None,
+        on_open: Callable[[], None] | None = None,
+    ) -> None:
+        """`each_slice()` lets a plant pass the same time, in the same thread; so does `on_open()`
+        what somebody causes who opens the port."""
         self.device = device
         self._each_slice = each_slice
+        self._on_open = on_open
         self.plug()
         self._jobs: list[Callable[[], None]] = []
         self._stopping = threading.Event()
@@ -60,17 +67,21 @@ class PtyBench:
 
     def plug(self) -> None:
         """A new cable, with a `path` of its own. Between two slices (`do`), or before `start`."""
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
         os.set_blocking(self._master, False)
+        self.path = os.ttyname(slave)
+        # The master hangs up while nobody has the other end: so an opening shows.
+        os.close(slave)
+        self._end = select.poll()
+        self._end.register(self._master, select.POLLIN)
+        self._is_open = False
         self._plugged = True
-        self.path = os.ttyname(self._slave)
 
     def unplug(self) -> None:
         """Pull the cable; the device goes on. Between two slices (`do`), or after the end."""
         if self._plugged:
             self._plugged = False
-            os.close(self._slave)
             os.close(self._master)
 
     def do(self, job: Callable[[], None]) -> None:
@@ -110,24 +121,34 @@ class PtyBench:
 
     def _carry(self) -> None:
         # Nobody may have opened the port, and nobody may read: bytes are then lost, as on a cable.
-        if not self._plugged:
+        if not self._plugged or not self._opened():
             self.device.read()
             return
-        if select.select([self._master], [], [], 0.0)[0]:
-            with contextlib.suppress(OSError):
-                self.device.write(os.read(self._master, 4096))
+        with contextlib.suppress(OSError):
+            self.device.write(os.read(self._master, 4096))
         sent = self.device.read()
         if sent:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, sent)
 
+    def _opened(self) -> bool:
+        """Whether somebody has the port open; whoever opens it is noticed first."""
+        events = self._end.poll(0)
+        is_open = not (events and events[0][1] & select.POLLHUP)
+        if is_open and not self._is_open and self._on_open is not None:
+            self._on_open()
+        self._is_open = is_open
+        return is_open
+
 
 @contextlib.contextmanager
 def on_a_port(
-    device: Device, each_slice: Callable[[], None] | None = None
+    device: Device,
+    each_slice: Callable[[], None] | None = None,
+    on_open: Callable[[], None] | None = None,
 ) -> Iterator[PtyBench]:
     """The device behind a port, for as long as the context lasts."""
-    bench = PtyBench(device, each_slice)
+    bench = PtyBench(device, each_slice, on_open)
     bench.start()
     try:
         yield bench

@@ -15,27 +15,51 @@
 #include <sim_cycle_timers.h>
 #include <sim_interrupts.h>
 
-enum { CHANNELS = 4, BOARDS = 2, INPUTS = 6, QUEUE = 1 << 20 };
+enum { CHANNELS = 4, BOARDS = 2, QUEUE = 1 << 20 };
+enum { SOUND, STUCK_ON, INVERTED };   /* a switch */
+enum { FOLLOWS, WELDED, HELD_OPEN };  /* the relay's contact */
+enum { SUPPLY_PIN = 4, BANDGAP = 7 }; /* inputs of the converter; an Uno has no pin for 7 */
 
 #define FREQUENCY 16000000.0
-#define REFERENCE 5.0   /* V */
-#define BYTE_CYCLES 352 /* simavr's byte is 11 bits at 500 kbaud */
-#define STARTED 160000  /* cycles; the start-up has interrupts off */
-#define TRAP 0x7000     /* of the flash, beyond the program: a jump to itself */
+#define NOMINAL 5.0        /* V of the reference, at which sensors have their nominal gain */
+#define BYTE_CYCLES 352    /* simavr's byte is 11 bits at 500 kbaud */
+#define STARTED 160000     /* cycles; the start-up has interrupts off */
+#define TRAP 0x7000        /* of the flash, beyond the program: a jump to itself */
+#define SAMPLE_CYCLES 256  /* from the start of a conversion to its sample: two converter clocks */
+#define BANDGAP_MUX 14
+#define RAM_FIRST 0x100
+#define MCUSR 0x54
+#define POWER_ON 1
+#define UCSR0A 0xC0
+#define OVERRUN 8
+#define HELD_STEP 16 /* cycles at a time while the processor executes nothing */
 
 /* What Python sets and reads between two runs; mirrored in emulated_uno.py. */
 struct electrics {
     double supply;                /* V without load */
     double supply_resistance;     /* ohm */
+    double supply_limit;          /* A, beyond which the supply's voltage collapses */
     double resistance[CHANNELS];  /* ohm, wire and switch */
     double volts_per_ampere[BOARDS];
+    double clipping;              /* A, end of the current sensors' range */
+    double offset[BOARDS];        /* V of a current sensor's output at 0 A from its middle */
     double filter_time;           /* s, low pass behind the current sensors */
     double range_voltage[2];      /* V */
     double noise;                 /* V, standard deviation at every analog pin */
     double divider;
-    double on_time[CHANNELS];     /* s since the start */
+    double divider_time;          /* s, low pass of the supply's divider */
+    double reference;             /* V of the USB port, which the converter compares with */
+    double bandgap;               /* V of the chip's own source */
+    double relay_time;            /* s, in which the relay follows its pin */
+    double bootloader_time;       /* s, in which a reset chip runs no program */
+    int32_t switch_is[CHANNELS];
+    int32_t relay_is;
+    int32_t lost_bytes;           /* overruns of the receiver since the start */
+    double on_time[CHANNELS];     /* s that each pin was high since the start */
+    double wire_time[CHANNELS];   /* s that each wire was connected to the supply */
     double square_time[CHANNELS]; /* V^2 s over each wire since the start */
     double time;                  /* s of the emulated clock */
+    double started;               /* when the program began, on that clock */
     double longest_blocked;       /* s, longest stretch with interrupts off after start-up */
 };
 
@@ -47,13 +71,18 @@ struct queue {
 struct uno {
     struct electrics electrics;
     avr_t *avr;
-    avr_irq_t *uart, *adc, *pins[CHANNELS];
+    avr_irq_t *uart, *adc, *pins[CHANNELS], *coil;
     struct queue to_device, from_device;
-    uint8_t on[CHANNELS];
-    uint8_t uart_is_full;
+    uint8_t high[CHANNELS];    /* pins */
+    uint8_t on[CHANNELS];      /* switches */
+    uint8_t coil_is_on, contact_is_closed;
+    uint8_t uart_is_full, in_bootloader;
+    int asked;               /* input of the running conversion */
     double current[BOARDS];  /* A, now */
-    double filtered[BOARDS]; /* A, behind the low pass */
+    double filtered[BOARDS]; /* A as the sensor gives it, behind the low pass */
     double sagging;          /* V, now */
+    double divided;          /* V of the supply behind the divider's low pass */
+    avr_cycle_count_t held_until; /* no instruction is executed before */
     avr_cycle_count_t settled;
     avr_cycle_count_t due; /* how far it was told to run; sleep steps beyond it */
     avr_cycle_count_t blocked_since, longest_blocked;
@@ -68,16 +97,33 @@ static const struct {
 
 /* --- electrics -------------------------------------------------------------------------------- */
 
+static int contact(const struct uno *uno)
+{
+    if (uno->electrics.relay_is == FOLLOWS)
+        return uno->contact_is_closed;
+    return uno->electrics.relay_is == WELDED;
+}
+
 static void switch_over(struct uno *uno)
 {
     struct electrics *e = &uno->electrics;
-    double conductance = 0.0;
-    for (int c = 0; c < CHANNELS; c++)
-        conductance += uno->on[c] / e->resistance[c];
-    uno->sagging = e->supply / (1.0 + e->supply_resistance * conductance);
+    double conductance[BOARDS] = {0.0}, all = 0.0;
+    for (int c = 0; c < CHANNELS; c++) {
+        uno->on[c] = e->switch_is[c] == STUCK_ON || (e->switch_is[c] == INVERTED) != uno->high[c];
+        conductance[c / 2] += contact(uno) * uno->on[c] / e->resistance[c];
+    }
     for (int b = 0; b < BOARDS; b++)
-        uno->current[b] = uno->sagging * (uno->on[2 * b] / e->resistance[2 * b] +
-                                          uno->on[2 * b + 1] / e->resistance[2 * b + 1]);
+        all += conductance[b];
+    uno->sagging = e->supply / (1.0 + e->supply_resistance * all);
+    if (all > 0.0)
+        uno->sagging = fmin(uno->sagging, e->supply_limit / all);
+    for (int b = 0; b < BOARDS; b++)
+        uno->current[b] = uno->sagging * conductance[b];
+}
+
+static double passed(double elapsed, double time_constant)
+{
+    return time_constant > 0.0 ? -expm1(-elapsed / time_constant) : 1.0;
 }
 
 /* Carry all that flows on to the present cycle. */
@@ -85,25 +131,32 @@ static void settle(struct uno *uno)
 {
     struct electrics *e = &uno->electrics;
     double elapsed = (uno->avr->cycle - uno->settled) / FREQUENCY;
-    double share = e->filter_time > 0.0 ? -expm1(-elapsed / e->filter_time) : 1.0;
+    double share = passed(elapsed, e->filter_time);
     for (int b = 0; b < BOARDS; b++)
-        uno->filtered[b] += share * (uno->current[b] - uno->filtered[b]);
+        uno->filtered[b] += share * (fmin(uno->current[b], e->clipping) - uno->filtered[b]);
+    uno->divided += passed(elapsed, e->divider_time) * (uno->sagging - uno->divided);
     for (int c = 0; c < CHANNELS; c++) {
-        e->on_time[c] += uno->on[c] * elapsed;
-        e->square_time[c] += uno->on[c] * uno->sagging * uno->sagging * elapsed;
+        double connected = contact(uno) * uno->on[c] * elapsed;
+        e->on_time[c] += uno->high[c] * elapsed;
+        e->wire_time[c] += connected;
+        e->square_time[c] += connected * uno->sagging * uno->sagging;
     }
     uno->settled = uno->avr->cycle;
+}
+
+static uint64_t some_bits(struct uno *uno)
+{
+    uno->random ^= uno->random << 13;
+    uno->random ^= uno->random >> 7;
+    uno->random ^= uno->random << 17;
+    return uno->random;
 }
 
 static double gaussian(struct uno *uno)
 {
     double sum = -6.0;
-    for (int i = 0; i < 12; i++) {
-        uno->random ^= uno->random << 13;
-        uno->random ^= uno->random >> 7;
-        uno->random ^= uno->random << 17;
-        sum += (uno->random >> 11) * 0x1p-53;
-    }
+    for (int i = 0; i < 12; i++)
+        sum += (some_bits(uno) >> 11) * 0x1p-53;
     return sum;
 }
 
@@ -114,19 +167,64 @@ static void on_pin(struct avr_irq_t *irq, uint32_t value, void *param)
     for (int c = 0; c < CHANNELS; c++) {
         /* Inverting fast PWM: 255 is constantly low on the chip, constantly high in simavr. */
         if (uno->pins[c] == irq)
-            uno->on[c] = (value & 1) && uno->avr->data[outputs[c].compare] != 255;
+            uno->high[c] = (value & 1) && uno->avr->data[outputs[c].compare] != 255;
     }
     switch_over(uno);
 }
 
+static avr_cycle_count_t on_contact(avr_t *avr, avr_cycle_count_t when, void *param)
+{
+    struct uno *uno = param;
+    (void)avr;
+    (void)when;
+    settle(uno);
+    uno->contact_is_closed = uno->coil_is_on;
+    switch_over(uno);
+    return 0;
+}
+
+static void set_coil(struct uno *uno, uint8_t on)
+{
+    uno->coil_is_on = on;
+    avr_cycle_timer_cancel(uno->avr, on_contact, uno);
+    avr_cycle_timer_register(
+        uno->avr, 1 + (avr_cycle_count_t)(uno->electrics.relay_time * FREQUENCY), on_contact, uno);
+}
+
+static void on_coil(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    struct uno *uno = param;
+    (void)irq;
+    if ((value & 1) != uno->coil_is_on)
+        set_coil(uno, value & 1);
+}
+
+/* The sensors are ratiometric: at 0 A half of the reference, a gain in proportion to it. */
 static double pin_voltage(struct uno *uno, int pin)
 {
     const struct electrics *e = &uno->electrics;
     if (pin < BOARDS)
-        return REFERENCE / 2.0 + e->volts_per_ampere[pin] * uno->filtered[pin];
+        return e->reference * (0.5 + e->volts_per_ampere[pin] * uno->filtered[pin] / NOMINAL) +
+               e->offset[pin];
     if (pin < BOARDS + 2)
         return e->range_voltage[pin - BOARDS];
-    return pin == 4 ? uno->sagging / e->divider : 0.0;
+    if (pin == SUPPLY_PIN)
+        return uno->divided / e->divider;
+    return pin == BANDGAP ? e->bandgap : 0.0;
+}
+
+static avr_cycle_count_t on_sample(avr_t *avr, avr_cycle_count_t when, void *param)
+{
+    struct uno *uno = param;
+    (void)avr;
+    (void)when;
+    settle(uno);
+    double volt = pin_voltage(uno, uno->asked) + uno->electrics.noise * gaussian(uno);
+    double code = nearbyint(volt / uno->electrics.reference * 1024.0);
+    code = fmin(fmax(code, 0.0), 1023.0);
+    /* simavr takes whole millivolts and makes floor(1023 mV / 5000 mV) of them. */
+    avr_raise_irq(uno->adc + ADC_IRQ_ADC0 + uno->asked, (uint32_t)ceil(code * 5000.0 / 1023.0));
+    return 0;
 }
 
 static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param)
@@ -136,15 +234,12 @@ static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param)
         avr_adc_mux_t mux;
         uint32_t v;
     } asked = {.v = value};
-    int pin = asked.mux.src;
     (void)irq;
-    if (asked.mux.kind != ADC_MUX_SINGLE || pin >= INPUTS)
+    if (asked.mux.kind != ADC_MUX_SINGLE)
         return;
-    settle(uno);
-    double volt = pin_voltage(uno, pin) + uno->electrics.noise * gaussian(uno);
-    double code = fmin(fmax(nearbyint(volt / REFERENCE * 1024.0), 0.0), 1023.0);
-    /* simavr takes whole millivolts and makes floor(1023 mV / reference) of them. */
-    avr_raise_irq(uno->adc + ADC_IRQ_ADC0 + pin, (uint32_t)ceil(code * 1e3 * REFERENCE / 1023.0));
+    uno->asked = asked.mux.src;
+    avr_cycle_timer_cancel(uno->avr, on_sample, uno);
+    avr_cycle_timer_register(uno->avr, SAMPLE_CYCLES, on_sample, uno);
 }
 
 /* --- serial ----------------------------------------------------------------------------------- */
@@ -165,14 +260,26 @@ static void on_flow_control(struct avr_irq_t *irq, uint32_t value, void *param)
         uno->uart_is_full = irq == uno->uart + UART_IRQ_OUT_XOFF;
 }
 
+/* The chip holds two bytes and receives a third; who keeps interrupts off for longer loses them. */
+static int overrun(const struct uno *uno)
+{
+    return uno->avr->cycle - uno->blocked_since > 2 * BYTE_CYCLES;
+}
+
 static avr_cycle_count_t on_byte_time(avr_t *avr, avr_cycle_count_t when, void *param)
 {
     struct uno *uno = param;
     struct queue *queue = &uno->to_device;
-    (void)avr;
-    if (queue->in != queue->out && !uno->uart_is_full)
+    if (queue->in == queue->out)
+        return 0;
+    if (overrun(uno)) {
+        queue->out++;
+        uno->electrics.lost_bytes++;
+        avr->data[UCSR0A] |= OVERRUN;
+    } else if (!uno->uart_is_full) {
         avr_raise_irq(uno->uart + UART_IRQ_INPUT, queue->bytes[queue->out++ % QUEUE]);
-    return queue->in != queue->out ? when + BYTE_CYCLES : 0;
+    }
+    return when + BYTE_CYCLES;
 }
 
 /* --- what Python calls ------------------------------------------------------------------------ */
@@ -209,6 +316,24 @@ static void wire_up(struct uno *uno)
             avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(outputs[c].port), outputs[c].pin);
         avr_irq_register_notify(uno->pins[c], on_pin, uno);
     }
+    uno->coil = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 4);
+    avr_irq_register_notify(uno->coil, on_coil, uno);
+}
+
+/* simavr's own 1.1 V knows no noise: the bandgap becomes an input without a pin. */
+static void connect_bandgap(avr_t *avr)
+{
+    for (avr_io_t *port = avr->io_port; port; port = port->next)
+        if (!strcmp(port->kind, "adc"))
+            ((avr_adc_t *)port)->muxmode[BANDGAP_MUX] =
+                (avr_adc_mux_t){.kind = ADC_MUX_SINGLE, .src = BANDGAP};
+}
+
+/* What memory holds after power-on is nobody's choice. */
+static void forget_memory(struct uno *uno)
+{
+    for (int at = RAM_FIRST; at <= uno->avr->ramend; at++)
+        uno->avr->data[at] = (uint8_t)(some_bits(uno) >> 32);
 }
 
 struct uno *uno_new(const char *elf_path, uint64_t seed)
@@ -228,8 +353,8 @@ struct uno *uno_new(const char *elf_path, uint64_t seed)
     avr_extint_set_strict_lvl_trig(uno->avr, EXTINT_IRQ_OUT_INT0, 0);
     avr_extint_set_strict_lvl_trig(uno->avr, EXTINT_IRQ_OUT_INT1, 0);
     uno->random = seed * 0x9E3779B97F4A7C15u + 1;
-    for (int c = 0; c < CHANNELS; c++)
-        uno->electrics.resistance[c] = 2.7;
+    forget_memory(uno);
+    connect_bandgap(uno->avr);
     wire_up(uno);
     return uno;
 }
@@ -242,10 +367,29 @@ struct electrics *uno_electrics(struct uno *uno)
 static void watch_interrupts(struct uno *uno)
 {
     avr_cycle_count_t now = uno->avr->cycle;
-    if (uno->avr->sreg[S_I] || now < STARTED)
+    if (uno->avr->sreg[S_I] || now < uno->electrics.started * FREQUENCY + STARTED)
         uno->blocked_since = now;
     else if (now - uno->blocked_since > uno->longest_blocked)
         uno->longest_blocked = now - uno->blocked_since;
+}
+
+static void let_pins_float(struct uno *uno)
+{
+    settle(uno);
+    memset(uno->high, 0, sizeof uno->high);
+    switch_over(uno);
+    set_coil(uno, 0);
+    uno->electrics.started = uno->avr->cycle / FREQUENCY;
+}
+
+/* A processor that executes nothing, though its timers, its converter and the world go on. */
+static void hold(struct uno *uno, avr_cycle_count_t end)
+{
+    avr_t *avr = uno->avr;
+    while (avr->cycle < end && avr->cycle < uno->held_until) {
+        avr->cycle += HELD_STEP;
+        avr_cycle_timer_process(avr);
+    }
 }
 
 /* Run until `seconds` later than told before; false when the processor gave up. */
@@ -258,9 +402,15 @@ int uno_run(struct uno *uno, double seconds)
         !avr_cycle_timer_status(uno->avr, on_byte_time, uno))
         avr_cycle_timer_register(uno->avr, BYTE_CYCLES, on_byte_time, uno);
     while (uno->avr->cycle < end) {
+        if (uno->avr->cycle < uno->held_until) {
+            hold(uno, end);
+            continue;
+        }
         int state = avr_run(uno->avr);
         if (state == cpu_Done || state == cpu_Crashed)
             return 0;
+        if (!uno->avr->pc)
+            let_pins_float(uno); /* the watchdog's reset */
         watch_interrupts(uno);
     }
     settle(uno);
@@ -269,8 +419,50 @@ int uno_run(struct uno *uno, double seconds)
     return 1;
 }
 
+/* Of the bootloader, for somebody who uploads. */
+static void begin_wait(struct uno *uno)
+{
+    double wait = uno->electrics.bootloader_time;
+    uno->in_bootloader = 1;
+    uno->held_until = uno->avr->cycle + (avr_cycle_count_t)llround(wait * FREQUENCY);
+    uno->electrics.started = uno->held_until / FREQUENCY;
+    uno->blocked_since = uno->held_until;
+}
+
+/* Reset for the reasons in `flags` (MCUSR's bits); pins float, and then the bootloader waits. */
+void uno_reset(struct uno *uno, uint8_t flags)
+{
+    avr_t *avr = uno->avr;
+    settle(uno);
+    avr_reset(avr);
+    if (flags & POWER_ON)
+        forget_memory(uno);
+    avr->data[MCUSR] = flags;
+    let_pins_float(uno);
+    uno->uart_is_full = 0;
+    uno->to_device.out = uno->to_device.in;
+    begin_wait(uno);
+}
+
+/* Execute nothing for a while: an interrupt that takes too long. */
+void uno_stall(struct uno *uno, double seconds)
+{
+    uno->in_bootloader = 0;
+    uno->held_until = uno->avr->cycle + (avr_cycle_count_t)llround(seconds * FREQUENCY);
+}
+
+/* A register changes by itself: an interrupt is lost, an output freezes. */
+void uno_poke(struct uno *uno, uint16_t address, uint8_t value)
+{
+    uno->avr->data[address] = value;
+}
+
 void uno_write(struct uno *uno, const uint8_t *bytes, uint32_t length)
 {
+    if (uno->in_bootloader && uno->avr->cycle < uno->held_until) {
+        begin_wait(uno); /* it reads what comes, and waits anew */
+        return;
+    }
     for (uint32_t i = 0; i < length; i++)
         uno->to_device.bytes[uno->to_device.in++ % QUEUE] = bytes[i];
 }
@@ -287,7 +479,7 @@ uint8_t uno_outputs(const struct uno *uno)
 {
     uint8_t bits = 0;
     for (int c = 0; c < CHANNELS; c++)
-        bits |= (uint8_t)(uno->on[c] << c);
+        bits |= (uint8_t)(uno->high[c] << c);
     return bits;
 }
 

@@ -99,23 +99,26 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def be_the_uno() -> int:
-    """The emulated bench: writes its port and when it was powered up; then, for every line read,
-    its lag since the last one, and all frames so far to the file of that line's name."""
+    """The emulated bench: writes its port; then, for every line read, its lag since the last one
+    and when its program began, and all frames since then to the file of that line's name."""
     sys.setswitchinterval(1e-4)
     with emulated_bench(Parameters.defaults()) as bench:
-        sent = bytearray()
+        sent, started = bytearray(), [0.0]
 
         def read() -> bytes:
             data = bench.uno.read()
+            if bench.uno.electrics.started != started[0]:  # opening the port resets it
+                started[0] = bench.uno.electrics.started
+                sent.clear()
             sent.extend(data)
             return data
 
         bench.port.device = SimpleNamespace(run=bench.uno.run, write=bench.uno.write, read=read)
-        print(bench.path, bench.power_up, flush=True)
+        print(bench.path, flush=True)
         for line in sys.stdin:
             if line.strip():
                 np.save(line.strip(), _frames(bytes(sent)))
-            print(bench.port.largest_lag, flush=True)
+            print(bench.port.largest_lag, bench.program_start, flush=True)
             bench.port.largest_lag = 0.0
     return 0
 
@@ -142,8 +145,9 @@ class Uno:
             [sys.executable, __file__, "--be-the-uno"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )
-        self.path, power_up = self._line().split()
-        self.power_up = float(power_up)
+        self.path = self._line().strip()
+        self.program_start = 0.0
+        """s of the monotonic clock, as of the last time that `largest_lag` was asked"""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -154,7 +158,8 @@ class Uno:
         """s, since the last time this was asked; what it sent goes to the file `frames` (.npy)."""
         self._process.stdin.write(f"{frames}\n")
         self._process.stdin.flush()
-        return float(self._line())
+        lag, self.program_start = map(float, self._line().split())
+        return lag
 
     def _line(self) -> str:
         return self._process.stdout.readline()
@@ -199,7 +204,7 @@ def _measure(logs: Path, rate: int, seconds: float) -> dict[str, Any]:
         stamps, currents = heard.readings()
         result = {
             "rate": rate, "seconds": seconds, **_losses(heard, stamps, rate),
-            **_stamps(stamps, currents, np.load(sent), rate, uno.power_up), "largest_lag": lag,
+            **_stamps(stamps, currents, np.load(sent), rate, uno.program_start), "largest_lag": lag,
             "clock_uncertainty_ms": float(heard.values.get("clock_uncertainty_ms", "nan")),
             "round_trip_ms": float(heard.values.get("round_trip_ms", "nan")),
             "cpu": cpu / seconds,
@@ -220,7 +225,7 @@ def _losses(heard: Heard, stamps: np.ndarray, rate: int) -> dict[str, int]:
 
 
 def _stamps(
-    stamps: np.ndarray, currents: np.ndarray, sent: np.ndarray, rate: int, power_up: float
+    stamps: np.ndarray, currents: np.ndarray, sent: np.ndarray, rate: int, start: float
 ) -> dict[str, float]:
     """Stamps less the middles of the readings' own windows on the plant's clock, in s."""
     times, noise = sent.T
@@ -229,7 +234,7 @@ def _stamps(
     own = first + np.rint((stamps - stamps[0]) / 1e9 * rate).astype(int)
     if (noise[own] != currents).any():
         raise RuntimeError("readings on the topic that the Uno never sent in this order")
-    truth = power_up + START_UP + 1e-6 * times[own] - 0.5 / rate
+    truth = start + START_UP + 1e-6 * times[own] - 0.5 / rate
     error = (stamps - _to_ros()) / 1e9 - truth
     return {
         "largest_stamp_error": float(np.abs(error).max()),

@@ -73,10 +73,11 @@ def _now(rig: BridgedRig) -> float:
 
 
 def _after_restart(rig: BridgedRig) -> str:
-    """State of a new bridge, which asks the device why it had stopped."""
+    """What a new bridge knows, whose opening of the port has reset the device."""
+    rig.diagnostics.clear()
     rig.node = rig.bench.start("serial_bridge", port=rig.hardware.path)
-    rig.until(lambda: rig.state.startswith("stopped"))
-    return rig.state
+    rig.until(lambda: rig.value("last_reset"))
+    return f"{rig.state}, last reset: {rig.value('last_reset')}"
 
 
 def _after_waking(rig: BridgedRig) -> str:
@@ -180,11 +181,11 @@ def _value(key: str) -> Callable[[BridgedRig], str]:
 
 FAULTS = (
     Fault("host_killed", "host process killed (-9)", "device: command timeout 0.2 s", 0.25,
-          "command timeout", _signal(signal.SIGKILL), told=_after_restart, quick=True),
+          "reset pin", _signal(signal.SIGKILL), told=_after_restart, quick=True),
     Fault("host_hung", "bridge hangs (SIGSTOP)", "device: command timeout 0.2 s", 0.25,
           "command timeout", _signal(signal.SIGSTOP), told=_after_waking, quick=True),
     Fault("host_ended", "bridge ended (SIGTERM)", "bridge: stop byte at its end", 0.25,
-          "stop byte", _signal(signal.SIGTERM), told=_after_restart),
+          "reset pin", _signal(signal.SIGTERM), told=_after_restart),
     Fault("cable_pulled", "serial cable pulled", "device: command timeout 0.2 s", 0.25,
           "not connected", lambda rig: rig.hardware.do(rig.hardware.port.unplug)),
     Fault("commander_silent", "commanding node dies", "bridge: bench.command_timeout 0.5 s", 0.7,
