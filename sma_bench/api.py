@@ -36,7 +36,7 @@ from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.records.write import write_record
-from sma_bench.synthetic.simulated import read_signals, signals_of, simulate_finely
+from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely
 
 __all__ = [
     "Diagnosis",

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from sma_bench.records import read_record
     from sma_bench.records.held_voltages import held_voltages
     from sma_bench.records.write import write_record
-    from sma_bench.synthetic.simulated import read_signals, signals_of, simulate_finely
+    from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely
 
     parameters = parameters_from_options(args)
     for text in args.effects:

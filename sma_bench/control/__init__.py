@@ -1,7 +1,6 @@
 """Controllers of the bench, without ROS: readings and references in, volts out."""
 
 from sma_bench.control.deflection import DeflectionController
-from sma_bench.control.pi import PI, Gains
-from sma_bench.control.temperature import TemperatureController
+from sma_bench.control.temperature import PI, Gains, TemperatureController
 
 __all__ = ["PI", "DeflectionController", "Gains", "TemperatureController"]

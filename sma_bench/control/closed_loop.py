@@ -1,18 +1,108 @@
-"""A controller and a simulated bench in one loop, with sensor noise; no ROS, no clock."""
+"""A controller and a simulated bench in one loop, and how well a reference was followed."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control.deflection import DeflectionController
-from sma_bench.control.temperature import TemperatureController
+from sma_bench.control.temperature import Heating, TemperatureController
+from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
+from sma_bench.physics.operating_point import maximum_deflection
+
+# --- What a controller may be asked for: one line for a reference that the bench cannot follow.
+
+
+def temperature_reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
+    """Why wire temperatures [K], one a channel, cannot be followed, or "".
+
+    Ambient temperature or less only means that a wire is not heated.
+    """
+    channels = len(parameters["bench.channels"])
+    if len(reference) != channels:
+        return f"reference has {len(reference)} temperatures, expected {channels}"
+    highest = Heating.of(parameters).maximum_temperature
+    for kelvin in reference:
+        if not math.isfinite(kelvin):
+            return f"reference has {kelvin} K, expected finite temperatures"
+        if not 0.0 < kelvin <= highest:
+            return f"reference has {kelvin:g} K, expected above 0 and at most {highest:g} K"
+    return ""
+
+
+def deflection_reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
+    """Why a deflection [m], the only element, cannot be followed, or ""."""
+    (metres,) = reference
+    if not math.isfinite(metres):
+        return f"reference is {metres} m, expected a finite deflection"
+    side = "front" if metres > 0.0 else "back"
+    if metres == 0.0:
+        return ""
+    if side not in parameters["bench.channel_sides"]:
+        return f"reference is {metres:g} m, but there is no wire on the {side}"
+    largest = maximum_deflection(parameters, side)
+    if abs(metres) > largest:
+        return f"reference is {metres:g} m, expected at most {largest:.4g} m to the {side}"
+    return ""
+
+
+# --- How well a reference was followed: figures of a step and of a whole run.
 
 Array = NDArray[np.float64]
 
+
+def rmse(reference: ArrayLike, actual: ArrayLike) -> float:
+    """Root mean square of actual - reference, in their unit."""
+    return float(np.sqrt(np.mean(np.square(np.subtract(actual, reference)))))
+
+
+@dataclass(frozen=True)
+class StepFigures:
+    """Of one step of the reference.
+
+    Attributes:
+        steady_error: mean of actual - reference over the last quarter, in their unit.
+        overshoot: beyond the reference in the direction of the step, part of the step.
+        settling_time: s from the step until the actual value stays within `band`.
+    """
+
+    steady_error: float
+    overshoot: float
+    settling_time: float
+
+
+def step_figures(
+    time: ArrayLike, actual: ArrayLike, start: float, stop: float, band: float
+) -> StepFigures:
+    """Figures of a step from `start` to `stop` at time[0].
+
+    Args:
+        time: (n,) s from the step to just before the next one; actual: (n,).
+        band: half width around the reference, in its unit.
+
+    Raises:
+        InputError: fewer than 4 samples, or no step.
+    """
+    seconds, values = np.asarray(time, float), np.asarray(actual, float)
+    if seconds.size < 4 or start == stop:
+        raise InputError(
+            f"step of {seconds.size} samples from {start} to {stop}, expected 4 or more and a step"
+        )
+    beyond = (values - stop) / (stop - start)
+    outside = np.flatnonzero(np.abs(values - stop) > band)
+    last = seconds[min(outside[-1] + 1, seconds.size - 1)] if outside.size else seconds[0]
+    return StepFigures(
+        steady_error=float(np.mean(values[-(seconds.size // 4):]) - stop),
+        overshoot=float(max(beyond.max(), 0.0)),
+        settling_time=float(last - seconds[0]),
+    )
+
+
+# --- A controller and a simulated bench in one loop, with sensor noise; no ROS, no clock.
 
 @dataclass(frozen=True, eq=False)
 class Loop:

@@ -19,8 +19,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.control.heating import HeatBudget, Heating
-from sma_bench.control.pi import PI, Gains, OutputLimits
+from sma_bench.control.temperature import PI, Gains, HeatBudget, Heating, OutputLimits
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench, side_names

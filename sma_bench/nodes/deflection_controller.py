@@ -8,7 +8,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from sma_bench.control import DeflectionController
-from sma_bench.control.references import deflection_reference_fault
+from sma_bench.control.closed_loop import deflection_reference_fault
 from sma_bench.hardware.safety import Freshness
 from sma_bench.nodes.base import run_node
 from sma_bench.nodes.controller import Controller

@@ -7,7 +7,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray
 
 from sma_bench.control import TemperatureController
-from sma_bench.control.references import temperature_reference_fault
+from sma_bench.control.closed_loop import temperature_reference_fault
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import run_node

@@ -1,21 +1,150 @@
-"""Records of the two simulated rigs: protocol or controller, physics, sensors."""
+"""Records of a simulated bench: exact, or as the simulator node's instruments read them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+import numpy.typing as npt
+from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control import TemperatureController
 from sma_bench.control.closed_loop import Loop, run_temperature
+from sma_bench.hardware.instruments import Instrument
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.physics import Boundary, Simulation, simulate
+from sma_bench.physics.effects import active_effects
+from sma_bench.progress import Report, in_turn, silent
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.references import TEMPERATURE, load_reference
+from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import Record, Signal
-from sma_bench.synthetic.sensors import STANDOFF, Sensors, clock, whole_nanoseconds
+
+# --- Sensors of a synthetic record: the simulator node's noise, resolution and rates.
 
 Array = NDArray[np.float64]
+
+_SETTINGS = {
+    parameter.name: float(parameter.default)
+    for parameter in SIMULATOR
+    if isinstance(parameter.default, float)
+}
+_NANOSECONDS = 1e9
+STANDOFF = _SETTINGS["sensor.range_standoff"]
+
+
+def clock(kind: str, duration: float) -> Array:
+    """(n,) s: when the instruments of a kind (power, temperature, mechanics) read."""
+    rate = _SETTINGS[f"rate.{kind}"]
+    return whole_nanoseconds(np.arange(int(duration * rate)) / rate)
+
+
+def whole_nanoseconds(time: npt.ArrayLike) -> Array:
+    """Stamps as ROS has them, so that clocks of several rates meet exactly where they meet."""
+    return np.asarray(np.round(np.multiply(time, _NANOSECONDS)) / _NANOSECONDS)
+
+
+class Sensors:
+    """All sensors of one record; every reading has noise of its own."""
+
+    def __init__(self, seed: int) -> None:
+        """The same seed gives the same noise."""
+        self._seeds = np.random.SeedSequence(seed)
+
+    def read(self, quantity: str, values: Array) -> Array:
+        """What a sensor of `quantity` makes of true values (n,) in SI units."""
+        sensor = Instrument(
+            _SETTINGS[f"sensor.{quantity}_noise"],
+            _SETTINGS.get(f"sensor.{quantity}_resolution", 0.0),
+            self._seeds.spawn(1)[0],
+        )
+        # The camera's steps are those of the Celsius scale.
+        zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
+        return np.array([sensor.read(value) for value in (values - zero).tolist()]) + zero
+
+
+# --- A simulated bench, and its signals: exact, or as the simulator node's instruments read them.
+
+# s. The paper's model is exact in any step; effects that act within one, latent heat above all,
+# need short ones.
+_FINE_STEP = 0.0025
+_OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
+               "bending", "temperature_reading")  # fmt: skip
+
+
+def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike) -> Simulation:
+    """`simulate` at these samples, in steps between them that are short enough for effects.
+
+    Args:
+        parameters: of the bench; time: (n,) s; voltage: (n, w) V, held to the next sample.
+
+    Raises:
+        InputError: as `simulate`.
+    """
+    seconds = np.asarray(time, dtype=np.float64)
+    if not active_effects(parameters) or seconds.ndim != 1 or len(seconds) < 2:
+        return simulate(parameters, time, voltage)
+    gaps = np.diff(seconds)
+    parts = np.append(np.maximum(np.ceil(gaps / _FINE_STEP), 1.0), 1.0).astype(int)
+    if not np.all(gaps > 0.0):
+        return simulate(parameters, time, voltage)  # which says what is wrong with them
+    first = np.cumsum(parts) - parts
+    within = np.arange(parts.sum()) - np.repeat(first, parts)
+    fine = np.repeat(seconds, parts) + within * np.repeat(np.append(gaps, 0.0) / parts, parts)
+    run = simulate(parameters, fine, np.repeat(np.asarray(voltage), parts, axis=0))
+    return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
+
+
+def signals_of(simulation: Simulation) -> list[Signal]:
+    """Signals of the contract that a bench would have measured."""
+    time, channels = simulation.time, simulation.parameters["bench.channels"]
+    signals = []
+    for k, channel in enumerate(channels):
+        signals += [
+            Signal(f"{channel}.voltage", "V", time, simulation.voltage[:, k]),
+            Signal(f"{channel}.current", "A", time, simulation.current[:, k]),
+            Signal(f"{channel}.temperature", "K", time, simulation.temperature_reading[:, k]),
+        ]
+    if len(channels) > 1:
+        return [*signals, Signal("deflection", "m", time, simulation.deflection_reading)]
+    return [
+        *signals,
+        Signal("elongation", "m", time, np.zeros_like(time)),
+        Signal("force", "N", time, simulation.force[:, 0]),
+    ]
+
+
+def read_signals(
+    signals: Sequence[Signal], seed: int, report: Report = silent
+) -> list[Signal]:
+    """The same signals as the simulator node's instruments would read them.
+
+    A deflection is half the difference of two distances; an elongation is clamped.
+    """
+    settings = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
+    seeds = iter(np.random.SeedSequence(seed).spawn(2 * len(signals)))
+
+    def read(quantity: str, values: np.ndarray) -> np.ndarray:
+        noise, step = f"sensor.{quantity}_noise", f"sensor.{quantity}_resolution"
+        instrument = Instrument(settings[noise], settings.get(step, 0.0), next(seeds))
+        return np.array([instrument.read(value) for value in values.tolist()])
+
+    found = []
+    for signal in in_turn(signals, report, lambda s: f"reading {s.name}"):
+        quantity, values = signal.name.rpartition(".")[2], np.asarray(signal.values)
+        if quantity == "elongation":
+            found.append(signal)
+        elif quantity == "deflection":
+            away = settings["sensor.range_standoff"]
+            front, back = read("range", away - values), read("range", away + values)
+            found.append(replace(signal, values=0.5 * (back - front)))
+        else:
+            found.append(replace(signal, values=read(quantity, values)))
+    return found
+
+
+# --- Records of the two simulated rigs: protocol or controller, physics, sensors.
 
 COMMAND_PERIOD = 0.05
 REST = 3.0  # s at 0 V before and after

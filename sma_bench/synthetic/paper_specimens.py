@@ -15,9 +15,7 @@ from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.record import Record
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
-from sma_bench.synthetic.calorimeter import dsc_run
-from sma_bench.synthetic.load_frame import isobaric_test, upfr_tests
-from sma_bench.synthetic.tensile_machine import tensile_test
+from sma_bench.synthetic.instruments import dsc_run, isobaric_test, tensile_test, upfr_tests
 
 COMPOSITE_CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 COMPOSITE_SIDES = ("front", "front", "back", "back")

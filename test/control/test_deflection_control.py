@@ -7,11 +7,11 @@ import pytest
 from sma_bench.control.closed_loop import (
     ClosedLoop,
     Loop,
+    rmse,
     run_deflection,
     run_voltages,
 )
 from sma_bench.control.deflection import DeflectionController
-from sma_bench.control.tracking import rmse
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate

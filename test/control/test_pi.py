@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sma_bench.control.pi import PI, Gains, OutputLimits
+from sma_bench.control.temperature import PI, Gains, OutputLimits
 from sma_bench.errors import InputError
 
 numbers = st.floats(-1e3, 1e3)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sma_bench.control.references import (
+from sma_bench.control.closed_loop import (
     deflection_reference_fault,
     temperature_reference_fault,
 )

@@ -5,10 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sma_bench.control.closed_loop import Loop, run_temperature
-from sma_bench.control.heating import HeatBudget, Heating
-from sma_bench.control.temperature import TemperatureController
-from sma_bench.control.tracking import step_figures
+from sma_bench.control.closed_loop import Loop, run_temperature, step_figures
+from sma_bench.control.temperature import HeatBudget, Heating, TemperatureController
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate

@@ -8,8 +8,7 @@ import numpy as np
 from sma_bench.parameters import Parameters
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.synthetic import paper_specimens
-from sma_bench.synthetic.load_frame import isobaric_test
-from sma_bench.synthetic.tensile_machine import tensile_test
+from sma_bench.synthetic.instruments import isobaric_test, tensile_test
 
 COLD, HOT = 293.15, 403.15  # K, Table III
 _DSC_HEAD = """Sample ID:\tsynthetic NiTi wire

@@ -10,9 +10,13 @@ from sma_bench.physics.stress import modulus
 from sma_bench.records.write import write_record
 from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.bench_records import PRETENSION, protocol_record
-from sma_bench.synthetic.calorimeter import LATENT_HEAT, RATE, SAMPLE_MASS
-from sma_bench.synthetic.load_frame import isobaric_test
-from sma_bench.synthetic.tensile_machine import tensile_test
+from sma_bench.synthetic.instruments import (
+    LATENT_HEAT,
+    RATE,
+    SAMPLE_MASS,
+    isobaric_test,
+    tensile_test,
+)
 
 PAPER = Parameters.defaults()
 WIRE = specimens.wire_rig(PAPER)
