@@ -61,7 +61,7 @@ class BenchSensors:
         """`settings` are the bridge's `calibration.` and `range.` parameters.
 
         Raises:
-            InputError: as `device_channels`; a gain of zero; an unknown range sensor.
+            InputError: as `device_channels`; an unknown range sensor.
         """
         self._channels = device_channels(sides)
         front, back = (_line(f"{side}_current", settings) for side in SIDES)
@@ -113,10 +113,8 @@ class BenchSensors:
 
 
 def _line(sensor: str, settings: Mapping[str, Any]) -> Calibration:
-    gain = settings[f"calibration.{sensor}.gain"]
-    if gain == 0.0:
-        raise InputError(f"calibration.{sensor}.gain is 0, expected a gain")
-    return Calibration(gain, settings[f"calibration.{sensor}.offset"])
+    gain, offset = (settings[f"calibration.{sensor}.{name}"] for name in ("gain", "offset"))
+    return Calibration(gain, offset)
 
 
 def _range_calibration(side: str, settings: Mapping[str, Any]) -> RangeCalibration:

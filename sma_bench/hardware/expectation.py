@@ -15,6 +15,8 @@ _CELSIUS_ZERO = 273.15
 _CURRENT_FLOOR = 0.1
 # V; below it the current sensor's noise says nothing about a resistance.
 _LEAST_VOLTAGE = 1.0
+# Of the voltage's tolerance, which is that at the highest voltage: what is left of it at 0 V.
+_LEAST_TOLERANCE = 0.2
 # s; stamps of a camera come a few ms early or late.
 _RATE_BASE = 0.05
 # A reading may belong to any of the last commands.
@@ -30,8 +32,10 @@ class WireModel:
     heat_loss: float
     heat_capacity: float
     ambient: float
+    maximum_temperature: float
+    maximum_voltage: float
     voltage_tolerance: float
-    """V"""
+    """V, at the highest voltage"""
     resistance_tolerance: float
     """share of the expected current"""
     temperature_tolerance: float
@@ -46,6 +50,8 @@ class WireModel:
             * parameters["wire.surface_area"],
             heat_capacity=parameters["wire.mass"] * parameters["wire.specific_heat"],
             ambient=parameters["environment.ambient_temperature"],
+            maximum_temperature=parameters["bench.maximum_temperature"],
+            maximum_voltage=parameters["bench.maximum_voltage"],
             voltage_tolerance=parameters["bench.voltage_tolerance"],
             resistance_tolerance=parameters["bench.resistance_tolerance"],
             temperature_tolerance=parameters["bench.temperature_tolerance"],
@@ -56,6 +62,22 @@ class WireModel:
         steady = self.ambient + volt**2 / self.resistance / self.heat_loss
         decay = math.exp(-elapsed * self.heat_loss / self.heat_capacity)
         return steady + (temperature - steady) * decay
+
+    def heating_voltage(self, volt: float, ampere: float) -> float:
+        """V that heat a wire of `resistance` at least as what was measured; NaN is not measured.
+
+        A current without a voltage heats too: a switch that does not open.
+        """
+        powers = [volt**2 / self.resistance, volt * ampere]
+        if not volt >= _LEAST_VOLTAGE and abs(ampere) > _CURRENT_FLOOR:
+            powers.append(ampere**2 * self.resistance)
+        highest = max((power for power in powers if not math.isnan(power)), default=0.0)
+        return math.sqrt(highest * self.resistance)
+
+    def allowed_deviation(self, volt: float) -> float:
+        """V by which a commanded voltage and its reading may differ: less at small ones."""
+        share = max(volt / self.maximum_voltage, _LEAST_TOLERANCE)
+        return self.voltage_tolerance * min(share, 1.0)
 
 
 class Lasting:
@@ -85,6 +107,8 @@ class WireWatch:
         self._commands: deque[float] = deque(maxlen=_COMMANDS)
         self._follows, self._conducts, self._warms = (Lasting(patience) for _ in range(3))
         self._modelled = math.nan
+        self._hottest = math.nan
+        self._heating = 0.0
         self._powered = math.nan
         self._reference: tuple[float, float] | None = None
 
@@ -96,11 +120,26 @@ class WireWatch:
         self, volt: float, ampere: float, stamp: float, now: float, model: WireModel
     ) -> str:
         """Disagreement shown by a reading acquired at `stamp` s and heard at `now` s, or ""."""
+        if math.isnan(volt) and math.isnan(ampere):
+            return ""
+        self._let_pass(volt, ampere, stamp, model)
         if math.isnan(volt):
             return ""
-        self._let_pass(volt, stamp, model)
         return self._follows.note(self._not_followed(volt, model), now) or self._conducts.note(
             self._not_conducted(volt, ampere, model), now
+        )
+
+    def heat(self, model: WireModel) -> str:
+        """Over-temperature by the model, from all power that was measured, or "".
+
+        Before the first reading anything may have heated the wire: it counts as hot as allowed.
+        """
+        if not self._hottest > model.maximum_temperature:
+            return ""
+        return (
+            f"over-temperature by the model: {self._channel} at "
+            f"{self._hottest - _CELSIUS_ZERO:.1f} degC, limit "
+            f"{model.maximum_temperature - _CELSIUS_ZERO:.1f} degC, and no temperature is measured"
         )
 
     def temperature(self, kelvin: float, now: float, model: WireModel) -> str:
@@ -130,23 +169,29 @@ class WireWatch:
             f"{limit:g} K/s"
         )
 
-    def _let_pass(self, volt: float, stamp: float, model: WireModel) -> None:
+    def _let_pass(self, volt: float, ampere: float, stamp: float, model: WireModel) -> None:
         elapsed = stamp - self._powered
         if not elapsed >= 0.0:  # the first reading, or a clock that went back
-            self._modelled, elapsed = model.ambient, 0.0
-        self._modelled = model.heated(self._modelled, volt, elapsed)
-        self._powered = stamp
+            self._modelled, self._hottest, elapsed = model.ambient, model.maximum_temperature, 0.0
+        heating = model.heating_voltage(volt, ampere)
+        expected = heating if math.isnan(volt) else volt
+        self._modelled = model.heated(self._modelled, expected, elapsed)
+        # Nobody knows when, since the last reading, the voltage changed.
+        self._hottest = model.heated(self._hottest, max(heating, self._heating), elapsed)
+        self._heating, self._powered = heating, stamp
 
     def _not_followed(self, volt: float, model: WireModel) -> str:
         if not self._commands:
             return ""
-        low = min(self._commands) - model.voltage_tolerance
-        high = max(self._commands) + model.voltage_tolerance
+        lowest, highest = min(self._commands), max(self._commands)
+        low = lowest - model.allowed_deviation(lowest)
+        high = highest + model.allowed_deviation(highest)
         if low <= volt <= high:
             return ""
+        allowed = model.allowed_deviation(self._commands[-1])
         return (
             f"disagreement: {self._channel} gets {volt:.2f} V, commanded "
-            f"{self._commands[-1]:.2f} V, tolerance {model.voltage_tolerance:g} V"
+            f"{self._commands[-1]:.2f} V, tolerance {allowed:.2g} V"
         )
 
     def _not_conducted(self, volt: float, ampere: float, model: WireModel) -> str:

@@ -220,6 +220,7 @@ class Guard:
             for channel in channels
             for kind in feedback
         }
+        self._measured = {channel: Freshness(channel, timeout) for channel in channels}
         self._wires = {channel: WireWatch(channel, timeout) for channel in channels}
         self._readings: dict[str, str] = {}
         self._recording = ""
@@ -238,6 +239,7 @@ class Guard:
     ) -> None:
         """Note a temperature in K; NaN is not a reading and makes nothing fresh."""
         if not math.isnan(kelvin):
+            self._measured[channel].seen(stamp, now)
             self._note(f"{channel}/temperature", stamp, now)
         wire = self._wires[channel]
         rate = wire.rate(kelvin, stamp, limits.maximum_heating_rate)
@@ -252,10 +254,14 @@ class Guard:
         """Note voltage in V and current in A; both NaN is not a reading."""
         if not (math.isnan(volt) and math.isnan(ampere)):
             self._note(f"{channel}/power", stamp, now)
-        disagreement = self._wires[channel].power(volt, ampere, stamp, now, limits.model)
+        wire = self._wires[channel]
+        disagreement = wire.power(volt, ampere, stamp, now, limits.model)
+        # A temperature that is measured is judged itself.
+        unseen = self._measured[channel].fault(now)
         self._readings[f"{channel}/power"] = (
             current_fault(channel, ampere, limits)
             or power_fault(channel, volt, ampere, limits)
+            or (wire.heat(limits.model) if unseen else "")
             or disagreement
         )
 

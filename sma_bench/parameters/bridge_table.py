@@ -8,16 +8,21 @@ _NOMINAL = "nominal: firmware/config.h; sma-bench calibrate"
 _SIDES = ("front", "back")
 
 
+# Beyond it a sensor is broken, another one, or mounted the wrong way round.
+_GAINS = (0.5, 2.0)
+_MOST_OFFSET = 2.0
+
+
 def _line(sensor: str, unit: str, what: str) -> tuple[Parameter, Parameter]:
     name = f"calibration.{sensor}"
     return (
         Parameter(
             f"{name}.gain", "1", 1.0, f"True {what} over the device's reading.",
-            _NOMINAL, -100.0, 100.0,
+            _NOMINAL, *_GAINS,
         ),
         Parameter(
             f"{name}.offset", unit, 0.0, f"True {what} where the device reads zero.",
-            _NOMINAL, -100.0, 100.0,
+            _NOMINAL, -_MOST_OFFSET, _MOST_OFFSET,
         ),
     )
 
@@ -28,11 +33,11 @@ def _range(side: str) -> tuple[Parameter, ...]:
     return (
         Parameter(
             f"{name}.gain", "1/(V m)", round(1.0 / _RANGE_SLOPE, 4),
-            "Distance = 1/(gain voltage + offset) - shift.", source, -1e4, 1e4,
+            "Distance = 1/(gain voltage + offset) - shift.", source, 0.5, 50.0,
         ),
         Parameter(
             f"{name}.offset", "1/m", round(-_RANGE_LEVEL / _RANGE_SLOPE, 4),
-            "See the gain.", source, -1e4, 1e4,
+            "See the gain.", source, -20.0, 20.0,
         ),
         Parameter(
             f"{name}.shift", "m", _RANGE_SHIFT, "Depth of the lens behind the sensor's face.",

@@ -184,7 +184,7 @@ BENCH = (
     ),
     Parameter(
         "bench.maximum_temperature", "K", 423.15,
-        "A hotter wire switches the outputs off.",
+        "A hotter wire switches the outputs off: measured, or by eq. (1) where nothing measures.",
         "assumed: 70 K above A_f, below what silicone and camera window endure",
         300.0, 700.0,
     ),
@@ -205,7 +205,8 @@ BENCH = (
     ),
     Parameter(
         "bench.voltage_tolerance", "V", 0.5,
-        "A wire's voltage may differ from the commanded one by this.",
+        "A wire's voltage may differ from the commanded one by this at bench.maximum_voltage, by "
+        "less below, down to a fifth.",
         "assumed: 5 % of the range", 0.05, 60.0,
     ),
     Parameter(

@@ -46,7 +46,7 @@ def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_pat
         (["supply", "5=6", "7"], "7: expected two numbers"),
         (["supply", "5=6", "5=7"], "1 different readings, expected at least 2"),
         (["supply", "5=6", "9=10", "--shift", "0.1"], "supply is no range sensor"),
-        (["supply", "5=600", "9=10000"], "calibration.supply.gain is 2350 1, expected -100 to 100"),
+        (["supply", "5=600", "9=10000"], "calibration.supply.gain is 2350 1, expected 0.5 to 2"),
         (["supply", "--csv", "absent.csv"], "absent.csv: cannot read"),
         (["supply", "--device", "absent"], "expected the known loads too"),
         (["front_range", "1=0.1", "2=-0.1"], "distance -0.1 m"),

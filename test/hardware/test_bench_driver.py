@@ -247,8 +247,15 @@ def test_deflection_is_the_mean_of_the_sensors_that_see_the_tip():
     assert deflection(inf, inf) == pytest.approx(nan, nan_ok=True)
 
 
-def test_settings_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match="calibration.supply.gain is 0"):
-        BenchSensors(["front"], {**SETTINGS, "calibration.supply.gain": 0.0})
+def test_a_range_sensor_that_cannot_be_is_refused():
     with pytest.raises(InputError, match="'top', expected front or back"):
         BenchSensors(["front"], {**SETTINGS, "range.sensors": ("top",)})
+
+
+@pytest.mark.parametrize("sensor", ["supply", "front_current", "back_current"])
+def test_a_calibration_far_from_nominal_is_refused(sensor):
+    table = {parameter.name: parameter for parameter in SERIAL_BRIDGE}
+    for name, values in (("gain", (-1.0, 0.0, 0.4, 2.1, 100.0)), ("offset", (-2.1, 2.1))):
+        for value in values:
+            with pytest.raises(InputError, match=f"calibration.{sensor}.{name} is"):
+                table[f"calibration.{sensor}.{name}"].validated(value, "test")

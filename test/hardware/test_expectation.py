@@ -48,7 +48,17 @@ def test_a_wire_that_does_as_commanded_is_left_alone():
 def test_a_voltage_that_does_not_follow_is_told_with_both_numbers():
     assert powered(watch(), 0.0, 0.0, 0.9) == ""
     reason = powered(watch(), 0.0, 0.0, 1.1)
-    assert reason == "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.5 V"
+    assert reason == "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.15 V"
+
+
+@pytest.mark.parametrize(
+    ("commanded", "volt"), [(0.0, 0.2), (0.4, 0.0), (0.4, 0.6), (8.0, 8.5), (8.0, 7.5)]
+)
+def test_every_voltage_is_checked_small_ones_too(commanded, volt):
+    ampere = volt / MODEL.resistance
+    assert f"commanded {commanded:.2f} V" in powered(watch(commanded), volt, ampere, 1.1)
+    near = commanded + 0.2 * (volt - commanded)
+    assert powered(watch(commanded), near, near / MODEL.resistance, 1.1) == ""
 
 
 def test_a_reading_may_belong_to_any_of_the_last_commands():
@@ -79,6 +89,56 @@ def test_the_model_heats_as_equation_1():
     assert MODEL.heated(MODEL.ambient, 3.0, 100.0) == pytest.approx(steady)
     early = MODEL.heated(MODEL.ambient, 3.0, 1e-3) - MODEL.ambient
     assert early == pytest.approx(1e-3 * 9.0 / MODEL.resistance / MODEL.heat_capacity, rel=0.01)
+
+
+def heat_after(readings, wire=None):
+    """Verdict on the wire's heat after (volt, ampere, s) each."""
+    wire, now = wire or watch(), 0.0
+    for volt, ampere, seconds in readings:
+        for _ in range(round(seconds / PERIOD)):
+            now += PERIOD
+            wire.power(volt, ampere, now, now, MODEL)
+    return wire.heat(MODEL)
+
+
+REST = (0.0, 0.0, 2.0)
+R = MODEL.resistance
+
+
+@pytest.mark.parametrize(
+    ("volt", "ampere"),
+    [
+        (8.0, 8.0 / R),
+        (8.0, 0.0),  # the sensor is dead
+        (8.0, math.nan),
+        (6.5, 8.0**2 / R / 6.5),  # less resistance than the model's, more heat
+        (math.nan, 8.0 / R),
+        (0.0, 8.0 / R),  # a switch that does not open
+    ],
+)
+def test_a_wire_that_nobody_sees_is_too_hot_by_the_model(volt, ampere):
+    reason = heat_after([REST, (volt, ampere, 2.0)])
+    assert reason.startswith("over-temperature by the model: wire at 17")
+    assert "limit 150.0 degC" in reason
+
+
+def test_a_wire_that_nobody_sees_may_be_as_hot_as_its_limit_and_for_a_moment_driven_hard():
+    assert heat_after([REST, (7.0, 7.0 / R, 5.0)]) == ""
+    assert heat_after([REST, (8.0, 8.0 / R, 0.1), REST, (8.0, 8.0 / R, 0.1)]) == ""
+
+
+def test_a_wire_of_unknown_temperature_counts_as_hot():
+    """The bridge that starts may follow one that died driving."""
+    reason = heat_after([(8.0, 8.0 / R, 0.05)])
+    assert reason.startswith("over-temperature by the model: wire at 15")
+    assert heat_after([(7.0, 7.0 / R, 0.05)]) == ""
+
+
+def test_a_gap_in_the_readings_was_driven_as_hard_as_either_end():
+    wire = watch()
+    for stamp, volt in ((0.0, 0.0), (5.0, 9.0), (7.0, 0.0)):
+        wire.power(volt, volt / R, stamp, stamp, MODEL)
+    assert wire.heat(MODEL).startswith("over-temperature by the model: wire at 21")
 
 
 def test_a_camera_that_sees_no_warming_disagrees():

@@ -151,6 +151,21 @@ def test_guard_without_a_camera_demands_power_only_but_heeds_a_temperature_that_
     assert "over-temperature" in made.fault(1.5)
 
 
+def test_guard_goes_by_the_model_only_where_no_temperature_comes():
+    made = Guard(["a"], ["power"], 1.0)
+    for k in range(400):
+        now = 0.01 * k
+        volt = 8.0 if k > 200 else 0.0
+        made.power("a", volt, volt / LIMITS.model.resistance, stamp=now, now=now, limits=LIMITS)
+        if k < 300:
+            made.temperature("a", 340.0, stamp=now, now=now, limits=LIMITS)
+            assert made.fault(now) == ""
+    for k in range(400, 420):
+        now = 0.01 * k
+        made.power("a", 8.0, 8.0 / LIMITS.model.resistance, stamp=now, now=now, limits=LIMITS)
+    assert made.fault(now).startswith("over-temperature by the model: a at 171")
+
+
 def test_guard_minds_a_recorder_that_failed_until_another_records():
     made = guard()
     made.recorder("bag: cannot be written: No space left on device")

@@ -9,7 +9,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from emulated_rig import BridgedRig
@@ -40,6 +40,8 @@ class Fault:
     camera: bool = False
     reaction: str = "0 V until a reset"
     told: Callable[[BridgedRig], str] = lambda rig: rig.state
+    settings: dict[str, object] = field(default_factory=dict)
+    """parameters of the bridge; one without temperatures in its `feedback` gets none"""
 
     @property
     def by_host(self) -> bool:
@@ -110,6 +112,14 @@ def _fever(rig: BridgedRig) -> float:
 def _blindness(rig: BridgedRig) -> float:
     rig.fever = None
     return _now(rig)
+
+
+def _command(volt: float) -> Callable[[BridgedRig], float]:
+    def make(rig: BridgedRig) -> float:
+        rig.voltage = (volt,)
+        return _now(rig)
+
+    return make
 
 
 def _camera_looks_elsewhere(rig: BridgedRig) -> float:
@@ -220,6 +230,10 @@ FAULTS = (
           "disagreement: wire carries", _electrics(resistance=(math.inf,))),
     Fault("over_temperature", "wire hotter than bench.maximum_temperature",
           "bridge: each temperature", 0.3, "over-temperature: wire", _fever, quick=True),
+    Fault("heat_unseen", "wire hotter than bench.maximum_temperature, no camera",
+          "bridge: eq. (1) with each reading of power", 0.9, "over-temperature by the model: wire",
+          _command(8.0),
+          settings={"feedback": ["power"], "bench__maximum_current": 4.0}),
     Fault("temperature_lost", "temperatures stop coming", "bridge: feedback_timeout 1 s", 1.4,
           "stale feedback: nothing new from wire/temperature", _blindness),
     Fault("camera_lost", "camera stops sending pictures", "bridge: feedback_timeout 1 s", 1.6,

@@ -17,7 +17,9 @@ MARKED = [
 
 @pytest.mark.parametrize("fault", MARKED)
 def test_outputs_go_to_zero_in_time_and_the_cause_is_told(bench, uno, fault, record_property):
-    with bridged_rig(bench, uno, camera=fault.camera) as rig:
+    with bridged_rig(bench, uno, camera=fault.camera, **fault.settings) as rig:
+        if "temperature" not in fault.settings.get("feedback", ["temperature"]):
+            rig.fever = None
         rig.enable()
         rig.drive(fault.volts)
         measured = rig.off_after(fault.make(rig))

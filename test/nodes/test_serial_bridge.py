@@ -170,7 +170,7 @@ def test_composite_rig_bends_and_its_ranges_give_the_deflection(bench, uno):
     [
         ({"telemetry_rate": 300}, "telemetry_rate is 300 Hz, expected a divisor of 1000"),
         ({"use_sim_time": True}, "use_sim_time is set, but hardware runs in real time"),
-        ({"calibration__supply__gain": 0.0}, "calibration.supply.gain is 0"),
+        ({"calibration__supply__gain": 0.0}, "calibration.supply.gain is 0 1, expected 0.5 to 2"),
         ({"range__sensors": ["top"]}, "range.sensors: 'top', expected front or back"),
     ],
 )
