@@ -24,6 +24,7 @@ from sma_bench.errors import InputError
 MEGABYTE = 1 << 20
 LARGEST_YAML = MEGABYTE
 LARGEST_TOPIC = MEGABYTE  # of JSON in one message
+LONGEST_SHOWN = 500  # characters of a topic's text, where people see it
 DEEPEST = 64
 YAML_SECONDS = 5.0
 _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
@@ -156,9 +157,50 @@ def read_json_object(text: str | bytes, where: str, largest: int = LARGEST_TOPIC
     return document
 
 
+# What a field of a JSON object on a topic may be; a number is a float then.
+TEXT, NUMBER, NUMBER_OR_NULL, COUNTS = "a text", "a number", "a number or null", "counts by name"
+
+
+def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, Any]:
+    """The named fields of a JSON object, each of its kind; others are left out.
+
+    Raises:
+        InputError: as `read_json_object`; a field that is missing or of another kind.
+    """
+    document = read_json_object(text, where)
+    for name, kind in fields.items():
+        if name not in document:
+            raise InputError(f"{where}: {name} is missing")
+        if not _IS[kind](document[name]):
+            raise InputError(f"{where}: {name} is {_kind(document[name])}, expected {kind}")
+    return {name: document[name] for name in fields}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _are_counts(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        isinstance(count, int) and not isinstance(count, bool) for count in value.values()
+    )
+
+
+_IS = {
+    TEXT: lambda value: isinstance(value, str),
+    NUMBER: _is_number,
+    NUMBER_OR_NULL: lambda value: value is None or _is_number(value),
+    COUNTS: _are_counts,
+}
+
+
 def _kind(document: Any) -> str:
-    names = {list: "a list", str: "a text", bool: "true or false", type(None): "null"}
-    return names.get(type(document), "a number")
+    return _KINDS.get(type(document), "a number")
+
+
+_KINDS = {
+    dict: "an object", list: "a list", str: "a text", bool: "true or false", type(None): "null",
+}  # fmt: skip
 
 
 def _integer(text: str) -> int:
@@ -321,6 +363,12 @@ def printable(text: str, keep: str = "") -> str:
         else letter.encode("unicode_escape").decode("ascii")
         for letter in text
     )
+
+
+def shown(text: str, longest: int = LONGEST_SHOWN) -> str:
+    """Text of a topic for people: one line, and not more of it than anybody reads."""
+    line = printable(" ".join(text[: 2 * longest].split()))
+    return line if len(line) <= longest else line[:longest] + "\u2026"
 
 
 def csv_cell(text: str) -> str:

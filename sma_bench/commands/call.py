@@ -1,15 +1,16 @@
 """sma-bench call NODE/SERVICE: what `ros2 service call` does, without a ROS 2 installation."""
 
 import argparse
-import json
 import re
 from typing import Any
 
+from sma_bench.border import MEGABYTE, read_json
 from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parameter_options import named_value
 from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
 
+_LARGEST_ANSWER = 64 * MEGABYTE
 _PRESENCE = 10.0  # s within which a node has to be found
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 
@@ -75,6 +76,6 @@ def _call(
 def _parsed(answer: str) -> Any:
     """Results are JSON themselves."""
     try:
-        return json.loads(answer)
-    except ValueError:
+        return read_json(answer, "answer", _LARGEST_ANSWER)
+    except InputError:
         return answer

@@ -1,7 +1,7 @@
 // Keeps the page alive: updates in, the stop out, and never an old number shown as a live one.
 
 import { Plot } from "./plot.js";
-import { element, inOrder, showDiagnosis, showMeters, showNodes, showProtocol, showStop } from "./panels.js";
+import { element, inOrder, showDiagnosis, showAgain, showMeters, showNodes, showProtocol, showStop } from "./panels.js";
 
 const SILENT = 1.5; // s without an update or a reading
 const RETRY = 1000; // ms
@@ -18,6 +18,7 @@ const clock = () => performance.now() / 1000;
 let page = null; // what this connection has brought
 let lastUpdate = null; // s of clock(), of any connection
 let socket = null;
+let failure = ""; // why the page does not show the newest update, whole
 
 // --- connection ---------------------------------------------------------------------------------
 
@@ -26,8 +27,22 @@ function connect() {
   address.protocol = address.protocol.replace("http", "ws");
   socket = new WebSocket(address);
   page = { panels: {}, points: new Map(), signals: [], now: 0, due: 0 };
-  socket.onmessage = (event) => take(JSON.parse(event.data));
+  socket.onmessage = (event) => whole(() => take(JSON.parse(event.data)));
   socket.onclose = () => setTimeout(connect, RETRY);
+}
+
+// What was not done to its end may have left old numbers anywhere on the page.
+function whole(act) {
+  try {
+    act();
+  } catch (error) {
+    fail(String(error));
+  }
+}
+
+function fail(why) {
+  failure = why;
+  watch();
 }
 
 function take(update) {
@@ -42,21 +57,23 @@ function take(update) {
     page.points.set(key, signal.points);
   }
   // A slow computer skips pictures, not updates.
-  if (!page.due) page.due = requestAnimationFrame(show);
+  if (!page.due) page.due = requestAnimationFrame(() => whole(show));
 }
 
 function watch() {
   const silence = lastUpdate === null ? 0 : clock() - lastUpdate;
   const open = socket !== null && socket.readyState === WebSocket.OPEN;
-  const lost = lastUpdate !== null && (silence > SILENT || (!open && silence > 0.3));
+  const cut = lastUpdate !== null && (silence > SILENT || (!open && silence > 0.3));
+  const lost = cut || failure !== "";
   document.body.className = lost ? "lost" : lastUpdate === null ? "waiting" : "live";
   if (lost) {
-    byId("connection").textContent =
-      `CONNECTION LOST ${silence.toFixed(0)} s ago: what is below is old`;
+    byId("connection").textContent = cut ?
+      `CONNECTION LOST ${silence.toFixed(0)} s ago: what is below is old` :
+      `LOST: this page cannot show what the bench sends (${failure}); what is below is old`;
     // Old numbers are not shown at all: a screen across the room has no grey.
     for (const old of document.querySelectorAll(".value")) old.textContent = "\u2013";
     for (const old of document.querySelectorAll("#meters .fill")) old.style.width = 0;
-    byId("protocol-text").textContent = "unknown: connection lost";
+    byId("protocol-text").textContent = cut ? "unknown: connection lost" : "unknown";
     byId("protocol-bar").hidden = true;
   } else if (lastUpdate !== null) {
     tellAge();
@@ -85,11 +102,13 @@ function show() {
   showMeters(page.signals, page.panels, page.now);
   showNodes(page.panels, page.now);
   showDiagnosis(page.panels);
+  showAgain(page.panels);
   byId("no-signals").hidden = page.signals.length > 0;
   for (const quantity of Object.keys(quantities)) {
     const signals = page.signals.filter((signal) => signal.quantity === quantity);
     if (signals.length) showPlot(quantity, signals);
   }
+  failure = "";
 }
 
 function showPlot(quantity, signals) {
@@ -181,6 +200,9 @@ document.addEventListener("keydown", (event) => {
   stop();
 });
 window.addEventListener("resize", () => plots.forEach(({ plot }) => plot.draw()));
+
+window.addEventListener("error", (event) => fail(event.message));
+window.addEventListener("unhandledrejection", (event) => fail(String(event.reason)));
 
 connect();
 setInterval(watch, 250);

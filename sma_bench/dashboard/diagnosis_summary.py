@@ -1,10 +1,10 @@
 """The last diagnosis in a few lines: the verdict, its candidates, what shrinks, what next."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+from sma_bench.border import read_json_object, shown
 from sma_bench.errors import InputError
 from sma_bench.report.quantities import in_print
 from sma_bench.report.result_file import DiagnoseResult, diagnosis_from
@@ -29,17 +29,18 @@ def diagnosis_summary(text: str) -> dict[str, Any]:
         `verdict`, `candidates` (name, probability), `lines`; `problem` where it is no result.
     """
     try:
-        result = diagnosis_from(Path("diagnosis/result"), json.loads(text))
-    except (InputError, ValueError, RecursionError) as error:
-        return {"problem": " ".join(str(error).split())}
+        where = "diagnosis/result"
+        result = diagnosis_from(Path(where), read_json_object(text, where))
+    except InputError as error:
+        return {"problem": shown(str(error))}
     return {
-        "verdict": _verdict(result),
+        "verdict": shown(_verdict(result)),
         "candidates": [
-            {"name": c.name, "probability": round(c.probability, 4)}
+            {"name": shown(c.name), "probability": round(c.probability, 4)}
             for c in result.candidates[:_MOST_CANDIDATES]
             if c.probability >= _LEAST_SHOWN
         ],
-        "lines": [*_shrinkage(result), *([result.next_experiment] * bool(result.next_experiment))],
+        "lines": [shown(line) for line in (*_shrinkage(result), result.next_experiment) if line],
     }
 
 

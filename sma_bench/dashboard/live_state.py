@@ -7,7 +7,7 @@ import json
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -44,6 +44,11 @@ QUANTITIES = {
 }
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
 
+NO_VOLTAGE = 0.05
+"""V below which a measured voltage is 0: noise and steps of the converters, 10 mV"""
+# Anybody may make topics and names without end.
+_MOST_SIGNALS, _MOST_ENTRIES = 300, 200
+
 MEASURED, COMMANDED, MODEL = "measured", "commanded", "model"
 
 
@@ -63,14 +68,48 @@ class LiveState:
         self._lock = threading.Lock()
         self._traces: dict[tuple[str, str, str], Trace] = {}
         self._panels: dict[str, Any] = {}
+        self._off_since: dict[str, float] = {}
+        self._stopped: dict[str, float] = {}
 
     def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED) -> None:
         """Take a reading in SI units; `kind` also tells a command or a prediction from it."""
         with self._lock:
             trace = self._traces.get((quantity, place, kind))
             if trace is None:
+                if len(self._traces) >= _MOST_SIGNALS:
+                    return
                 trace = self._traces[quantity, place, kind] = Trace()
-            trace.add(self.clock(), float(value))
+            now = self.clock()
+            trace.add(now, float(value))
+            if (quantity, kind) == ("voltage", MEASURED):
+                self._note_voltage(place, float(value), now)
+
+    def off_since(self) -> dict[str, float]:
+        """Since when every measured voltage of a wire has been 0, by place; not where one is on."""
+        with self._lock:
+            return dict(self._off_since)
+
+    def stop_asked(self) -> None:
+        """A stop was asked for: what came of the last one is over."""
+        with self._lock:
+            self._stopped = {}
+            self._panels["again"] = None
+
+    def stop_confirmed(self, places: Iterable[str]) -> None:
+        """Wires were told to be off: the panel `again` names the first that gets a voltage."""
+        with self._lock:
+            self._stopped = dict.fromkeys(places, self.clock())
+
+    def _note_voltage(self, place: str, volts: float, now: float) -> None:
+        if abs(volts) <= NO_VOLTAGE:
+            self._off_since.setdefault(place, now)
+            return
+        self._off_since.pop(place, None)
+        if place in self._stopped and not self._panels.get("again"):
+            self._panels["again"] = {
+                "place": place, "volts": QUANTITIES["voltage"].shown(volts),
+                "seconds": round(now - self._stopped[place], 1),
+            }  # fmt: skip
 
     def show(self, panel: str, content: Any) -> None:
         """Set what a panel shows: plain values that JSON has."""
@@ -80,7 +119,8 @@ class LiveState:
     def merge(self, panel: str, content: Mapping[str, Any]) -> None:
         """Set some entries of a panel that is a mapping."""
         with self._lock:
-            self._panels[panel] = {**self._panels.get(panel, {}), **content}
+            merged = {**self._panels.get(panel, {}), **content}
+            self._panels[panel] = dict(list(merged.items())[:_MOST_ENTRIES])
 
     def newest(self, quantity: str) -> dict[str, tuple[float, float]]:
         """Measured value (SI) and time of arrival, by place."""

@@ -119,6 +119,21 @@ export function showDiagnosis(panels) {
   get("diagnosis-content").replaceChildren(head, ...bars, ...found.lines.map((line) => element("p", line, "quiet")));
 }
 
+// After a stop that was confirmed: a voltage is news to everybody who saw that.
+let told = null;
+
+export function showAgain(panels) {
+  const { again } = panels;
+  if (!again || again === told) return;
+  told = again;
+  const volts = again.volts === null ? "a voltage" : `${again.volts.toFixed(2)} V`;
+  const said = `VOLTAGE IS ON AGAIN: ${again.place} ${volts}, ${again.seconds.toFixed(1)} s after the stop.`;
+  const box = get("stop-result");
+  box.hidden = false;
+  box.className = "bad";
+  box.replaceChildren(element("p", said, "said"));
+}
+
 export function showStop(result) {
   const box = get("stop-result");
   box.hidden = false;

@@ -9,10 +9,9 @@ from typing import Any, Protocol
 
 from sma_bench.dashboard.live_state import LiveState
 
-NO_VOLTAGE = 0.05
-"""V below which a measured voltage is 0: noise and steps of the converters, 10 mV"""
 _PATIENCE = 3.0
-_STAYS_OFF = 0.2
+_STAYS_OFF = 1.0
+"""s of nothing but 0 V: longer than a command timeout, and than most pulses of a commander"""
 _LOOK = 0.005
 _REPEAT = 0.02
 _SILENT = 1.0
@@ -38,42 +37,52 @@ class Wires:
     begin: float
     volts: dict[str, float] = field(default_factory=dict)
     """newest reading of each live wire"""
+    heard: dict[str, float] = field(default_factory=dict)
+    """when, where that was since the request"""
     off_since: dict[str, float] = field(default_factory=dict)
-    unread: set[str] = field(default_factory=set)
-    """live before the request, and silent since"""
+    back: set[str] = field(default_factory=set)
+    """off since the request, and then on again"""
 
     def look(self) -> None:
-        """Take the newest voltages."""
+        """Take the newest voltages; of those between two looks, what the state has noted."""
+        off = self.state.off_since()
         for place, (volts, heard) in self.state.newest("voltage").items():
             if heard < self.begin - _SILENT:
                 continue
             self.volts[place] = volts
             if heard < self.begin:
-                self.unread.add(place)
                 continue
-            self.unread.discard(place)
-            if abs(volts) <= NO_VOLTAGE:
-                self.off_since.setdefault(place, heard)
-            else:
-                self.off_since.pop(place, None)
+            self.heard[place] = heard
+            before = self.off_since.pop(place, None)
+            if place in off:
+                # Off before the request already: since its first reading after.
+                was_off = off[place] < self.begin
+                self.off_since[place] = (before or heard) if was_off else off[place]
+            if before is not None and self.off_since.get(place) != before:
+                self.back.add(place)
+
+    @property
+    def unread(self) -> set[str]:
+        """Live before the request, and silent since."""
+        return self.volts.keys() - self.heard.keys()
 
     @property
     def on(self) -> list[str]:
         """Wires read with a voltage since the request, or with one that is not known."""
-        return [p for p in self.volts if p not in self.off_since and p not in self.unread]
+        return [p for p in self.heard if p not in self.off_since]
+
+    @property
+    def stay_off(self) -> bool:
+        """Whether every live wire was read at 0 V, and nothing else, for long enough."""
+        return bool(self.volts) and all(
+            p in self.off_since and self.heard[p] - self.off_since[p] >= _STAYS_OFF
+            for p in self.volts
+        )
 
     @property
     def seconds(self) -> float | None:
-        """From the request until the last wire was read at 0 V; None while one is not."""
-        if not self.volts or len(self.off_since) < len(self.volts):
-            return None
-        return max(self.off_since.values()) - self.begin
-
-    def stay_off(self) -> bool:
-        """Whether all have been off for a while: another commander would have come back."""
-        if self.seconds is None:
-            return False
-        return max(self.off_since.values()) < self.state.clock() - _STAYS_OFF
+        """From the request until the last wire went to 0 V for good; None while one has not."""
+        return max(self.off_since.values()) - self.begin if self.stay_off else None
 
 
 async def stop(bench: Bench) -> dict[str, Any]:
@@ -83,11 +92,12 @@ async def stop(bench: Bench) -> dict[str, Any]:
     whose commander is not asked by one.
 
     Returns:
-        `stopped`: True only where every live wire was read at 0 V; `said`: one sentence;
-        `seconds` until 0 V was read (None: never); `voltages` (V) by wire; `answers` of the nodes.
+        `stopped`: True only where every live wire was read at 0 V and stayed there; `said`: one
+        sentence; `seconds` until 0 V (None: never); `voltages` (V) by wire; `answers` of the nodes.
     """
     begin = commanded = time.monotonic()
     wires = Wires(bench.state, bench.state.clock())
+    bench.state.stop_asked()
     bench.send_zero()
     futures = bench.send_stop()
     answered: dict[str, float] = {}
@@ -97,16 +107,19 @@ async def stop(bench: Bench) -> dict[str, Any]:
             if future.done():
                 answered.setdefault(node, now - begin)
         nothing_to_see = not wires.volts and now > begin + _SILENT
-        if len(answered) == len(futures) and (wires.stay_off() or nothing_to_see):
+        if len(answered) == len(futures) and (wires.stay_off or nothing_to_see):
             break
         if (wires.on or not wires.volts) and now > commanded + _REPEAT:
             commanded = now
             bench.send_zero()
         await asyncio.sleep(_LOOK)
+    seconds = wires.seconds
+    if seconds is not None:
+        bench.state.stop_confirmed(wires.volts)
     return {
-        "stopped": wires.seconds is not None,
+        "stopped": seconds is not None,
         "said": _sentence(wires, bool(futures)),
-        "seconds": wires.seconds and round(wires.seconds, 4),
+        "seconds": seconds and round(seconds, 4),
         "voltages": {p: round(v, 3) for p, v in wires.volts.items() if math.isfinite(v)},
         "answers": [_answer(node, future, answered) for node, future in sorted(futures.items())],
     }
@@ -121,7 +134,15 @@ def _sentence(wires: Wires, asked: bool) -> str:
         return f"Not confirmed: no reading since the request from {silent}. Look at the bench."
     if wires.seconds is not None:
         count = "the wire" if len(wires.volts) == 1 else f"all {len(wires.volts)} wires"
-        return f"0 V read on {count}, {1e3 * wires.seconds:.0f} ms after the request."
+        return (
+            f"0 V read on {count}, {1e3 * wires.seconds:.0f} ms after the request, and nothing "
+            f"else for {_STAYS_OFF:g} s."
+        )
+    if wires.back:
+        back = ", ".join(sorted(wires.back))
+        return f"NOT STOPPED, voltage comes back: {back}. Use the emergency stop of the bench."
+    if wires.volts:
+        return "Not confirmed: too few readings since the request. Look at the bench."
     if asked:
         return "Not confirmed: stop was sent, but no voltage is read here. Look at the bench."
     return "Nothing to stop: no node answers here and no voltage is read. Look at the bench."

@@ -155,7 +155,7 @@ class WireWatch:
 
     def rate(self, kelvin: float, stamp: float, limit: float) -> str:
         """A temperature that rises faster than `limit` K/s, or ""."""
-        if math.isnan(kelvin):
+        if not math.isfinite(kelvin):
             return ""
         before, at = self._reference or (kelvin, stamp)
         elapsed = stamp - at

@@ -12,6 +12,7 @@ from sma_bench.hardware.expectation import WireModel, WireWatch
 from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
+_MODELLED_CURRENT = 2.0
 
 
 @dataclass(frozen=True)
@@ -237,8 +238,8 @@ class Guard:
     def temperature(
         self, channel: str, kelvin: float, stamp: float, now: float, limits: Limits
     ) -> None:
-        """Note a temperature in K; NaN is not a reading and makes nothing fresh."""
-        if not math.isnan(kelvin):
+        """Note a temperature in K; NaN or infinite is not a reading and makes nothing fresh."""
+        if math.isfinite(kelvin):
             self._measured[channel].seen(stamp, now)
             self._note(f"{channel}/temperature", stamp, now)
         wire = self._wires[channel]
@@ -251,11 +252,15 @@ class Guard:
     def power(
         self, channel: str, volt: float, ampere: float, stamp: float, now: float, limits: Limits
     ) -> None:
-        """Note voltage in V and current in A; both NaN is not a reading."""
-        if not (math.isnan(volt) and math.isnan(ampere)):
+        """Note voltage in V and current in A; both NaN or infinite is not a reading."""
+        if math.isfinite(volt) or math.isfinite(ampere):
             self._note(f"{channel}/power", stamp, now)
         wire = self._wires[channel]
-        disagreement = wire.power(volt, ampere, stamp, now, limits.model)
+        # What is beyond the limits is a fault by itself; one such number must not stay in the
+        # model for good.
+        volts = _within(volt, limits.maximum_voltage + limits.model.voltage_tolerance)
+        amperes = _within(ampere, _MODELLED_CURRENT * limits.maximum_current)
+        disagreement = wire.power(volts, amperes, stamp, now, limits.model)
         # A temperature that is measured is judged itself.
         unseen = self._measured[channel].fault(now)
         self._readings[f"{channel}/power"] = (
@@ -274,3 +279,8 @@ class Guard:
     def _note(self, topic: str, stamp: float, now: float) -> None:
         if topic in self._fresh:
             self._fresh[topic].seen(stamp, now)
+
+
+def _within(value: float, largest: float) -> float:
+    """A reading cut to plus or minus `largest`; NaN where it is no number."""
+    return max(-largest, min(value, largest)) if math.isfinite(value) else math.nan

@@ -1,6 +1,5 @@
 """A client of the bench's nodes for scripts: wait for states, call services, set parameters."""
 
-import json
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -18,6 +17,7 @@ from std_srvs.srv import Trigger
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED
 from sma_bench.nodes.discovery import choose_discovery
+from sma_bench.nodes.recorder_state import recorder_state
 
 _SPIN = 0.05
 _MATCHING = 0.3
@@ -124,10 +124,9 @@ class BenchClient:
 
     def recorded(self, output: str) -> dict[str, int]:
         """Messages that the followed recorder has written to `output`, by relative topic."""
-        text = self.state("recorder")
-        state = json.loads(text) if text else {}
+        state = recorder_state(self.state("recorder"))
         # Another bag's last state may still be on its way when the next recorder starts.
-        if state.get("output") != output or state["state"] != "recording":
+        if state is None or state["output"] != output or state["state"] != "recording":
             return {}
         own = self._namespace + "/"
         return {topic.removeprefix(own): n for topic, n in state["messages"].items()}

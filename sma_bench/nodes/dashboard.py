@@ -4,9 +4,9 @@ Topics, services and parameters are looked for below one namespace, again and ag
 and go.
 """
 
-import json
+import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
@@ -26,6 +26,7 @@ from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
+from sma_bench.border import NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
 from sma_bench.dashboard.diagnosis_summary import diagnosis_summary
 from sma_bench.dashboard.live_state import (
     CELSIUS_ZERO,
@@ -39,6 +40,7 @@ from sma_bench.dashboard.live_state import (
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED, OneThreadExecutor
 from sma_bench.nodes.discovery import choose_discovery
+from sma_bench.nodes.recorder_state import recorder_state
 from sma_bench.records.contract import place_of
 
 _LOOK_EVERY = 0.5
@@ -56,6 +58,9 @@ _LEVELS = {
 }  # fmt: skip
 _MODEL_TOPICS = "twin"
 _RECORDER = "recorder"
+_PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
+# Anybody may make topics and services without end.
+_MOST_TOPICS, _MOST_NODES, _MOST_CHANNELS = 500, 100, 64
 
 
 class DashboardNode(Node):
@@ -107,9 +112,9 @@ class DashboardNode(Node):
                 continue
             if name == _RECORDER:  # its stop ends the record, and drives nothing
                 continue
-            if service.endswith(_STOP) and _TRIGGER in types and name not in self._stops:
+            if service.endswith(_STOP) and _TRIGGER in types and _is_new(name, self._stops):
                 self._stops[name] = self.create_client(Trigger, service)
-            elif service.endswith(_GET) and name not in self._askable:
+            elif service.endswith(_GET) and _is_new(name, self._askable):
                 self._askable[name] = self.create_client(GetParameters, service)
         ready = sorted(name for name, client in self._stops.items() if client.service_is_ready())
         self.state.show("stops", ready)
@@ -144,7 +149,7 @@ class DashboardNode(Node):
     def _listen(
         self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile | int
     ) -> None:
-        if topic not in self._listened:
+        if topic not in self._listened and len(self._listened) < _MOST_TOPICS:
             self._listened.add(topic)
             self.create_subscription(kind, topic, on_message, qos)
 
@@ -218,12 +223,12 @@ class DashboardNode(Node):
 
     def _on_progress(self, node: str, message: String) -> None:
         try:
-            progress = json.loads(message.data)
-        except ValueError:
-            return
-        if isinstance(progress, dict):
-            content = {**progress, "node": node, "heard": self.state.clock()}
-            self.state.show("progress", content)
+            progress = read_fields(message.data, _PROGRESS, f"{node}/progress")
+        except InputError:
+            return  # the page says that the last one is old
+        texts = {name: shown(progress[name]) for name in ("protocol", "step")}
+        heard = self.state.clock()
+        self.state.show("progress", {**progress, **texts, "node": node, "heard": heard})
 
     def _on_diagnosis(self, message: String) -> None:
         self.state.show("diagnosis", diagnosis_summary(message.data))
@@ -231,8 +236,8 @@ class DashboardNode(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         heard = self.state.clock()
         self.state.merge("diagnostics", {
-            status.name.removeprefix(self._inside): {
-                "level": _LEVELS.get(status.level, "error"), "message": status.message,
+            shown(status.name.removeprefix(self._inside)): {
+                "level": _LEVELS.get(status.level, "error"), "message": shown(status.message),
                 "heard": heard,
             }
             for status in message.status
@@ -300,23 +305,23 @@ def _call(client: Client) -> Future[tuple[bool, str]]:
 
 def _value_of(value: ParameterValue) -> float | tuple[str, ...] | None:
     if value.type == ParameterType.PARAMETER_DOUBLE:
-        return float(value.double_value)
+        return float(value.double_value) if math.isfinite(value.double_value) else None
     if value.type == ParameterType.PARAMETER_STRING_ARRAY:
-        return tuple(value.string_array_value)
+        return tuple(map(shown, value.string_array_value[:_MOST_CHANNELS]))
     return None
 
 
 def _one_line(text: str) -> str:
     """A node's state for people: that of the recorder is JSON."""
-    try:
-        content = json.loads(text)
-    except ValueError:
-        return text
-    if not isinstance(content, dict) or "state" not in content:
-        return text
-    count = sum(content.get("messages", {}).values())
-    output = content.get("output", "")
-    return f"{content['state']}: {output}, {count} messages" if output else str(content["state"])
+    told = recorder_state(text)
+    if told is None:
+        return shown(text)
+    count = sum(told["messages"].values())
+    return shown(f"{told['state']}: {told['output']}, {count} messages")
+
+
+def _is_new(name: str, known: Mapping[str, Client]) -> bool:
+    return name not in known and len(known) < _MOST_NODES
 
 
 def _type_name(kind: type) -> str:

@@ -6,7 +6,7 @@ import pytest
 from browser_page import DESKTOP, PHONE, opened
 from stand_in import StandIn, served
 
-from sma_bench.dashboard.live_state import shown_limits
+from sma_bench.dashboard.live_state import Seen, shown_limits
 
 EVIL = "<img src=x onerror=alert(1)>"
 SETTLED = "document.querySelectorAll('.plot').length === 3"
@@ -124,6 +124,39 @@ def test_a_silent_bench_is_not_shown_as_live(browser, bench):
         shown.until("document.getElementById('meters').innerText.includes('silent')")
         assert "°C" not in shown.text("#meters")
         assert "6 of 6 signals are silent" in shown.text("#connection")
+
+
+WRONG = {
+    "progress": {"protocol": "p", "step": "s", "elapsed": 1.0, "duration": "30", "heard": 0.0,
+                 "node": "experiment"},
+    "limits": {"values": {"temperature": "hot"}, "of": []},
+    "diagnostics": {"camera": None},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("panel", WRONG)
+def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, bench, url, panel):
+    right = bench.state.update(Seen())["panels"].get(panel)
+    with opened(browser, url) as shown:
+        shown.until("document.body.className === 'live'")
+        bench.state.show(panel, WRONG[panel])
+        bench.celsius = 140.0
+        shown.until("document.body.className === 'lost'")
+        assert "LOST: this page cannot show what the bench sends" in shown.text("#connection")
+        assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
+        bench.state.show(panel, right)
+        shown.until("document.body.className === 'live'")
+        shown.until("document.getElementById('meters').innerText.includes('140.0 °C')")
+
+
+def test_a_voltage_that_comes_back_after_a_stop_is_red(browser, bench, url):
+    with opened(browser, url) as shown:
+        shown.until(SETTLED)
+        shown.page.keyboard.press("Escape")
+        shown.until("document.getElementById('stop-result').className === 'ok'")
+        bench.volts["back_1"] = 5.0
+        shown.until("document.getElementById('stop-result').className === 'bad'")
+        assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
 
 
 def test_a_lost_connection_is_red_and_leaves_no_number(browser, bench):

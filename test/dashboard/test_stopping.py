@@ -5,7 +5,8 @@ import asyncio
 import pytest
 from stand_in import StandIn
 
-from sma_bench.dashboard.stopping import stop
+from sma_bench.dashboard.live_state import LiveState, Seen
+from sma_bench.dashboard.stopping import Wires, stop
 
 
 @pytest.fixture
@@ -77,3 +78,41 @@ def test_a_commander_that_comes_back_is_not_a_stop(bench, monkeypatch):
     monkeypatch.setattr(bench, "obeys", False)
     bench.volts = Stubborn(bench.volts)
     assert not stopped(bench)["stopped"]
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.mark.parametrize("phase", range(0, 100, 13))
+@pytest.mark.parametrize("off", [30, 80, 99])
+def test_a_wire_that_pulses_is_never_called_off(off, phase):
+    """5 V in one reading, 0 V in up to 99: one every 10 ms, looked at now and then."""
+    clock = Clock()
+    state = LiveState(clock)
+    wires = None
+    for k in range(500):
+        clock.now = 100.0 + 0.01 * k
+        state.reading("voltage", "wire", 0.0 if (k + phase) % (off + 1) else 5.0)
+        if k == 100:
+            wires = Wires(state, clock())
+        if wires is not None and k % 7 == 0:
+            wires.look()
+            assert not wires.stay_off
+    assert wires.back == {"wire"}
+
+
+def test_a_voltage_that_comes_back_after_a_stop_is_told_to_every_page(bench):
+    assert stopped(bench)["stopped"]
+    assert not bench.state.update(Seen())["panels"]["again"]
+    bench.volts["back_1"] = 5.0
+    bench.read()
+    bench.volts["back_1"] = 0.0
+    bench.read()
+    again = bench.state.update(Seen())["panels"]["again"]
+    assert (again["place"], again["volts"]) == ("back_1", 5.0)
+    assert stopped(bench)["stopped"]
+    assert not bench.state.update(Seen())["panels"]["again"]

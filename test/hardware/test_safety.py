@@ -172,3 +172,42 @@ def test_guard_minds_a_recorder_that_failed_until_another_records():
     assert made.fault(1.5) == "recording failed: bag: cannot be written: No space left on device"
     made.recorder("")
     assert made.fault(1.5) == ""
+
+
+@pytest.mark.parametrize("volt", [math.inf, -math.inf, 3e38, -3e38])
+def test_one_reading_beyond_all_measure_does_not_blind_the_model_rule(volt):
+    """6 V for 12 s at a wire that stays cold is a fault, whatever was read once before."""
+    made = Guard(["a"], ["power", "temperature"], 1.0)
+    made.power("a", volt, 1.0, stamp=0.9, now=0.9, limits=LIMITS)
+    fault = ""
+    for k in range(1200):
+        now = 1.0 + 0.01 * k
+        made.commanded([6.0])
+        made.power("a", 6.0, 6.0 / 2.6987, stamp=now, now=now, limits=LIMITS)
+        made.temperature("a", 296.15, stamp=now, now=now, limits=LIMITS)
+        fault = fault or (made.fault(now) if k > 10 else "")
+    assert fault.startswith("disagreement: a measured at 23 degC")
+
+
+@pytest.mark.parametrize("volt", [math.inf, 3e38])
+def test_after_a_reading_beyond_all_measure_a_wire_that_does_as_it_should_is_left_alone(volt):
+    made = Guard(["a"], ["power"], 1.0)
+    made.power("a", volt, 0.0, stamp=0.0, now=0.0, limits=LIMITS)
+    assert made.fault(0.0).startswith("over-voltage: a gets")
+    for k in range(1, 500):
+        now = 0.01 * k
+        made.commanded([0.0])
+        made.temperature("a", 296.15, stamp=now, now=now, limits=LIMITS)
+        made.power("a", 0.0, 0.0, stamp=now, now=now, limits=LIMITS)
+        assert made.fault(now) == ""
+
+
+@pytest.mark.parametrize("wrong", [math.inf, -math.inf])
+def test_what_is_no_number_makes_nothing_fresh(wrong):
+    made = guard()
+    for k in range(30):
+        now = 1.0 + 0.1 * k
+        for channel in ("a", "b"):
+            made.power(channel, 1.0, 0.5, stamp=now, now=now, limits=LIMITS)
+            made.temperature(channel, wrong, stamp=now, now=now, limits=LIMITS)
+    assert made.fault(3.95) != ""

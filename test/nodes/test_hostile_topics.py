@@ -1,0 +1,132 @@
+"""Well-formed and hostile: what any program may put on a topic is bounded and typed, or nothing."""
+
+import json
+import math
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hypothesis import given
+from hypothesis import strategies as st
+from std_msgs.msg import String
+
+from sma_bench.border import COUNTS, NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
+from sma_bench.dashboard.diagnosis_summary import diagnosis_summary
+from sma_bench.dashboard.live_state import LiveState, Seen
+from sma_bench.errors import InputError
+from sma_bench.nodes.base import LATCHED
+from sma_bench.nodes.dashboard import _PROGRESS, _one_line
+from sma_bench.nodes.recorder_state import recorder_failure, recorder_state
+
+BRACKETS = "[" * 100_000
+HOSTILE = [
+    "", "null", "1", "[]", BRACKETS, '{"a":' * 50_000, "[" * 50_000 + "]" * 50_000, "9" * 5000,
+    '{"messages":[1]}', '{"state": "recording", "messages": [1]}', "\x1b[2J", '"\\ud800"', "NaN",
+    '{"state": "failed", "failure": ["x"]}', '{"state": {"state": "failed"}, "failure": 1e999}',
+    '{"state": "recording", "output": "x", "failure": "", "messages": {"a": "1"}}',
+    '{"protocol": "p", "step": "s", "elapsed": "1", "duration": 3}',
+    '{"protocol": "p", "step": "s", "elapsed": 1, "duration": "3"}',
+    '{"protocol": "p", "step": "s", "elapsed": NaN, "duration": 3}',
+    '{"protocol": "p", "step": "s", "elapsed": 1, "duration": true}',
+    '{"verdict": "effect", "cause": [[]], "candidates": [{}]}', '{"x": "' + "y" * 2_000_000 + '"}',
+]  # fmt: skip
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4)
+    | st.dictionaries(
+        st.sampled_from(["state", "output", "failure", "messages", "verdict", "cause", "protocol",
+                         "candidates", "step", "elapsed", "duration", "shrinkage", "where"])
+        | st.text(max_size=8), inner, max_size=8,
+    ),
+    max_leaves=30,
+)  # fmt: skip
+
+
+def read_everywhere(text):
+    """All that nodes make of a text on a topic; what is shown is short, plain JSON."""
+    assert len(recorder_failure(text)) <= 501
+    state = recorder_state(text)
+    assert state is None or all(isinstance(n, int) for n in state["messages"].values())
+    for line in (_one_line(text), json.dumps(diagnosis_summary(text), allow_nan=False)):
+        assert "\x1b" not in line and "\n" not in line and len(line) < 20_000
+    try:
+        progress = read_fields(text, _PROGRESS, "experiment/progress")
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        assert all(isinstance(progress[name], str) for name in ("protocol", "step"))
+        assert math.isfinite(progress["elapsed"])
+        assert progress["duration"] is None or math.isfinite(progress["duration"])
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=[text[:20] or "empty" for text in HOSTILE])
+def test_a_hostile_text_is_read_or_left_in_one_line(text):
+    read_everywhere(text)
+
+
+@given(JSON)
+def test_any_json_is_read_or_left_in_one_line(document):
+    read_everywhere(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("kind", "right", "wrong"),
+    [(TEXT, "a", 1), (NUMBER, 1, True), (NUMBER, 1.5, None), (NUMBER_OR_NULL, None, "1"),
+     (COUNTS, {"a": 1}, {"a": 1.0}), (COUNTS, {}, [])],
+)  # fmt: skip
+def test_a_field_is_of_its_kind_or_named_as_wrong(kind, right, wrong):
+    assert read_fields(json.dumps({"x": right, "y": 1}), {"x": kind}, "t") == {"x": right}
+    with pytest.raises(InputError, match=f"t: x is .*, expected {kind}"):
+        read_fields(json.dumps({"x": wrong}), {"x": kind}, "t")
+    with pytest.raises(InputError, match="t: x is missing"):
+        read_fields("{}", {"x": kind}, "t")
+
+
+def test_what_people_see_of_a_text_is_one_short_line():
+    assert shown("a\n b\x1b[2J") == "a b\\x1b[2J"
+    assert len(shown("x" * 10**6)) == 501
+
+
+def test_a_page_is_told_of_no_more_signals_and_entries_than_a_bench_can_have():
+    state = LiveState()
+    for k in range(10_000):
+        state.reading("voltage", f"wire_{k}", 1.0)
+    for k in range(1000):
+        state.merge("diagnostics", {f"node_{k}": {}})
+    update = state.update(Seen())
+    assert len(update["signals"]) == 300 and len(update["panels"]["diagnostics"]) == 200
+
+
+def test_an_experiment_and_a_dashboard_outlive_every_hostile_text(bench, tmp_path):
+    from test_dashboard import dashboard
+
+    bench.start("experiment", protocol="staircase")
+    talkers = {
+        topic: bench.node.create_publisher(String, topic, LATCHED)
+        for topic in ("recorder/state", "experiment/progress", "other/state", "diagnosis/result")
+    }
+    diagnostics = bench.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    with dashboard(bench, tmp_path) as page:
+        bench.until(lambda: all(t.get_subscription_count() for t in talkers.values()))
+        bench.until(lambda: talkers["recorder/state"].get_subscription_count() >= 2)
+        bench.until(diagnostics.get_subscription_count)
+        for text in HOSTILE:
+            for talker in talkers.values():
+                talker.publish(String(data=text))
+        many = [
+            DiagnosticStatus(name=f"/bench/{k}", message="\x1b" * 1000) for k in range(1000)
+        ]
+        diagnostics.publish(DiagnosticArray(status=many))
+        for talker in talkers.values():
+            talker.publish(String(data="the last word"))
+        bench.until(lambda: page.panels().get("states", {}).get("other") == "the last word")
+        bench.until(lambda: len(page.panels().get("diagnostics", {})) > 100)
+        assert "progress" not in page.panels()
+        assert bench.trigger("experiment/stop").success
+        assert read_stop(page)
+        assert page.process.poll() is None
+
+
+def read_stop(page):
+    from test_dashboard import read
+
+    return any(answer["node"] == "experiment" for answer in read(page.press())["answers"])
