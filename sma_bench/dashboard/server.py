@@ -3,11 +3,13 @@
 import asyncio
 import json
 import socket
+from collections.abc import Callable
 from http import HTTPStatus
 from importlib import resources
 from typing import Any
 
 import tornado.httpserver
+import tornado.iostream
 import tornado.netutil
 import tornado.template
 import tornado.web
@@ -21,6 +23,9 @@ from sma_bench.errors import InputError
 UPDATE_PERIOD = 0.2
 """s between two updates of a page"""
 _MOST_PAGES = 16
+_MOST_STRANGERS = 32
+_IDLE = 30.0
+"""s without a whole request"""
 _LARGEST_REQUEST = 1 << 14
 _FILES = {
     "dashboard.css": "text/css", "dashboard.js": "text/javascript", "plot.js": "text/javascript",
@@ -66,9 +71,11 @@ class DashboardServer:
             default_handler_class=_Nothing, default_handler_args=shared,
             log_function=lambda _: None, websocket_ping_interval=5.0, websocket_ping_timeout=5.0,
         )  # fmt: skip
-        self._server = tornado.httpserver.HTTPServer(
-            application, max_header_size=_LARGEST_REQUEST, max_body_size=_LARGEST_REQUEST
-        )
+        self._server = _Server(
+            application, max_header_size=_LARGEST_REQUEST, max_body_size=_LARGEST_REQUEST,
+            idle_connection_timeout=_IDLE, body_timeout=_IDLE,
+        )  # fmt: skip
+        shared["admit"] = self._server.admit
         self._server.add_sockets(sockets)
 
     async def close(self) -> None:
@@ -77,11 +84,35 @@ class DashboardServer:
         await self._server.close_all_connections()
 
 
+class _Server(tornado.httpserver.HTTPServer):
+    """Keeps few connections open that have not shown the token: a stop must find room."""
+
+    def initialize(self, *arguments: Any, **options: Any) -> None:
+        """As HTTPServer's; it is no `__init__` there."""
+        super().initialize(*arguments, **options)
+        self._strangers: list[tornado.iostream.IOStream] = []
+
+    def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple) -> None:
+        """A new connection; the oldest strangers make way for it."""
+        self._strangers = [known for known in self._strangers if not known.closed()]
+        self._strangers.append(stream)
+        while len(self._strangers) > _MOST_STRANGERS:
+            self._strangers.pop(0).close()
+        super().handle_stream(stream, address)
+
+    def admit(self, stream: tornado.iostream.IOStream) -> None:
+        """The connection has shown the token."""
+        self._strangers = [known for known in self._strangers if known is not stream]
+
+
 class _Guarded(tornado.web.RequestHandler):
     """Answers nobody who may not see the page, whatever is asked for."""
 
-    def initialize(self, access: Access, bench: Bench, title: str, pages: set) -> None:
+    def initialize(
+        self, access: Access, bench: Bench, title: str, pages: set, admit: Callable[[Any], None]
+    ) -> None:
         self.access, self.bench, self.title, self.pages = access, bench, title, pages
+        self.admit = admit
 
     def prepare(self) -> None:
         headers = self.request.headers
@@ -89,6 +120,8 @@ class _Guarded(tornado.web.RequestHandler):
         refusal = self.access.refusal(headers.get("Host"), headers.get("Origin"), token)
         if refusal:
             self.refuse(HTTPStatus.FORBIDDEN, refusal)
+        else:
+            self.admit(getattr(self.request.connection, "stream", None))
 
     def refuse(self, status: HTTPStatus, why: str) -> None:
         """End the answer with one line."""

@@ -3,7 +3,7 @@
 import copy
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from types import FrameType
 from typing import Any
 
@@ -54,6 +54,8 @@ _OVERRIDABLE = QoSOverridingOptions((
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
 ))  # fmt: skip
+
+_SIMULATED = "use_sim_time"
 
 _RANGES = {"double": FloatingPointRange, "integer": IntegerRange}
 _RANGE_FIELDS = {"double": "floating_point_range", "integer": "integer_range"}
@@ -134,6 +136,10 @@ class BenchNode(Node):
         Raising would do so too, but executors print a traceback on the way.
         """
         self.failure = self.failure or error
+
+    def held(self) -> Set[str]:
+        """Names that may not change now."""
+        return self.fixed
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Refuse a change of the node's own parameters by raising InputError."""
@@ -227,8 +233,11 @@ class BenchNode(Node):
             for change in changes
             if change.name in self._own or change.name in self._contract
         }
-        for name in self.fixed & changed.keys():
-            if _plain(changed[name]) != _plain(self.get_parameter(name).value):
+        # Another clock in the middle of a run would spoil every stamp.
+        clock = {c.name: c.value for c in changes if c.name == _SIMULATED}
+        held = {name: changed[name] for name in self.held() & changed.keys()}
+        for name, value in (clock | held).items():
+            if _plain(value) != _plain(self.get_parameter(name).value):
                 reason = f"{name} cannot change while the node runs"
                 return SetParametersResult(successful=False, reason=reason)
         try:

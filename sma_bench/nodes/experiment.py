@@ -8,8 +8,9 @@ of the bridge or the simulator puts the outputs to 0 V.
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,12 +21,15 @@ from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
+from sma_bench.border import is_inside
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Interlock, Limits
 from sma_bench.nodes.base import LATCHED, MEASURED, BenchNode, run_node
 from sma_bench.nodes.recorder_state import follow_recorder
 from sma_bench.protocols import Protocol, load_protocol
+from sma_bench.protocols.reading import is_path
 
+_FILES = frozenset({"protocol", "reference"})
 _FEEDBACK = ("power", "temperature")
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _WATCH_EVERY = 0.05
@@ -45,6 +49,8 @@ class Experiment(BenchNode):
     `fault`.
     """
 
+    _state = "idle"
+
     def __init__(self, name: str = "experiment") -> None:
         super().__init__(name)
         self._require_feedback()
@@ -57,7 +63,7 @@ class Experiment(BenchNode):
         self._protocol: Protocol | None = None
         self._started: float | None = None
         self._begin = 0.0
-        self._state = self._said = "idle"
+        self._said = self._state
         self._step = ""
         self._progress_due = 0.0
         self._autostart = self.settings["autostart"]
@@ -89,9 +95,25 @@ class Experiment(BenchNode):
             name = self.get_fully_qualified_name()
             self.get_logger().info(f"starts with {name}/start, or by itself: -p autostart:=true")
 
+    def held(self) -> Set[str]:
+        """The limits always, everything that is said of the bench while it is driven."""
+        driving = self._state == "running"
+        return {name for name in self._contract if driving or name.startswith("bench.")}
+
     def check_settings(self, settings: dict[str, Any]) -> None:
         """A protocol must be readable before it becomes the parameter's value."""
+        self._require_inside(settings)
         self.plan(settings)
+
+    def _require_inside(self, settings: dict[str, Any]) -> None:
+        """Whoever started the node may have named any file, whoever sets parameters may not."""
+        for name in _FILES & settings.keys():
+            path, root = settings[name], settings["protocol_root"]
+            if path == self.settings[name] or not is_path(path):
+                continue
+            if not is_inside(Path(path), Path(root or ".")):
+                where = root or "where the node was started"
+                raise InputError(f"{name}: {path} lies outside protocol_root ({where})")
 
     def plan(self, settings: dict[str, Any]) -> Protocol:
         """What the next run follows: name, duration and steps; InputError when it cannot be."""

@@ -99,6 +99,8 @@ class Recorder(BenchNode):
     def _write(self, topic: str, data: bytes) -> None:
         stamp = self.get_clock().now().nanoseconds
         if stamp == 0:  # simulated time has not begun: there is no time to write it under
+            line = "use_sim_time is set, but there is no /clock yet: nothing is written"
+            self.get_logger().warning(line, throttle_duration_sec=1.0)
             return
         # A simulated clock ticks coarsely: two messages of one tick keep their order.
         stamp = self._latest[topic] = max(stamp, self._latest.get(topic, 0) + 1)

@@ -112,6 +112,12 @@ EXPERIMENT = (
         "choice", kind="string",
     ),
     Parameter(
+        "protocol_root", "", "",
+        "Folder below which a file must lie that is named while the node runs; empty for where the "
+        "node was started.",
+        "choice", kind="string", read_only=True,
+    ),
+    Parameter(
         "autostart", "", False, "Start as soon as the bench answers.", "choice", kind="bool",
         read_only=True,
     ),

@@ -123,13 +123,19 @@ def _folder(quantity: Quantity) -> Path:
     return share_directory() / "config" / quantity.folder
 
 
+def is_path(name_or_path: str) -> bool:
+    """Whether a text is the path of a file rather than the name of one of the package's."""
+    path = Path(name_or_path)
+    return path.suffix in (SUFFIX, ".yml") or path.parent != Path(".")
+
+
 def locate(name_or_path: str | Path, quantity: Quantity) -> Path:
     """Path of a file given by its name or path; InputError when there is no such name."""
     text = str(name_or_path)
     names = ", ".join(shipped_names(quantity))
     if not text:
         raise InputError(f"{quantity.what}: no name given, there are {names}")
-    if Path(text).suffix in (SUFFIX, ".yml") or Path(text).parent != Path("."):
+    if is_path(text):
         return Path(text)
     path = _folder(quantity) / f"{text}{SUFFIX}"
     if not path.is_file():

@@ -3,6 +3,10 @@
 import http.client
 import json
 import socket
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -134,3 +138,39 @@ def test_a_port_that_is_taken_and_an_address_that_is_not_ours_are_one_line(bench
 
 def test_a_long_request_is_cut(url):
     assert ask(url, "POST", "stop", Content_Length=str(1 << 20))[0] in (400, 413)
+
+
+SERVE = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+from stand_in import StandIn, served
+bench = StandIn()
+bench.volts = {}
+with served(bench) as url:
+    print(url, flush=True)
+    sys.stdin.read()
+    print(bench.stops)
+"""
+
+
+def test_a_crowd_without_the_token_does_not_keep_the_stop_out():
+    """Connections that say nothing, and ones that ask for nothing they may have."""
+    server = subprocess.Popen(
+        [sys.executable, "-c", SERVE], cwd=Path(__file__).parent, stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        url = server.stdout.readline().strip()
+        parts = urlsplit(url)
+        with ExitStack() as crowd:
+            for k in range(253):
+                stranger = crowd.enter_context(
+                    socket.create_connection((parts.hostname, parts.port), timeout=30.0))
+                if k % 2:
+                    stranger.sendall(b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            for _ in range(3):
+                status, _, text = ask(url, "POST", "stop")
+                assert status == 200 and json.loads(text)["stopped"] is False
+        assert server.communicate("", timeout=30.0)[0].strip() == "3"
+    finally:
+        server.kill()

@@ -2,6 +2,7 @@
 
 import signal
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -246,7 +247,7 @@ def test_reference_out_of_reach_is_refused_with_its_step(bench, reference):
     hot = reference(
         name="hot", unit="K", steps=[{"kind": "hold", "level": 420.0, "duration": 1.0}]
     )
-    node = bench.start("temperature_controller")
+    node = bench.start("temperature_controller", protocol_root=str(Path(hot).parent))
     result = bench.set_parameter("temperature_controller", "reference", hot)
     assert not result.successful
     assert "hot: hold: reference has 420 K, expected above 0 and at most 413.15" in result.reason

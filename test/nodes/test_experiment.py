@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import signal
 import time
 
@@ -219,10 +220,10 @@ def test_stop_is_latched_until_reset_and_a_running_protocol_is_not_reset(bench, 
 
 
 def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(
-    bench, protocol
+    bench, protocol, tmp_path
 ):
     bench.listen("voltage_command", Float64MultiArray)
-    bench.start("experiment")
+    bench.start("experiment", protocol_root=str(tmp_path))
     answer = bench.trigger("experiment/start")
     assert not answer.success and "no feedback: wire/power was never received" in answer.message
     result = bench.set_parameter("experiment", "protocol", "stairs")
@@ -232,6 +233,34 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
     assert not result.successful and "level is 12 V, expected 0 to 10 V" in result.reason
     result = bench.set_parameter("experiment", "wire.austenite_start_temperature", 400.0)
     assert not result.successful and "must lie below" in result.reason
+    pipe, link, huge = (tmp_path / f"{name}.yaml" for name in ("pipe", "link", "huge"))
+    os.mkfifo(pipe)
+    link.symlink_to("/dev/zero")
+    huge.write_bytes(b"#" * (1 << 20) + b"\n")
+    for path, reason in (
+        (pipe, "expected a regular file"), (link, "lies outside protocol_root"),
+        (huge, "larger than 1048576 bytes"), ("/etc/passwd", "lies outside protocol_root"),
+        (f"{tmp_path}/../x.yaml", "lies outside protocol_root"),
+    ):  # fmt: skip
+        result = bench.set_parameter("experiment", "protocol", str(path))
+        assert not result.successful and reason in result.reason
+    assert bench.trigger("experiment/stop").success
+
+
+def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, running):
+    fake, _ = running
+    for name, value in (
+        ("bench.maximum_temperature", 700.0), ("bench.maximum_current", 3.5),
+        ("bench.temperature_tolerance", 400.0), ("wire.heat_transfer_coefficient", 200.0),
+        ("use_sim_time", True),
+    ):  # fmt: skip
+        result = bench.set_parameter("experiment", name, value)
+        assert result.reason == f"{name} cannot change while the node runs"
+        assert not result.successful
+    until_still_driven(bench, fake)
+    bench.trigger("experiment/stop")
+    assert not bench.set_parameter("experiment", "bench.maximum_temperature", 700.0).successful
+    assert bench.set_parameter("experiment", "wire.heat_transfer_coefficient", 200.0).successful
 
 
 def test_bench_goes_to_zero_by_itself_when_the_experiment_is_killed(bench, protocol):

@@ -62,6 +62,8 @@ def test_what_was_sent_before_the_end_is_written_though_it_still_waits(bench, tm
     publisher = bench.node.create_publisher(Temperature, "wire/temperature", burst)
     node, _ = recording(bench, tmp_path / "bag", "/bench/wire/temperature")
     bench.until(publisher.get_subscription_count)
+    # Another clock would stamp them with a time that never begins.
+    assert not bench.set_parameter("recorder", "use_sim_time", True).successful
     node.process.send_signal(signal.SIGSTOP)
     for k in range(burst):
         publisher.publish(temperature(k))
