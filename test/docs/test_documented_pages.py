@@ -12,6 +12,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Pages that another test plays, or whose text a command writes, which cannot carry comments.
 ELSEWHERE = {
     "docs/tutorials/rest_deflection.md": "played by test/diagnose/test_tutorial.py",
+    "docs/first_power_on.md": "played on the emulated bench by test/nodes/test_first_power_on.py",
     "docs/blind/results.md": "hours of examination; a small one is in test/blind",
 }
 MOST_NOT_RUN = 14

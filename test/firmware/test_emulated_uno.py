@@ -1,6 +1,8 @@
 """The real image on an emulated ATmega328P, in virtual time: what it does at its pins, and when."""
 
 import random
+import re
+import statistics
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from sma_bench.hardware.device_identity import DeviceIdentity
 from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
 from sma_bench.hardware.serial_messages import CAUSES, Named, State
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
 PWM_PERIOD = 1.024e-3
 BYTE = 22e-6
 
@@ -123,6 +126,28 @@ def test_measured_voltage_over_current_is_the_wires_resistance(host: VirtualHost
         voltage = sum(p[channel].voltage for p in powers)
         current = sum(p[channel].current for p in powers)
         assert voltage / current == pytest.approx(resistance, rel=0.01)
+
+
+def scatter(host: VirtualHost, volt: int) -> tuple[float, float]:
+    """Relative scatter of the current's readings, and how far their mean is off."""
+    host.uno.electrics.resistance[0] = 2.7
+    host.arm()
+    host.hold(0.2, 1000 * volt, 0, 0, 0)
+    start = len(host.telemetry)
+    host.hold(4.0, 1000 * volt, 0, 0, 0)
+    frames = host.telemetry[start:]
+    current = [channel_powers(frame, PowerCalibration())[0].current for frame in frames]
+    mean = statistics.fmean(current)
+    return statistics.stdev(current) / mean, mean / (volt / 2.7) - 1.0
+
+
+@pytest.mark.parametrize("volt", [2, 6])
+def test_readings_scatter_as_the_page_says(host: VirtualHost, volt: int) -> None:
+    row = re.search(rf"^\| {volt} V \| ([\d.]+) % \| (-?[\d.]+) % \|$", PAGE.read_text(), re.M)
+    assert row is not None
+    measured, off = scatter(host, volt)
+    assert measured == pytest.approx(float(row[1]) / 100.0, rel=0.15)
+    assert off == pytest.approx(float(row[2]) / 100.0, abs=5e-3)
 
 
 def test_volts_stay_when_the_supply_sags(driving: VirtualHost) -> None:

@@ -75,8 +75,12 @@ class TestBench:
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{key.replace('__', '.')}:={text}"]
+        return self.start_with(name, arguments, **(options or {}))
+
+    def start_with(self, name: str, arguments: list[str], **options: Any) -> RunningNode:
+        """Start a node as its command line has it."""
         log = self._folder / f"{name}_{len(self._processes)}.log"
-        process = RunningNode(name, arguments, log, **(options or {}))
+        process = RunningNode(name, arguments, log, **options)
         self._processes.append(process)
         return process
 
