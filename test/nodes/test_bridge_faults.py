@@ -1,5 +1,6 @@
 """Every fault of the list ends with outputs at 0 V, in time, and with its cause reported."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -34,5 +35,28 @@ def test_outputs_go_to_zero_in_time_and_the_cause_is_told(bench, uno, fault, rec
 
 def test_the_page_has_every_fault_and_no_other():
     page = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
-    rows = [line for line in page.read_text().splitlines() if line.endswith("` |")]
+    section = page.read_text().partition("## Each fault")[2].partition("\n## ")[0]
+    rows = [line for line in section.splitlines() if line.endswith("` |")]
     assert rows == [fault.row for fault in FAULTS]
+
+
+def single_failures():
+    """Rows of the page's table of single failures, as lists of cells."""
+    page = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
+    section = page.read_text().partition("## Single failures")[2].partition("\n## ")[0]
+    rows = [line for line in section.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows[2:]]
+
+
+def test_every_single_failure_says_what_cuts_it_and_where_that_is_shown():
+    tests = "".join(path.read_text() for path in Path(__file__).parents[1].rglob("test_*.py"))
+    shown = {fault.name for fault in FAULTS} | set(re.findall(r"def (test_\w+)", tests))
+    rows = single_failures()
+    assert len(rows) > 20
+    for failure, _, _, _, _, cut_by, shown_by in rows:
+        assert cut_by.startswith(("software", "hardware only", "nothing")), failure
+        names = re.findall(r"`(\w+)`", shown_by)
+        assert set(names) <= shown, failure
+        assert names or not cut_by.startswith("software"), failure
+    placed = {name for row in rows for name in re.findall(r"`(\w+)`", row[-1])}
+    assert {fault.name for fault in FAULTS} - placed <= {"host_ended", "stop_requested"}
