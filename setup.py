@@ -60,7 +60,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"sma-bench = {PACKAGE}.cli:main",
-            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
+            *(f"{node} = {PACKAGE}.nodes.start:{node}" for node in NODES),
         ]
     },
 )

@@ -3,6 +3,7 @@
 A process that is killed cannot end those it has started; they have to notice by themselves.
 """
 
+import contextlib
 import os
 import signal
 import threading
@@ -10,7 +11,7 @@ import time
 from collections.abc import Mapping
 
 _VARIABLE = "SMA_BENCH_STARTED_BY"
-_LOOK = 0.5  # s
+_LOOK = 0.1  # s
 
 
 def tied_to_this_process(environment: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -32,12 +33,32 @@ def end_with_parent(number: int = signal.SIGTERM, inherited: bool = False) -> No
         end_after(int(parent), number)
 
 
+def end_with_starter(number: int = signal.SIGTERM) -> None:
+    """As `end_with_parent`, and where nothing ties this process but that it belongs to the process
+    group of another one: `ros2 launch`, `ros2 run` or a script has started it. A shell's own job, a
+    service and what `setsid` starts lead a group of their own and live by themselves."""
+    if _VARIABLE in os.environ:
+        end_with_parent(number)
+    elif os.getpgrp() != os.getpid():
+        end_after(os.getppid() if _same_session(os.getppid()) else -1, number)
+
+
+def _same_session(parent: int) -> bool:
+    """No where the one that started this process was gone before it could be asked for."""
+    try:
+        return os.getsid(parent) == os.getsid(0)
+    except OSError:
+        return False
+
+
 def end_after(parent: int, number: int = signal.SIGTERM) -> None:
     """Get signal `number` after the process `parent`, which has started this one, has ended."""
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(_LOOK)
+        with contextlib.suppress(OSError):  # nobody may be left to read it
+            os.write(2, f"ends with process {parent}, which had started it\n".encode())
         os.kill(os.getpid(), number)
 
     threading.Thread(target=watch, name="lifeline", daemon=True).start()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from sma_bench.commands.examples import EXAMPLES
 from sma_bench.commands.parser import example_text
 from sma_bench.errors import InputError
+from sma_bench.nodes.start import start
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 NETWORK_OPTION = "--network"
@@ -32,7 +33,7 @@ def run(arguments: Sequence[str]) -> int:
     if name not in NODE_TABLES:
         raise InputError(f"run: no node {name!r}, expected one of: {nodes}")
     try:
-        module = importlib.import_module(f"sma_bench.nodes.{name}")
+        importlib.import_module(f"sma_bench.nodes.{name}")
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sma_bench"):
             raise
@@ -43,4 +44,4 @@ def run(arguments: Sequence[str]) -> int:
         from sma_bench.nodes.discovery import choose_discovery
 
         choose_discovery(network=True)
-    return module.main(rest[network:]) or 0
+    return start(name, rest[network:])

@@ -1,5 +1,6 @@
 """What every node of the package shares: parameters from the tables, and a clean end."""
 
+import contextlib
 import copy
 import signal
 import sys
@@ -16,7 +17,8 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
@@ -34,9 +36,10 @@ except ImportError:
     from rclpy.executors import SingleThreadedExecutor as OneThreadExecutor
 
 from sma_bench.errors import InputError
-from sma_bench.lifeline import end_with_parent
+from sma_bench.lifeline import end_with_starter
 from sma_bench.nodes.arguments import check_arguments, node_help
-from sma_bench.nodes.discovery import choose_discovery
+from sma_bench.nodes.discovery import choose_discovery, claimed
+from sma_bench.nodes.start import ending_signals
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
@@ -80,6 +83,17 @@ class BenchNode(Node):
         super().__init__(name)
         self._ros_is_ready = True
         self.failure: InputError | None = None
+        self._claims = [claimed(self.get_fully_qualified_name())]
+        if self.get_parameter("use_sim_time").value:
+            backward = JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+            )
+            self._jumps = self.get_clock().create_jump_callback(
+                backward, post_callback=lambda jump: self.on_time_went_back(
+                    f"simulated time went back by {-jump.delta.nanoseconds / 1e9:.3f} s: another "
+                    "publisher of /clock, or a new simulation"
+                ),
+            )  # fmt: skip
         self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
         self._contract = {parameter.name: parameter for parameter in self._contract_table()}
         for parameter in (*self._contract.values(), *self._own.values()):
@@ -143,6 +157,19 @@ class BenchNode(Node):
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Refuse a change of the node's own parameters by raising InputError."""
+
+    def claim(self, what: str) -> None:
+        """Be the only one of this machine and ROS domain that has it; InputError if another is."""
+        self._claims.append(claimed(what))
+
+    def destroy_node(self) -> None:
+        """Give back what was claimed."""
+        super().destroy_node()
+        for claim in self._claims:
+            claim.close()
+
+    def on_time_went_back(self, reason: str) -> None:
+        """Simulated time did what time never does; `reason` is a line for people."""
 
     def drain(self, spin: Callable[[], None]) -> None:
         """Take what has arrived already before the end; `spin` runs one waiting callback."""
@@ -263,35 +290,33 @@ def run_node(
     Returns:
         0 at a clean end, 2 after bad input, of which one line goes to standard error.
     """
-    end_with_parent(signal.SIGINT)
+    end_with_starter(signal.SIGINT)
     arguments = list(sys.argv[1:] if argv is None else argv)
     if "-h" in arguments or "--help" in arguments:
         print(node_help(name), end="")
         return 0
-    try:
-        check_arguments(name, arguments)
-        choose_discovery()
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except InputError as error:
-        return _refuse(name, error)
-    except rclpy.exceptions.InvalidROSArgsError as error:
-        return _refuse(name, error)
-    node: BenchNode | None = None
-    try:
-        with _Signals() as signals:
+    with _Signals() as signals:
+        try:
+            check_arguments(name, arguments)
+            choose_discovery()
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        except (InputError, rclpy.exceptions.InvalidROSArgsError) as error:
+            return _refuse(name, error)
+        node: BenchNode | None = None
+        try:
             node = factory()
             _spin(node, executor_type(), signals)
-    except InputError as error:
-        return _refuse(name, error)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        _end(node)
+        except InputError as error:
+            return _refuse(name, error)
+        except ExternalShutdownException:
+            pass
+        finally:
+            _end(node)
     return 0
 
 
 class _Signals:
-    """SIGINT and SIGTERM as a flag, for the time of a `with`."""
+    """What asks for the end as a flag, for the time of a `with`; asked twice it is no more."""
 
     def __init__(self) -> None:
         self.received = False
@@ -299,7 +324,7 @@ class _Signals:
     def __enter__(self) -> "_Signals":
         self._before = {
             number: signal.signal(number, self._receive)
-            for number in (signal.SIGINT, signal.SIGTERM)
+            for number in ending_signals()
         }
         return self
 
@@ -333,7 +358,8 @@ def _end(node: BenchNode | None) -> None:
 
 
 def _refuse(name: str, error: Exception) -> int:
-    print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody may be left to read it
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
     return 2
 
 

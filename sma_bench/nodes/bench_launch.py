@@ -1,16 +1,18 @@
 """Plans of the launch files as actions of ROS's `launch`. The only module that needs it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from ament_index_python.packages import get_package_prefix
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from sma_bench.errors import InputError
 from sma_bench.nodes import replay_plan
-from sma_bench.nodes.bench_plan import Argument, PlannedNode, Rig, plan_bench, switch
+from sma_bench.nodes.bench_plan import PACKAGE, Argument, PlannedNode, Rig, plan_bench, switch
 from sma_bench.nodes.discovery import discovery_variables
 
 
@@ -18,7 +20,7 @@ def bench_launch(rig: Rig) -> LaunchDescription:
     """Launch description of a rig."""
 
     def actions(values: dict[str, str]) -> list[Any]:
-        return [_node(node, values) for node in plan_bench(values)]
+        return _nodes(plan_bench(values), values)
 
     return _description(rig.arguments, actions)
 
@@ -32,7 +34,7 @@ def replay_launch() -> LaunchDescription:
             cmd=command, name="player", output="screen", additional_env=_discovery(values),
             on_exit=Shutdown(reason="the record is over"),
         )
-        return [*(_node(node, values) for node in nodes), player]
+        return [*_nodes(nodes, values), player]
 
     return _description(replay_plan.ARGUMENTS, actions)
 
@@ -57,6 +59,20 @@ def _declared(name: str, argument: Argument) -> DeclareLaunchArgument:
 
 def _discovery(values: Mapping[str, str]) -> dict[str, str]:
     return discovery_variables(switch(values, "network"))
+
+
+def _nodes(planned: Sequence[PlannedNode], values: Mapping[str, str]) -> list[Node]:
+    """All of them or none: launch would find out in the midst of starting them, and leave those
+    that run."""
+    for package in {node.package for node in planned} - {PACKAGE}:
+        try:
+            get_package_prefix(package)
+        except (LookupError, OSError):
+            raise InputError(
+                f"the ROS package {package} is not installed: "
+                f"apt install ros-jazzy-{package.replace('_', '-')}"
+            ) from None
+    return [_node(node, values) for node in planned]
 
 
 def _node(planned: PlannedNode, values: Mapping[str, str]) -> Node:

@@ -5,10 +5,15 @@ and its range LOCALHOST only keeps a node from looking: whoever names the machin
 gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1.
 """
 
+import hashlib
 import os
+import socket
+import struct
 import sys
+import time
 from collections.abc import Mapping, MutableMapping
 
+from sma_bench.errors import InputError
 from sma_bench.share import share_directory
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -21,6 +26,8 @@ _NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
 _ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, *_PROFILES)
+_PATIENCE = 2.0
+"""s for which a name may still be held by a node that is ending"""
 _OPEN_RANGES = (NETWORK, "SYSTEM_DEFAULT")
 
 
@@ -50,6 +57,43 @@ def choose_discovery(
         for name in (*_PROFILES, _NO_OTHER_PROFILE):
             environment.pop(name, None)
     environment.update(variables)
+
+
+def claimed(name: str) -> socket.socket:
+    """Hold a name in this machine's ROS domain until the socket is closed or the process ends.
+
+    Waits a moment for one that is about to end: the graph still lists nodes that were killed.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    address = f"\0sma_bench/{domain}/{hashlib.sha1(name.encode()).hexdigest()}"
+    end = time.monotonic() + _PATIENCE
+    while True:
+        held = socket.socket(socket.AF_UNIX)
+        try:
+            held.bind(address)
+        except OSError:
+            held.close()
+        else:
+            held.listen()
+            return held
+        if time.monotonic() > end:
+            raise InputError(
+                f"{name} is there already in ROS domain {domain}: process {_holder(address)}"
+            )
+        time.sleep(0.05)
+
+
+def _holder(address: str) -> str:
+    with socket.socket(socket.AF_UNIX) as asking:
+        try:
+            asking.connect(address)
+            peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+        except OSError:
+            return "unknown"
+        return str(struct.unpack("3i", peer)[0])
 
 
 def _own_profile() -> str:

@@ -36,7 +36,7 @@ _WATCH_EVERY = 0.05
 # Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
 # nothing is heated meanwhile.
 _SIMULATION_PAUSE = 10.0
-_LAST_WORD = 1.0
+_LAST_WORD = 0.5
 # Wall seconds of 0 V before a protocol: by then a simulated bench runs in step with the commands.
 _LEAD_IN = 0.25
 _PROGRESS_EVERY = 0.25
@@ -134,8 +134,9 @@ class Experiment(BenchNode):
         if self._state == "running":
             self._abort("the node was ended")
         self._send(self._zero)
+        end = time.monotonic() + _LAST_WORD
         for publisher in (self._command, self._marker, self._state_publisher):
-            publisher.wait_for_all_acked(Duration(seconds=_LAST_WORD))
+            publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
     def _require_feedback(self) -> None:
         for kind in self.settings["feedback"]:

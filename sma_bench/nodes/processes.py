@@ -50,7 +50,7 @@ class NodeProcesses:
         remappings: Mapping[str, str] | None = None,
     ) -> None:
         """Start a node with parameter files and, over them, single parameters."""
-        command = [sys.executable, "-m", f"sma_bench.nodes.{name}", "--ros-args"]
+        command = [sys.executable, "-m", "sma_bench.nodes.start", name, "--ros-args"]
         for old, new in {"__ns": self._namespace, **(remappings or {})}.items():
             command += ["-r", f"{old}:={new}"]
         for file in files:

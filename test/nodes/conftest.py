@@ -32,7 +32,7 @@ class RunningNode:
         self.log = log
         with log.open("wb") as stream:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", f"sma_bench.nodes.{name}", *arguments],
+                [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
                 stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
             )
 

@@ -182,6 +182,20 @@ def test_over_temperature_aborts_stays_at_zero_and_is_latched(bench, running):
     assert bench.trigger("experiment/start").success
 
 
+def test_a_second_of_a_name_is_refused_and_the_first_goes_on(bench, running):
+    fake, node = running
+    second = bench.start("experiment")
+    bench.until(lambda: second.process.poll() is not None)
+    assert second.process.returncode == 2
+    said = "/bench/experiment is there already in ROS domain"
+    assert said in second.output and f"process {node.process.pid}" in second.output
+    until_still_driven(bench, fake)
+    # Elsewhere it may; and whoever was killed holds nothing.
+    node.end(signal.SIGKILL)
+    third = bench.start("experiment")
+    bench.until(lambda: "idle" in third.output)
+
+
 def test_over_current_aborts(bench, running):
     fake, _ = running
     fake.ampere = 3.5

@@ -247,7 +247,13 @@ def test_launch_ends_the_bench_with_its_experiment(ros_domain):
     assert any("simulator" in name for name in ended)
 
 
-def test_the_beam_is_described_when_asked(monkeypatch):
+def test_the_beam_is_described_when_asked(monkeypatch, tmp_path):
+    installed = tmp_path / "share/ament_index/resource_index/packages/robot_state_publisher"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    with pytest.raises(InputError, match="apt install ros-jazzy-robot-state-publisher"):
+        built(BENCHES["composite_bench"], monkeypatch, description="true")
+    installed.parent.mkdir(parents=True)
+    installed.touch()
     actions = built(BENCHES["composite_bench"], monkeypatch, description="true")
     described = node(actions, "robot_state_publisher")
     assert described.package == "robot_state_publisher" and described.namespace == "bench"

@@ -86,11 +86,11 @@ def test_a_bare_storage_file_is_played_too(bag):
 
 def test_the_launch_file_ends_with_the_record(bag, monkeypatch):
     actions = built(
-        ROOT / "launch" / "replay.launch.py", monkeypatch, bag=str(bag), description="true"
+        ROOT / "launch" / "replay.launch.py", monkeypatch, bag=str(bag), twin="true"
     )
     nodes = [a.given.executable for a in actions if isinstance(a, Node)]
     player = [a.given for a in actions if isinstance(a, ExecuteProcess)]
-    assert nodes == ["robot_state_publisher"] and len(player) == 1
+    assert nodes == ["twin"] and len(player) == 1
     assert isinstance(player[0].on_exit, Shutdown)
     assert player[0].cmd[:3] == ["ros2", "bag", "play"]
 

@@ -35,6 +35,31 @@ while not Path(sys.argv[1], "bag").exists():
 print(nodes.pid("recorder"), flush=True)
 time.sleep(600)
 """
+_STARTS_AS_LAUNCH_DOES = """
+import subprocess, sys, time
+nodes = [subprocess.Popen(
+    [*sys.argv[2:], sys.executable, "-m", "sma_bench.nodes.start", "recorder", "--ros-args",
+     "-p", "output:=" + sys.argv[1]],
+)]
+print(nodes[0].pid, flush=True)
+time.sleep(600)
+"""
+_SAYS_WHEN_IT_IS_READY = """
+import signal, sys
+before = signal.signal
+
+
+def saying(*given):
+    try:
+        return before(*given)
+    finally:
+        print("ready", flush=True)
+
+
+signal.signal = saying
+from sma_bench.nodes.start import start
+sys.exit(start(sys.argv[1], []))
+"""
 _RUNS_A_JOB = """
 import sys, threading, time
 from sma_bench.nodes.identification_job import Job
@@ -87,6 +112,51 @@ def test_a_node_ends_with_its_parent_and_leaves_a_whole_bag(tmp_path):
     pytest.importorskip("rclpy")
     assert ends_with(*started(_STARTS_A_NODE, tmp_path))
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
+
+
+@pytest.mark.parametrize("alone", [False, True], ids=["as launch does", "setsid"])
+def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself(tmp_path, ros_domain, alone):
+    pytest.importorskip("rclpy")
+    bag = tmp_path / "bag"
+    parent, pid = started(_STARTS_AS_LAUNCH_DOES, bag, *(["setsid"] if alone else []))
+    within(lambda: bag.exists())
+    if not alone:
+        assert ends_with(parent, pid)
+        return
+    parent.kill()
+    parent.wait()
+    time.sleep(1.0)
+    assert is_there(pid)
+    os.kill(pid, signal.SIGHUP)  # as the end of a terminal would
+    within(lambda: not is_there(pid))
+    assert (bag / "metadata.yaml").is_file()
+
+
+def within(condition):
+    end = time.monotonic() + _PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("after", [0.25, 0.6, 3.0])
+def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, after):
+    pytest.importorskip("rclpy")
+    log = tmp_path / "log"
+    with log.open("wb") as stream:
+        node = subprocess.Popen(
+            [sys.executable, "-c", _SAYS_WHEN_IT_IS_READY, "experiment"],
+            stdout=subprocess.PIPE, stderr=stream,
+        )
+    assert node.stdout.readline()
+    time.sleep(after)
+    while node.poll() is None:
+        node.send_signal(number)
+        time.sleep(0.01)
+    node.communicate()
+    assert node.returncode == 0, log.read_text()
+    assert "Traceback" not in log.read_text()
 
 
 def test_the_job_of_a_node_ends_with_it(tmp_path):

@@ -1,0 +1,40 @@
+"""What the executables start: `python -m sma_bench.nodes.start NODE [--ros-args ...]`.
+
+Imports nothing of weight: a signal that comes while the node's modules are read ends the process
+at once and in silence, as nothing is driven yet.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+
+
+def start(name: str, argv: Sequence[str] | None = None) -> int:
+    """Run a node until its end; the exit status."""
+    for number in ending_signals():
+        signal.signal(number, lambda *_: os._exit(0))
+    status: int = import_module(f"sma_bench.nodes.{name}").main(argv)
+    for number in ending_signals():  # once more is no use, and would only make noise
+        signal.signal(number, signal.SIG_IGN)
+    return status
+
+
+def ending_signals() -> list[signal.Signals]:
+    """What asks a node to end; not the end of its terminal where it is started with nohup."""
+    asked = [signal.SIGINT, signal.SIGTERM]
+    unheard = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return asked if unheard else [*asked, signal.SIGHUP]
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    """`from sma_bench.nodes.start import simulator`, as the executables do."""
+    if name.startswith("_"):
+        raise AttributeError(name)
+    return partial(start, name)
+
+
+if __name__ == "__main__":
+    sys.exit(start(sys.argv[1], sys.argv[2:]))

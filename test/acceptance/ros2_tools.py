@@ -1,0 +1,531 @@
+#!/usr/bin/env python3
+"""The bench under ROS's own tools: colcon, ros2 run, launch, param, service, topic.
+
+    python3 test/acceptance/ros2_tools.py [WORD ...]      # the rows that have one of the words
+
+Runs where `ros2`, `launch` and colcon are found (a sourced Jazzy), and says so elsewhere; never in
+the ordinary suite, which takes the same logic to pieces. Builds this checkout in a new workspace,
+plays each row with real processes, prints a table, and is 1 where a row fails. A new row is a
+function under `@row`: it returns the outcome, raises Failed with what went wrong instead, or
+Skipped with what is missing here.
+"""
+
+import importlib.util
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 60.0
+# What a node of the bench has after the end of its launch: to 0 V, and to be gone.
+LEFT = 1.0
+
+ROWS: list[tuple[str, str, Callable[["Stage"], str]]] = []
+
+
+class Failed(Exception):
+    """What went wrong."""
+
+
+class Skipped(Exception):
+    """What is missing here."""
+
+
+def row(item: str, what: str) -> Callable[[Callable[["Stage"], str]], Callable[["Stage"], str]]:
+    """Add a row: an item of the list that it belongs to, and what is done."""
+
+    def add(play: Callable[["Stage"], str]) -> Callable[["Stage"], str]:
+        ROWS.append((item, what, play))
+        return play
+
+    return add
+
+
+def need(condition: Any, said: str) -> None:
+    if not condition:
+        raise Failed(said)
+
+
+# --- processes -----------------------------------------------------------------------------------
+
+
+class Program:
+    """A program in a session of its own, as in a terminal, and everything that it starts."""
+
+    def __init__(self, command: list[str], log: Path, **options: Any) -> None:
+        self.log = log
+        with log.open("wb") as stream:
+            self.process = subprocess.Popen(
+                command, stdout=stream, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                start_new_session=True, **options,
+            )  # fmt: skip
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    def says(self, text: str, patience: float = PATIENCE) -> None:
+        """Wait for a text."""
+        until(lambda: text in self.output, f"nothing like {text!r} from {self.log.name}", patience,
+              self)
+
+    def children(self) -> list[int]:
+        """Nodes and whatever else it has started, and they have."""
+        return descendants(self.process.pid)
+
+    def ends(self, patience: float = PATIENCE) -> int:
+        """Exit status."""
+        until(lambda: self.process.poll() is not None, f"{self.log.name} goes on", patience, self)
+        return self.process.returncode
+
+    def ctrl_c(self) -> None:
+        """As the terminal does it: to all of them at once."""
+        os.killpg(self.process.pid, signal.SIGINT)
+
+    def clear(self) -> None:
+        for pid in [*self.children(), self.process.pid]:
+            kill(pid)
+        kill(-self.process.pid)
+        self.process.wait()
+
+
+def kill(pid: int, number: int = signal.SIGKILL) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, number)
+
+
+def stat(pid: int) -> list[str]:
+    """State, parent and so on of a process; empty where it is gone."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
+
+
+def alive(pids: list[int]) -> list[int]:
+    return [pid for pid in pids if stat(pid)[:1] not in ([], ["Z"])]
+
+
+def descendants(pid: int) -> list[int]:
+    parents = {int(p.name): stat(int(p.name)) for p in Path("/proc").iterdir() if p.name.isdigit()}
+    found = [pid]
+    for parent in found:
+        found += [child for child, of in parents.items() if len(of) > 1 and int(of[1]) == parent]
+    return alive(found[1:])
+
+
+def name_of(pid: int) -> str:
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+    except OSError:
+        return "?"
+    return next((Path(word).name for word in words if "/lib/sma_bench/" in word), words[0])
+
+
+def until(
+    condition: Callable[[], Any], otherwise: str, patience: float = PATIENCE,
+    program: Program | None = None,
+) -> Any:
+    """Wait for it and return it."""
+    end = time.monotonic() + patience
+    while not (value := condition()):
+        if time.monotonic() > end:
+            tail = program.output.strip().splitlines()[-3:] if program else []
+            raise Failed(" | ".join([f"{otherwise} within {patience:g} s", *tail]))
+        time.sleep(0.01)
+    return value
+
+
+# --- the stage -----------------------------------------------------------------------------------
+
+
+class Stage:
+    """A built workspace, a ROS domain and a folder; what a row starts is gone after it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.source = folder / "ws" / "src" / "sma_bench"
+        self.environment = dict(os.environ)
+        self._programs: list[Program] = []
+        self._ears: Ears | None = None
+
+    # The workspace
+
+    def build(self) -> str:
+        copy_checkout(self.source)
+        started = time.monotonic()
+        text = self.run("colcon", "build", "--packages-select", "sma_bench")
+        need("1 package finished" in text, text[-300:])
+        setup = self.folder / "ws" / "install" / "local_setup.bash"
+        shown = self.run("bash", "-c", f". {shlex.quote(str(setup))} && env -0")
+        self.environment |= dict(line.partition("=")[::2] for line in shown.split("\0") if line)
+        return f"built in {time.monotonic() - started:.0f} s"
+
+    # Commands and programs
+
+    def run(self, *command: str, patience: float = 120.0, status: int | None = 0) -> str:
+        """Output of a command that ends by itself, with this exit status."""
+        done = subprocess.run(
+            list(command), cwd=self.folder / "ws", env=self.environment, timeout=patience,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            check=False,
+        )  # fmt: skip
+        if status is not None:
+            need(done.returncode == status, f"{shlex.join(command)}: {done.stdout.strip()[-400:]}")
+        return done.stdout
+
+    def start(self, *command: str, **variables: str) -> Program:
+        program = Program(
+            list(command), self.folder / f"{len(self._programs):02d}_{command[-1][:20].strip('/')}"
+            .replace("/", "_"),
+            cwd=self.folder, env=self.environment | variables,
+        )  # fmt: skip
+        self._programs.append(program)
+        return program
+
+    def launch(self, file: str = "wire_bench", **arguments: object) -> Program:
+        """`ros2 launch` of one of the package's files; nothing recorded unless asked for."""
+        given = {"record": "false", "nodes": "identification"} | arguments
+        return self.start(
+            "ros2", "launch", "sma_bench", f"{file}.launch.py",
+            *(f"{name}:={value}" for name, value in given.items()),
+        )
+
+    def node(self, name: str, namespace: str, **parameters: object) -> Program:
+        """`ros2 run` of a node."""
+        given = [word for k, v in parameters.items() for word in ("-p", f"{k}:={v}")]
+        return self.start(
+            "ros2", "run", "sma_bench", name, "--ros-args", "-r", f"__ns:=/{namespace}", *given
+        )
+
+    def call(self, service: str) -> tuple[bool, str]:
+        """Answer of a std_srvs/Trigger service."""
+        text = self.run("ros2", "service", "call", service, "std_srvs/srv/Trigger")
+        found = re.search(r"success=(\w+), message=(['\"])(.*)\2\)", text)
+        need(found, f"{service}: {text.strip()[-200:]}")
+        return found[1] == "True", found[3]
+
+    @property
+    def ears(self) -> "Ears":
+        if self._ears is None:
+            self._ears = Ears()
+        return self._ears
+
+    def clear(self) -> None:
+        for program in reversed(self._programs):
+            program.clear()
+        self._programs = []
+
+
+class Ears:
+    """A node of the script's own that hears what the bench says."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        rclpy.init(args=[])
+        self.node = rclpy.create_node("acceptance")
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        threading.Thread(target=self.executor.spin, daemon=True).start()
+
+    def hear(self, topic: str, kind: str, latched: bool = False) -> list[tuple[float, Any]]:
+        """Arrivals and messages of a topic, growing."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from rosidl_runtime_py.utilities import get_message
+
+        qos = QoSProfile(depth=1000)
+        if latched:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        heard: list[tuple[float, Any]] = []
+        self.node.create_subscription(
+            get_message(kind), topic, lambda m: heard.append((time.monotonic(), m)), qos
+        )
+        return heard
+
+
+def copy_checkout(target: Path) -> None:
+    """What a commit of everything here would hold."""
+    wanted = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(wanted, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+
+
+# --- what several rows do ------------------------------------------------------------------------
+
+
+@contextmanager
+def driven(stage: Stage, namespace: str, **arguments: object) -> Iterator[tuple[Program, Any]]:
+    """A launched simulated bench whose experiment heats the wire, and the commands heard."""
+    commands = stage.ears.hear(f"/{namespace}/voltage_command", "std_msgs/msg/Float64MultiArray")
+    bench = stage.launch(namespace=namespace, protocol=warm(stage), autostart="true", **arguments)
+    until(lambda: commands and commands[-1][1].data[0] > 1.0, "no volts commanded", 240.0, bench)
+    yield bench, commands
+
+
+def warm(stage: Stage) -> str:
+    """A protocol that heats for long."""
+    path = stage.folder / "warm.yaml"
+    path.write_text("name: warm\nsteps:\n- {kind: hold, name: hold, level: 3.0, duration: 600.0}\n")
+    return str(path)
+
+
+def all_gone(children: list[int], since: float, commands: Any) -> str:
+    """How long the nodes of a launch that is gone went on, and to which volts."""
+    names = {pid: name_of(pid) for pid in children}
+    ended: dict[int, float] = {}
+    while len(ended) < len(names):
+        for pid in names.keys() - alive(children):
+            ended.setdefault(pid, time.monotonic() - since)
+        left = sorted(names[pid] for pid in alive(children))
+        need(time.monotonic() - since < 20.0, f"left over: {left}")
+        time.sleep(0.01)
+    took = max(ended.values())
+    times = ", ".join(f"{names[pid]} {after:.2f} s" for pid, after in ended.items())
+    time.sleep(0.3)
+    need(commands[-1][1].data[0] == 0.0, f"the last command is {commands[-1][1].data[0]} V")
+    need(took <= LEFT, f"gone later than {LEFT} s: {times}")
+    return f"last command 0 V; gone: {times}"
+
+
+def no_traceback(program: Program) -> None:
+    need("Traceback" not in program.output, f"traceback: {program.output.strip()[-300:]}")
+
+
+def clean_end(program: Program) -> str:
+    """All nodes end, each with status 0, and nothing but lines."""
+    children = program.children()
+    status = program.ends()
+    no_traceback(program)
+    died = re.findall(r"\[ERROR\] \[(\S+)\]: process has died.*?exit code (-?\d+)", program.output)
+    need(not died, f"died: {died}")
+    need(not alive(children), "nodes left over")
+    return f"status {status}, {len(children)} processes ended cleanly, no traceback"
+
+
+# --- rows ----------------------------------------------------------------------------------------
+
+
+@row("4", "colcon build; colcon test with pytest")
+def colcon_test(stage: Stage) -> str:
+    chosen = ["test/parameters", "test/packaging/test_manifests.py", "-m", "not slow", "-q"]
+    stage.run("colcon", "test", "--packages-select", "sma_bench", "--pytest-args", *chosen)
+    said = stage.run("colcon", "test-result", "--all")
+    found = re.search(r"Summary: (\d+) tests, 0 errors, 0 failures", said)
+    need(found and int(found[1]) > 50, said.strip()[-200:])
+    return found[0].removeprefix("Summary: ")
+
+
+@row("-", "every launch file in every mode comes up and ends with Ctrl-C")
+def every_mode(stage: Stage) -> str:
+    played = []
+    for file, mode, camera in [
+        ("wire_bench", "simulated", "false"), ("composite_bench", "simulated", "true"),
+        ("wire_bench", "emulated", "false"), ("wire_bench", "hardware", "false"),
+    ]:  # fmt: skip
+        if mode == "emulated" and shutil.which("avr-gcc") is None:
+            played.append(f"{file} {mode} not played: no avr-gcc")
+            continue
+        namespace = f"{file}_{mode}"
+        bench = stage.launch(file, namespace=namespace, mode=mode, camera=camera)
+        ready = {"simulated": "simulating", "hardware": "not connected", "emulated": "idle"}[mode]
+        bench.says(ready, 120.0)
+        bench.says("identification")
+        bench.says("experiment]: idle")
+        bench.ctrl_c()
+        clean_end(bench)
+        played.append(f"{file} {mode}")
+    return ", ".join(played)
+
+
+@row("1", "camera:=true, which gives a node a list")
+def camera(stage: Stage) -> str:
+    heard = stage.ears.hear("/lists/wire/temperature", "sensor_msgs/msg/Temperature")
+    stage.launch(namespace="lists", camera="true")
+    until(lambda: len(heard) > 20, "no temperatures of the camera")
+    need(heard[-1][1].variance > 0.0, "the temperatures are not the camera's")
+    return "temperatures of the camera, with their variance"
+
+
+@row("1", "a user's own launch file with parameters=[{'feedback': ['power']}]")
+def own_launch_file(stage: Stage) -> str:
+    file = stage.folder / "own.launch.py"
+    file.write_text(
+        "from launch import LaunchDescription\nfrom launch_ros.actions import Node\n\n\n"
+        "def generate_launch_description():\n    return LaunchDescription([Node(\n"
+        "        package='sma_bench', executable='experiment', name='experiment',\n"
+        "        namespace='own', output='screen', parameters=[{'feedback': ['power']}])])\n"
+    )
+    program = stage.start("ros2", "launch", str(file))
+    program.says("idle")
+    said = stage.run("ros2", "param", "get", "/own/experiment", "feedback").strip()
+    need("['power']" in said, said)
+    return f"ros2 param get: {said}"
+
+
+@row("2", "description:=true without robot_state_publisher")
+def description(stage: Stage) -> str:
+    found = stage.run("ros2", "pkg", "prefix", "robot_state_publisher", status=None)
+    if "not found" not in found:
+        raise Skipped("robot_state_publisher is installed here")
+    program = stage.launch("composite_bench", namespace="described", description="true")
+    status = program.ends()
+    need("process started" not in program.output, "nodes were started")
+    line = next(x for x in program.output.splitlines() if "robot_state_publisher" in x)
+    need(not program.children(), "nodes left over")
+    return f"status {status}, no node started: {line.partition('launch]: ')[2][-120:]}"
+
+
+@row("2", "SIGTERM to launch alone, while 3 V are commanded")
+def sigterm(stage: Stage) -> str:
+    with driven(stage, "terminated") as (bench, commands):
+        children = bench.children()
+        kill(bench.process.pid, signal.SIGTERM)
+        since = time.monotonic()
+        return all_gone(children, since, commands)
+
+
+@row("2", "SIGKILL to launch, while 3 V are commanded")
+def sigkill(stage: Stage) -> str:
+    with driven(stage, "killed") as (bench, commands):
+        children = bench.children()
+        kill(bench.process.pid)
+        since = time.monotonic()
+        return all_gone(children, since, commands)
+
+
+@row("2", "SIGKILL to `ros2 run experiment`")
+def run_killed(stage: Stage) -> str:
+    bench = stage.node("experiment", "run")
+    bench.says("idle")
+    children = bench.children()
+    kill(bench.process.pid)
+    since = time.monotonic()
+    until(lambda: not alive(children), "the node goes on")
+    return f"gone after {time.monotonic() - since:.2f} s"
+
+
+@row("2", "setsid ros2 run, then the end of the shell")
+def lives_by_itself(stage: Stage) -> str:
+    executable = stage.run("bash", "-c", "echo $AMENT_PREFIX_PATH").split(":")[0]
+    command = f"setsid nohup {executable}/lib/sma_bench/experiment > {stage.folder}/nohup & "
+    shell = stage.start("bash", "-c", command + "sleep 5")
+    until(lambda: len(shell.children()) > 1, "no node")
+    node = next(pid for pid in shell.children() if name_of(pid) == "experiment")
+    kill(shell.process.pid)
+    time.sleep(1.5)
+    need(alive([node]), "the node has ended")
+    kill(node, signal.SIGTERM)
+    until(lambda: not alive([node]), "the node goes on")
+    return "lives, until SIGTERM"
+
+
+@row("2", "a second experiment in a namespace")
+def second_experiment(stage: Stage) -> str:
+    first = stage.node("experiment", "twice")
+    first.says("idle")
+    second = stage.node("experiment", "twice")
+    status = second.ends()
+    line = next((x for x in second.output.splitlines() if "is there already" in x), "")
+    need(line and status != 0, second.output.strip()[-200:])
+    need(first.process.poll() is None, "the first has ended")
+    return f"status {status}: {line}"
+
+
+@row("7", "Ctrl-C twice, 50 ms apart, to launch and all nodes")
+def impatient(stage: Stage) -> str:
+    with driven(stage, "impatient") as (bench, commands):
+        bench.ctrl_c()
+        time.sleep(0.05)
+        bench.ctrl_c()
+        said = clean_end(bench)
+        need(commands[-1][1].data[0] == 0.0, "not 0 V at the end")
+        return said
+
+
+@row("7", "Ctrl-C while the nodes import, 8 moments")
+def interrupted_imports(stage: Stage) -> str:
+    for k in range(8):
+        bench = stage.launch(namespace=f"early_{k}")
+        bench.says("process started")
+        time.sleep(0.3 + 0.15 * k)
+        bench.ctrl_c()
+        bench.ends()
+        no_traceback(bench)
+    return "no traceback"
+
+
+# --- the table -----------------------------------------------------------------------------------
+
+
+def missing() -> str:
+    """Why nothing can be played here, or ""."""
+    for tool in ("ros2", "colcon", "git"):
+        if shutil.which(tool) is None:
+            return f"{tool} is not found: source a ROS 2 Jazzy setup file"
+    for module in ("launch_ros", "rclpy"):
+        if importlib.util.find_spec(module) is None:
+            return f"{module} is not installed for {sys.executable}"
+    return ""
+
+
+def play(stage: Stage, act: Callable[[Stage], str]) -> tuple[str, str]:
+    """Verdict and outcome of a row."""
+    try:
+        return "ok", act(stage)
+    except Skipped as reason:
+        return "skipped", str(reason)
+    except (Failed, subprocess.SubprocessError, StopIteration) as error:
+        return "FAILED", str(error) or type(error).__name__
+    finally:
+        stage.clear()
+
+
+def main(words: list[str]) -> int:
+    if reason := missing():
+        print(f"skipped: {reason}")
+        return 0
+    os.environ.setdefault("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    folder = Path(tempfile.mkdtemp(prefix="ros2_tools_"))
+    stage = Stage(folder)
+    verdicts = []
+    print("| item | done | outcome | s |\n| --- | --- | --- | --- |", flush=True)
+    for item, what, act in [("4", "colcon build", Stage.build), *ROWS]:
+        if act is not Stage.build and words and not any(w in what or w == item for w in words):
+            continue
+        started = time.monotonic()
+        verdict, outcome = play(stage, act)
+        verdicts.append(verdict)
+        outcome = f"{verdict}: {' '.join(outcome.split())}".replace("|", "/")
+        print(f"| {item} | {what} | {outcome} | {time.monotonic() - started:.0f} |", flush=True)
+        if act is Stage.build and verdict != "ok":
+            break
+    counts = {verdict: verdicts.count(verdict) for verdict in dict.fromkeys(verdicts)}
+    print(json.dumps(counts))
+    subprocess.run(["ros2", "daemon", "stop"], stdout=subprocess.DEVNULL, check=False)
+    if "FAILED" in counts:
+        print(f"logs: {folder}")
+        return 1
+    shutil.rmtree(folder)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
