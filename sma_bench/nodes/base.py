@@ -21,6 +21,7 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation as rcl
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
@@ -300,7 +301,7 @@ def run_node(
             check_arguments(name, arguments)
             choose_discovery()
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        except (InputError, rclpy.exceptions.InvalidROSArgsError) as error:
+        except (InputError, rcl.RCLError, rcl.UnknownROSArgsError) as error:
             return _refuse(name, error)
         node: BenchNode | None = None
         try:

@@ -104,6 +104,7 @@ def test_a_node_refuses_a_bad_file_with_one_line_and_status_2(tmp_path, ros_doma
         ("experiment", ["-p", "feedback:=[smell]"], "feedback: 'smell', expected power or"),
         ("recorder", ["--params-file", "none.yaml"], "none.yaml: cannot read"),
         ("simulator", ["-p", "speed"], "-p speed: expected name:=value"),
+        ("simulator", ["-r", "wire"], "wire"),
     ],
 )
 def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(

@@ -207,7 +207,7 @@ def test_a_bench_that_does_not_what_is_commanded_aborts(bench, running):
     fake, _ = running
     fake.deaf = True
     bench.until(lambda: fake.state.startswith(
-        "aborted: disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.5 V"
+        "aborted: disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.15 V"
     ))
     until_zero(bench, fake)
 
