@@ -70,11 +70,17 @@ def _no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
+def measured_data() -> Path:
+    """Folder of other laboratories' measured numbers, reduced (its README.md names the sources)."""
+    return ROOT / "test" / "data"
+
+
+@pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of the measured data that lies beside the checkout."""
+    """Folder of the records that lie beside the checkout."""
     folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
-        pytest.skip(f"no measured data beside the checkout ({folder})")
+        pytest.skip(f"no records beside the checkout ({folder})")
     return folder
 
 

@@ -170,15 +170,15 @@ def test_identify_writes_nothing_when_the_result_has_no_place(tmp_path, capsys, 
     assert os.listdir(tmp_path) == []
 
 
-def test_identify_shows_the_tangents_of_a_real_dsc_run_in_a_report(tmp_path, capsys, shared_data):
-    dsc = shared_data / "sma_react" / "input" / "preprocessor_samples" / "DSC.txt"
+def test_identify_shows_the_tangents_of_a_real_dsc_run_in_a_report(tmp_path, capsys, measured_data):
+    dsc = measured_data / "sma_react" / "input" / "preprocessor_samples" / "DSC.txt"
     assert main(["identify", str(dsc), "--report", str(tmp_path / "report")]) == 0
     drawn = {path.stem for path in (tmp_path / "report").glob("*.png")}
     assert {f"figure_07_dsc_segment_{number}" for number in (2, 4, 6, 8)} <= drawn
 
 
-def test_a_number_is_said_to_be_from_the_experiment_whose_value_it_is(shared_data):
-    folder = shared_data / "sma_react" / "input" / "cal_sample_1"
+def test_a_number_is_said_to_be_from_the_experiment_whose_value_it_is(measured_data):
+    folder = measured_data / "sma_react" / "input" / "cal_sample_1"
     records = [open_record(folder / f"{stress} MPa.txt") for stress in (7, 50, 150)]
     result = identify(records, Parameters.defaults(), ["E6", "E9"])
     name = "wire.austenite_start_temperature"

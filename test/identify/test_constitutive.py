@@ -182,9 +182,9 @@ def test_flat_strain_is_refused() -> None:
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_measured_alloys_are_met_within_five_percent_at_every_stress(
-    shared_data: Path, number: int
+    measured_data: Path, number: int
 ) -> None:
-    folder = shared_data / "sma_react" / "input" / f"cal_sample_{number}"
+    folder = measured_data / "sma_react" / "input" / f"cal_sample_{number}"
     tests = [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
     experiment = fit_constitutive(tests)
     contract, extended = (f for f in experiment.findings if f.subject == "fit error")
@@ -199,8 +199,8 @@ def test_measured_alloys_are_met_within_five_percent_at_every_stress(
         assert experiment.details["extended: alpha_M"].value == pytest.approx(9.4, abs=1.5)
 
 
-def test_seven_cycles_do_not_fit_one_set_and_each_its_own(shared_data: Path) -> None:
-    path = shared_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
+def test_seven_cycles_do_not_fit_one_set_and_each_its_own(measured_data: Path) -> None:
+    path = measured_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
     experiment = fit_constitutive([read_isobaric(path)], law="extended")
     (finding,) = [f for f in experiment.findings if f.subject == "cycles"]
     assert finding.numbers["joint"] > 0.05

@@ -103,8 +103,8 @@ def test_drifting_baseline_moves_the_onsets_by_less_than_a_kelvin(drift: float) 
         assert abs(difference) < 1.0, name
 
 
-def test_rates_and_cycles_that_changed_together_are_said(shared_data: Path) -> None:
-    path = shared_data / "sma_react/input/preprocessor_samples/DSC.txt"
+def test_rates_and_cycles_that_changed_together_are_said(measured_data: Path) -> None:
+    path = measured_data / "sma_react/input/preprocessor_samples/DSC.txt"
     experiment = identify_heating_rates(read_dsc(path))
     assert experiment.curves["table"].shape == (2, 6)
     assert any("changed together; the line to zero rate" in f.text for f in experiment.findings)
@@ -124,8 +124,8 @@ def test_identify_gives_table_two_and_the_prestrain_shift_for_cycles_at_one_rate
     assert len(shifts) >= 1
 
 
-def test_identify_takes_no_law_of_the_rate_from_a_run_whose_cycles_differ_in_rate(shared_data):
-    record = read_dsc(shared_data / "sma_react/input/preprocessor_samples/DSC.txt")
+def test_identify_takes_no_law_of_the_rate_from_a_run_whose_cycles_differ_in_rate(measured_data):
+    record = read_dsc(measured_data / "sma_react/input/preprocessor_samples/DSC.txt")
     result = identify([record], Parameters.defaults())
     assert "segment_8/start" in result.experiments[0].details
     assert not any("zero rate" in name for name in result.experiments[0].details)

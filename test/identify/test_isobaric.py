@@ -166,13 +166,13 @@ def test_flat_strain_is_refused() -> None:
         identify_isobaric([flat], TRUTH)
 
 
-def sample(shared_data: Path, number: int) -> list[IsobaricRecord]:
-    folder = shared_data / "sma_react" / "input" / f"cal_sample_{number}"
+def sample(measured_data: Path, number: int) -> list[IsobaricRecord]:
+    folder = measured_data / "sma_react" / "input" / f"cal_sample_{number}"
     return [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
 
 
-def test_nitihf_tangents_and_influences(shared_data: Path) -> None:
-    experiment = identify_isobaric(sample(shared_data, 2))
+def test_nitihf_tangents_and_influences(measured_data: Path) -> None:
+    experiment = identify_isobaric(sample(measured_data, 2))
     details = experiment.details
     # Read off the plotted curves by hand, to 3 K.
     by_hand = {
@@ -190,8 +190,8 @@ def test_nitihf_tangents_and_influences(shared_data: Path) -> None:
     assert any("widens with stress" in f.text for f in experiment.findings)
 
 
-def test_nitico_tangents_and_influences(shared_data: Path) -> None:
-    experiment = identify_isobaric(sample(shared_data, 1))
+def test_nitico_tangents_and_influences(measured_data: Path) -> None:
+    experiment = identify_isobaric(sample(measured_data, 1))
     details = experiment.details
     assert details["A_f (tangent) at 200 MPa"].value == pytest.approx(282.5, abs=2.0)
     assert details["M_s (tangent) at 50 MPa"].value == pytest.approx(237.0, abs=2.0)
@@ -201,8 +201,8 @@ def test_nitico_tangents_and_influences(shared_data: Path) -> None:
     assert any(f.subject == "M_f" and "7 MPa" in f.text for f in experiment.findings)
 
 
-def test_seven_cycles_drift_and_are_not_called_repeats(shared_data: Path) -> None:
-    path = shared_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
+def test_seven_cycles_drift_and_are_not_called_repeats(measured_data: Path) -> None:
+    path = measured_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
     experiment = identify_isobaric([read_isobaric(path)])
     drift = [f for f in experiment.findings if "still trains" in f.text]
     assert {f.subject for f in drift} >= {"A_s", "M_s"}

@@ -54,11 +54,8 @@ def crossing(flank, base):
 
 
 @pytest.fixture(scope="module")
-def powder():
-    path = Path(__file__).resolve().parents[3] / "shared" / "data" / "sma_react" / "input"
-    path = path / "preprocessor_samples" / "DSC.txt"
-    if not path.is_file():
-        pytest.skip(f"no measured data beside the checkout ({path})")
+def powder(measured_data):
+    path = measured_data / "sma_react" / "input" / "preprocessor_samples" / "DSC.txt"
     return identify_transition_temperatures(read_dsc(path))
 
 

@@ -55,19 +55,19 @@ def test_info_of_a_bag_without_signals(tmp_path, write_bag, messages, capsys):
     assert "no signal of the bench contract" in capsys.readouterr().out
 
 
-def test_info_of_an_instrument_file(shared_data, capsys):
-    assert run_info(shared_data / "sma_react/input/preprocessor_samples/DSC.txt") == 0
+def test_info_of_an_instrument_file(measured_data, capsys):
+    assert run_info(measured_data / "sma_react/input/preprocessor_samples/DSC.txt") == 0
     shown = capsys.readouterr().out
     assert "60.200 mg" in shown and "cooling" in shown and "no findings" in shown
 
 
-def test_records_are_told_apart_by_content(tmp_path, write_bag, ramp, shared_data):
+def test_records_are_told_apart_by_content(tmp_path, write_bag, ramp, measured_data):
     bag = write_bag(tmp_path / "bag", ramp)
     renamed = tmp_path / "bag.dat"
     next(bag.glob("*.mcap")).rename(renamed)
     assert isinstance(open_record(renamed), Record)
     dsc = tmp_path / "thing"
-    source = shared_data / "sma_react/input/preprocessor_samples/DSC.txt"
+    source = measured_data / "sma_react/input/preprocessor_samples/DSC.txt"
     dsc.write_bytes(source.read_bytes())
     assert isinstance(open_record(dsc), DscRecord)
 

@@ -131,8 +131,8 @@ def test_any_mutilation_ends_in_a_record_or_one_line(tmp_path_factory, data):
         assert isinstance(run, DscRecord) and run.mass > 0
 
 
-def test_real_file_has_its_eight_segments(shared_data):
-    run = read_dsc(shared_data / "sma_react/input/preprocessor_samples/DSC.txt")
+def test_real_file_has_its_eight_segments(measured_data):
+    run = read_dsc(measured_data / "sma_react/input/preprocessor_samples/DSC.txt")
     assert run.mass == pytest.approx(60.2e-6)
     assert run.findings == ()
     kinds = [s.kind for s in run.segments]
@@ -145,9 +145,9 @@ def test_real_file_has_its_eight_segments(shared_data):
             assert slope == pytest.approx(segment.rate, rel=1e-3)
 
 
-def test_real_file_counts_heat_into_the_sample_positive(shared_data):
+def test_real_file_counts_heat_into_the_sample_positive(measured_data):
     """Martensite takes heat to become austenite: the peak on heating points up."""
-    run = read_dsc(shared_data / "sma_react/input/preprocessor_samples/DSC.txt")
+    run = read_dsc(measured_data / "sma_react/input/preprocessor_samples/DSC.txt")
     assert run.endothermic_up is True
     heating = run.segments[3]
     flow = run.specific_heat_flow(heating)[60:]

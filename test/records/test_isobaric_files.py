@@ -268,8 +268,8 @@ def test_tensile_file_with_wrong_unit_is_named(tmp_path: Path) -> None:
         read_tensile(tensile(tmp_path, "Strain (%),Stress (furlong)", columns))
 
 
-def test_all_isobaric_sets_are_read(shared_data: Path) -> None:
-    folder = shared_data / "sma_react" / "input"
+def test_all_isobaric_sets_are_read(measured_data: Path) -> None:
+    folder = measured_data / "sma_react" / "input"
     directions = {"cal_sample_1": ["cooling", "heating"], "cal_sample_2": ["heating", "cooling"]}
     for sample, expected in directions.items():
         for path in sorted((folder / sample).glob("*MPa.txt")):
@@ -280,8 +280,8 @@ def test_all_isobaric_sets_are_read(shared_data: Path) -> None:
             assert record.findings == ()
 
 
-def test_seven_cycles_of_the_load_frame_are_found(shared_data: Path) -> None:
-    path = shared_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
+def test_seven_cycles_of_the_load_frame_are_found(measured_data: Path) -> None:
+    path = measured_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
     assert is_isobaric(path)
     record = read_isobaric(path)
     assert len(record.cycles) == 7

@@ -283,8 +283,8 @@ def test_a_target_that_is_a_file_is_one_line(tmp_path, bag, capsys):
     assert (tmp_path / "out").read_text() == "mine"
 
 
-def test_instrument_files_are_drawn(shared_data, tmp_path, capsys):
-    folder = shared_data / "sma_react" / "input"
+def test_instrument_files_are_drawn(measured_data, tmp_path, capsys):
+    folder = measured_data / "sma_react" / "input"
     records = [folder / "preprocessor_samples" / "DSC.txt", folder / "cal_sample_1" / "50 MPa.txt"]
     page = Page(report(tmp_path, *records) / "index.html")
     assert len([tag for tag, _ in page.tags if tag == "img"]) == 2
