@@ -1,14 +1,25 @@
-"""Compile with numba where it is installed; run the same code as plain Python where it is not."""
+"""Compile with numba where it is installed; run the same code as plain Python where it is not, and
+in a node until it is compiled: a bench that has just been installed answers at once.
+"""
 
+import fcntl
 import hashlib
 import os
+import pickle
+import subprocess
+import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any
+
+from sma_bench.lifeline import end_with_parent, tied_to_this_process
 
 try:
     import numba
@@ -56,13 +67,111 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(function, **_OPTIONS, _nrt=False, forceinline=True)
 
 
-def is_compiled(room: str) -> bool:
-    """Whether machine code of a room (`physics`) is on the disk; compiling it takes half a minute,
-    once after an installation. Without numba there is nothing to wait for."""
+def is_compiled(function: Callable[..., Any]) -> bool:
+    """Whether machine code of a compiled function is on the disk; that of the physics takes half a
+    minute, once after an installation. Without numba there is nothing to wait for."""
     if numba is None:
         return True
-    folder = _cache_folder(PACKAGE / room)
-    return folder is not None and any(folder.rglob("*.nbi"))
+    source = getattr(function, "py_func", function)
+    folder = _cache_folder(_room(Path(source.__code__.co_filename).resolve()))
+    module = source.__module__.rpartition(".")[2]
+    return folder is not None and any(folder.rglob(f"{module}.{source.__name__}-*.nbi"))
+
+
+class Meanwhile:
+    """A compiled function as Python calls it. After `run_plain_meanwhile` a call without machine
+    code yet runs as plain Python, to the same result, while another process compiles.
+
+    Whatever a node calls, and takes long to compile, is called through one of these.
+    """
+
+    told: Callable[[str], None] | None = None
+    """gets what there is to say; None: whoever calls waits for the compiler"""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function: Any = function
+        self._call: Callable[..., Any] = function
+        self._begun = False
+
+    def __call__(self, *arguments: Any) -> Any:
+        """As the function."""
+        if Meanwhile.told is None or numba is None:
+            return self.function(*arguments)
+        if not self._begun:
+            self._begun = True
+            self._begin(tuple(map(numba.typeof, arguments)), Meanwhile.told)
+        return self._call(*arguments)
+
+    def _begin(self, signature: tuple[Any, ...], told: Callable[[str], None]) -> None:
+        if signature in self.function.overloads or _on_disk(self.function, signature):
+            return
+        told("compiling beside, once after an installation; slower until then")
+        self._call = _quietly(plain(self.function))
+        work = threading.Thread(target=self._compile, args=(signature, told), daemon=True)
+        work.start()
+
+    def _compile(self, signature: tuple[Any, ...], told: Callable[[str], None]) -> None:
+        """Another process, as the compiler holds Python's lock; then its machine code is read."""
+        name = self.function.__module__, self.function.__name__
+        with suppress(OSError):
+            subprocess.run(
+                [sys.executable, "-P", "-m", __name__], input=pickle.dumps((*name, signature)),
+                env=tied_to_this_process(), start_new_session=True, check=False,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+        self.function.compile(signature)
+        self._call = self.function
+        told("compiled")
+
+
+def run_plain_meanwhile(told: Callable[[str], None]) -> None:
+    """From now on this process does not wait for the compiler; `told` gets a line about it."""
+    Meanwhile.told = told
+
+
+@cache
+def plain(function: Any) -> Callable[..., Any]:
+    """A compiled function as plain Python, with all that it calls."""
+    source = function.py_func
+    names = dict(source.__globals__)
+    for name in source.__code__.co_names:
+        if hasattr(names.get(name), "py_func"):
+            names[name] = plain(names[name])
+    return FunctionType(source.__code__, names, source.__name__, source.__defaults__)
+
+
+def _quietly(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Without the warnings of a division by zero, which compiled code has none of."""
+    import numpy as np
+
+    def call(*arguments: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*arguments)
+
+    return call
+
+
+def _on_disk(function: Any, signature: tuple[Any, ...]) -> bool:
+    """Whether the machine code of these types can be read; False where numba does not tell."""
+    with suppress(Exception):  # numba's own affairs, which may change
+        stored, target = function._cache, function.targetctx
+        key = stored._index_key(signature, target.codegen())
+        return key in stored._cache_file._load_index()
+    return False
+
+
+def _compile_here() -> None:
+    """The other process: what its standard input names is compiled, and kept on the disk."""
+    end_with_parent()
+    os.nice(5)
+    module, name, signature = pickle.load(sys.stdin.buffer)
+    function = getattr(import_module(module), name)
+    folder = _cache_folder(_room(Path(function.py_func.__code__.co_filename).resolve()))
+    if folder is None:
+        return  # nothing could be kept
+    with open(folder / "compiling", "wb") as turn:  # of several nodes one compiles
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        function.compile(signature)
 
 
 def when_compiling(told: Callable[[], None]) -> Any:
@@ -127,3 +236,7 @@ def _cached_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         numba.config.CACHE_DIR = before
+
+
+if __name__ == "__main__":
+    _compile_here()

@@ -20,7 +20,7 @@ ARROWS = {
     "errors": set(),
     "border": {"errors"},
     "findings": set(),
-    "compiled": set(),
+    "compiled": {"lifeline"},
     "progress": set(),
     "lifeline": set(),
     "worker_pool": {"lifeline"},

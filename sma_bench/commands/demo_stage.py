@@ -11,6 +11,7 @@ from sma_bench.compiled import is_compiled
 from sma_bench.errors import InputError
 from sma_bench.nodes.job_process import told_share
 from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.physics import core
 from sma_bench.progress import COMPILING, Report, part, shares, silent
 from sma_bench.protocols import load_protocol
 
@@ -82,12 +83,12 @@ class Stage:
         """
         self._nodes.start("simulator", simulator, (bench_file,))
         if self.compiles():
-            self._client.wait("simulator", lambda: self._client.simulated_seconds, _COMPILING)
+            self._client.wait("simulator", lambda: is_compiled(core.run), _COMPILING)
         self.start_experiment(bench_file, protocol)
 
     def compiles(self) -> bool:
         """Whether the nodes have to compile the physics first, which is told."""
-        waits = not is_compiled("physics")
+        waits = not is_compiled(core.run)
         if waits:
             self._report(0.0, COMPILING)
         return waits

@@ -58,6 +58,8 @@ def check_arguments(node: str, argv: Sequence[str]) -> None:
             one line with the file and, for a name, the nearest known one. A foreign name is only
             warned of.
     """
+    for argument in _outside(argv):
+        raise InputError(f"unknown argument {argument!r}: what is ROS's stands after --ros-args")
     named = _node_name(node, argv)
     merged: dict[str, Any] = {}
     for where, values in _sources(named, argv):
@@ -71,6 +73,16 @@ def _sources(node: str, argv: Sequence[str]) -> Iterator[tuple[str, dict[str, An
             yield value, read_parameter_names(value, node)
         elif option in _VALUE_OPTIONS:
             yield option, _assignment(value)
+
+
+def _outside(argv: Sequence[str]) -> Iterator[str]:
+    """What ROS passes over: it would run the node on its defaults, safety limits included."""
+    inside = False
+    for argument in argv:
+        if argument in ("--ros-args", "--"):
+            inside = argument == "--ros-args"
+        elif not inside:
+            yield argument
 
 
 def _ros_options(argv: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -15,6 +15,7 @@ from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
+    ParameterType,
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType, JumpThreshold
@@ -22,6 +23,7 @@ from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation as rcl
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
@@ -59,8 +61,6 @@ _OVERRIDABLE = QoSOverridingOptions((
     QoSPolicyKind.DURABILITY,
 ))  # fmt: skip
 
-_SIMULATED = "use_sim_time"
-
 _RANGES = {"double": FloatingPointRange, "integer": IntegerRange}
 _RANGE_FIELDS = {"double": "floating_point_range", "integer": "integer_range"}
 
@@ -83,6 +83,11 @@ class BenchNode(Node):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._ros_is_ready = True
+        # Another clock in the middle of a run would spoil every stamp.
+        self.set_descriptor("use_sim_time", ParameterDescriptor(
+            name="use_sim_time", type=ParameterType.PARAMETER_BOOL, read_only=True,
+            description="Time is that of /clock.",
+        ))  # fmt: skip
         self.failure: InputError | None = None
         self._claims = [claimed(self.get_fully_qualified_name())]
         if self.get_parameter("use_sim_time").value:
@@ -261,11 +266,8 @@ class BenchNode(Node):
             for change in changes
             if change.name in self._own or change.name in self._contract
         }
-        # Another clock in the middle of a run would spoil every stamp.
-        clock = {c.name: c.value for c in changes if c.name == _SIMULATED}
-        held = {name: changed[name] for name in self.held() & changed.keys()}
-        for name, value in (clock | held).items():
-            if _plain(value) != _plain(self.get_parameter(name).value):
+        for name in self.held() & changed.keys():
+            if _plain(changed[name]) != _plain(self.get_parameter(name).value):
                 reason = f"{name} cannot change while the node runs"
                 return SetParametersResult(successful=False, reason=reason)
         try:
@@ -305,6 +307,7 @@ def run_node(
             return _refuse(name, error)
         node: BenchNode | None = None
         try:
+            _compute_at_once(name)
             node = factory()
             _spin(node, executor_type(), signals)
         except InputError as error:
@@ -314,6 +317,12 @@ def run_node(
         finally:
             _end(node)
     return 0
+
+
+def _compute_at_once(name: str) -> None:
+    """No node waits for the compiler. Those that compute nothing have not loaded it."""
+    if compiled := sys.modules.get("sma_bench.compiled"):
+        compiled.run_plain_meanwhile(get_logger(name).info)
 
 
 class _Signals:

@@ -29,6 +29,7 @@ VITAL = frozenset({
 })  # fmt: skip
 
 # Work on records when asked to, and drive nothing.
+NO_NODES = "none"
 SERVICES = ("identification", "diagnosis")
 
 # Pictures of the synthetic camera, small enough for a laptop. Four wires need room to bend:
@@ -112,7 +113,8 @@ class Rig:
             "record": Argument("true", "Record all topics of the bench.", SWITCH),
             "output": Argument("", "New folder for the bag; empty for record_<date>_<time>."),
             "nodes": Argument(
-                "identification", f"Further nodes, separated by commas: {', '.join(SERVICES)}."
+                "identification",
+                f"Further nodes, separated by commas: {', '.join(SERVICES)}; or {NO_NODES}.",
             ),
             "port": Argument("", "Serial port of the Uno; empty for the only one."),
             "network": OPEN_TO_NETWORK,
@@ -166,10 +168,12 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
 
 def services(values: Mapping[str, str]) -> list[PlannedNode]:
     """The nodes that the argument `nodes` names; InputError for one that it may not."""
+    if values["nodes"].strip() == NO_NODES:  # ros2 launch refuses `nodes:=`
+        return []
     names = [name.strip() for name in values["nodes"].split(",") if name.strip()]
     for name in names:
         if name not in SERVICES:
-            raise InputError(f"nodes: {name!r}, expected {', '.join(SERVICES)}, or nothing")
+            raise InputError(f"nodes: {name!r}, expected {', '.join(SERVICES)}, or {NO_NODES}")
     return [PlannedNode(name) for name in dict.fromkeys(names)]
 
 

@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from sma_bench.nodes.base import LATCHED, run_node
 from sma_bench.nodes.diagnosis_job import GapState, Job, gap_states
 from sma_bench.nodes.job_node import JobNode, job_executor
+from sma_bench.nodes.job_process import output_inside
 
 
 class DiagnosisNode(JobNode):
@@ -20,6 +22,11 @@ class DiagnosisNode(JobNode):
     def __init__(self) -> None:
         super().__init__("diagnosis", "~/diagnose")
         self._gap = self.create_publisher(DiagnosticArray, "~/gap", LATCHED)
+
+    def check_settings(self, settings: dict[str, Any]) -> None:
+        """Nothing may be written outside output_root."""
+        for name in ("improved", "report"):
+            output_inside(settings["output_root"], settings[name], name)
 
     def job(self) -> Job:
         """The node's parameters, as they are now."""

@@ -1,10 +1,12 @@
 """Identifies parameters from records on request: set `record`, call `~/identify`."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from sma_bench.nodes.base import run_node
 from sma_bench.nodes.identification_job import Job
 from sma_bench.nodes.job_node import JobNode, job_executor
+from sma_bench.nodes.job_process import output_inside
 
 
 class Identification(JobNode):
@@ -12,6 +14,11 @@ class Identification(JobNode):
 
     def __init__(self) -> None:
         super().__init__("identification", "~/identify")
+
+    def check_settings(self, settings: dict[str, Any]) -> None:
+        """Nothing may be written outside output_root."""
+        where = "output_directory"
+        output_inside(settings["output_root"], settings[where], where)
 
     def job(self) -> Job:
         """The node's parameters, as they are now."""

@@ -32,6 +32,7 @@ class JobNode(BenchNode, ABC):
 
     def __init__(self, name: str, service: str) -> None:
         super().__init__(name)
+        self.check_settings(self.settings)
         self._busy = threading.Lock()
         self._process = JobProcess(name)
         self._state = self.create_publisher(String, "~/state", LATCHED)

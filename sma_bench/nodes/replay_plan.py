@@ -11,6 +11,7 @@ from typing import Any
 from sma_bench.border import read_yaml
 from sma_bench.errors import InputError
 from sma_bench.nodes.bench_plan import (
+    NO_NODES,
     OPEN_TO_NETWORK,
     SERVICES,
     SWITCH,
@@ -46,7 +47,9 @@ ARGUMENTS = {
     "twin": Argument(
         "false", "Run the model of `params` beside the record, and say where a gap grows.", SWITCH
     ),
-    "nodes": Argument("", f"Further nodes, separated by commas: {', '.join(SERVICES)}."),
+    "nodes": Argument(
+        NO_NODES, f"Further nodes, separated by commas: {', '.join(SERVICES)}; or {NO_NODES}."
+    ),
     "description": Argument(
         "false", "Publish the beam's URDF, so that RViz shows it bend.", SWITCH
     ),

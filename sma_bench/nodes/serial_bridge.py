@@ -14,7 +14,6 @@ from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -29,7 +28,7 @@ from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port
 from sma_bench.nodes.base import LATCHED, BenchNode, run_node
-from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics
+from sma_bench.nodes.bench_topics import COMMANDED, PowerTopics, RangeTopics, layout_fault
 from sma_bench.nodes.recorder_state import follow_recorder
 
 _NANOSECONDS = 1e9
@@ -89,7 +88,7 @@ class SerialBridge(BenchNode):
         self._ranges = RangeTopics(self, sensors) if sensors else None
         self._state = self.create_publisher(String, "~/state", LATCHED)
         self.create_subscription(
-            Float64MultiArray, "voltage_command", self._on_command, QoSProfile(depth=50)
+            Float64MultiArray, "voltage_command", self._on_command, COMMANDED
         )
         for channel in self._channels:
             self.create_subscription(
@@ -141,7 +140,11 @@ class SerialBridge(BenchNode):
         self._tally.note(time.monotonic() - reading.time)
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        if reason := self._driver.command(message.data, time.monotonic()):
+        if fault := layout_fault(message, self._channels):
+            reason = self._driver.gate.refuse(fault)
+        else:
+            reason = self._driver.command(message.data, time.monotonic())
+        if reason:
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
 
     def _on_temperature(self, channel: str, message: Temperature) -> None:

@@ -7,14 +7,13 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
-from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
 from sma_bench.hardware.lockstep import REAL_TIME, Lockstep
 from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.nodes.base import BenchNode, run_node
-from sma_bench.nodes.bench_topics import BenchTopics
+from sma_bench.nodes.bench_topics import COMMANDED, BenchTopics, layout_fault
 from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
 
 # A bench in real time answers a command within 10 ms, the period of its power readings.
@@ -48,7 +47,7 @@ class Simulator(BenchNode):
         self._clock_sent = 0.0
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self._fast else None
         self.create_subscription(
-            Float64MultiArray, "voltage_command", self._command, QoSProfile(depth=50)
+            Float64MultiArray, "voltage_command", self._command, COMMANDED
         )
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         tick = max(slice_length / speed, _SHORTEST_TICK)
@@ -59,7 +58,8 @@ class Simulator(BenchNode):
 
     def _command(self, message: Float64MultiArray) -> None:
         now = self._now / NANOSECONDS
-        reason = self._gate.command(message.data, now)
+        fault = layout_fault(message, self._bench.channels)
+        reason = self._gate.refuse(fault) if fault else self._gate.command(message.data, now)
         if reason:
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
             return

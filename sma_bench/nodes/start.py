@@ -14,6 +14,9 @@ from importlib import import_module
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node until its end; the exit status."""
+    given = sys.argv[1:] if argv is None else argv
+    if not {"-h", "--help"} & set(given):
+        print(f"starting {name}", flush=True)  # its libraries take a second, or many
     for number in ending_signals():
         signal.signal(number, lambda *_: os._exit(0))
     status: int = import_module(f"sma_bench.nodes.{name}").main(argv)

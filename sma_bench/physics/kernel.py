@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.compiled import warn_if_plain
+from sma_bench.compiled import Meanwhile, warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics import columns as at
@@ -14,6 +14,8 @@ from sma_bench.physics.rows import side_rows, wire_rows
 from sma_bench.physics.state import State, initial_state
 
 Array = NDArray[np.float64]
+
+RUN = Meanwhile(core.run)
 
 class Kernel:
     """Parameters converted once for the compiled core, and the core's calls."""
@@ -58,7 +60,7 @@ class Kernel:
         """Advance `memory` in place; history (4, n, w) and strain (2, n, s) as of core.run."""
         history = np.empty((4, time.size, self.wires))
         strain = np.empty((2, time.size, len(memory[1])))
-        core.run(time, voltage, *memory, history, strain)
+        RUN(time, voltage, *memory, history, strain)
         return history, strain
 
     def state(self, memory: tuple[Array, Array]) -> State:

@@ -1,6 +1,7 @@
 """Writes a bag message by message so that it can be read whenever the writer dies."""
 
 import errno
+import fcntl
 import sqlite3
 import struct
 import threading
@@ -100,6 +101,8 @@ class BagWriter:
             storage: Any = self._writer.storage
             _give_chunks_a_checksum(storage)
             storage.chunks = _ChunkIndex()
+            with suppress(OSError):  # a reader sees that nobody has died here
+                fcntl.flock(storage.bio, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.flush()
 
     def add_topic(self, topic: str, msgtype: str) -> None:

@@ -5,14 +5,17 @@ bytes make no sense the scan looks for the next place where records follow one a
 Format: https://mcap.dev/spec.
 """
 
+import fcntl
 import mmap
 import re
 import struct
 import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
+from sma_bench.findings import Finding
 from sma_bench.records.compression import decompress_lz4, decompress_zstd
 from sma_bench.records.harvest import Harvest, RawTopic, is_compiled
 from sma_bench.records.record import IntArray
@@ -46,6 +49,7 @@ class _Scan:
         self.schemas: dict[int, str] = {}
         self.channels: dict[int, RawTopic] = {}
         self.ended = False
+        self.growing = False
         self.skipped = 0
         self.remarks: list[str] = []
         self.orphans = 0
@@ -186,7 +190,10 @@ class _Scan:
         if self.orphans:
             text = f"{self.orphans} messages belong to no known topic and are lost"
             self.harvest.lost(self.name, text, messages=self.orphans)
-        if self.remarks or self.skipped:
+        if self.growing and not self.remarks:
+            text = "is still being recorded: what was written until now is read"
+            self.harvest.findings.append(Finding("info", self.name, text))
+        elif self.remarks or self.skipped:
             first = self.remarks[0] if self.remarks else "the last record is cut short"
             more = f" and {len(self.remarks) - 1} more places" if len(self.remarks) > 1 else ""
             lost = min(self.skipped, size)
@@ -210,6 +217,7 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
         return
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as buffer:
         scan.compiled = is_compiled(size)
+        scan.growing = _is_locked(file)
         scan.read_summary(buffer)
         start = len(MAGIC)
         if buffer[:start] != MAGIC:
@@ -217,6 +225,17 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
             scan._damage("the file does not begin like an mcap file", start)
         scan.walk(buffer, start, size)
     scan.report(size)
+
+
+def _is_locked(file: BinaryIO) -> bool:
+    """Whether a recorder has the file; BagWriter's lock is gone with it, however it went."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    return False
 
 
 def _string(buffer: _Bytes, position: int, stop: int) -> tuple[str, int]:

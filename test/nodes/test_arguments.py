@@ -79,11 +79,6 @@ def test_values_that_fit_only_together_may_come_from_two_sources(tmp_path):
     check_arguments("simulator", [*two, "-p", "bench.channel_sides:=[back, front]"])
 
 
-def test_arguments_outside_ros_args_are_not_ours():
-    check_arguments("simulator", ["-p", "wire.resistence:=1.0"])
-    check_arguments("simulator", ["--ros-args", "--", "-p", "wire.resistence:=1.0"])
-
-
 def run(name, *arguments):
     return subprocess.run(
         [sys.executable, "-m", f"sma_bench.nodes.{name}", *arguments],

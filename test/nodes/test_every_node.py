@@ -8,9 +8,13 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.parameter import Parameter as RosParameter  # noqa: E402
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension  # noqa: E402
 
 from sma_bench.errors import InputError  # noqa: E402
+from sma_bench.nodes.arguments import check_arguments  # noqa: E402
 from sma_bench.nodes.base import BenchNode, OneThreadExecutor  # noqa: E402
+from sma_bench.nodes.bench_topics import layout_fault, voltage_command  # noqa: E402
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 # Made by rclpy before a node's parameters can be.
@@ -55,6 +59,8 @@ def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(m
             topic = getattr(endpoint, "topic_name", None) or endpoint.topic
             overridden = node.has_parameter(f"qos_overrides.{topic}.{kind}.reliability")
             assert overridden == (topic not in ROS_OWN), f"{kind} of {topic}"
+    result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
+    assert not result.successful and "read-only" in result.reason
     heard = []
     node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
     executor = OneThreadExecutor()
@@ -83,6 +89,20 @@ def test_an_override_of_one_topic_is_that_topics_alone(make):
     assert offered("experiment/state").reliability.name == "RELIABLE"
 
 
+@pytest.mark.parametrize("name", ["simulator", "serial_bridge"])
+def test_a_best_effort_commander_is_heard(make, name):
+    node = make(name)
+    (heard,) = [s for s in node.subscriptions if s.topic_name == "/bench/voltage_command"]
+    assert heard.qos_profile.reliability.name == "BEST_EFFORT"
+
+
+def test_the_marker_is_there_for_those_who_come_late(make):
+    node = make("experiment")
+    (marker,) = [p for p in node.publishers if p.topic_name == "/bench/experiment/marker"]
+    assert marker.qos_profile.durability.name == "TRANSIENT_LOCAL"
+    assert marker.qos_profile.depth == 1
+
+
 @pytest.mark.parametrize(
     ("policy", "value"), [("reliability", "rather"), ("depth", "-3"), ("depth", "many")]
 )
@@ -94,3 +114,49 @@ def test_an_override_that_is_no_qos_is_one_line(make, policy, value):
             f"qos_overrides./bench/voltage_command.publisher.{policy}:={value}",
         )
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("node", "name"),
+    [("diagnosis", "improved"), ("diagnosis", "report"), ("identification", "output_directory")],
+)
+def test_a_result_outside_its_root_is_refused_when_it_is_set(make, node, name):
+    made = make(node)
+    before = made.get_parameter(name).value
+    (result,) = made.set_parameters([RosParameter(name, value="/etc/x.yaml")])
+    assert not result.successful and "/etc/x.yaml lies outside output_root" in result.reason
+    assert made.get_parameter(name).value == before
+
+
+@pytest.mark.parametrize("stray", [["--params-file", "lab.yaml"], ["speed:=2.0"], ["--", "x"]])
+def test_an_argument_that_ros_would_pass_over_is_refused(stray):
+    with pytest.raises(InputError, match="unknown argument '(--params-file|speed:=2.0|x)'"):
+        check_arguments("simulator", ["--ros-args", "-r", "__ns:=/bench", "--", *stray])
+    with pytest.raises(InputError, match="after --ros-args"):
+        check_arguments("simulator", stray)
+
+
+CHANNELS = ("front_1", "back_1")
+
+
+def test_a_command_says_which_channels_it_is_for():
+    command = voltage_command(CHANNELS, [1.0, 2.0])
+    (dim,) = command.layout.dim
+    assert (dim.label, dim.size, dim.stride) == ("front_1 back_1", 2, 2)
+    assert layout_fault(command, CHANNELS) == ""
+    assert layout_fault(Float64MultiArray(data=[1.0, 2.0]), CHANNELS) == ""  # says nothing
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda layout: setattr(layout.dim[0], "label", "back_1 front_1"), "expected 'front_1 b"),
+        (lambda layout: setattr(layout.dim[0], "size", 3), "a dimension of 3, expected 2"),
+        (lambda layout: layout.dim.append(MultiArrayDimension()), "expected one dimension"),
+        (lambda layout: setattr(layout, "data_offset", 1), "no offset"),
+    ],
+)
+def test_a_command_for_other_channels_is_refused(change, words):
+    command = voltage_command(CHANNELS, [1.0, 2.0])
+    change(command.layout)
+    assert words in layout_fault(command, CHANNELS)

@@ -266,11 +266,11 @@ def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, r
     for name, value in (
         ("bench.maximum_temperature", 700.0), ("bench.maximum_current", 3.5),
         ("bench.temperature_tolerance", 400.0), ("wire.heat_transfer_coefficient", 200.0),
-        ("use_sim_time", True),
     ):  # fmt: skip
         result = bench.set_parameter("experiment", name, value)
         assert result.reason == f"{name} cannot change while the node runs"
         assert not result.successful
+    assert not bench.set_parameter("experiment", "use_sim_time", True).successful
     until_still_driven(bench, fake)
     bench.trigger("experiment/stop")
     assert not bench.set_parameter("experiment", "bench.maximum_temperature", 700.0).successful

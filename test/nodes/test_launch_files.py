@@ -69,6 +69,7 @@ def test_a_rig_names_an_existing_file_and_a_protocol_that_fits_it(rig):
         ({"camera": "true"}, ["simulator", *CAMERA, *REST]),
         ({"nodes": "identification,diagnosis"}, ["simulator", *REST, "diagnosis"]),
         ({"nodes": "", "record": "false"}, ["simulator", "experiment"]),
+        ({"nodes": "none"}, ["simulator", "experiment", "recorder"]),
         ({"twin": "true"}, ["simulator", "experiment", "recorder", "twin", "identification"]),
         ({"mode": "hardware"}, ["serial_bridge", "ir_camera", *REST]),
         ({"mode": "hardware", "camera": "false"}, ["serial_bridge", *REST]),

@@ -20,6 +20,7 @@ SECTIONS = {
     "reading": ("reading", "bags: rosbags, mcap-ros2-support, the bytes alone"),
     "commands": ("whole_commands", "help, identification, diagnosis; cold and warm"),
     "nodes": ("node_rates", "rates, jitter, latency, share of a core; the camera"),
+    "first-start": ("first_start", "nodes on a fresh install: first word, first topic"),
     "twin": ("twin_pace", "whether the twin keeps 500 Hz, and what it takes of a core"),
     "growth": ("growth", "with length, wires, effects, parameter sets"),
     "batch": ("batches", "many bags over processes and a dask cluster"),

@@ -1,24 +1,32 @@
 """What is said while functions are compiled, once after an installation."""
 
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from sma_bench import compiled
+from sma_bench.physics import core
 
 numba = pytest.importorskip("numba")
 
 
 def test_whether_there_is_machine_code_yet(tmp_path, monkeypatch):
     monkeypatch.setattr(compiled, "_cache_folder", lambda room: tmp_path / room.name)
-    assert not compiled.is_compiled("physics")
+    assert not compiled.is_compiled(core.run)
     (tmp_path / "physics").mkdir()
-    assert not compiled.is_compiled("physics")
-    (tmp_path / "physics" / "kernel.nbi").touch()
-    assert compiled.is_compiled("physics")
+    (tmp_path / "physics" / "core.solve_side-228.py311.nbi").touch()
+    assert not compiled.is_compiled(core.run)
+    (tmp_path / "physics" / "core.run-308.py311.nbi").touch()
+    assert compiled.is_compiled(core.run)
 
 
 def test_nothing_has_to_be_waited_for_without_numba(monkeypatch):
     monkeypatch.setattr(compiled, "numba", None)
-    assert compiled.is_compiled("physics")
+    assert compiled.is_compiled(core.run)
     compiled.when_compiling(lambda: pytest.fail("nothing is ever compiled"))
 
 
@@ -31,3 +39,57 @@ def test_a_function_that_is_compiled_is_told_of_once():
     finally:
         numba.core.event.unregister("numba:compile", listener)
     assert told == ["compiling"]
+
+
+FRESH = """
+import time
+import numpy as np
+from sma_bench import compiled
+from sma_bench.diagnose import noise
+
+told = []
+compiled.run_plain_meanwhile(told.append)
+function = noise._add_powers
+call = compiled.Meanwhile(function)
+
+def powers():
+    found = np.zeros(1)
+    call(np.arange(5.0), *(np.array([0.5]) for _ in range(4)), found)
+    return found[0]
+
+first = powers()
+assert not function.overloads, "the first call waited for the compiler"
+end = time.monotonic() + 120.0
+while told[-1] != "compiled" and time.monotonic() < end:
+    time.sleep(0.02)
+# Another process has compiled, and this one has read it.
+print(len(told), compiled.is_compiled(function), sum(function.stats.cache_hits.values()) > 0)
+print(first == powers())
+"""
+
+
+def test_a_fresh_install_computes_at_once_while_another_process_compiles(tmp_path):
+    source = Path(compiled.__file__).parent
+    shutil.copytree(
+        source, tmp_path / "sma_bench", ignore=shutil.ignore_patterns("__pycache__", "*.html")
+    )
+    (tmp_path / "package.xml").symlink_to(source.parent / "package.xml")
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", FRESH], capture_output=True, text=True, check=False,
+        env={**compiled.os.environ, "PYTHONPATH": str(tmp_path)},
+    )
+    assert done.stdout.splitlines() == ["2 True True", "True"], done.stderr
+
+
+def test_plain_python_and_machine_code_give_the_same_numbers(monkeypatch):
+    from sma_bench.parameters import Parameters
+    from sma_bench.physics import kernel, simulate
+
+    time = 0.05 * np.arange(400)
+    volts = 8.0 * np.abs(np.sin(0.3 * time))
+    fast = simulate(Parameters.defaults(), time, volts)
+    monkeypatch.setattr(kernel, "RUN", compiled.plain(core.run))
+    slow = simulate(Parameters.defaults(), time, volts)
+    assert np.ptp(fast.martensite_fraction) > 0.3  # the wire transforms
+    for name in ("temperature", "martensite_fraction", "stress"):
+        np.testing.assert_allclose(getattr(slow, name), getattr(fast, name), rtol=1e-9, atol=1e-12)

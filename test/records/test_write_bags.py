@@ -332,3 +332,18 @@ def test_a_bag_that_cannot_be_begun_leaves_no_file_open(tmp_path, monkeypatch):
         BagWriter(tmp_path / "bag")
     held = [os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.exists()]
     assert not [path for path in held if str(tmp_path) in path]
+
+
+def test_a_bag_that_is_still_being_recorded_is_no_dead_writers(tmp_path):
+    bag, whole = tmp_path / "bag", tmp_path / "whole"
+    write_record(whole, [ramp_signal()])
+    with BagWriter(bag) as writer, Reader(whole) as reader:
+        for connection in reader.connections:
+            writer.add_topic(connection.topic, connection.msgtype)
+        writer.write_many((c.topic, time, data) for c, time, data in reader.messages())
+        writer.flush()
+        said = {(f.severity, f.text) for f in read_record(bag).findings}
+        assert ("info", "is still being recorded: what was written until now is read") in said
+        assert not [text for severity, text in said if severity != "info"]
+    assert "recorded" not in str(read_record(bag).findings)
+
