@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits
 from sma_bench.hardware.self_test import Finding, Link, self_test
@@ -41,6 +42,7 @@ class BenchDriver:
         self._interlock = Interlock()
         self._supply_reading = 0.0
         self._driven = -math.inf
+        self._watch_shared_sensors()
         self.enabled = False
         self.newest: BenchReading | None = None
         """last reading, None before the first"""
@@ -112,6 +114,7 @@ class BenchDriver:
         self._link.reset()
         self._interlock.reset()
         self._guard.recorder("")
+        self._watch_shared_sensors()
 
     def self_test(self) -> list[Finding]:
         """Check what can be checked without driving; ends disabled, at 0 V.
@@ -133,6 +136,11 @@ class BenchDriver:
             self._guard.power(
                 channel, power.voltage, power.current, taken.time, now, self._limits
             )
+        for wires, watch in self._shared:
+            volts = [taken.powers[k].voltage for k in wires]
+            amperes = [taken.powers[k].current for k in wires]
+            reason = watch.power(volts, amperes, taken.time, self._limits.model)
+            self._guard.found(f"wires {wires}", reason)
         return taken
 
     def temperature(self, channel: str, kelvin: float, stamp: float, now: float) -> None:
@@ -154,6 +162,12 @@ class BenchDriver:
         elif now - self._driven >= REFRESH:
             reason = self._drive(now)
         return reason
+
+    def _watch_shared_sensors(self) -> None:
+        self._shared = [
+            (wires, SharedWatch([self._channels[k] for k in wires]))
+            for wires in self._sensors.shared
+        ]
 
     def _drive(self, now: float) -> str:
         outputs = self.gate.outputs(now)

@@ -75,6 +75,15 @@ class BenchSensors:
         composite = len(sides) > 1
         self.range_sensors: tuple[str, ...] = settings["range.sensors"] if composite else ()
 
+    @property
+    def shared(self) -> tuple[tuple[int, ...], ...]:
+        """Bench channels whose currents one sensor measures together."""
+        boards = [
+            tuple(k for k, channel in enumerate(self._channels) if channel // _PER_SIDE == board)
+            for board in range(len(SIDES))
+        ]
+        return tuple(board for board in boards if len(board) > 1)
+
     def reading(self, reading: Reading) -> BenchReading:
         """The bench behind one window of telemetry."""
         telemetry = reading.telemetry

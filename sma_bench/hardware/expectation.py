@@ -6,7 +6,10 @@ breaks a limit at first. No ROS, no clock of its own.
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from sma_bench.parameters import Parameters
 
@@ -22,6 +25,21 @@ _RATE_BASE = 0.05
 # A reading may belong to any of the last commands.
 _COMMANDS = 10
 _LEAST_READINGS = 5
+# s between two readings whose difference tells what a step of the voltage did to the power; much
+# less than a phase change takes.
+_STEP_BASE = 0.05
+_LEAST_STEP = 0.5  # V^2
+_LEAST_PAIRS = 20
+# Differences that overlap count once for each of this many.
+_OVERLAP = 5
+_FORGOTTEN = 0.995
+# Of a wire's own excitation, what must not be its neighbour's too.
+_INDEPENDENT = 0.1
+_RIDGE = 1e-6
+# Of the model's conductance: an open wire has less than the first, with three standard deviations
+# less than the second.
+_OPEN, _SURELY = 0.5, 0.7
+_LEAST_NOISE = 0.02  # W
 
 
 @dataclass(frozen=True)
@@ -204,3 +222,78 @@ class WireWatch:
             f"disagreement: {self._channel} carries {ampere:.2f} A at {volt:.2f} V, the model says "
             f"{expected:.2f} A, tolerance {allowed:.2f} A"
         )
+
+
+class SharedWatch:
+    """Two wires behind one current sensor: does each take its part of a step?
+
+    Alone, or with a third of the power, a broken wire shows in its own readings. Beside a stronger
+    one it does not: they share the current like their duties. But the board's power is
+    sum(V^2/R), and what a step of the voltages changes in it, before any wire's phase can follow,
+    has each wire's conductance in it as soon as the two do not step alike.
+    """
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self._channels = channels
+        self._recent: deque[tuple[float, float, tuple[float, ...]]] = deque()
+        self._before: tuple[float, ...] = ()
+        self._squares = np.zeros((len(channels), len(channels)))
+        self._products = np.zeros(len(channels))
+        self._power_squares = 0.0
+        self._pairs = 0.0
+        self._reason = ""
+
+    def power(
+        self, volts: Sequence[float], amperes: Sequence[float], stamp: float, model: WireModel
+    ) -> str:
+        """The wire that takes no current, by readings acquired at `stamp` s, or ""."""
+        heat = tuple(volt**2 for volt in volts)
+        before, self._before = self._before, heat
+        if self._recent and stamp < self._recent[-1][0]:
+            self._recent.clear()
+        # In the window of a step, voltages are those of its end and currents a mean.
+        if heat != before and not _near(heat, before):
+            return self._reason
+        power = sum(v * i for v, i in zip(volts, amperes, strict=True) if not math.isnan(v * i))
+        self._recent.append((stamp, power, heat))
+        while stamp - self._recent[0][0] > _STEP_BASE:
+            _, old_power, old_heat = self._recent.popleft()
+            step = np.subtract(heat, old_heat)
+            if np.abs(step).max() >= _LEAST_STEP:
+                self._learn(step, power - old_power)
+                self._reason = self._open(model)
+        return self._reason
+
+    def _learn(self, step: np.ndarray, change: float) -> None:
+        self._squares = _FORGOTTEN * self._squares + np.outer(step, step)
+        self._products = _FORGOTTEN * self._products + step * change
+        self._power_squares = _FORGOTTEN * self._power_squares + change**2
+        self._pairs = _FORGOTTEN * self._pairs + 1.0
+
+    def _open(self, model: WireModel) -> str:
+        if self._pairs < _LEAST_PAIRS:
+            return ""
+        excited = np.diag(self._squares)
+        # Steps that were all alike tell nobody which wire they were; this keeps it finite.
+        ridge = _RIDGE * float(excited.max())
+        inverse = np.linalg.inv(self._squares + ridge * np.eye(len(excited)))
+        conductance = inverse @ self._products
+        left = max(self._power_squares - float(conductance @ self._products), 0.0)
+        noise = max(left / self._pairs, _LEAST_NOISE**2) * _OVERLAP
+        for k, channel in enumerate(self._channels):
+            share = conductance[k] * model.resistance
+            std = math.sqrt(noise * inverse[k, k]) * model.resistance
+            told_apart = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
+            if told_apart and share < _OPEN and share + 3.0 * std < _SURELY:
+                return (
+                    f"open: {channel} takes {max(share, 0.0):.0%} of its current where the "
+                    f"voltages step, beside {self._channels[1 - k]}"
+                )
+        return ""
+
+
+def _near(heat: Sequence[float], before: Sequence[float]) -> bool:
+    return len(heat) == len(before) and all(
+        abs(now - then) < 0.01 * max(now, _LEAST_STEP)
+        for now, then in zip(heat, before, strict=True)
+    )

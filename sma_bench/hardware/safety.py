@@ -230,6 +230,10 @@ class Guard:
         """Note why the recorder failed (a full disk), "" when it records or nobody minds."""
         self._recording = f"recording failed: {failure}" if failure else ""
 
+    def found(self, subject: str, reason: str) -> None:
+        """Note what somebody else found about a subject, "" for nothing."""
+        self._readings[subject] = reason
+
     def commanded(self, voltage: Sequence[float]) -> None:
         """Note the volts that were sent, one a channel: readings must follow them."""
         for wire, volt in zip(self._wires.values(), voltage, strict=True):

@@ -1,5 +1,6 @@
 """The real image on an emulated ATmega328P, in virtual time: what it does at its pins, and when."""
 
+import math
 import random
 import re
 import statistics
@@ -10,8 +11,10 @@ from virtual_host import VirtualHost
 
 from sma_bench.emulation.emulated_uno import EmulatedUno
 from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.expectation import SharedWatch, WireModel
 from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
 from sma_bench.hardware.serial_messages import CAUSES, Named, State
+from sma_bench.parameters import Parameters
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
 PWM_PERIOD = 1.024e-3
@@ -139,6 +142,24 @@ def scatter(host: VirtualHost, volt: int) -> tuple[float, float]:
     current = [channel_powers(frame, PowerCalibration())[0].current for frame in frames]
     mean = statistics.fmean(current)
     return statistics.stdev(current) / mean, mean / (volt / 2.7) - 1.0
+
+
+@pytest.mark.parametrize(("resistance", "word"), [(2.7, ""), (math.inf, "open: front_2")])
+def test_an_open_wire_beside_a_driven_one_shows_in_the_readings(
+    host: VirtualHost, resistance: float, word: str
+) -> None:
+    host.uno.electrics.resistance[:2] = [2.7, resistance]
+    host.arm()
+    watch, found = SharedWatch(("front_1", "front_2")), ""
+    model = WireModel.from_parameters(Parameters.defaults())
+    for k in range(12):
+        start = len(host.telemetry)
+        host.hold(0.5, 6000, 2000 * (k % 2), 0, 0)
+        for frame in host.telemetry[start:]:
+            powers = channel_powers(frame, PowerCalibration())[:2]
+            volts, amperes = [p.voltage for p in powers], [p.current for p in powers]
+            found = watch.power(volts, amperes, 1e-6 * frame.time_us, model) or found
+    assert found.startswith(word) and bool(found) == bool(word)
 
 
 @pytest.mark.parametrize("volt", [2, 6])

@@ -7,6 +7,7 @@ from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import BenchSensors, device_channels
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import Guard, Limits
 from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry
@@ -259,3 +260,21 @@ def test_a_calibration_far_from_nominal_is_refused(sensor):
         for value in values:
             with pytest.raises(InputError, match=f"calibration.{sensor}.{name} is"):
                 table[f"calibration.{sensor}.{name}"].validated(value, "test")
+
+
+def test_an_open_wire_beside_a_driven_one_stops_the_drive_until_it_is_reset(monkeypatch):
+    found = ["open: front_2 takes 0% of its current"]
+    monkeypatch.setattr(SharedWatch, "power", lambda *_: found[0])
+    made = Bench()
+    sensors = BenchSensors(["front", "front"], SETTINGS)
+    assert sensors.shared == ((0, 1),) and BenchSensors(["front", "back"], SETTINGS).shared == ()
+    guard = Guard(["a", "b"], ["power"], 1.0)
+    limits = Limits.from_parameters(Parameters())
+    made.driver = BenchDriver(made.link, sensors, guard, ["a", "b"], limits)
+    made.driver.temperature = lambda *_: None
+    made.read()
+    with pytest.raises(LinkError, match="open: front_2"):
+        made.driver.enable(made.now)
+    found[0] = ""
+    made.read()
+    made.driver.enable(made.now)

@@ -2,9 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from sma_bench.hardware.expectation import Lasting, WireModel, WireWatch
+from sma_bench.hardware.expectation import Lasting, SharedWatch, WireModel, WireWatch
 from sma_bench.parameters import Parameters
 
 MODEL = WireModel.from_parameters(Parameters.defaults())
@@ -165,3 +166,55 @@ def test_warming_faster_than_the_limit_is_told_but_not_a_jittering_stamp():
     assert reason == "heating rate: wire rises by 2000 K/s, limit 1000 K/s"
     assert wire.rate(300.0, 0.10, 1000.0) == ""
     assert wire.rate(math.nan, 0.2, 1000.0) == ""
+
+
+def shared_readings(draw, volts, broken, seconds):
+    """(volts, amperes) of two wires as one noisy sensor shares them out; phases follow in 0.3 s."""
+    austenite = np.zeros(2)
+    for k in range(round(seconds / PERIOD)):
+        if k % 100 == 0:
+            v = np.array(volts(draw))
+        austenite += (np.where(v > 4.5, 1.0, 0.0) - austenite) * PERIOD / 0.3
+        conductance = (1.0 + 0.17 * austenite) / R * (np.arange(2) != broken)
+        total = math.hypot(*v) or 1.0
+        mean = float(conductance @ v**2) / total + draw.normal(0.0, 0.06)
+        amperes = mean * v / total
+        yield v, np.where((v > 0.0) & (v < 0.3), np.nan, amperes)
+
+
+def found_open(volts, broken, seed, seconds):
+    draw = np.random.default_rng(seed)
+    watch = SharedWatch(("front_1", "front_2"))
+    for k, (v, i) in enumerate(shared_readings(draw, volts, broken, seconds)):
+        if reason := watch.power(v, i, PERIOD * k, MODEL):
+            return reason
+    return ""
+
+
+def weak_beside_strong(draw):
+    return 6.0, float(draw.choice([0.0, 1.5, 2.0]))
+
+
+def apart(draw):
+    return float(draw.uniform(3.0, 8.0)), float(draw.uniform(0.0, 2.5))
+
+
+def alike(draw):
+    volt = float(draw.uniform(0.0, 8.0))
+    return volt, volt / 3.0
+
+
+@pytest.mark.parametrize("volts", [weak_beside_strong, apart])
+@pytest.mark.parametrize("seed", range(4))
+def test_an_open_wire_beside_a_stronger_one_is_found_by_its_steps(volts, seed):
+    reason = found_open(volts, 1, seed, 30.0)
+    assert reason.startswith("open: front_2 takes ") and reason.endswith("beside front_1")
+
+
+@pytest.mark.parametrize("volts", [weak_beside_strong, apart, alike])
+def test_sound_wires_are_not_found_open_however_long_and_wherever_their_phases_are(volts):
+    assert [found_open(volts, None, seed, 60.0) for seed in range(2)] == ["", ""]
+
+
+def test_wires_that_always_step_alike_cannot_be_told_apart():
+    assert found_open(alike, 1, 0, 30.0) == ""
