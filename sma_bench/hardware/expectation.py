@@ -18,7 +18,7 @@ _CELSIUS_ZERO = 273.15
 _CURRENT_FLOOR = 0.1
 # V; below it the current sensor's noise says nothing about a resistance.
 _LEAST_VOLTAGE = 1.0
-# Of the voltage's tolerance, which is that at the highest voltage: what is left of it at 0 V.
+# Of the voltage's tolerance: what is left of it at 0 V.
 _LEAST_TOLERANCE = 0.2
 # s; stamps of a camera come a few ms early or late.
 _RATE_BASE = 0.05
@@ -94,7 +94,7 @@ class WireModel:
 
     def allowed_deviation(self, volt: float) -> float:
         """V by which a commanded voltage and its reading may differ: less at small ones."""
-        share = max(volt / self.maximum_voltage, _LEAST_TOLERANCE)
+        share = _LEAST_TOLERANCE + volt / self.maximum_voltage
         return self.voltage_tolerance * min(share, 1.0)
 
 

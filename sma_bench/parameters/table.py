@@ -206,7 +206,7 @@ BENCH = (
     Parameter(
         "bench.voltage_tolerance", "V", 0.5,
         "A wire's voltage may differ from the commanded one by this at bench.maximum_voltage, by "
-        "less below, down to a fifth.",
+        "less below, by a fifth of it at 0 V.",
         "assumed: 5 % of the range", 0.05, 60.0,
     ),
     Parameter(
