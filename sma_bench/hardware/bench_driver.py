@@ -72,11 +72,11 @@ class BenchDriver:
 
     # --- requests -----------------------------------------------------------------------------
 
-    def command(self, voltage: Sequence[float], now: float) -> str:
-        """Take a command (V, one a channel); the reason when it is rejected."""
+    def command(self, voltage: Sequence[float], now: float, sender: str = "") -> str:
+        """Take a sender's command (V, one a channel); the reason when it is rejected."""
         if not self.enabled and any(voltage):
             return self.gate.refuse(f"not enabled ({self.state})")
-        reason = self.gate.command(voltage, now)
+        reason = self.gate.command(voltage, now, sender)
         if not reason:
             self._driven = -math.inf  # the next tick sends it
         return reason

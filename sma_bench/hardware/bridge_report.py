@@ -53,6 +53,7 @@ def driver_values(driver: BenchDriver, now: float) -> dict[str, str]:
         "supply_volts": f"{driver.supply:.2f}",
         "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
         "applied": " ".join(f"{volt:.2f}" for volt in driver.applied),
+        "commander": gate.commander,
         "accepted_commands": str(gate.accepted),
         "rejected_commands": str(gate.rejected),
         "command_timeouts": str(gate.timeouts),

@@ -114,7 +114,11 @@ class Watchdog:
 
 
 class CommandGate:
-    """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V."""
+    """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V.
+
+    One commander at a time: the first, until it is silent for the command timeout. 0 V is obeyed
+    from anybody, for as long as a command is.
+    """
 
     def __init__(self, channels: int, limits: Limits) -> None:
         self._limits = limits
@@ -122,21 +126,35 @@ class CommandGate:
         self._zero = (0.0,) * channels
         self._outputs = self._zero
         self._live = False
+        self._commander = ""
+        self._zeroed = Watchdog(limits.command_timeout)
         self.accepted = 0
         self.rejected = 0
         self.timeouts = 0
         self.last_rejection = ""
 
-    def command(self, values: Sequence[float], now: float) -> str:
+    def command(self, values: Sequence[float], now: float, sender: str = "") -> str:
         """Take a command at `now` s; the reason when it is rejected and changes nothing."""
         reason = command_fault(values, len(self._zero), self._limits)
         if reason:
             return self.refuse(reason)
+        if self._live and sender != self._commander and not self._watchdog.expired(now):
+            if any(values):
+                return self.refuse(f"{_named(sender)}: {_named(self._commander)} commands already")
+            self._zeroed.feed(now)
+            self.accepted += 1
+            return ""
+        self._commander = sender
         self._watchdog.feed(now)
         self._outputs = tuple(float(value) for value in values)
         self._live = True
         self.accepted += 1
         return ""
+
+    @property
+    def commander(self) -> str:
+        """Who commands; "" where nobody does."""
+        return _named(self._commander) if self._live else ""
 
     def refuse(self, reason: str) -> str:
         """Count a command that cannot be obeyed now; the reason."""
@@ -155,7 +173,12 @@ class CommandGate:
             self._live = False
             self._outputs = self._zero
             self.timeouts += 1
-        return self._outputs
+        return self._outputs if self._zeroed.expired(now) else self._zero
+
+
+def _named(sender: str) -> str:
+    """A sender for people: what makes it unique is left out."""
+    return sender.partition("#")[0] or "a node without a name"
 
 
 class Freshness:

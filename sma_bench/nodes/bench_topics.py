@@ -9,9 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from sma_bench.nodes.base import MEASURED
 from sma_bench.nodes.virtual_bench import NANOSECONDS, Reading
@@ -19,30 +17,6 @@ from sma_bench.nodes.virtual_bench import NANOSECONDS, Reading
 NAN = float("nan")
 # Triangulation sensor of the composite rig: assumed to see 20 to 300 mm.
 _NEAREST, _FARTHEST = 0.02, 0.3
-
-
-# Hears a best-effort publisher too; a command that is lost is followed by the next.
-COMMANDED = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
-def voltage_command(channels: Sequence[str], volts: Sequence[float]) -> Float64MultiArray:
-    """V of every channel; the layout's one dimension is labelled with the channels' names."""
-    size = len(volts)
-    dim = MultiArrayDimension(label=" ".join(channels), size=size, stride=size)
-    return Float64MultiArray(layout=MultiArrayLayout(dim=[dim]), data=volts)
-
-
-def layout_fault(message: Float64MultiArray, channels: Sequence[str]) -> str:
-    """Why a command's layout, where it has one, is not that of these channels, or ""."""
-    layout, names = message.layout, " ".join(channels)
-    if layout.data_offset or len(layout.dim) > 1:
-        return "voltage_command has another layout, expected one dimension, no offset"
-    for dim in layout.dim:
-        if dim.label not in ("", names):
-            return f"voltage_command is for {dim.label[:80]!r}, expected {names!r}"
-        if dim.size not in (0, len(channels)):
-            return f"voltage_command has a dimension of {dim.size}, expected {len(channels)}"
-    return ""
 
 
 class PowerTopics:

@@ -39,6 +39,7 @@ from sma_bench.dashboard.live_state import (
 )
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED, OneThreadExecutor
+from sma_bench.nodes.commander import COMMAND, signature, voltage_command
 from sma_bench.nodes.discovery import choose_discovery
 from sma_bench.nodes.recorder_state import recorder_state
 from sma_bench.records.contract import place_of
@@ -76,7 +77,8 @@ class DashboardNode(Node):
         self._told: dict[str, dict[str, Any]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
-        self._command = self.create_publisher(Float64MultiArray, "voltage_command", 10)
+        self._command = self.create_publisher(Float64MultiArray, COMMAND, 10)
+        self._signature = signature(self)
         self._listen("/diagnostics", DiagnosticArray, self._on_diagnostics, 50)
         self.create_timer(_LOOK_EVERY, self._look)
         self.create_timer(_ASK_EVERY, self._ask)
@@ -93,7 +95,8 @@ class DashboardNode(Node):
         wires = len(self.state.newest("voltage"))
         count = self._commanded or len(self._channels) or wires
         if count:
-            self._command.publish(Float64MultiArray(data=[0.0] * count))
+            channels = self._channels if len(self._channels) == count else ()
+            self._command.publish(voltage_command(channels, [0.0] * count, self._signature))
         return bool(count)
 
     # --- what is there ------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from sma_bench.border import is_inside
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Interlock, Limits
 from sma_bench.nodes.base import LATCHED, MEASURED, BenchNode, run_node
-from sma_bench.nodes.bench_topics import voltage_command
+from sma_bench.nodes.commander import COMMAND, signature, voltage_command
 from sma_bench.nodes.recorder_state import follow_recorder
 from sma_bench.protocols import Protocol, load_protocol
 from sma_bench.protocols.reading import is_path
@@ -70,10 +70,10 @@ class Experiment(BenchNode):
         self._autostart = self.settings["autostart"]
         channels = self.parameters["bench.channels"]
         self._zero = [0.0] * len(channels)
-        self._labelled = partial(voltage_command, channels)
+        self._labelled = partial(voltage_command, channels, signed=signature(self))
         self._feedback_timeout = max(self.settings["feedback_timeout"], patience)
         self._guard = Guard(channels, self.settings["feedback"], self._feedback_timeout)
-        self._command = self.create_publisher(Float64MultiArray, "voltage_command", MEASURED)
+        self._command = self.create_publisher(Float64MultiArray, COMMAND, MEASURED)
         self._marker = self.create_publisher(String, "experiment/marker", LATCHED)
         self._state_publisher = self.create_publisher(String, "~/state", LATCHED)
         self._progress = self.create_publisher(String, "~/progress", LATCHED)

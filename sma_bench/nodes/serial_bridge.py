@@ -28,7 +28,8 @@ from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port
 from sma_bench.nodes.base import LATCHED, BenchNode, run_node
-from sma_bench.nodes.bench_topics import COMMANDED, PowerTopics, RangeTopics, layout_fault
+from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics
+from sma_bench.nodes.commander import COMMAND, COMMANDED, Commanders, layout_fault
 from sma_bench.nodes.recorder_state import follow_recorder
 
 _NANOSECONDS = 1e9
@@ -88,8 +89,9 @@ class SerialBridge(BenchNode):
         self._ranges = RangeTopics(self, sensors) if sensors else None
         self._state = self.create_publisher(String, "~/state", LATCHED)
         self.create_subscription(
-            Float64MultiArray, "voltage_command", self._on_command, COMMANDED
+            Float64MultiArray, COMMAND, self._on_command, COMMANDED
         )
+        self._commanders = Commanders(self)
         for channel in self._channels:
             self.create_subscription(
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, channel), 10
@@ -140,10 +142,12 @@ class SerialBridge(BenchNode):
         self._tally.note(time.monotonic() - reading.time)
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        if fault := layout_fault(message, self._channels):
+        sender, obstacle = self._commanders.of(message)
+        fault = layout_fault(message, self._channels) or (obstacle if any(message.data) else "")
+        if fault:
             reason = self._driver.gate.refuse(fault)
         else:
-            reason = self._driver.command(message.data, time.monotonic())
+            reason = self._driver.command(message.data, time.monotonic(), sender)
         if reason:
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
 
@@ -202,7 +206,7 @@ class SerialBridge(BenchNode):
             **driver_values(self._driver, time.monotonic()),
             **tally_values(self._tally, _REPORT),
             **link_values(status),
-            "commanders": str(self.count_publishers("voltage_command")),
+            "commanders": str(self.count_publishers(COMMAND)),
         }
         self._tally = Tally(temperatures=self._tally.temperatures)
         return [self.status(

@@ -13,7 +13,8 @@ from std_msgs.msg import Float64MultiArray
 from sma_bench.hardware.lockstep import REAL_TIME, Lockstep
 from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.nodes.base import BenchNode, run_node
-from sma_bench.nodes.bench_topics import COMMANDED, BenchTopics, layout_fault
+from sma_bench.nodes.bench_topics import BenchTopics
+from sma_bench.nodes.commander import COMMAND, COMMANDED, Commanders, layout_fault
 from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
 
 # A bench in real time answers a command within 10 ms, the period of its power readings.
@@ -47,8 +48,9 @@ class Simulator(BenchNode):
         self._clock_sent = 0.0
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self._fast else None
         self.create_subscription(
-            Float64MultiArray, "voltage_command", self._command, COMMANDED
+            Float64MultiArray, COMMAND, self._command, COMMANDED
         )
+        self._commanders = Commanders(self)
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         tick = max(slice_length / speed, _SHORTEST_TICK)
         self.create_timer(tick, self._tick, clock=steady)
@@ -58,8 +60,11 @@ class Simulator(BenchNode):
 
     def _command(self, message: Float64MultiArray) -> None:
         now = self._now / NANOSECONDS
+        sender, obstacle = self._commanders.of(message)
         fault = layout_fault(message, self._bench.channels)
-        reason = self._gate.refuse(fault) if fault else self._gate.command(message.data, now)
+        fault = fault or (obstacle if any(message.data) else "")
+        reason = self._gate.refuse(fault) if fault else self._gate.command(
+            message.data, now, sender)  # fmt: skip
         if reason:
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
             return
@@ -98,6 +103,7 @@ class Simulator(BenchNode):
         self._reported = (self._now, counts)
         elapsed = max(self._now - before, 1) / NANOSECONDS
         values = {
+            "commander": self._gate.commander,
             "accepted_commands": self._gate.accepted,
             "rejected_commands": self._gate.rejected,
             "command_timeouts": self._gate.timeouts,

@@ -211,3 +211,43 @@ def test_what_is_no_number_makes_nothing_fresh(wrong):
             made.power(channel, 1.0, 0.5, stamp=now, now=now, limits=LIMITS)
             made.temperature(channel, wrong, stamp=now, now=now, limits=LIMITS)
     assert made.fault(3.95) != ""
+
+
+def test_a_second_commander_is_refused_until_the_first_is_silent():
+    gate = CommandGate(1, LIMITS)
+    assert gate.command([3.0], 0.0, "/bench/experiment#1") == ""
+    for k in range(1, 100):
+        now = 0.02 * k
+        assert gate.command([3.0], now, "/bench/experiment#1") == ""
+        reason = gate.command([6.0], now, "/bench/experiment#2")
+        assert reason == "/bench/experiment: /bench/experiment commands already"
+        assert "a node without a name: /bench/experiment commands" in gate.command([6.0], now)
+        assert gate.outputs(now) == (3.0,)
+    assert gate.commander == "/bench/experiment"
+    assert (gate.rejected, gate.last_rejection) == (198, gate.last_rejection)
+    assert gate.command([6.0], now + 0.49, "/bench/experiment#2") != ""
+    assert gate.command([6.0], now + 0.51, "/bench/experiment#2") == ""
+    assert gate.outputs(now + 0.51) == (6.0,)
+    assert gate.command([3.0], now + 0.52, "/bench/experiment#1") != ""
+
+
+def test_zero_volts_are_obeyed_from_anybody_and_make_nobody_the_commander():
+    gate = CommandGate(1, LIMITS)
+    gate.command([3.0], 0.0, "/first#1")
+    for k in range(1, 40):
+        now = 0.02 * k
+        assert gate.command([0.0], now, "/bench/dashboard#2") == ""
+        assert gate.command([3.0], now, "/first#1") == ""
+        assert gate.outputs(now) == (0.0,)
+    assert gate.command([6.0], now, "/bench/dashboard#2") != ""
+    for k in range(1, 40):
+        gate.command([3.0], now + 0.02 * k, "/first#1")
+    assert gate.outputs(now + 0.78) == (3.0,)
+
+
+def test_a_commander_of_zero_volts_holds_the_outputs_until_it_is_silent():
+    gate = CommandGate(1, LIMITS)
+    gate.command([0.0], 0.0, "/done#1")
+    assert "commands already" in gate.command([3.0], 0.1, "/second#2")
+    gate.clear()
+    assert gate.command([3.0], 0.2, "/second#2") == ""

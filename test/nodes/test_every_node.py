@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension  # noqa: E402
 from sma_bench.errors import InputError  # noqa: E402
 from sma_bench.nodes.arguments import check_arguments  # noqa: E402
 from sma_bench.nodes.base import BenchNode, OneThreadExecutor  # noqa: E402
-from sma_bench.nodes.bench_topics import layout_fault, voltage_command  # noqa: E402
+from sma_bench.nodes.commander import layout_fault, voltage_command  # noqa: E402
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 # Made by rclpy before a node's parameters can be.
@@ -144,6 +144,8 @@ def test_a_command_says_which_channels_it_is_for():
     (dim,) = command.layout.dim
     assert (dim.label, dim.size, dim.stride) == ("front_1 back_1", 2, 2)
     assert layout_fault(command, CHANNELS) == ""
+    assert layout_fault(voltage_command(CHANNELS, [1.0, 2.0], "/bench/a#1"), CHANNELS) == ""
+    assert layout_fault(voltage_command((), [1.0, 2.0], "/bench/a#1"), CHANNELS) == ""
     assert layout_fault(Float64MultiArray(data=[1.0, 2.0]), CHANNELS) == ""  # says nothing
 
 

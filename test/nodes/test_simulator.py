@@ -5,10 +5,13 @@ import signal
 import time
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray
+
+from sma_bench.nodes.commander import signature, voltage_command
 
 COMPOSITE = "config/composite_rig.yaml"
 SLICE = 0.05
@@ -135,3 +138,53 @@ def test_simulated_time_goes_on_without_a_driver_that_left_and_its_silence_times
     bench.until(lambda: counter(diagnostics, "command_timeouts") == 1)
     bench.until(lambda: power[-1].voltage < 0.1)
     assert len([m for m in power if m.voltage > 1.0]) == pytest.approx(0.5 * 100, abs=6)
+
+
+def text(diagnostics, key):
+    """Newest text under a key of the simulator's diagnostics."""
+    return next((i.value for i in diagnostics[-1].status[0].values if i.key == key), "")
+
+
+def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(bench):
+    power = bench.listen("wire/power", BatteryState)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    bench.start("simulator")
+    topic = bench.talk("voltage_command", Float64MultiArray)
+    first, second = signature(bench.node), signature(bench.node)
+
+    def both(*extra):
+        topic.publish(voltage_command((), [3.0], first))
+        for message in extra:
+            topic.publish(message)
+
+    def applied(low, high):
+        return power and low < power[-1].voltage < high
+
+    bench.until(lambda: both() or applied(2.9, 3.1))
+    for other in (voltage_command((), [6.0], second), volts(6.0)):
+        seen = len(power)
+        bench.until(lambda: both(other) or len(power) > seen + 60)  # noqa: B023
+        assert max(message.voltage for message in power[seen + 20:]) < 3.1
+    bench.until(lambda: both() or "commands already" in text(diagnostics, "last_rejection"))
+    assert text(diagnostics, "commander") == bench.node.get_fully_qualified_name()
+    # 0 V is obeyed from anybody.
+    bench.until(lambda: both(volts(0.0)) or applied(-0.1, 0.1))
+    bench.until(lambda: topic.publish(voltage_command((), [6.0], second)) or applied(5.9, 6.1))
+
+
+def test_unsigned_commands_of_two_nodes_are_refused(bench, tmp_path):
+    power = bench.listen("wire/power", BatteryState)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    bench.start("simulator")
+    bench.start("experiment")  # signs: beside it a script may still drive
+    topic = bench.talk("voltage_command", Float64MultiArray)
+    bench.until(lambda: topic.publish(volts(3.0)) or (power and power[-1].voltage > 2.9))
+    other = rclpy.create_node("other", namespace="/bench")
+    other.create_publisher(Float64MultiArray, "voltage_command", 10)
+    try:
+        bench.until(lambda: topic.publish(volts(3.0)) or power[-1].voltage < 0.1)
+        bench.until(lambda: topic.publish(volts(3.0)) or "several nodes may send them: /bench/"
+                    "other, /bench/test" in text(diagnostics, "last_rejection"))  # fmt: skip
+    finally:
+        other.destroy_node()
+    bench.until(lambda: topic.publish(volts(3.0)) or power[-1].voltage > 2.9)
