@@ -2,10 +2,11 @@
 
 import math
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
@@ -172,6 +173,16 @@ def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(b
     bench.until(lambda: topic.publish(voltage_command((), [6.0], second)) or applied(5.9, 6.1))
 
 
+OTHER = """
+import rclpy
+from std_msgs.msg import Float64MultiArray
+rclpy.init()
+node = rclpy.create_node("other", namespace="/bench")
+publisher = node.create_publisher(Float64MultiArray, "voltage_command", 10)
+rclpy.spin(node)
+"""
+
+
 def test_unsigned_commands_of_two_nodes_are_refused(bench, tmp_path):
     power = bench.listen("wire/power", BatteryState)
     diagnostics = bench.listen("/diagnostics", DiagnosticArray)
@@ -179,12 +190,12 @@ def test_unsigned_commands_of_two_nodes_are_refused(bench, tmp_path):
     bench.start("experiment")  # signs: beside it a script may still drive
     topic = bench.talk("voltage_command", Float64MultiArray)
     bench.until(lambda: topic.publish(volts(3.0)) or (power and power[-1].voltage > 2.9))
-    other = rclpy.create_node("other", namespace="/bench")
-    other.create_publisher(Float64MultiArray, "voltage_command", 10)
+    other = subprocess.Popen([sys.executable, "-c", OTHER], stderr=subprocess.DEVNULL)
     try:
         bench.until(lambda: topic.publish(volts(3.0)) or power[-1].voltage < 0.1)
         bench.until(lambda: topic.publish(volts(3.0)) or "several nodes may send them: /bench/"
                     "other, /bench/test" in text(diagnostics, "last_rejection"))  # fmt: skip
     finally:
-        other.destroy_node()
+        other.send_signal(signal.SIGINT)  # not killed: it would be thought alive for 20 s
+        other.wait()
     bench.until(lambda: topic.publish(volts(3.0)) or power[-1].voltage > 2.9)
