@@ -152,7 +152,8 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
     clock = {"use_sim_time": speed > 1.0}
     nodes = _bench(values, mode, speed, with_camera)
     nodes.append(PlannedNode("experiment", {
-        "protocol": values["protocol"], "autostart": switch(values, "autostart"), **clock,
+        "protocol": values["protocol"], "autostart": switch(values, "autostart"),
+        "require_recorder": switch(values, "record"), **clock,
     }))  # fmt: skip
     if switch(values, "record"):
         nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))

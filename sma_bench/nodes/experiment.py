@@ -26,9 +26,10 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Interlock, Limits
 from sma_bench.nodes.base import LATCHED, MEASURED, BenchNode, run_node
 from sma_bench.nodes.commander import COMMAND, signature, voltage_command
-from sma_bench.nodes.recorder_state import follow_recorder
+from sma_bench.nodes.recorder_state import BRIDGE, TOPIC, Beside, follow_recorder
 from sma_bench.protocols import Protocol, load_protocol
 from sma_bench.protocols.reading import is_path
+from sma_bench.records.contract import place_of
 
 _FILES = frozenset({"protocol", "reference"})
 _FEEDBACK = ("power", "temperature")
@@ -38,6 +39,8 @@ _WATCH_EVERY = 0.05
 # nothing is heated meanwhile.
 _SIMULATION_PAUSE = 10.0
 _LAST_WORD = 0.5
+# Wall seconds that a start waits for the recorder to hear every topic: discovery takes up to three.
+_RECORDER_PATIENCE = 10.0
 # Wall seconds of 0 V before a protocol: by then a simulated bench runs in step with the commands.
 _LEAD_IN = 0.25
 _PROGRESS_EVERY = 0.25
@@ -87,6 +90,12 @@ class Experiment(BenchNode):
                 NEWEST,
             )
         follow_recorder(self, self._guard.recorder)
+        self._beside = Beside(self.settings["require_recorder"])
+        self._patience = math.inf
+        self.create_subscription(String, BRIDGE, self._on_bridge, LATCHED)
+        self.create_subscription(
+            String, TOPIC, lambda m: self._beside.recorder(m.data, time.monotonic()), LATCHED
+        )
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -156,6 +165,18 @@ class Experiment(BenchNode):
             },
         )]  # fmt: skip
 
+    # Who is beside
+
+    def _on_bridge(self, message: String) -> None:
+        self._beside.bridge(message.data)
+        if self._state == "running":
+            self._check()
+
+    def on_time_went_back(self, reason: str) -> None:
+        """No step and no volt would be that of its time."""
+        if self._state == "running":
+            self._abort(reason)
+
     # Readings
 
     def _on_power(self, channel: str, message: BatteryState) -> None:
@@ -184,15 +205,18 @@ class Experiment(BenchNode):
     def _watch(self) -> None:
         """The same care on a clock that goes on when a simulation stops."""
         if self._autostart and self._state == "idle" and not self._obstacle():
-            self._autostart = False
-            self._start()
+            if not (unheard := self._unheard()):
+                self._autostart = False
+                self._start()
+            elif time.monotonic() > self._patience:
+                self._abort(f"not started: {_not_heard(unheard)}")
         if self._state == "running":
             self._check()
         elif self._state == "aborted":
             self._send(self._zero)
 
     def _check(self) -> None:
-        reason = self.fault()
+        reason = self.fault() or self._beside.fault(time.monotonic())
         if reason:
             self._abort(reason)
 
@@ -217,7 +241,20 @@ class Experiment(BenchNode):
             return "nothing listens to voltage_command"
         if self._clock.now().nanoseconds == 0:
             return "use_sim_time is set, but there is no /clock"
-        return self.fault()
+        present = {name for name in (BRIDGE, TOPIC) if self.count_publishers(name)}
+        return self._beside.obstacle(present, time.monotonic()) or self.fault()
+
+    def _unheard(self) -> list[str]:
+        """Topics of the bench that the recorder has to hear, and does not yet."""
+        if not self.settings["require_recorder"]:
+            return []
+        inside = self.get_namespace().rstrip("/") + "/"
+        published = [
+            topic for topic, types in self.get_topic_names_and_types()
+            if (place := place_of(topic)) and topic.startswith(inside) and place.type in types
+            and self.count_publishers(topic)
+        ]  # fmt: skip
+        return self._beside.unheard(published)
 
     def _start(self) -> None:
         self._protocol = self.plan(self.settings)
@@ -227,6 +264,7 @@ class Experiment(BenchNode):
         self._enter("running", self._protocol.name)
 
     def _abort(self, reason: str) -> None:
+        self._autostart = False
         self._interlock.trip(reason)
         self._send(self._zero)
         self.get_logger().error(f"0 V: {reason}")
@@ -274,13 +312,15 @@ class Experiment(BenchNode):
             return _answer(response, False, f"aborted: {self._interlock.reason}; reset first")
         if obstacle := self._obstacle():
             return _answer(response, False, obstacle)
+        if unheard := self._unheard():
+            self._autostart, self._patience = True, time.monotonic() + _RECORDER_PATIENCE
+            why = f"starts as soon as all is recorded: {_not_heard(unheard)}"
+            return _answer(response, True, why)
         try:
             self._start()
         except InputError as error:
             return _answer(response, False, str(error))
-        return _answer(
-            response, True, f"{self._protocol.name}: {self._protocol.duration:g} s"
-        )
+        return _answer(response, True, f"{self._protocol.name}: {self._protocol.duration:g} s")
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._abort("stopped on request")
@@ -293,6 +333,10 @@ class Experiment(BenchNode):
         self._guard.recorder("")
         self._enter("idle")
         return _answer(response, True, "idle")
+
+
+def _not_heard(topics: list[str]) -> str:
+    return f"the recorder does not hear {', '.join(topics)} yet"
 
 
 def seconds(message: BatteryState | Temperature | JointState) -> float:

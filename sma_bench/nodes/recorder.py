@@ -64,6 +64,10 @@ class Recorder(BenchNode):
         # Listeners would otherwise miss how it ended.
         self._state.wait_for_all_acked(Duration(seconds=_LAST_WORD))
 
+    def on_time_went_back(self, reason: str) -> None:
+        """What would be written from now on could not be told from what is written already."""
+        self.fail(InputError(f"{self._bag.path}: {reason}"))
+
     def _look(self) -> None:
         inside = self.get_namespace().rstrip("/") + "/"
         for topic, types in self.get_topic_names_and_types():

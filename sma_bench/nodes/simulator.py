@@ -7,9 +7,11 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
+from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
+from sma_bench.errors import InputError
 from sma_bench.hardware.lockstep import REAL_TIME, Lockstep
 from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.nodes.base import BenchNode, run_node
@@ -23,6 +25,8 @@ _SHORTEST_TICK = 0.002
 # Slices in one callback, so that commands and services get their turn.
 _SLICES_AT_ONCE = 8
 _CLOCK_REPEAT = 0.05
+_CLOCK_WATCH = 0.5
+_CLOCK = "/clock"
 
 
 class Simulator(BenchNode):
@@ -35,6 +39,8 @@ class Simulator(BenchNode):
         limits = Limits.from_parameters(self.parameters)
         speed = self.settings["speed"]
         self._fast = speed > REAL_TIME
+        if self._fast:
+            self._be_the_only_clock()
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
         self._slice = round(slice_length * NANOSECONDS)
         self._now = 0
@@ -46,7 +52,7 @@ class Simulator(BenchNode):
         )
         self._topics = BenchTopics(self, self._bench.channels, self._bench.composite)
         self._clock_sent = 0.0
-        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if self._fast else None
+        self._clock_publisher = self.create_publisher(Clock, _CLOCK, 10) if self._fast else None
         self.create_subscription(
             Float64MultiArray, COMMAND, self._command, COMMANDED
         )
@@ -57,6 +63,30 @@ class Simulator(BenchNode):
         self._reported = (0, self._topics.counts())
         channels = ", ".join(self._bench.channels)
         self.get_logger().info(f"simulating {channels}, {speed:g} s a second")
+
+    def _be_the_only_clock(self) -> None:
+        """Two times on one topic would spoil the records of both benches without a word."""
+        try:
+            self.claim(self.resolve_topic_name(_CLOCK))
+        except InputError as error:
+            raise InputError(f"{error}; above real time each bench needs its own domain") from None
+        self._others: Subscription | None = None
+        self.create_timer(
+            _CLOCK_WATCH, self._watch_clock, clock=RosClock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _watch_clock(self) -> None:
+        # The graph still lists who was killed: only what is heard counts.
+        if self._others is None and self.count_publishers(_CLOCK) > 1:
+            self._others = self.create_subscription(Clock, _CLOCK, self._hear_clock, 10)
+
+    def _hear_clock(self, message: Clock) -> None:
+        time_ns = message.clock.sec * NANOSECONDS + message.clock.nanosec
+        if (time_ns - self._epoch) % self._slice:  # no tick of this clock
+            infos = self.get_publishers_info_by_topic(_CLOCK)
+            names = {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
+            others = ", ".join(sorted(names - {self.get_fully_qualified_name()})) or "another node"
+            self.fail(InputError(f"{_CLOCK} has a second publisher: {others}"))
 
     def _command(self, message: Float64MultiArray) -> None:
         now = self._now / NANOSECONDS

@@ -15,6 +15,12 @@ COMMAND_RATE = Parameter(
     "choice: ten commands within the default command timeout", 2.0, 500.0, read_only=True,
 )
 
+REQUIRE_RECORDER = Parameter(
+    "require_recorder", "", False,
+    "Start, and go on, only while the recorder of the namespace hears every topic.",
+    "choice: set by the launch files where they start one", kind="bool", read_only=True,
+)
+
 SIMULATOR = fixed(
     Parameter(
         "speed", "1", 1.0,
@@ -121,6 +127,7 @@ EXPERIMENT = (
         "autostart", "", False, "Start as soon as the bench answers.", "choice", kind="bool",
         read_only=True,
     ),
+    REQUIRE_RECORDER,
     COMMAND_RATE,
     Parameter(
         "feedback", "", ("power", "temperature"),

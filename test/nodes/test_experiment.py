@@ -196,6 +196,50 @@ def test_a_second_of_a_name_is_refused_and_the_first_goes_on(bench, running):
     bench.until(lambda: "idle" in third.output)
 
 
+def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothing_records(
+    bench, protocol
+):
+    fake = FakeBench(bench)
+    bench.start("experiment", protocol=protocol(LONG), require_recorder=True)
+    bench.until(lambda: fake.state == "idle")
+    bench.until(lambda: "no recorder is there" in bench.trigger("experiment/start").message)
+    recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
+    heard = {f"/bench/{name}": 1 for name in ("voltage_command", "wire/power")}
+
+    def record(state, messages, failure=""):
+        recorder.publish(String(data=json.dumps(
+            {"state": state, "output": "bag", "failure": failure, "messages": messages}
+        )))  # fmt: skip
+
+    record("recording", heard)
+    answer = bench.until(lambda: (a := bench.trigger("experiment/start")).success and a)
+    assert "does not hear /bench/experiment/marker, /bench/wire/temperature yet" in answer.message
+    assert fake.state == "idle"
+    record("recording", heard | {"/bench/experiment/marker": 0, "/bench/wire/temperature": 9})
+    bench.until(lambda: fake.state == "running: long")
+    record("closed", heard)
+    bench.until(lambda: fake.state == "aborted: the recorder does not record: closed")
+    until_zero(bench, fake)
+
+
+def test_no_run_without_the_bridge_and_the_bridges_own_reason_when_it_stops(bench, protocol):
+    fake = FakeBench(bench)
+    bridge = bench.node.create_publisher(String, "serial_bridge/state", LATCHED)
+    bridge.publish(String(data="idle"))
+    bench.start("experiment", protocol=protocol(LONG))
+    bench.until(lambda: fake.state == "idle")
+    answer = bench.until(
+        lambda: "bridge" in (a := bench.trigger("experiment/start")).message and a
+    )
+    assert not answer.success and answer.message == "serial_bridge is not enabled: idle"
+    bridge.publish(String(data="enabled"))
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: fake.state == "running: long")
+    bridge.publish(String(data="stopped: supply at 5.1 V"))
+    bench.until(lambda: fake.state == "aborted: serial_bridge: stopped: supply at 5.1 V")
+    until_zero(bench, fake)
+
+
 def test_over_current_aborts(bench, running):
     fake, _ = running
     fake.ampere = 3.5

@@ -106,7 +106,7 @@ def test_arguments_reach_the_nodes(monkeypatch):
     )
     assert own(actions, "simulator") == {"speed": 10.0}
     assert own(actions, "experiment") == {
-        "protocol": "ramp", "autostart": True, "use_sim_time": True
+        "protocol": "ramp", "autostart": True, "use_sim_time": True, "require_recorder": True
     }
     assert own(actions, "recorder") == {"output": "20261121", "use_sim_time": True}
     assert own(actions, "twin") == {"use_sim_time": True}

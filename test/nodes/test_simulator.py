@@ -10,7 +10,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.nodes.commander import signature, voltage_command
 
@@ -199,3 +199,30 @@ def test_unsigned_commands_of_two_nodes_are_refused(bench, tmp_path):
         other.send_signal(signal.SIGINT)  # not killed: it would be thought alive for 20 s
         other.wait()
     bench.until(lambda: topic.publish(volts(3.0)) or power[-1].voltage > 2.9)
+
+
+def test_a_second_simulated_clock_is_refused_and_the_first_bench_goes_on(bench):
+    first = bench.start("simulator", speed=5.0)
+    bench.until(lambda: "simulating" in first.output)
+    second = bench.start("simulator", speed=5.0, remap={"__node": "second"})
+    bench.until(lambda: second.process.poll() is not None)
+    assert second.process.returncode == 2
+    assert second.output.count("\n") == 1 and "/clock is there already" in second.output
+    assert first.process.poll() is None
+
+
+def test_a_foreign_clock_ends_simulation_run_and_record_with_its_publishers_name(bench, tmp_path):
+    states = bench.latched("experiment/state", String)
+    simulator = bench.start("simulator", speed=2.0)
+    experiment = bench.start("experiment", protocol="staircase", use_sim_time=True, autostart=True)
+    recorder = bench.start("recorder", output=str(tmp_path / "bag"), use_sim_time=True)
+    bench.until(lambda: states and states[-1].data == "running: staircase")
+    bench.until(lambda: "recording /bench/wire/power" in recorder.output)
+    player = bench.node.create_publisher(Clock, "/clock", 10)
+    bench.node.create_timer(0.02, lambda: player.publish(Clock()))
+    bench.until(lambda: states[-1].data.startswith("aborted: simulated time went back by"))
+    bench.until(lambda: None not in (simulator.process.poll(), recorder.process.poll()))
+    assert "/clock has a second publisher: /bench/test" in simulator.output
+    assert "bag: simulated time went back by" in recorder.output
+    assert "Traceback" not in simulator.output + experiment.output + recorder.output
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
