@@ -13,6 +13,8 @@ _LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2
 _CLOCK_TOLERANCE = 0.1
 _DRIFT_TOLERANCE = 0.05
 _FUTURE_TOLERANCE = 0.01
+# s; a step of a protocol is longer, a delay that grows at once shrinks with every message.
+_JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 _FLAT_SAMPLES = 20
 _ENTRY_SAMPLES = 3
 _ENTRY_FRACTION = 0.01
@@ -36,7 +38,8 @@ _EVENTS = ("voltage_command",)
 def check_record(record: Record) -> list[Finding]:
     """Everything to know before using a record, what the reader noticed included."""
     found = list(record.findings)
-    for check in (_absent, _order, _missing_values, _rate, _clocks, _units, _saturation):
+    checks = (_absent, _order, _missing_values, _rate, _clocks, _two_times, _units, _saturation)
+    for check in checks:
         found += check(record)
     return found
 
@@ -137,6 +140,30 @@ def _clocks(record: Record) -> Iterator[Finding]:
         elif -1.0 < median < -_FUTURE_TOLERANCE:
             text = f"stamps lie {-median:.3f} s after the messages were received"
             yield Finding("warning", topic, text, {"offset": median})
+
+
+def _two_times(record: Record) -> Iterator[Finding]:
+    """What a second publisher of /clock leaves behind: a run or a recorder in two times."""
+    for signal in record.signals.values():
+        if signal.received is None:
+            continue
+        steps = np.diff(signal.received - signal.time)
+        jumps = np.abs(steps[np.abs(steps) > _JUMP])
+        turns = min(int(np.sum(steps > _JUMP)), int(np.sum(steps < -_JUMP)))
+        if turns > _FEW_TURNS:
+            text = (
+                f"receive times jump to and fro {turns} times, by about {np.median(jumps):.3g} s: "
+                "two publishers of /clock?"
+            )
+            yield Finding("warning", signal.topic or signal.name, text, {"turns": float(turns)})
+    between = zip(record.markers, record.markers[1:], record.markers[2:], strict=False)
+    turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
+    if turns > _FEW_TURNS:
+        text = (
+            f"{len(record.markers)} steps, {turns} times back in the one before the last within "
+            f"{_TURN:g} s: a run on two publishers of /clock?"
+        )
+        yield Finding("warning", "experiment/marker", text, {"turns": float(turns)})
 
 
 def _units(record: Record) -> Iterator[Finding]:

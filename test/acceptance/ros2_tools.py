@@ -332,6 +332,17 @@ def colcon_test(stage: Stage) -> str:
     return found[0].removeprefix("Summary: ")
 
 
+@row("8", "the first start of an installed package: a simulated composite bench")
+def first_start(stage: Stage) -> str:
+    power = stage.ears.hear("/first/front_1/power", "sensor_msgs/msg/BatteryState")
+    started = time.monotonic()
+    bench = stage.launch("composite_bench", namespace="first")
+    bench.says("[simulator-1] [INFO]", 240.0)
+    word = time.monotonic() - started
+    until(lambda: power, "no reading", 240.0, bench)
+    return f"first word after {word:.1f} s, first reading after {time.monotonic() - started:.1f} s"
+
+
 @row("-", "every launch file in every mode comes up and ends with Ctrl-C")
 def every_mode(stage: Stage) -> str:
     played = []
@@ -358,7 +369,7 @@ def every_mode(stage: Stage) -> str:
 def camera(stage: Stage) -> str:
     heard = stage.ears.hear("/lists/wire/temperature", "sensor_msgs/msg/Temperature")
     stage.launch(namespace="lists", camera="true")
-    until(lambda: len(heard) > 20, "no temperatures of the camera")
+    until(lambda: len(heard) > 20, "no temperatures of the camera", 240.0)
     need(heard[-1][1].variance > 0.0, "the temperatures are not the camera's")
     return "temperatures of the camera, with their variance"
 
@@ -446,6 +457,100 @@ def second_experiment(stage: Stage) -> str:
     need(line and status != 0, second.output.strip()[-200:])
     need(first.process.poll() is None, "the first has ended")
     return f"status {status}: {line}"
+
+
+@row("3", "two benches at once: in real time, and above it")
+def two_benches(stage: Stage) -> str:
+    runs = {}
+    for name in ("left", "right"):
+        heard = stage.ears.hear(f"/{name}/experiment/marker", "std_msgs/msg/String")
+        states = stage.ears.hear(f"/{name}/experiment/state", "std_msgs/msg/String", latched=True)
+        stage.launch(namespace=name, protocol="quick_ramp", autostart="true")
+        runs[name] = (heard, states)
+    until(lambda: all(s and s[-1][1].data.startswith("running") for _, s in runs.values()),
+          "not both run", 240.0)
+    until(lambda: all(len(heard) > 1 for heard, _ in runs.values()), "no second step", 240.0)
+    stage.clear()
+    first = stage.launch(namespace="fast", protocol="quick_ramp", speed="5.0")
+    first.says("simulating", 240.0)
+    second = stage.launch(namespace="faster", protocol="quick_ramp", speed="5.0")
+    second.ends()
+    line = next((x for x in second.output.splitlines() if "/clock is there" in x), "")
+    need(line and not second.children(), second.output[-300:])
+    need(first.process.poll() is None, "the first bench has ended")
+    return f"both run in real time; above it: {line.partition('] ')[2]}"
+
+
+@row("3", "a foreign /clock while a run goes on (ros2 topic pub)")
+def foreign_clock(stage: Stage) -> str:
+    states = stage.ears.hear("/clocked/experiment/state", "std_msgs/msg/String", latched=True)
+    bag = stage.folder / "clocked"
+    bench = stage.launch(
+        namespace="clocked", protocol=warm(stage), autostart="true", speed="2.0", record="true",
+        output=bag,
+    )
+    until(lambda: states and states[-1][1].data == "running: warm", "no run", 240.0, bench)
+    stage.start("ros2", "topic", "pub", "-r", "20", "/clock", "rosgraph_msgs/msg/Clock",
+                "{clock: {sec: 5}}")
+    bench.ends()
+    need("simulated time went back" in states[-1][1].data, states[-1][1].data)
+    need("has a second publisher" in bench.output, bench.output[-300:])
+    said = stage.run("ros2", "run", "sma_bench", "sma-bench", "info", str(bag))
+    need("wire/power" in said, said[-300:])
+    return f"{states[-1][1].data}; the record can be read"
+
+
+@row("5", "autostart with a recorder: the record begins before the run")
+def recorded_from_the_start(stage: Stage) -> str:
+    bag = stage.folder / "whole"
+    states = stage.ears.hear("/whole/experiment/state", "std_msgs/msg/String", latched=True)
+    bench = stage.launch(
+        namespace="whole", protocol="quick_ramp", autostart="true", speed="20.0", record="true",
+        output=bag,
+    )
+    until(lambda: states and states[-1][1].data.startswith("done"), "not done", 240.0, bench)
+    bench.ctrl_c()
+    clean_end(bench)
+    code = (
+        "import sys, sma_bench; r = sma_bench.load(sys.argv[1]); v = r['voltage_command'];"
+        "print(len(r.markers), r.markers[0][1], r.markers[-1][1], float(v.values[0].max()))"
+    )
+    said = stage.run(sys.executable, "-c", code, str(bag)).strip().splitlines()[-1]
+    need(said.endswith(" 0.0") and "/done" in said, said)
+    return f"steps, first, last, first volts in the record: {said}"
+
+
+@row("5", "a recorder that died of an existing output")
+def dead_recorder(stage: Stage) -> str:
+    bag = stage.folder / "there"
+    bag.mkdir()
+    bench = stage.launch(namespace="dead", record="true", output=bag)
+    bench.says("simulating", 240.0)
+    bench.says("process has died")
+    time.sleep(1.0)
+    success, said = stage.call("/dead/experiment/start")
+    need(not success and "recorder" in said, said)
+    return f"start refused: {said}"
+
+
+@row("6", "experiment/start before serial_bridge/enable, and a bridge that is stopped")
+def bridge(stage: Stage) -> str:
+    if shutil.which("avr-gcc") is None:
+        raise Skipped("no avr-gcc")
+    states = stage.ears.hear("/uno/experiment/state", "std_msgs/msg/String", latched=True)
+    power = stage.ears.hear("/uno/wire/power", "sensor_msgs/msg/BatteryState")
+    bench = stage.launch(namespace="uno", mode="emulated", protocol=warm(stage))
+    until(lambda: len(power) > 50, "no readings", 240.0, bench)
+    success, refused = stage.call("/uno/experiment/start")
+    need(not success and "serial_bridge is not enabled" in refused, refused)
+    need(stage.call("/uno/serial_bridge/enable")[0], "not enabled")
+    success, said = stage.call("/uno/experiment/start")
+    need(success, said)
+    until(lambda: power[-1][1].voltage > 1.0, "nothing is driven", PATIENCE, bench)
+    stage.call("/uno/serial_bridge/stop")
+    until(lambda: states[-1][1].data.startswith("aborted"), "goes on", PATIENCE, bench)
+    need("serial_bridge: stopped" in states[-1][1].data, states[-1][1].data)
+    return f"{refused}; then {states[-1][1].data}"
 
 
 @row("7", "Ctrl-C twice, 50 ms apart, to launch and all nodes")

@@ -1,5 +1,6 @@
 """What is wrong with a record is said with its numbers; what is right is not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +174,18 @@ def test_nan_and_inf_of_a_record_made_in_memory_are_counted():
     values = TRIANGLE.copy()
     values[:7], values[9] = np.nan, np.inf
     assert found(record(force=values))["force"] == "8 of 2000 values are NaN or Inf"
+
+
+def test_a_record_on_two_clocks_is_told_and_a_stalled_recorder_is_not():
+    orderly = record(wire_voltage=TRIANGLE, wire_temperature=settling())
+    voltage = orderly["wire.voltage"]
+    on_two = np.where(np.arange(len(CLOCK)) % 20 < 10, CLOCK, CLOCK + 3.0)
+    stalled = CLOCK + np.maximum(0.0, 2.0 - CLOCK % 5.0)
+    for received, told in ((on_two, True), (stalled, False)):
+        orderly.signals["wire.voltage"] = replace(voltage, received=received)
+        assert ("two publishers" in found(orderly).get("wire.voltage", "")) is told
+    orderly.signals["wire.voltage"] = voltage
+    for period, told in ((0.05, True), (10.0, False)):
+        steps = tuple((k * period, f"ramp/{k % 2}") for k in range(100))
+        said = found(replace(orderly, markers=steps)).get("experiment/marker", "")
+        assert said.startswith("100 steps, 98 times back") is told
