@@ -4,6 +4,7 @@ Imports nothing of weight: a signal that comes while the node's modules are read
 at once and in silence, as nothing is driven yet.
 """
 
+import contextlib
 import os
 import signal
 import sys
@@ -32,12 +33,21 @@ def ending_signals() -> list[signal.Signals]:
     return asked if unheard else [*asked, signal.SIGHUP]
 
 
-def __getattr__(name: str) -> Callable[[], int]:
+def __getattr__(name: str) -> Callable[[], None]:
     """`from sma_bench.nodes.start import simulator`, as the executables do."""
     if name.startswith("_"):
         raise AttributeError(name)
-    return partial(start, name)
+    return partial(_run, name)
+
+
+def _run(name: str, argv: Sequence[str] | None = None) -> None:
+    """Everything is closed by then: the interpreter takes a second to take itself to pieces."""
+    status = start(name, argv)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody may be left to read it
+            stream.flush()
+    os._exit(status)
 
 
 if __name__ == "__main__":
-    sys.exit(start(sys.argv[1], sys.argv[2:]))
+    _run(sys.argv[1], sys.argv[2:])
