@@ -1,8 +1,8 @@
 """The link to the bench's Uno: one thread reads, whoever drives the bench writes.
 
-It connects by itself, again and again, and never arms by itself. Commands are sent once each, and
-once more when the device says that one arrived damaged: a host that hangs falls silent, and the
-device's own timeout switches off.
+It connects by itself, again and again, and never arms by itself. The newest command is said again
+while its driver is late, for a quarter of a second: a busy host, or a byte lost on the way, ends
+nothing. A driver that hangs is spoken for no longer, and the device's own timeout switches off.
 """
 
 import contextlib
@@ -22,7 +22,6 @@ from sma_bench.hardware.device_identity import HANDSHAKE_LINES, DeviceIdentity
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.serial_messages import (
     CHANNELS,
-    DAMAGED,
     STOP,
     TIMEOUT_CAUSE,
     Message,
@@ -41,8 +40,9 @@ BINARY_ABOVE = 100
 _ASKS = 3
 _LONGEST_WAIT = 0.1
 _NUMBERS = 1 << 16
-# s after a command in which it may be sent again: a driver that hangs is not spoken for.
-_REPEATED_WITHIN = 0.1
+# s between two sendings of a command, and how long its driver may be away meanwhile.
+_REPEAT = 0.05
+_SPOKEN_FOR = 0.25
 _REMEMBERED = 64
 # Of the device's timeout: a pause in which all is this host's fault.
 _LONG_PAUSE = 0.75
@@ -90,8 +90,8 @@ class SerialLink:
         self._session: int | None = None
         self._sequence = 0
         self._volts: tuple[int, ...] = ()
-        self._drove: deque[float] = deque(maxlen=_REMEMBERED)
-        self._refused = -math.inf
+        self._said: deque[float] = deque(maxlen=_REMEMBERED)
+        self._drove = self._refused = -math.inf
         self._unheard: tuple[int, float] | None = None
         self._ping = (0, 0.0)
         self._closing = threading.Event()
@@ -134,7 +134,9 @@ class SerialLink:
         self._status.last_refusal = self._status.silence = ""
         with self._driving:
             self._session, self._sequence, self._unheard = session, 0, None
-            self._drove.clear()
+            # Spoken for from now on, at 0 V.
+            self._said.clear()
+            self._volts, self._drove = (0,) * CHANNELS, self._now()
 
     def drive(self, millivolts: Sequence[int]) -> int:
         """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
@@ -147,7 +149,7 @@ class SerialLink:
             raise ValueError(f"{len(millivolts)} voltages, expected {CHANNELS}")
         with self._driving:
             self._volts = tuple(millivolts)
-            self._drove.append(self._now())
+            self._drove = self._now()
             return self._say_volts()
 
     def _say_volts(self) -> int:
@@ -156,6 +158,7 @@ class SerialLink:
         sequence = (self._sequence + 1) % _NUMBERS
         self._connected().say("V", self._session, sequence, *self._volts)
         self._sequence = sequence
+        self._said.append(self._now())
         self._unheard = self._unheard or (sequence, self._now())
         return sequence
 
@@ -267,6 +270,7 @@ class SerialLink:
             # A host that was stopped itself has not listened: no wait counts for longer than asked.
             silence = 0.0 if messages else silence + min(now - last, _LONGEST_WAIT)
             last = now
+            self._speak_for_driver(now)
             if silence > self._options.silence_limit:
                 raise LinkError(f"the device is silent for {silence:.2f} s")
             if now >= next_ping:
@@ -290,18 +294,18 @@ class SerialLink:
     def _note_refusal(self, refused: Refused, now: float) -> None:
         self._status.refused += 1
         self._status.last_refusal, self._refused = str(refused), now
-        if refused.reason not in DAMAGED:
-            return
-        # A byte was lost: what was said last is said again, before the device calls it silence.
+
+    def _speak_for_driver(self, now: float) -> None:
         with self._driving, contextlib.suppress(LinkError):
-            if self._drove and now - self._drove[-1] < _REPEATED_WITHIN:
+            said = self._said[-1] if self._said else -math.inf
+            if now - said > _REPEAT and now - self._drove < _SPOKEN_FOR:
                 self._say_volts()
 
     def _why_silent(self, now: float) -> str:
         with self._driving:
-            drove = (*self._drove, now)
+            said = (*self._said, now)
         device = self._status.device
-        pause = max((after - before for before, after in pairwise(drove)), default=0.0)
+        pause = max((after - before for before, after in pairwise(said)), default=0.0)
         timeout = device.command_timeout if device else math.inf
         if pause > _LONG_PAUSE * timeout:
             return f"this computer sent nothing for {pause:.2f} s"

@@ -25,8 +25,6 @@ REASONS = (
     "above the duty limit", "supply out of range or just started", "rate not possible",
     "stopped: reset first", "armed already",
 )
-DAMAGED = frozenset(map(REASONS.index, ("wrong checksum", "bad format", "line too long")))
-"""reasons that tell of a line that did not arrive as it was sent"""
 RESETS = ((1, "power-on"), (2, "reset pin"), (4, "brown-out"), (8, "watchdog"))
 
 

@@ -1,6 +1,8 @@
-"""The real link on the real image, in virtual time: stamps and losses."""
+"""The real link on the real image, in virtual time: stamps, losses, late drivers."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 from virtual_port import VirtualPort
@@ -8,6 +10,90 @@ from virtual_port import VirtualPort
 from sma_bench.emulation.emulated_uno import START_UP, EmulatedUno
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
+from sma_bench.hardware.serial_messages import State, Telemetry
+
+VOLTS = (6000, 0, 0, 3000)
+PATIENCE = 60.0
+
+
+class Drive:
+    """A driver of a link on an Uno in virtual time: a command each `every` frames of 10 ms.
+
+    It acts in the link's own thread, so that no computer is too slow for it. Of each command's
+    first sending, but for the first one's, the byte at `lost` is lost.
+    """
+
+    def __init__(self, uno: EmulatedUno, every: int, lost: int | None = None) -> None:
+        self.port = VirtualPort(uno)
+        self.every, self.lost = every, lost
+        self.frames: list[Telemetry] = []
+        self.commands = 0
+        self.hung = self._loses = False
+        self._write, self.port.write = self.port.write, self._lossy
+        self.link = SerialLink(
+            lambda: self.port, LinkOptions(), self._on_reading, clock=self.port.clock
+        )
+
+    def _lossy(self, data: bytes) -> int:
+        if self._loses and self.lost is not None and data.startswith(b"V "):
+            self._loses = False
+            at = self.lost % len(data)
+            data = data[:at] + data[at + 1 :]
+        return self._write(data)
+
+    def _on_reading(self, reading: Reading) -> None:
+        if self.link._session is None:
+            return
+        if len(self.frames) % self.every == 0 and not self.hung:
+            self._loses = self.commands > 0
+            self.commands += 1
+            self.link.drive(VOLTS)
+        self.frames.append(reading.telemetry)
+
+    def until(self, condition) -> None:
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end and not self.link.status.problem, self.link.status
+            time.sleep(0.01)
+
+
+@contextmanager
+def driving(uno: EmulatedUno, every: int, lost: int | None = None) -> Iterator[Drive]:
+    drive = Drive(uno, every, lost)
+    drive.link.start()
+    try:
+        drive.until(lambda: drive.link.status.telemetry > 30)
+        drive.link.arm()
+        yield drive
+    finally:
+        drive.link.close()
+
+
+@pytest.mark.parametrize("lost", [0, 1, 9, -7, -6, -3, -2, -1])
+def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(
+    uno: EmulatedUno, lost: int
+) -> None:
+    """A driver that is so slow that its own next command would come too late."""
+    with driving(uno, 12, lost) as drive:
+        drive.until(lambda: len(drive.frames) > 100)
+        assert {frame.state for frame in drive.frames[2:]} == {State.ARMED}
+        assert drive.link.status.refused >= drive.commands - 2
+        assert drive.link.status.last_refusal in {
+            f"device refused {letter}: {reason}"
+            for letter in "-V"
+            for reason in ("bad format", "wrong checksum")
+        }
+
+
+def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno: EmulatedUno) -> None:
+    with driving(uno, 22) as drive:
+        drive.until(lambda: len(drive.frames) > 100)
+        assert {frame.state for frame in drive.frames[2:]} == {State.ARMED}
+        sequence, commands = drive.link._sequence, drive.commands
+        drive.hung = True
+        drive.until(lambda: drive.link.status.state == State.STOPPED)
+        assert drive.link.status.cause_text == "command timeout"
+        assert 0 < drive.link._sequence - sequence <= 5 + drive.commands - commands
 
 
 @pytest.mark.parametrize(
