@@ -89,7 +89,8 @@ def test_a_second_host_cannot_open_the_port_and_the_first_goes_on(bench, rig):
     with pytest.raises(OSError, match="exclusively lock"):
         open_port(rig.hardware.path)
     # One bench more; a second bridge of the same one would not even start.
-    other = bench.start("serial_bridge", port=rig.hardware.path, remap={"__ns": "/other"})
+    arguments = ["--ros-args", "-r", "__ns:=/other", "-p", f"port:={rig.hardware.path}"]
+    other = bench.start_with("serial_bridge", arguments)
     rig.until(lambda: "not connected" in other.output and "exclusively lock" in other.output)
     rig.for_a_while(0.5)
     assert rig.power[-1].voltage == pytest.approx(2.0, abs=0.1)
