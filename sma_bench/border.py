@@ -112,6 +112,18 @@ def require_regular(path: str | Path, mode: int) -> None:
         raise InputError(f"{path}: a pipe, socket or device, expected a regular file")
 
 
+def require_there(path: Path) -> None:
+    """InputError where there is neither a regular file nor a folder."""
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a zero byte in it
+        raise InputError(f"{path}: no such file or folder") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not stat.S_ISDIR(mode):
+        require_regular(path, mode)
+
+
 def is_inside(path: Path, folder: Path) -> bool:
     """Whether a path lies in a folder once all links and `..` in both are followed."""
     try:

@@ -57,7 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _dispatch(arguments)
     except InputError as error:
-        print(f"sma-bench: {error}", file=sys.stderr)
+        from sma_bench.border import printable  # --help does without YAML
+
+        print(f"sma-bench: {printable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("sma-bench: interrupted", file=sys.stderr)
@@ -70,7 +72,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _show_warning(
     message: Warning | str, category: object, filename: str, lineno: int, *_: object, **__: object
 ) -> None:
-    print(f"sma-bench: note: {message}", file=sys.stderr)
+    from sma_bench.border import printable
+
+    print(f"sma-bench: note: {printable(str(message))}", file=sys.stderr)
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -5,7 +5,7 @@ import re
 from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json
-from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.output import add_json_option, say, write_json
 from sma_bench.commands.parameter_options import named_value
 from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     answer = _call("/" + args.namespace.strip("/"), node, service, settings, args.patience)
     if args.json:
         write_json(args.json, {"service": f"{node}/{service}", "answer": _parsed(answer)})
-    print(answer.rstrip() or "done")
+    say(answer.rstrip() or "done")
     return 0
 
 

@@ -4,7 +4,8 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.output import add_json_option, print_findings, write_json
+from sma_bench.border import printable
+from sma_bench.commands.output import add_json_option, print_findings, say, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
         with progress("drawing the report") as report:
             page = write_diagnosis_report(args.report, result, report)
-        print(f"report {page}")
+        say(f"report {page}")
     return 0
 
 
@@ -117,7 +118,7 @@ def print_result(result: "Diagnosis") -> None:
         print_table(console, headings, rows, right=range(1, len(headings)))
         console.print()
     for sentence in what_next(result):
-        console.print(f"{sentence}\n", markup=False)
+        console.print(f"{printable(sentence)}\n", markup=False)
     print_findings(result.findings)
 
 

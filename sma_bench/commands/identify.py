@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.output import add_json_option, print_findings, write_json
+from sma_bench.commands.output import add_json_option, print_findings, say, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
 
         with progress("drawing the report") as report:
             page = write_identification_report(args.report, result, report)
-        print(f"report {page}")
+        say(f"report {page}")
     return 0
 
 
@@ -79,5 +79,5 @@ def print_result(result: "Identification") -> None:
     print_table(output_console(), headings, rows, right=(1, 2, 4))
     print_findings(result.notes)
     for experiment in result.experiments:
-        print(f"\n{experiment.name} {experiment.title} ({experiment.source})")
+        say(f"\n{experiment.name} {experiment.title} ({experiment.source})")
         print_findings(experiment.findings)

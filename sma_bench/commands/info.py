@@ -6,6 +6,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from sma_bench.border import printable
 from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.progress_bar import progress
 from sma_bench.commands.tables import output_console, print_table
@@ -81,24 +82,29 @@ def run(args: argparse.Namespace) -> int:
 def _show_bag(console: Console, description: dict[str, Any]) -> None:
     channels = ", ".join(description["channels"]) or "none"
     console.print(
-        f"{escape(description['path'])}: {description['duration']:.3f} s from "
-        f"{description['start']}, channels: {escape(channels)}"
+        f"{_shown(description['path'])}: {description['duration']:.3f} s from "
+        f"{description['start']}, channels: {_shown(channels)}"
     )
     _print_rows(console, description["topics"], _TOPIC_COLUMNS)
     if description["signals"]:
         _print_rows(console, description["signals"], _SIGNAL_COLUMNS)
     markers = description["markers"]
     for marker in markers[:_MOST_MARKERS]:
-        console.print(f"  {marker['time']:10.3f} s  {escape(marker['text'])}")
+        console.print(f"  {marker['time']:10.3f} s  {_shown(marker['text'])}")
     if len(markers) > _MOST_MARKERS:
         console.print(f"  and {len(markers) - _MOST_MARKERS} more markers")
+
+
+def _shown(text: str) -> str:
+    """Text from outside, as text and not as markup or a terminal's commands."""
+    return escape(printable(text))
 
 
 def _show_dsc(console: Console, description: dict[str, Any]) -> None:
     sign = {True: "endothermic up", False: "exothermic up", None: "sign unknown"}
     console.print(
-        f"{escape(description['path'])}: {description['instrument']}, "
-        f"{escape(description['sample'])}, {description['mass'] * 1e6:.3f} mg, "
+        f"{_shown(description['path'])}: {_shown(description['instrument'])}, "
+        f"{_shown(description['sample'])}, {description['mass'] * 1e6:.3f} mg, "
         f"{sign[description['endothermic_up']]}"
     )
     _print_rows(console, description["segments"], _SEGMENT_COLUMNS)
@@ -107,7 +113,7 @@ def _show_dsc(console: Console, description: dict[str, Any]) -> None:
 def _show_isobaric(console: Console, description: dict[str, Any]) -> None:
     unit = {"1": "", "relative": ", strain over its own range"}[description["strain_unit"]]
     console.print(
-        f"{escape(description['path'])}: isobaric test at {description['stress'] / 1e6:.1f} MPa"
+        f"{_shown(description['path'])}: isobaric test at {description['stress'] / 1e6:.1f} MPa"
         f"{unit}"
     )
     _print_rows(console, description["branches"], _BRANCH_COLUMNS)
@@ -117,7 +123,7 @@ def _show_tensile(console: Console, description: dict[str, Any]) -> None:
     kelvin = description["temperature"]
     where = "temperature unknown" if kelvin is None else f"at {kelvin:.2f} K"
     console.print(
-        f"{escape(description['path'])}: tensile test {where}, {description['samples']} samples, "
+        f"{_shown(description['path'])}: tensile test {where}, {description['samples']} samples, "
         f"to {description['largest_strain']:.4f} strain and "
         f"{description['largest_stress'] / 1e6:.1f} MPa"
     )

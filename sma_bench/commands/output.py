@@ -10,6 +10,7 @@ from typing import Any, TextIO
 
 from rich.text import Text
 
+from sma_bench.border import printable
 from sma_bench.commands.tables import output_console
 from sma_bench.findings import Finding
 from sma_bench.parameters.yaml_file import write_text_atomically
@@ -23,7 +24,17 @@ def print_findings(findings: Iterable[Finding]) -> None:
     console = output_console()
     for finding in findings:
         head = Text(f"{finding.severity:8}", style=_STYLES[finding.severity])
-        console.print(head + Text(f"{finding.subject}: {finding.text}", style="default"))
+        console.print(head + Text(told(finding), style="default"))
+
+
+def say(text: str) -> None:
+    """Print lines in which names from outside may stand."""
+    print(printable(text, "\n"))
+
+
+def told(finding: Finding) -> str:
+    """A finding as it may be printed, whatever names from outside it holds."""
+    return printable(f"{finding.subject}: {finding.text}", "\n")
 
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.table import Column
 from rich.text import Text
 
+from sma_bench.border import printable
 from sma_bench.progress import Report
 
 FIRST_BAR, FIRST_LINE, NEXT_LINE = 1.0, 5.0, 15.0  # s
@@ -38,7 +39,7 @@ class Course:
         """It never goes back; an empty `what` leaves the last one."""
         if share > self.share:
             self.share, self._told = min(share, 1.0), self._clock()
-        self.what = what or self.what
+        self.what = printable(what) or self.what
 
     @property
     def gone(self) -> float:

@@ -4,7 +4,7 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.output import add_json_option, say, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.progress_bar import progress
 from sma_bench.progress import in_turn, part
@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, document(shown, args.command_line, page))
     for one in shown:
-        print(f"{one.path}: {one.said}")
+        say(f"{one.path}: {one.said}")
     warnings = sum(len(one.warnings) for one in shown)
     size = page.stat().st_size / 1e6
-    print(f"warnings {warnings}\nreport   {page}, {size:.1f} MB")
+    say(f"warnings {warnings}\nreport   {page}, {size:.1f} MB")
     return 0

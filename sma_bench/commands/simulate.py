@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.output import add_json_option, say, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.progress_bar import progress
 from sma_bench.errors import InputError
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             "duration": float(time[-1] - time[0]),
             "signals": {signal.name: signal.unit for signal in signals},
         })  # fmt: skip
-    print(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
+    say(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
     return 0
 
 

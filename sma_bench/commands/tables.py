@@ -13,6 +13,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from sma_bench.border import printable
+
 _NARROWEST, _NARROWEST_NAME = 20, 30  # cells of a column that is folded; of the first one
 _NEVER_BROKEN = 10
 _BETWEEN = 2
@@ -44,6 +46,7 @@ def print_table(
         right: columns of numbers, flush right and never folded.
         styles: of the rows, none when empty.
     """
+    rows = [[printable(cell, "\n") for cell in row] for row in rows]
     columns = list(zip(headings, *rows, strict=True))
     widths = _widths(columns, right, console.width - _BETWEEN * (len(columns) - 1))
     if not widths:

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 _MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s
 _SIZES = np.geomspace(0.1, 1000.0, 9)
 _ROUNDS = 3
+_MOST_CELLS = 1_000_000  # of an even grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +159,7 @@ def _of_side(side: str, view: View, simulation: Simulation) -> list[Array]:
 
 def _remembered(course: Array, memory: float, grid: Array) -> Array:
     """First-order lag of a course (n,) on a grid (n,) s that need not be even."""
-    cell = float(np.median(np.diff(grid)))
+    cell = max(float(np.median(np.diff(grid))), float(np.ptp(grid)) / _MOST_CELLS)
     even = np.arange(grid[0], grid[-1] + cell, cell)
     share = 1.0 - np.exp(-cell / memory)
     lagged = lfilter([share], [1.0, share - 1.0], np.interp(even, grid, course))

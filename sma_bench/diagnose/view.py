@@ -216,10 +216,17 @@ def _grid(rig: RigRecord, finest: float) -> Array:
     jumps = jumps[(jumps > start) & (jumps < even[-1])]
     after = np.add.outer(rig.voltage.late, fine).ravel()
     others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
-    near = np.min(np.abs(np.subtract.outer(others, jumps)), axis=1, initial=np.inf)
+    near = _to_the_nearest(jumps, others)
     near[others <= start] = np.inf
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     return grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
+
+
+def _to_the_nearest(jumps: Array, points: Array) -> Array:
+    """(n,) how far each point is from the nearest jump; jumps are in order."""
+    around = np.concatenate([[-np.inf], jumps, [np.inf]])
+    k = np.searchsorted(around, points)
+    return np.asarray(np.minimum(around[k] - points, points - around[k - 1]))
 
 
 def _thinned(even: Array, voltage: AppliedVoltage, stride: int) -> Array:

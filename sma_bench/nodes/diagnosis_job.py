@@ -3,9 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import nan
+from pathlib import Path
 from typing import Any
 
-from sma_bench.nodes.job_process import given, output_inside, records_inside, run_job, tell
+from sma_bench.nodes.job_process import (
+    given,
+    made_folder,
+    output_inside,
+    records_inside,
+    run_job,
+    tell,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.progress import part
 
@@ -33,11 +41,12 @@ class Job:
             InputError: no record, one outside `record_root`, or a result outside `output_root`.
         """
         root, held_out = settings["record_root"], given(settings["hold_out"])
+        output, improved = settings["output_root"], settings["improved"]
         return cls(
             records=records_inside(root, given(settings["record"])),
             hold_out=records_inside(root, held_out, "hold_out") if held_out else [],
-            improved=output_inside(settings["output_root"], settings["improved"], "improved"),
-            report=output_inside(settings["output_root"], settings["report"], "report"),
+            improved=output_inside(output, improved, "improved", ".yaml"),
+            report=output_inside(output, settings["report"], "report"),
             values={name: parameters[name] for name in parameters.given},
             uncertainty=parameters.given_uncertainty,
         )
@@ -60,6 +69,7 @@ class Job:
         told = diagnosis_steps(part(tell, 0.0, share))
         result = diagnose(records, parameters, held_out, told)
         if self.improved:
+            made_folder(str(Path(self.improved).parent))
             write_improved(self.improved, result, "the diagnosis node")
         if self.report:
             from sma_bench.report.diagnosis_report import write_diagnosis_report

@@ -10,6 +10,7 @@ from sma_bench.nodes.job_process import (
     made_folder,
     output_inside,
     records_inside,
+    require_own,
     run_job,
     tell,
 )
@@ -59,6 +60,8 @@ class Job:
         parameters = Parameters(self.values, self.uncertainty)
         result = identify(records, parameters, self.experiments or None, tell)
         folder = made_folder(self.output_directory)
+        files = folder / PARAMETER_FILE, folder / RESULT_FILE
+        require_own(*files, parameter="output_directory")
         comment = "Identified by the identification node from " + ", ".join(self.records)
         write_parameters(folder / PARAMETER_FILE, result.parameters, comment.replace("\n", " "))
         write_json(str(folder / RESULT_FILE), result.to_json())

@@ -11,11 +11,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
+from sma_bench.border import is_inside, read_bytes
 from sma_bench.errors import InputError
 from sma_bench.lifeline import end_with_parent, tied_to_this_process
 from sma_bench.progress import COMPILING, Report, silent
 
 CANCELLED = "cancelled on request"
+OWN_ROOT = "sma_bench_results"
+_OWN_BEGINNINGS = (b"# Improved by ", b"# Identified by ", b'{\n  "parameters"')
+_LARGEST_RESULT = 1 << 26
 _BAD_INPUT = 2
 _TOLD = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
 _BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
@@ -139,26 +143,48 @@ def records_inside(root: str, records: list[str], parameter: str = "record") -> 
     return [str(_inside(root, record, parameter, "record_root")) for record in records]
 
 
-def output_inside(root: str, path: str, parameter: str) -> str:
+def output_inside(root: str, path: str, parameter: str, suffix: str = "") -> str:
     """The path of what is to be written, a relative one below `root`; "" stays "".
 
+    Without a root results have a folder of their own, where nothing else can be replaced.
+
     Raises:
-        InputError: it lies outside the root, `..` and links followed.
+        InputError: it lies outside the root, `..` and links followed, has a hidden name in it, or
+            not the suffix.
     """
-    return str(_inside(root, path, parameter, "output_root")) if path else ""
+    if not path:
+        return ""
+    hidden = [part for part in Path(path).parts if part.startswith(".") and part.strip(".")]
+    if hidden:
+        raise InputError(f"{parameter}: {path}: {hidden[0]} is hidden, expected plain names")
+    if suffix and not path.endswith(suffix):
+        raise InputError(f"{parameter}: {path}, expected a name that ends in {suffix}")
+    found = _inside(root or OWN_ROOT, path, parameter, "output_root")
+    if suffix:
+        require_own(found, parameter=parameter)
+    return str(found)
+
+
+def require_own(*files: Path, parameter: str) -> None:
+    """InputError where one of the files exists and is none of those that jobs write."""
+    for file in files:
+        if file.exists() and not read_bytes(file, _LARGEST_RESULT).startswith(_OWN_BEGINNINGS):
+            raise InputError(f"{parameter}: {file} is not a file that sma-bench has written")
 
 
 def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
-    top = Path(root or ".").resolve()
+    top = Path(root or ".")
     found = Path(root, path)
     try:
         # A bag from elsewhere may hold a link to any file of this computer.
         parts = [found, *(found.iterdir() if found.is_dir() else ())]
-        outside = any(not part.resolve().is_relative_to(top) for part in parts)
-    except (OSError, ValueError, RuntimeError):  # no permission, a zero byte, a circle of links
+        outside = not all(is_inside(part, top) for part in parts)
+    except (OSError, ValueError):  # no permission, a zero byte
         outside = True
     if outside:
-        where = root or f"{top} (where the node was started; {root_parameter} names another)"
+        where = root or f"{top.resolve()} (where the node was started)"
+        if root in ("", OWN_ROOT):
+            where += f"; {root_parameter} names another"
         raise InputError(f"{parameter}: {found} lies outside {root_parameter} {where}")
     return found
 

@@ -157,8 +157,8 @@ _ROOTS = fixed(
     ),
     Parameter(
         "output_root", "", "",
-        "Folder that results are written below; empty for the one the node is started in, / for "
-        "any.",
+        "Folder that results are written below; empty for sma_bench_results where the node is "
+        "started, / for any.",
         "choice", kind="string",
     ),
 )
@@ -194,7 +194,7 @@ DIAGNOSIS = (
     ),
     *_ROOTS,
     Parameter(
-        "improved", "", "", "Parameter file to write with the improvement; empty for none.",
+        "improved", "", "", "Parameter file (.yaml) to write with the improvement; empty for none.",
         "choice", kind="string",
     ),
     Parameter(

@@ -4,16 +4,23 @@ from pathlib import Path
 
 import numpy as np
 
+from sma_bench.border import OverBudget
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records import contract
 from sma_bench.records.bag_files import find_bag_files, scan_files
-from sma_bench.records.harvest import Harvest
+from sma_bench.records.harvest import Harvest, reading_budget
 from sma_bench.records.record import FloatArray, IntArray, Record, Signal, Topic
 from sma_bench.records.samples import Samples, read_samples, sort_by_stamp
 
 # Further apart than this, receive times and stamps come from two clocks, not from a slow network.
 _TWO_CLOCKS_NS = 10**9
+# A record may pause for a day, and for ten times as long as it was recorded. Beyond, a clock was
+# set while it was: nothing says what lies between, and an even grid over it would fill any memory.
+_PAUSE_NS, _PAUSES_OF_RECORDED = 86_400 * 10**9, 10
+_RECORDED_NS = 10 * 10**9
+_GAPS_S = (86_400, 3600, 600, 60, 10)
+_MOST_MARKERS = 100_000
 
 
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
@@ -35,6 +42,7 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     path = Path(path)
     harvest = Harvest(lambda n, t: contract.inside(n, namespace) and contract.is_decoded(n, t))
     bag = find_bag_files(path, harvest)
+    harvest.budget = reading_budget(sum(file.stat().st_size for file in bag.files))
     scan_files(bag.files, harvest)
     if not harvest.count:
         raise InputError(f"{path}: {_nothing(harvest)}")
@@ -49,7 +57,10 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     for meaning, name in chosen.items():
         raw = harvest.topics[name, _type_at(meaning)]
         if raw.wanted:
-            decoded[meaning] = read_samples(raw)
+            try:
+                decoded[meaning] = read_samples(raw, harvest.budget)
+            except OverBudget as error:
+                harvest.lost(name, f"{error}; this topic is left out")
     return _build(path, harvest, decoded, remarks)
 
 
@@ -82,17 +93,24 @@ def _build(
     path: Path, harvest: Harvest, decoded: dict[str, Samples], remarks: list[Finding]
 ) -> Record:
     findings = [*harvest.findings, *remarks]
-    decoded = {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
+    decoded = _with_messages(decoded, findings)
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     findings += _align_headerless(decoded, stamped)
     for samples in decoded.values():
         sort_by_stamp(samples)
+    findings += _leave_out_other_times(decoded)
+    decoded = _with_messages(decoded, findings)
+    stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
     signals: dict[str, Signal] = {}
     markers: tuple[tuple[float, str], ...] = ()
     made: dict[str, list[str]] = {}
     for meaning, samples in decoded.items():
         if samples.texts is not None:
+            if len(samples.stamp) > _MOST_MARKERS:
+                text = f"{len(samples.stamp)} markers, the first {_MOST_MARKERS} are kept"
+                samples.remark("warning", text)
+                samples.keep(np.arange(_MOST_MARKERS))
             times = _seconds(samples.stamp, start).tolist()
             markers = tuple(zip(times, samples.texts.tolist(), strict=True))
         for signal in _signals(meaning, samples, start):
@@ -106,6 +124,14 @@ def _build(
         if raw.name not in topics or raw.wanted:
             topics[raw.name] = Topic(raw.type, raw.count, tuple(made.get(raw.name, ())))
     return Record(path, start, signals, markers, topics, tuple(findings))
+
+
+def _with_messages(decoded: dict[str, Samples], findings: list[Finding]) -> dict[str, Samples]:
+    """Topics that have some left; what was said of the others goes to the findings."""
+    for samples in decoded.values():
+        if not len(samples.stamp):
+            findings += samples.findings
+    return {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
 
 
 def _absent(
@@ -150,6 +176,36 @@ def _align_headerless(decoded: dict[str, Samples], stamped: list[Samples]) -> li
             )
             findings.append(Finding("warning", samples.topic, text, {"offset": offset * 1e-9}))
     return findings
+
+
+def _leave_out_other_times(decoded: dict[str, Samples]) -> list[Finding]:
+    """Keep the stretch with most stamps where a clock was set in the middle of the record."""
+    stamps = np.sort(np.concatenate([np.empty(0, np.int64), *(s.stamp for s in decoded.values())]))
+    whole = stamps
+    for gap in _GAPS_S:
+        steps = np.diff(stamps)
+        recorded = int(steps[steps <= _RECORDED_NS].sum())
+        if steps.sum() <= _PAUSE_NS + _PAUSES_OF_RECORDED * recorded:
+            break
+        stretches = np.split(stamps, np.flatnonzero(steps > gap * 10**9) + 1)
+        stamps = max(stretches, key=len)
+    if len(stamps) == len(whole):
+        return []
+    first, last = int(stamps[0]), int(stamps[-1])
+    for samples in decoded.values():
+        samples.keep((samples.stamp >= first) & (samples.stamp <= last))
+    left_out = len(whole) - len(stamps)
+    text = (
+        f"{left_out} of {len(whole)} messages are stamped {_apart(whole, first, last)} the others "
+        "(was a clock set meanwhile?) and are left out"
+    )
+    return [Finding("warning", "record", text, {"messages": float(left_out)})]
+
+
+def _apart(stamps: IntArray, first: int, last: int) -> str:
+    before, after = (first - int(stamps[0])) * 1e-9, (int(stamps[-1]) - last) * 1e-9
+    said = [f"up to {t:.3g} s {way}" for t, way in ((before, "before"), (after, "after")) if t > 0]
+    return " and ".join(said)
 
 
 def _seconds(nanoseconds: IntArray, start: int) -> FloatArray:

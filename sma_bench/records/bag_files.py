@@ -7,8 +7,7 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
-import yaml
-
+from sma_bench.border import OverBudget, is_inside, read_yaml, require_there
 from sma_bench.errors import InputError
 from sma_bench.records import mcap_scan, sqlite_scan
 from sma_bench.records.compression import ZSTD_MAGIC, decompress_file
@@ -23,7 +22,6 @@ _SCANNERS = {
     sqlite_scan.MAGIC: sqlite_scan.scan_sqlite,
 }
 _SCANNERS_BY_SUFFIX = {".mcap": mcap_scan.scan_mcap, ".db3": sqlite_scan.scan_sqlite}
-_LARGEST_METADATA = 1 << 24
 
 
 @dataclass
@@ -35,7 +33,12 @@ class BagFiles:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is meant to be a bag: a folder, or a file with a storage's content or name."""
+    """Whether a path is meant to be a bag: a folder, or a file with a storage's content or name.
+
+    Raises:
+        InputError: there is neither a folder nor a regular file that can be read.
+    """
+    require_there(path)
     if path.is_dir():
         return True
     head = first_bytes(path)
@@ -61,17 +64,21 @@ def find_bag_files(path: Path, harvest: Harvest) -> BagFiles:
     Raises:
         InputError: nothing there, not a bag, or no metadata.yaml in the folder.
     """
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder")
+    is_one = is_bag(path)
     if not path.is_dir():
-        if not is_bag(path):
+        if not is_one:
             raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file")
         return BagFiles([path])
     try:
-        present = sorted(p for p in path.iterdir() if p.name.endswith(_SUFFIXES) and p.is_file())
-        exists = (path / METADATA).is_file()
+        names = {p.name for p in path.iterdir() if p.is_file()}
+        exists = METADATA in names
+        own = {name for name in names if is_inside(path / name, path)}
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    present = sorted(path / name for name in own if name.endswith(_SUFFIXES))
+    for name in sorted(names - own):
+        if name == METADATA or name.endswith(_SUFFIXES):
+            harvest.lost(name, "a link out of the bag's folder; not followed")
     if not exists:
         raise InputError(f"{path}: {_without_metadata(present)}")
     return _from_metadata(path, present, harvest)
@@ -85,17 +92,19 @@ def _without_metadata(present: list[Path]) -> str:
 
 def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFiles:
     try:
-        information = _load(path / METADATA)["rosbag2_bagfile_information"]
+        if not is_inside(path / METADATA, path):
+            raise ValueError("a link")
+        information = read_yaml(path / METADATA, aliases=True)["rosbag2_bagfile_information"]
         names = [PurePath(_of(str, name)).name for name in information["relative_file_paths"]]
         promised: dict[str, int] = {}
         for entry in information.get("topics_with_message_count") or ():
             topic = _of(str, entry["topic_metadata"]["name"])
             promised[topic] = promised.get(topic, 0) + _of(int, entry["message_count"])
-    except _METADATA_ERRORS:
+    except (InputError, KeyError, TypeError, ValueError, AttributeError):
         text = "cannot be understood; the storage files found beside it are read"
         harvest.lost(METADATA, text)
         return BagFiles(present)
-    files = [path / name for name in names]
+    files = [path / name for name in dict.fromkeys(names) if is_inside(path / name, path)]
     for missing in (file for file in files if not file.is_file()):
         text = f"the storage file {missing.name} is missing; the others are read"
         harvest.lost(missing.name, text)
@@ -108,28 +117,11 @@ def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFile
     return BagFiles([file for file in files if file.is_file()], promised)
 
 
-_METADATA_ERRORS = (
-    OSError,
-    yaml.YAMLError,
-    RecursionError,
-    KeyError,
-    TypeError,
-    ValueError,
-    AttributeError,
-)
-
-
 def _of(kind: type[T], value: Any) -> T:
     """A value of its type; of any other the text alone may be gigabytes, by YAML's aliases."""
     if not isinstance(value, kind):
         raise TypeError(kind.__name__)
     return value
-
-
-def _load(file: Path) -> Any:
-    if file.stat().st_size > _LARGEST_METADATA:
-        raise ValueError("too large")
-    return yaml.safe_load(file.read_bytes())
 
 
 def scan_files(files: list[Path], harvest: Harvest) -> None:
@@ -140,6 +132,8 @@ def scan_files(files: list[Path], harvest: Harvest) -> None:
                 _scanner(file, plain)(plain, harvest)
         except OSError as error:
             harvest.lost(file.name, f"cannot be read: {error.strerror or error}")
+        except OverBudget as error:
+            harvest.lost(file.name, f"{error}; read up to there")
 
 
 @contextmanager
@@ -152,9 +146,8 @@ def _plain(file: Path, harvest: Harvest) -> Iterator[Path]:
         return
     with TemporaryDirectory() as folder:
         plain = Path(folder, file.name.removesuffix(".zstd"))
-        if not decompress_file(file, plain):
-            text = "the zstd compression is broken or cut short; read up to there"
-            harvest.lost(file.name, text)
+        if ended := decompress_file(file, plain, harvest.budget):
+            harvest.lost(file.name, f"{ended}; read up to there")
         yield plain
 
 

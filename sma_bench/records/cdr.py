@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.border import Budget
 from sma_bench.records import contract
 
 _Field = tuple[str, str]
@@ -63,6 +64,10 @@ FIELDS: dict[str, tuple[_Field, ...]] = {
 _ENCAPSULATION = 4
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _LAYOUTS_PER_LENGTH = 32
+# More than any message of a bench has. All elements of texts[] and dim[] are walked one by one.
+_MOST = {"texts": 256, "dimensions": 32, "numbers": 1024}
+_LONGEST_TEXT = 4096
+_CHECK_TIME_EVERY = 256
 
 
 class CdrError(Exception):
@@ -110,13 +115,19 @@ class _Walker:
             elif kind.removesuffix("[]") in ("string", "text"):
                 self._texts(name, kind)
             elif kind.endswith("[]"):
-                self._numbers(name, kind.removesuffix("[]"), self._count())
+                self._numbers(name, kind.removesuffix("[]"), self._few("numbers"))
             else:
                 self._numbers(name, kind, 1)
         return self.layout
 
     def _align(self, size: int) -> None:
         self.position += -(self.position - _ENCAPSULATION) % size
+
+    def _few(self, what: str) -> int:
+        count = self._count()
+        if count > _MOST[what]:
+            raise CdrError(f"{count} {what}, expected at most {_MOST[what]}")
+        return count
 
     def _count(self) -> int:
         self._align(4)
@@ -145,22 +156,19 @@ class _Walker:
         return start, self.blob[start : self.position]
 
     def _texts(self, name: str, kind: str) -> None:
-        count = self._count() if kind.endswith("[]") else 1
-        if count * 4 > len(self.blob):
-            raise CdrError(f"message ends inside {name}")
+        count = self._few("texts") if kind.endswith("[]") else 1
         found = []
         for _ in range(count):
             start, content = self._string()
             if kind.startswith("text"):
+                if len(content) > _LONGEST_TEXT:
+                    raise CdrError(f"a text of {len(content)} bytes in {name}")
                 self.layout.guards.append((start, content))
                 found.append(content.rstrip(b"\0").decode(errors="replace"))
         self.layout.texts[name] = tuple(found)
 
     def _dimensions(self) -> None:
-        count = self._count()
-        if count * 12 > len(self.blob):
-            raise CdrError("message ends inside layout.dim")
-        for _ in range(count):
+        for _ in range(self._few("dimensions")):
             self._string()
             self._align(4)
             self.position += 8
@@ -175,11 +183,6 @@ def find_layout(blob: bytes, msgtype: str) -> Layout:
     return _Walker(blob).walk(FIELDS[msgtype])
 
 
-def decode(blobs: Sequence[bytes], msgtype: str) -> Iterator[Batch]:
-    """Decode messages of one type; messages that do not follow the type are in no batch."""
-    yield from decode_joined(b"".join(blobs), lengths_of(blobs), msgtype)
-
-
 def lengths_of(blobs: Sequence[bytes]) -> NDArray[np.int64]:
     """(n,) bytes of each message."""
     return np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
@@ -192,7 +195,7 @@ def split(joined: bytes, lengths: NDArray[np.int64]) -> list[bytes]:
 
 
 def decode_joined(
-    joined: bytes, lengths: NDArray[np.int64], msgtype: str
+    joined: bytes, lengths: NDArray[np.int64], msgtype: str, budget: Budget
 ) -> Iterator[Batch]:
     """As `decode`, for messages that lie one after the other; lengths: (n,) bytes of each."""
     order = np.argsort(lengths, kind="stable")
@@ -201,16 +204,19 @@ def decode_joined(
     for rows in np.split(order, ends):
         if len(rows) and lengths[rows[0]] >= _ENCAPSULATION:
             same_length = b"".join([blobs[row] for row in rows.tolist()]) if blobs else joined
-            yield from _decode_matrix(same_length, rows, msgtype)
+            yield from _decode_matrix(same_length, rows, msgtype, budget)
 
 
-def _decode_matrix(joined: bytes, rows: NDArray[np.int64], msgtype: str) -> Iterator[Batch]:
+def _decode_matrix(
+    joined: bytes, rows: NDArray[np.int64], msgtype: str, budget: Budget
+) -> Iterator[Batch]:
     length = len(joined) // len(rows)
     matrix = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), length)
     remaining = np.arange(len(rows))
     for _ in range(_LAYOUTS_PER_LENGTH):
         if not len(remaining):
             return
+        budget.check()
         first = int(remaining[0])
         try:
             layout = find_layout(joined[first * length : (first + 1) * length], msgtype)
@@ -220,7 +226,9 @@ def _decode_matrix(joined: bytes, rows: NDArray[np.int64], msgtype: str) -> Iter
         same = _matches(matrix[remaining] if len(remaining) < len(rows) else matrix, layout)
         taken, remaining = remaining[same], remaining[~same]
         yield _batch(matrix, taken, rows, layout)
-    for row in remaining.tolist():
+    for number, row in enumerate(remaining.tolist()):
+        if number % _CHECK_TIME_EVERY == 0:
+            budget.check()
         try:
             layout = find_layout(joined[row * length : (row + 1) * length], msgtype)
         except CdrError:

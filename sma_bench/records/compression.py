@@ -6,12 +6,15 @@ from typing import Any
 
 import zstandard
 
+from sma_bench.border import Budget, OverBudget
+
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 # Small pieces keep the output small (a zstd block makes 128 KiB from 4 bytes) and lose little of
 # what lies before an error.
 _PIECE = 4096
-_LARGEST_MESSAGE = 1 << 26
+_LARGEST_MESSAGE = 1 << 24
+_CUT = "the zstd compression is broken or cut short"
 
 
 def decompress_zstd(data: bytes, limit: int) -> tuple[bytes, bool]:
@@ -56,8 +59,8 @@ def _piece_by_piece(
     return b"".join(output), stream.eof and size <= limit
 
 
-def decompress_file(source: Path, target: Path) -> bool:
-    """Decompress a zstd file as far as it goes; False when it is broken or cut short."""
+def decompress_file(source: Path, target: Path, budget: Budget) -> str:
+    """Decompress a zstd file as far as it goes, and the budget does; what ended that too early."""
     decompressor = zstandard.ZstdDecompressor()
     stream = decompressor.decompressobj()
     with source.open("rb") as compressed, target.open("wb") as output:
@@ -66,26 +69,35 @@ def decompress_file(source: Path, target: Path) -> bool:
                 while piece:
                     if stream.eof:
                         stream = decompressor.decompressobj()
-                    output.write(stream.decompress(piece))
+                    plain = stream.decompress(piece)
+                    budget.take(len(plain))
+                    output.write(plain)
                     piece = stream.unused_data if stream.eof else b""
+        except OverBudget as error:
+            return str(error)
         except (zstandard.ZstdError, MemoryError):
-            return False
-    return stream.eof
+            return _CUT
+    return "" if stream.eof else _CUT
 
 
-def decompress_messages(blobs: Sequence[bytes]) -> tuple[list[bytes], int]:
+def decompress_messages(blobs: Sequence[bytes], budget: Budget) -> tuple[list[bytes], int]:
     """Messages of a bag with per-message compression.
 
     Returns:
         The messages, those that cannot be decompressed as empty bytes, and how many those are.
+
+    Raises:
+        OverBudget: they are larger, all together, than they may be.
     """
     decompressor = zstandard.ZstdDecompressor()
     messages, broken = [], 0
     for blob in blobs:
         try:
-            if zstandard.frame_content_size(blob) > _LARGEST_MESSAGE:
+            size = zstandard.frame_content_size(blob)
+            if size > _LARGEST_MESSAGE:
                 raise zstandard.ZstdError("larger than any message")
             messages.append(decompressor.decompress(blob, max_output_size=_LARGEST_MESSAGE))
+            budget.take(len(messages[-1]))
         except (zstandard.ZstdError, MemoryError):
             messages.append(b"")
             broken += 1

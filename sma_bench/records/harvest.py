@@ -7,11 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.border import MEGABYTE, Budget, OverBudget, printable
 from sma_bench.findings import Finding
 from sma_bench.records.record import IntArray
 
 # Bytes: a smaller file is read one message after the other before numba is even loaded.
 _WORTH_LOADING = 8 << 20
+_MOST_TOPICS = 4096
+# What a bag may unfold to, and how long that may take: more than any recorder's bag asks for.
+_BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
+_SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
 
 
 @dataclass
@@ -84,15 +89,18 @@ class Harvest:
     wanted: Callable[[str, str], bool]
     topics: dict[tuple[str, str], RawTopic] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    budget: Budget = field(default_factory=lambda: reading_budget(0))
 
     def topic(self, name: str, msgtype: str, encoding: str = "cdr") -> RawTopic:
         """The topic to append messages to, created when it is new."""
-        key = _printable(name), _printable(normal_type(msgtype))
+        key = printable(name), printable(normal_type(msgtype))
         if key not in self.topics:
+            if len(self.topics) >= _MOST_TOPICS:
+                raise OverBudget(f"more than {_MOST_TOPICS} topics")
             wanted = self.wanted(*key)
             if wanted and encoding != "cdr":
-                text = f"messages are encoded as {encoding!r}, expected 'cdr'; not decoded"
-                self.findings.append(Finding("error", name, text))
+                text = f"messages are encoded as {encoding[:40]!r}, expected 'cdr'; not decoded"
+                self.findings.append(Finding("error", key[0], text))
                 wanted = False
             self.topics[key] = RawTopic(*key, wanted)
         return self.topics[key]
@@ -105,6 +113,11 @@ class Harvest:
     def lost(self, subject: str, text: str, **numbers: float) -> None:
         """Note that something of the bag could not be read."""
         self.findings.append(Finding("warning", subject, text, dict(numbers)))
+
+
+def reading_budget(size: int) -> Budget:
+    """What reading files of `size` bytes may take."""
+    return Budget(_BYTES + _BYTES_OF_EACH * size, _SECONDS + _SECONDS_OF_EACH * size)
 
 
 def is_compiled(size: int) -> bool:
@@ -120,8 +133,3 @@ def normal_type(msgtype: str) -> str:
     """`sensor_msgs/Temperature` written as `sensor_msgs/msg/Temperature`."""
     parts = msgtype.split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else msgtype
-
-
-def _printable(text: str) -> str:
-    """Names end up in one-line messages; a damaged one may hold anything."""
-    return "".join(letter if letter.isprintable() else "?" for letter in text)

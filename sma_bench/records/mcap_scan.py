@@ -15,6 +15,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from sma_bench.border import Budget, OverBudget
 from sma_bench.findings import Finding
 from sma_bench.records.compression import decompress_lz4, decompress_zstd
 from sma_bench.records.harvest import Harvest, RawTopic, is_compiled
@@ -33,6 +34,7 @@ _LARGEST_CHUNK = 1 << 28
 _WINDOW = 1 << 20
 _LEAST_MESSAGE = 31
 _LATEST = 1 << 63
+_CHECK_TIME_EVERY = 4096  # records
 
 _Bytes = bytes | mmap.mmap
 
@@ -51,16 +53,21 @@ class _Scan:
         self.ended = False
         self.growing = False
         self.skipped = 0
-        self.remarks: list[str] = []
+        self.first_remark, self.places = "", 0
+        self.steps = 0
         self.orphans = 0
         self.compiled = False
         self.found: IntArray | None = None
         self.handlers = {_SCHEMA: self._schema, _CHANNEL: self._channel, _CHUNK: self._chunk}
+        self.in_chunk = False
 
     def walk(self, buffer: _Bytes, position: int, end: int) -> None:
         """Take every record between two offsets."""
         channels = self.channels
         while position + _RECORD.size <= end and not self.ended:
+            self.steps += 1
+            if self.steps % _CHECK_TIME_EVERY == 0:
+                self.harvest.budget.check()
             opcode, length = _RECORD.unpack_from(buffer, position)
             start = position + _RECORD.size
             stop = start + length
@@ -147,6 +154,9 @@ class _Scan:
             self.channels[number] = self.harvest.topic(topic, self.schemas[schema], encoding)
 
     def _chunk(self, buffer: _Bytes, start: int, stop: int, whole: bool = True) -> None:
+        if self.in_chunk:  # the format knows none; thousands in each other would end the stack
+            self._damage("a chunk inside a chunk", stop - start)
+            return
         _, _, size, checksum, name_length = _CHUNK_HEAD.unpack_from(buffer, start)
         position = start + _CHUNK_HEAD.size
         codec = bytes(buffer[position : position + name_length])
@@ -156,14 +166,18 @@ class _Scan:
         data, complete = buffer[data_start:stop], whole
         if codec:
             decompress = decompress_zstd if codec == b"zstd" else decompress_lz4
-            data, complete = decompress(data, min(size, _LARGEST_CHUNK))
+            budget = self.harvest.budget
+            data, complete = decompress(data, min(size, _LARGEST_CHUNK, budget.left))
+            budget.take(len(data) + 1)
         if complete and checksum and zlib.crc32(data) != checksum:
             self._damage(f"a chunk with a wrong checksum at byte {start - 9}", stop - start)
             return
         if not complete and whole:
             missing = 1 - len(data) / max(size, len(data), 1)
             self._damage(f"a broken chunk at byte {start - 9}", round(missing * (stop - start)))
+        self.in_chunk = True
         self.walk(data, 0, len(data))
+        self.in_chunk = False
         # A chunk cannot end the file, whatever its bytes say.
         self.ended = False
 
@@ -173,7 +187,7 @@ class _Scan:
             self._damage(f"the file ends inside the chunk at byte {position}", 0)
             self._chunk(buffer, position + _RECORD.size, end, whole=False)
             return end
-        found = _next_records(buffer, position + 1, end)
+        found = _next_records(buffer, position + 1, end, self.harvest.budget)
         text = f"bytes {position} to {found} make no sense"
         if found == end and 0 < buffer[position] <= _DATA_END:
             text = f"the file ends inside the record at byte {position}"
@@ -183,19 +197,20 @@ class _Scan:
     def _damage(self, text: str, lost: int) -> None:
         self.skipped += lost
         if text:
-            self.remarks.append(text)
+            self.first_remark = self.first_remark or text
+            self.places += 1
 
     def report(self, size: int) -> None:
         """Say what was lost."""
         if self.orphans:
             text = f"{self.orphans} messages belong to no known topic and are lost"
             self.harvest.lost(self.name, text, messages=self.orphans)
-        if self.growing and not self.remarks:
+        if self.growing and not self.places:
             text = "is still being recorded: what was written until now is read"
             self.harvest.findings.append(Finding("info", self.name, text))
-        elif self.remarks or self.skipped:
-            first = self.remarks[0] if self.remarks else "the last record is cut short"
-            more = f" and {len(self.remarks) - 1} more places" if len(self.remarks) > 1 else ""
+        elif self.places or self.skipped:
+            first = self.first_remark or "the last record is cut short"
+            more = f" and {self.places - 1} more places" if self.places > 1 else ""
             lost = min(self.skipped, size)
             text = f"damaged: {first}{more}; about {lost} of {size} bytes are lost"
             self.harvest.lost(self.name, text, bytes=lost)
@@ -209,6 +224,7 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
 
     Raises:
         OSError: the file cannot be opened.
+        OverBudget: it asks for more than such a file may; what was found until then is there.
     """
     scan = _Scan(path.name, harvest)
     size = path.stat().st_size
@@ -221,9 +237,14 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
         scan.read_summary(buffer)
         start = len(MAGIC)
         if buffer[:start] != MAGIC:
-            start = _next_records(buffer, 0, size)
+            start = _next_records(buffer, 0, size, harvest.budget)
             scan._damage("the file does not begin like an mcap file", start)
-        scan.walk(buffer, start, size)
+        try:
+            scan.walk(buffer, start, size)
+        except OverBudget:
+            scan.ended = True  # what is said is why the reading ended
+            scan.report(size)
+            raise
     scan.report(size)
 
 
@@ -260,12 +281,16 @@ def _is_cut_chunk(buffer: _Bytes, position: int, end: int) -> bool:
     return length == _CHUNK_HEAD.size + name_length + 8 + data_length
 
 
-def _next_records(buffer: _Bytes, position: int, end: int) -> int:
+def _next_records(buffer: _Bytes, position: int, end: int, budget: Budget) -> int:
     """First offset from which three records follow one another, or `end`."""
+    tried = 0
     while match := _CANDIDATE.search(buffer, position, end):
         if _follow(buffer, match.start(), end):
             return match.start()
         position = match.start() + 1
+        tried += 1
+        if tried % _CHECK_TIME_EVERY == 0:
+            budget.check()
     return end
 
 

@@ -29,8 +29,6 @@ def open_record(path: str | Path, namespace: str | None = None) -> AnyRecord:
         InputError: neither, or nothing readable in it.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder")
     if is_bag(path):
         return read_record(path, namespace)
     for recognises, read in _INSTRUMENTS:

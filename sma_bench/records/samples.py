@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.border import Budget
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import cdr, contract
 from sma_bench.records.compression import ZSTD_MAGIC, decompress_messages
@@ -14,6 +15,7 @@ from sma_bench.records.record import FloatArray, IntArray
 
 # A clock that shows less than a day since 1970 is a simulation's.
 _DAY_NS = 86_400 * 10**9
+_TEXT_BYTES = 400  # of a marker, from its message to what `describe` says of it
 _LOOK_AT = 10  # messages, to see whether they are compressed one by one
 
 JOINT_SIGNALS: dict[str, dict[str, str]] = {
@@ -53,20 +55,24 @@ class Samples:
         self.findings.append(Finding(severity, self.topic, text, dict(numbers)))
 
 
-def read_samples(raw: RawTopic) -> Samples:
-    """Decode all messages of one topic; those that cannot be are counted in a finding."""
+def read_samples(raw: RawTopic, budget: Budget) -> Samples:
+    """Decode all messages of one topic; those that cannot be are counted in a finding.
+
+    Raises:
+        OverBudget: they ask for more than such a topic may.
+    """
     received, lengths, joined = raw.taken()
     n = len(lengths)
     begins = np.cumsum(lengths[:_LOOK_AT]) - lengths[:_LOOK_AT]
     if any(joined.startswith(ZSTD_MAGIC, begin) for begin in begins.tolist()):
-        blobs, _ = decompress_messages(cdr.split(joined, lengths))
+        blobs, _ = decompress_messages(cdr.split(joined, lengths), budget)
         lengths, joined = cdr.lengths_of(blobs), b"".join(blobs)
     samples = Samples(raw.name, raw.type, received.copy(), received)
-    batches = list(cdr.decode_joined(joined, lengths, raw.type))
+    batches = list(cdr.decode_joined(joined, lengths, raw.type, budget))
     valid = np.zeros(n, dtype=bool)
     for batch in batches:
         valid[batch.rows] = True
-    _COLUMNS[raw.type](samples, batches, n)
+    _COLUMNS[raw.type](samples, batches, n, budget)
     if raw.type not in contract.HEADERLESS:
         valid &= _take_stamps(samples, batches)
     _drop(samples, valid, "cannot be decoded and are left out")
@@ -133,8 +139,12 @@ def _usable_commands(samples: Samples) -> NDArray[np.bool_]:
     return usable
 
 
-def _scalars(*names: str) -> Callable[[Samples, list[cdr.Batch], int], None]:
-    def take(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+_Take = Callable[[Samples, list[cdr.Batch], int, Budget], None]
+
+
+def _scalars(*names: str) -> _Take:
+    def take(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
+        budget.take(8 * n * len(names))
         for name in names:
             values = np.full(n, np.nan)
             for batch in batches:
@@ -144,8 +154,9 @@ def _scalars(*names: str) -> Callable[[Samples, list[cdr.Batch], int], None]:
     return take
 
 
-def _joints(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+def _joints(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
     """Named joints; the order of the names may change from one message to the next."""
+    budget.take(8 * n * sum(map(len, JOINT_SIGNALS.values())))
     for joint, fields in JOINT_SIGNALS.items():
         if not any(joint in batch.texts["name"] for batch in batches):
             continue
@@ -162,13 +173,14 @@ def _index(names: tuple[str, ...], name: str) -> int | None:
     return names.index(name) if name in names else None
 
 
-def _array(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+def _array(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
     """Rows of the most common length; the others stay NaN."""
     rows_by_width: dict[int, int] = {}
     for batch in batches:
         width = batch.columns["data"].shape[1]
         rows_by_width[width] = rows_by_width.get(width, 0) + len(batch.rows)
     width = max(rows_by_width, key=lambda w: (w > 0, rows_by_width[w]), default=0)
+    budget.take(8 * n * max(width, 1))
     values = np.full((n, max(width, 1)), np.nan)
     for batch in batches:
         if batch.columns["data"].shape[1] == width > 0:
@@ -176,14 +188,15 @@ def _array(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
     samples.columns["data"] = values
 
 
-def _texts(samples: Samples, batches: list[cdr.Batch], n: int) -> None:
+def _texts(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
+    budget.take(_TEXT_BYTES * n)
     texts = np.full(n, "", dtype=object)
     for batch in batches:
         texts[batch.rows] = batch.texts["data"][0]
     samples.texts = texts
 
 
-_COLUMNS: dict[str, Callable[[Samples, list[cdr.Batch], int], None]] = {
+_COLUMNS: dict[str, _Take] = {
     contract.BATTERY_STATE: _scalars("voltage", "current"),
     contract.TEMPERATURE: _scalars("temperature"),
     contract.RANGE: _scalars("range", "min_range", "max_range"),

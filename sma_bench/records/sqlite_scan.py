@@ -7,11 +7,13 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from sma_bench.border import Budget
 from sma_bench.records.harvest import Harvest, RawTopic, is_compiled
 from sma_bench.records.record import IntArray
 
@@ -22,6 +24,12 @@ _LAST_ROW = 2**62
 _LARGEST_FILE = 2**38
 _MOST_HOLES = 10_000
 _SIDE_FILES = ("-wal", "-journal")
+_TABLES = {"topics", "messages"}
+_LARGEST_VALUE = 1 << 26
+_LARGEST_STATEMENT = 1 << 20
+_STEPS = 10_000  # of SQLite's machine, between two looks at the clock
+# At the end of a journal: the next 16 bytes before it and a name say which file to delete with it.
+_NAMES_ANOTHER = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 
 _Row = tuple[int, int, int, bytes]
 # A damaged schema can make sqlite3 fail to decode its own error message.
@@ -31,8 +39,11 @@ _READ_ERRORS = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 def scan_sqlite(path: Path, harvest: Harvest) -> None:
     """Add the messages of one sqlite3 file to the harvest.
 
+    The file is opened as one that nobody changes. Of a writer that died in it a copy is recovered.
+
     Raises:
         OSError: the file cannot be opened.
+        OverBudget: it asks for more than such a file may; what was found until then is there.
     """
     announced = _announced_size(path)
     missing = max(0, announced - path.stat().st_size) if announced <= _LARGEST_FILE else 0
@@ -66,31 +77,74 @@ def _scan_copy(path: Path, size: int, harvest: Harvest) -> None:
             os.truncate(copy, size)
         for suffix in _SIDE_FILES:
             beside = path.with_name(path.name + suffix)
-            if beside.exists():
-                shutil.copyfile(beside, copy.with_name(copy.name + suffix))
+            if _size(beside):
+                recovered = copy.with_name(copy.name + suffix)
+                shutil.copyfile(beside, recovered)
+                _forget_names(recovered)
         _scan(copy.as_uri(), path.name, copy.stat().st_size, harvest)
 
 
+def _forget_names(journal: Path) -> None:
+    """Leave no name at the end of a copied journal: SQLite would delete the file called so."""
+    with journal.open("r+b") as file:
+        end = file.seek(0, os.SEEK_END)
+        while end >= len(_NAMES_ANOTHER):
+            file.seek(end - len(_NAMES_ANOTHER))
+            if file.read(len(_NAMES_ANOTHER)) != _NAMES_ANOTHER:
+                return
+            end = file.truncate(end - len(_NAMES_ANOTHER))
+
+
 def _size(path: Path) -> int:
-    return path.stat().st_size if path.is_file() else 0
+    return path.stat().st_size if path.is_file() and not path.is_symlink() else 0
 
 
 def _scan(uri: str, name: str, size: int, harvest: Harvest) -> None:
+    budget = harvest.budget
     try:
         with closing(sqlite3.connect(uri, uri=True)) as database:
             database.text_factory = bytes
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_VALUE)
+            database.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, _LARGEST_STATEMENT)
+            database.set_progress_handler(budget.is_over, _STEPS)
+            database.execute("PRAGMA trusted_schema = OFF")
+            _require_tables(database)
             topics = _topics(database, harvest)
             holes = _Holes()
             joined = is_compiled(size) and _is_plain_text(database)
-            _take_messages(database, topics, holes, joined)
-            _count_others(database, topics)
+            _take_messages(database, topics, holes, joined, budget)
+            _count_others(database, topics, budget)
     except _READ_ERRORS as error:
+        _unless_interrupted(error, budget)
         harvest.lost(name, f"damaged: {error}")
         return
     if holes.found:
         rows = f"about {holes.rows} rows" if holes.rows else "an unknown number of rows"
         text = f"damaged: {holes.found} places of the message table cannot be read, {rows} are lost"
         harvest.lost(name, text, places=holes.found, rows=holes.rows)
+
+
+def _unless_interrupted(error: Exception, budget: Budget) -> None:
+    """Raise what ended SQLite's work from outside: the time was over, or a signal came, whose
+    exception does not get through SQLite."""
+    if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+        budget.check()
+        raise KeyboardInterrupt
+
+
+def _require_tables(database: sqlite3.Connection) -> None:
+    """DatabaseError unless topics and messages are tables with columns of their own: what a view
+    says may be any program, one that never ends too."""
+    kinds = {
+        row[1].decode(errors="replace").lower(): row[2]
+        for row in database.execute("PRAGMA main.table_list")
+    }
+    for name in sorted(_TABLES):
+        if kinds.get(name) != b"table":
+            raise sqlite3.DatabaseError(f"{name} is no table")
+        columns = database.execute(f"PRAGMA main.table_xinfo({name})").fetchall()
+        if any(column[6] for column in columns):
+            raise sqlite3.DatabaseError(f"{name} has columns that are computed")
 
 
 def _topics(database: sqlite3.Connection, harvest: Harvest) -> dict[int, RawTopic]:
@@ -108,15 +162,17 @@ def _is_plain_text(database: sqlite3.Connection) -> bool:
 
 
 def _take_messages(
-    database: sqlite3.Connection, topics: dict[int, RawTopic], holes: "_Holes", joined: bool
+    database: sqlite3.Connection, topics: dict[int, RawTopic], holes: "_Holes", joined: bool,
+    budget: Budget,
 ) -> None:
     wanted = {number: topic for number, topic in topics.items() if topic.wanted}
     if not wanted:
         return
-    for batch in _batches(database, tuple(wanted), holes, joined):
+    for batch in _batches(database, tuple(wanted), holes, joined, budget):
         if isinstance(batch, list):
             _take_rows(batch, wanted)
         else:
+            budget.take(len(batch.data))
             _take_joined(batch, wanted)
 
 
@@ -135,7 +191,9 @@ def _take_joined(batch: "_Joined", wanted: dict[int, RawTopic]) -> None:
         topic.add_found(number, raw, stops - batch.lengths, stops, batch.topics, batch.times)
 
 
-def _count_others(database: sqlite3.Connection, topics: dict[int, RawTopic]) -> None:
+def _count_others(
+    database: sqlite3.Connection, topics: dict[int, RawTopic], budget: Budget
+) -> None:
     others = [number for number, topic in topics.items() if not topic.wanted]
     if not others:
         return
@@ -143,9 +201,9 @@ def _count_others(database: sqlite3.Connection, topics: dict[int, RawTopic]) -> 
     try:
         for number, count in database.execute(query, others):
             topics[number].count += count
-    except _READ_ERRORS:
+    except _READ_ERRORS as error:
         # Only a count of what nobody reads; the damage shows in the topics that are read.
-        return
+        _unless_interrupted(error, budget)
 
 
 class _Holes:
@@ -171,7 +229,8 @@ class _Joined:
 
 
 def _batches(
-    database: sqlite3.Connection, numbers: tuple[int, ...], holes: _Holes, joined: bool
+    database: sqlite3.Connection, numbers: tuple[int, ...], holes: _Holes, joined: bool,
+    budget: Budget,
 ) -> Iterator[list[_Row] | _Joined]:
     """Rows in the order of rowid, a few thousand each time; row by row before damage."""
     query = _query(numbers)
@@ -182,6 +241,7 @@ def _batches(
                 one = query + " LIMIT 1"
                 while rows := database.execute(one, (last + 1, *numbers)).fetchall():
                     last = _last_row(rows[-1][0], len(rows), last)
+                    budget.take(len(rows[-1][3]))
                     yield rows
                 return
             if joined:
@@ -190,16 +250,18 @@ def _batches(
                     yield batch
                 return
             cursor = database.execute(query, (last + 1, *numbers))
-            while rows := cursor.fetchmany(_BATCH):
+            while rows := _some(cursor, budget):
                 last = _last_row(rows[-1][0], len(rows), last)
                 yield rows
             return
-        except _READ_ERRORS:
+        except _READ_ERRORS as error:
+            _unless_interrupted(error, budget)
             if not single:
                 # Again, one row at a time, to get at those just before the damage. A query each:
                 # Python's cursor steps to the next row before it gives out the present one.
                 single = True
                 continue
+        budget.check()
         beyond = _beyond_hole(database, last + 1, numbers)
         holes.found += 1
         if beyond is None:
@@ -207,6 +269,16 @@ def _batches(
             return
         holes.rows += beyond - last - 1
         last, single = beyond - 1, False
+
+
+def _some(cursor: sqlite3.Cursor, budget: Budget) -> list[_Row]:
+    """The next few thousand rows; one after the other, for in a damaged tree a few bytes may be
+    the data of them all."""
+    rows = []
+    for row in islice(cursor, _BATCH):
+        budget.take(len(row[3]) + 1)
+        rows.append(row)
+    return rows
 
 
 def _query(numbers: tuple[int, ...]) -> str:
@@ -272,5 +344,7 @@ def _readable(database: sqlite3.Connection, row: int, numbers: tuple[int, ...]) 
     try:
         found = database.execute(_query(numbers) + " LIMIT 1", (row, *numbers)).fetchone()
         return found is not None and found[0] >= row
-    except _READ_ERRORS:
+    except _READ_ERRORS as error:
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+            raise
         return False

@@ -3,29 +3,33 @@
 import base64
 import csv
 import io
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import jinja2
+from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from sma_bench.border import csv_cell, printable, read_bytes, write_files
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.report.courses import courses_of, policy, script
 
 _SHORT, _LONG = 24, 48
 """letters of a table's cell"""
+_PAGE = "index.html"
+_MARK = '<meta name="generator" content="sma_bench">'
+_LARGEST_PAGE = 1 << 30
 
 _TEMPLATE = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
+{{ mark }}
 <meta http-equiv="Content-Security-Policy" content="{{ policy }}">
 <title>{{ title }}</title>
 <style>
@@ -195,7 +199,8 @@ def write_report(
     Figures over time answer to the pointer, by a script in the page; without it, and on paper, the
     PNG stands there.
 
-    All files appear, or none: what lies there already is replaced once all are made.
+    All files appear, or none: a report that lies there already is replaced once all are made, as a
+    whole; other files are not.
 
     Args:
         directory: made if it does not exist.
@@ -208,7 +213,8 @@ def write_report(
         Path of index.html.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be written, or holds a file of a name in the report that is
+            not a report's.
     """
     directory = Path(directory)
     pictures = [picture for section in sections for picture in section.pictures]
@@ -217,18 +223,20 @@ def write_report(
         files[f"{picture.name}.png"] = picture.png
         if for_papers:
             files[f"{picture.name}.svg"] = picture.svg
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, finalize=_without_controls
+    )
     page = environment.from_string(_TEMPLATE).render(
         title=title, summary=summary, sections=sections, width_of=_width,
-        courses_of=courses_of, policy=policy(),
+        courses_of=courses_of, policy=policy(), mark=Markup(_MARK),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
     if for_papers:
         tables = {t.name: t for section in sections for t in section.tables if t.name}
         tables |= {p.name: p.drawn for p in pictures if p.drawn is not None}
         files |= {f"{name}.csv": csv_text(table) for name, table in tables.items()}
-    write_together(directory, {**files, "index.html": page.encode("utf-8")})
-    return directory / "index.html"
+    write_together(directory, {**files, _PAGE: page.encode("utf-8")})
+    return directory / _PAGE
 
 
 def _width(cell: str) -> str:
@@ -238,28 +246,45 @@ def _width(cell: str) -> str:
     return "long" if len(cell) > _LONG else ""
 
 
+def _without_controls(shown: object) -> object:
+    """Names from outside without what ends or turns a text."""
+    return printable(shown, "\n") if type(shown) is str else shown
+
+
 def csv_text(table: Table) -> bytes:
-    """A table as a CSV file."""
+    """A table as a CSV file, in which no text is a formula to a spreadsheet."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([table.header, *table.rows])
+    rows = [map(csv_cell, row) for row in (table.header, *table.rows)]
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8")
 
 
 def write_together(directory: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder once all of them are on its disk; the last one last.
+    """Write the files of a report into a folder: all of them, or none.
 
     Raises:
-        InputError: the folder cannot be written; then it is as it was.
+        InputError: the folder cannot be written, or a file that is not a report's lies in the way;
+            then it is as it was.
     """
     new = not directory.exists()
+    foreign = [] if new or _is_report(directory) else [n for n in files if (directory / n).exists()]
+    if foreign:
+        raise InputError(
+            f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; expected "
+            "another folder"
+        )
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=directory, prefix=".report.") as staged:
-            for name, content in files.items():
-                (Path(staged) / name).write_bytes(content)
-            for name in files:
-                os.replace(Path(staged) / name, directory / name)
+        write_files({directory / name: content for name, content in files.items()})
     except OSError as error:
         if new and directory.is_dir() and not any(directory.iterdir()):
             directory.rmdir()
         raise InputError(f"{directory}: cannot write the report: {error.strerror}") from None
+
+
+def _is_report(directory: Path) -> bool:
+    page = directory / _PAGE
+    try:
+        return page.exists() and _MARK.encode() in read_bytes(page, _LARGEST_PAGE)
+    except (InputError, OSError):
+        return False

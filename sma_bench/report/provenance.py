@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from sma_bench import __version__
+from sma_bench.border import is_inside
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import TABLE
@@ -18,22 +19,28 @@ _BLOCK = 1 << 20
 
 
 def digest(path: Path) -> tuple[str, int]:
-    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files.
+    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files,
+    not of those that links lead to outside.
 
     Raises:
         InputError: a file cannot be read.
     """
     total, size = hashlib.sha256(), 0
     try:
-        for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
+        for part in _own_files(path) if path.is_dir() else [path]:
             if path.is_dir():
-                total.update(f"{part.relative_to(path)}\0{part.stat().st_size}\0".encode())
+                head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"
+                total.update(head.encode("utf-8", "surrogateescape"))
             for block in _blocks(part):
                 total.update(block)
                 size += len(block)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     return total.hexdigest(), size
+
+
+def _own_files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if p.is_file() and is_inside(p, folder))
 
 
 def _blocks(path: Path) -> Iterator[bytes]:

@@ -1,16 +1,16 @@
 """Result files of `sma-bench identify` and `diagnose`, read back and checked (docs/topics.md)."""
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from sma_bench.border import read_json, read_text
 from sma_bench.errors import InputError
 from sma_bench.report.quantities import is_known
 
-LARGEST = 1 << 26
+LARGEST = 1 << 24
 T = TypeVar("T")
 
 
@@ -87,7 +87,7 @@ def read_result(path: str | Path) -> IdentifyResult | DiagnoseResult:
         InputError: unreadable, not JSON, or not a result; one line that names what is missing.
     """
     path = Path(path)
-    document = _document(path)
+    document = read_json(read_text(path, LARGEST), str(path), LARGEST)
     if not isinstance(document, dict):
         raise InputError(f"{path}: not a result of identify or diagnose: expected an object")
     if "verdict" in document:
@@ -111,20 +111,6 @@ def _checked(read: Callable[[Path, Any], T], path: Path, document: Any) -> T:
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: damaged result: {reason}") from None
-
-
-def _document(path: Path) -> Any:
-    try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(f"{path}: larger than {LARGEST >> 20} MB, not a result file")
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
-    except (ValueError, RecursionError) as error:  # an integer of 5000 digits is a ValueError
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not JSON: {reason}") from None
 
 
 def _identification(path: Path, document: dict[str, Any]) -> IdentifyResult:

@@ -9,7 +9,7 @@ from std_msgs.msg import String
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.identification_job import Job
-from sma_bench.nodes.job_process import output_inside, records_inside
+from sma_bench.nodes.job_process import output_inside, records_inside, require_own
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
@@ -147,6 +147,25 @@ def test_links_inside_a_bag_and_results_outside_the_root_are_refused(tmp_path):
     for path in ("../out", "/etc/cron.d", "a\0b"):
         with pytest.raises(InputError, match="report: .*lies outside output_root"):
             output_inside(str(root), path, "report")
+
+
+def test_results_have_a_folder_of_their_own_and_replace_nothing_foreign(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert output_inside("", "a.yaml", "improved", ".yaml") == "sma_bench_results/a.yaml"
+    with pytest.raises(InputError, match="lies outside output_root .*sma_bench_results"):
+        output_inside("", "../a.yaml", "improved", ".yaml")
+    for hidden in (".bashrc", ".config/a.yaml", "a/.git/hooks"):
+        with pytest.raises(InputError, match="is hidden"):
+            output_inside(str(tmp_path), hidden, "report")
+    with pytest.raises(InputError, match="ends in .yaml"):
+        output_inside(str(tmp_path), "Makefile", "improved", ".yaml")
+    for name, content in (("mine.yaml", "# Improved by x\n"), ("theirs.yaml", "a: 1\n")):
+        (tmp_path / name).write_text(content)
+    assert output_inside(str(tmp_path), "mine.yaml", "improved", ".yaml")
+    with pytest.raises(InputError, match="not a file that sma-bench has written"):
+        output_inside(str(tmp_path), "theirs.yaml", "improved", ".yaml")
+    with pytest.raises(InputError, match="not a file that sma-bench has written"):
+        require_own(tmp_path / "mine.yaml", tmp_path / "theirs.yaml", parameter="output_directory")
 
 
 def test_a_job_carries_what_was_given_and_not_the_defaults():

@@ -1,5 +1,6 @@
 """The report is one self-contained, escaped HTML file."""
 
+import os
 from html.parser import HTMLParser
 
 import pytest
@@ -58,3 +59,44 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="cannot write the report"):
         write_report(tmp_path / "file" / "r", "T", "s", sections())
+
+
+def test_a_report_replaces_a_report_whole_and_nothing_else(tmp_path, monkeypatch):
+    folder = tmp_path / "r"
+    folder.mkdir()
+    (folder / "index.html").write_text("<p>my page</p>")
+    with pytest.raises(InputError, match="index.html, which is not of a report"):
+        write_report(folder, "T", "s", sections())
+    assert [p.name for p in folder.iterdir()] == ["index.html"]
+    (folder / "index.html").unlink()
+    (folder / "notes.txt").write_text("mine")
+    write_report(folder, "one", "s", sections())
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    replace, calls = os.replace, []
+
+    def fail_at_the_second(source, target):
+        calls.append(target)
+        if len(calls) == 2:
+            raise OSError(5, "Input/output error")
+        return replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fail_at_the_second)
+    with pytest.raises(InputError, match="cannot write the report: Input/output error"):
+        write_report(folder, "two", "s", sections())
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    monkeypatch.undo()
+    write_report(folder, "two", "s", sections())
+    assert "<title>two</title>" in (folder / "index.html").read_text()
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_names_from_outside_are_text_in_page_and_table(tmp_path):
+    hostile = "=HYPERLINK(1)\x1b[2J\udcff\u202e"
+    table = Table(["name"], [[hostile], ["-1.5"]], name="names")
+    page = write_report(
+        tmp_path / "r", hostile, "s", [Section("S", [hostile], tables=[table])], for_papers=True
+    )
+    text = page.read_text(encoding="utf-8")
+    assert "=HYPERLINK(1)\\x1b[2J\\udcff\\u202e" in text and "\x1b" not in text
+    rows = (tmp_path / "r" / "names.csv").read_text().splitlines()
+    assert rows == ["name", "'=HYPERLINK(1)\\x1b[2J\\udcff\\u202e", "-1.5"]

@@ -9,6 +9,7 @@ from sma_bench.identify.estimate import Array, Estimate
 from sma_bench.identify.thermal.heat_fit import Window
 
 FILTER_TIME = 0.1
+_MOST_CELLS = 1_000_000
 
 
 def slope_of_rates(
@@ -35,6 +36,7 @@ def slope_of_rates(
 
     for w, surrounding in zip(windows, ambient, strict=True):
         period = float(np.median(np.diff(w.temperature_time)))
+        period = max(period, float(np.ptp(w.temperature_time)) / _MOST_CELLS)
         grid = np.arange(w.temperature_time[0], w.temperature_time[-1], period)
         temperature = np.interp(grid, w.temperature_time, w.temperature)
         voltage = np.interp(grid, w.voltage_time, w.voltage)

@@ -20,6 +20,7 @@ from sma_bench.physics.bending import wire_section
 from sma_bench.records.record import Record
 
 _CELL = (0.01, 0.05)
+_MOST_CELLS = 4_000_000
 _FEWEST_SAMPLES = 20
 _MOST_SAMPLES = 25_000  # of one signal
 _MARGIN = 0.3
@@ -218,6 +219,7 @@ def _grid(times: Sequence[Array]) -> Array:
     cell = float(np.clip(period, *_CELL))
     start = min(float(time[0]) for time in times)
     stop = max(float(time[-1]) for time in times)
+    cell = max(cell, (stop - start) / _MOST_CELLS)
     cells = int(np.ceil((stop - start) / cell)) + 1
     return np.asarray(start + cell * np.arange(cells), dtype=np.float64)
 

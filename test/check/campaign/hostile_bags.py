@@ -1,0 +1,127 @@
+"""Bags that keep their format's rules and are made to harm: the pieces they are put together of."""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import zstandard
+
+from sma_bench.records import Signal, contract
+from sma_bench.records.write import write_record
+
+TOPICS = (
+    ("/bench/wire/power", contract.BATTERY_STATE),
+    ("/bench/joint_states", contract.JOINT_STATE),
+    ("/bench/voltage_command", contract.MULTI_ARRAY),
+    ("/bench/wire/temperature", contract.TEMPERATURE),
+    ("/bench/front/range", contract.RANGE),
+    ("/bench/experiment/marker", contract.STRING),
+)
+LITTLE_ENDIAN = b"\0\1\0\0"
+_MAGIC = b"\x89MCAP0\r\n"
+_SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
+_PAGE, _SECTOR = 4096, 512
+
+
+def small_bag(path: Path, storage: str) -> Path:
+    """Twenty readings of a voltage."""
+    time = np.arange(20) * 0.1
+    write_record(path, [Signal("wire.voltage", "V", time, np.ones(20))], storage=storage)
+    return path
+
+
+# --- mcap ---------------------------------------------------------------------------------------
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    """One record of an mcap file."""
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def message(channel: int, time: int, data: bytes) -> bytes:
+    """A message record; `channel` counts from 1, in the order of the topics."""
+    head = struct.pack("<HIQQ", channel, 0, time % 2**64, time % 2**64)
+    return record(5, head + data)
+
+
+def chunk(content: bytes, compressed: bool = True, size: int | None = None) -> bytes:
+    """A chunk record, of `size` bytes as it says."""
+    stored = zstandard.compress(content, 3) if compressed else content
+    codec = b"zstd" if compressed else b""
+    head = struct.pack("<QQQII", 0, 0, len(content) if size is None else size, 0, len(codec))
+    return record(6, head + codec + struct.pack("<Q", len(stored)) + stored)
+
+
+def mcap_of(*parts: bytes, topics: Sequence[tuple[str, str]] = TOPICS) -> bytes:
+    """A file with these topics, never finished."""
+    file = [_MAGIC, record(1, _text(b"ros2") + _text(b""))]
+    for number, (name, msgtype) in enumerate(topics, 1):
+        topic = _text(name.encode("utf-8", "surrogateescape"))
+        schema = struct.pack("<H", number) + _text(msgtype.encode()) + _text(b"ros2msg")
+        channel = struct.pack("<HH", number, number) + topic + _text(b"cdr")
+        file += [record(3, schema + _text(b"")), record(4, channel + _text(b""))]
+    return b"".join([*file, *parts])
+
+
+def _text(content: bytes) -> bytes:
+    return struct.pack("<I", len(content)) + content
+
+
+# --- messages -----------------------------------------------------------------------------------
+
+
+class Cdr:
+    """Plain CDR, little-endian, field after field."""
+
+    def __init__(self) -> None:
+        self.body = bytearray()
+
+    def put(self, form: str, *values: float) -> "Cdr":
+        """Numbers of a struct format's letter, aligned."""
+        size = struct.calcsize("<" + form)
+        for value in values:
+            self.body += bytes(-len(self.body) % size) + struct.pack("<" + form, value)
+        return self
+
+    def text(self, content: bytes) -> "Cdr":
+        """A string."""
+        self.put("I", len(content) + 1)
+        self.body += content + b"\0"
+        return self
+
+    def header(self, stamp_ns: int) -> "Cdr":
+        """std_msgs/Header."""
+        seconds, nanoseconds = divmod(stamp_ns, 10**9)
+        self.put("i", max(min(seconds, 2**31 - 1), -(2**31))).put("I", nanoseconds)
+        return self.text(b"f")
+
+    def numbers(self, values: Sequence[float]) -> "Cdr":
+        """A sequence of doubles."""
+        self.put("I", len(values))
+        return self.put("d", *values) if values else self
+
+    def __bytes__(self) -> bytes:
+        return LITTLE_ENDIAN + bytes(self.body)
+
+
+def named_joints(count: int) -> bytes:
+    """A JointState of so many joints without a name."""
+    head = Cdr().header(0).put("I", count)
+    return bytes(head) + bytes(4 * count) + bytes(12)
+
+
+# --- sqlite3 ------------------------------------------------------------------------------------
+
+
+def journal_naming(db3: Path, victim: Path) -> Path:
+    """A journal as of a writer that died, which says that `victim` goes with it: SQLite deletes the
+    file of that name once it has rolled back."""
+    pages = db3.stat().st_size // _PAGE
+    head = struct.pack(">8sIIIII", _SUPER_JOURNAL, 0, 1, pages, _SECTOR, _PAGE)
+    name = str(victim).encode()
+    tail = struct.pack(">I", (1 << 30) // _PAGE + 1) + name
+    tail += struct.pack(">II", len(name), sum(name)) + _SUPER_JOURNAL
+    journal = db3.with_name(db3.name + "-journal")
+    journal.write_bytes(head.ljust(_SECTOR, b"\0") + tail)
+    return journal
