@@ -1,12 +1,15 @@
 """The look that all figures share."""
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 MEASURED = "#1f4e79"
 SECOND = "#c0504d"
 MODEL = "#e08214"
 FAINT = "#8a8a8a"
+_LARGEST = 1e100
 
 
 def new_figure(
@@ -22,6 +25,11 @@ def new_figure(
         ax.grid(alpha=0.25)
         ax.spines[["top", "right"]].set_visible(False)
     return figure, list(axes)
+
+
+def drawable(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (n,) without those so large that an axis cannot be divided."""
+    return np.where(np.abs(values) < _LARGEST, values, np.nan)
 
 
 def legend_above(ax: Axes) -> None:

@@ -9,7 +9,6 @@ from functools import cached_property
 from pathlib import Path
 
 import jinja2
-from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -29,7 +28,7 @@ _TEMPLATE = """<!doctype html>
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-{{ mark }}
+<meta name="generator" content="sma_bench">
 <meta http-equiv="Content-Security-Policy" content="{{ policy }}">
 <title>{{ title }}</title>
 <style>
@@ -228,7 +227,7 @@ def write_report(
     )
     page = environment.from_string(_TEMPLATE).render(
         title=title, summary=summary, sections=sections, width_of=_width,
-        courses_of=courses_of, policy=policy(), mark=Markup(_MARK),
+        courses_of=courses_of, policy=policy(),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
     if for_papers:

@@ -14,7 +14,7 @@ from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.report.courses import thinned
-from sma_bench.report.drawing import FAINT, new_figure
+from sma_bench.report.drawing import FAINT, drawable, new_figure
 from sma_bench.report.page import Picture, Section, Table
 
 # --- Pictures of what a record holds, before anything is made of it.
@@ -59,7 +59,7 @@ def bag_picture(record: Record, name: str) -> Picture | None:
     for ax, (row, signals) in zip(axes, found, strict=True):
         curves = [curve for signal in signals for curve in _curves(signal)]
         for k, (label, time, values) in enumerate(curves):
-            t, v = thinned(time, row.factor * values, MOST_POINTS)
+            t, v = thinned(time, drawable(row.factor * values), MOST_POINTS)
             colour = _COLOURS[k % len(_COLOURS)]
             ax.plot(t, v, lw=0.9, color=colour, label=label.rpartition(".")[0] or label)
             drawn += [(label, row.unit, f"{a:.6f}", f"{b:.8g}") for a, b in zip(t, v, strict=True)]
@@ -147,7 +147,7 @@ def _loops(
     figure, (ax,) = new_figure(height=4.2)
     drawn = []
     for k, (what, x, y) in enumerate(curves):
-        ax.plot(x, y, lw=1.0, color=_COLOURS[k % len(_COLOURS)], label=what)
+        ax.plot(drawable(x), drawable(y), lw=1.0, color=_COLOURS[k % len(_COLOURS)], label=what)
         drawn += [(what, f"{a:.8g}", f"{b:.8g}") for a, b in zip(x, y, strict=True)]
     ax.set(xlabel=across, ylabel=label)
     if len(curves) > 1:

@@ -11,6 +11,7 @@ from sma_bench.errors import InputError
 from sma_bench.report.quantities import is_known
 
 LARGEST = 1 << 24
+_LARGEST_NUMBER = 1e100
 T = TypeVar("T")
 
 
@@ -198,4 +199,6 @@ def _number(found: Any) -> float:
         return math.nan
     if isinstance(found, bool) or not isinstance(found, (int, float)):
         raise TypeError(f"{found!r:.40} is not a number")
+    if abs(found) > _LARGEST_NUMBER:
+        raise ValueError(f"{found!r:.40} is beyond all measure")
     return float(found)

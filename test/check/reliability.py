@@ -26,6 +26,7 @@ from campaign.damaged_bags import damaged_bags
 from campaign.foreign_traffic import foreign_traffic, leaping_clocks
 from campaign.full_disk import full_disk
 from campaign.fuzzed_parsers import fuzzed_parsers
+from campaign.hostile_inputs import hostile_inputs
 from campaign.killed_recorder import killed_recorder
 from campaign.outcome import Campaign, Outcome
 from campaign.restarted_nodes import restarted_nodes
@@ -33,6 +34,7 @@ from campaign.soak import soak
 
 CAMPAIGNS = (
     Campaign("bags", "bags damaged at random places", 3600, "bags", damaged_bags),
+    Campaign("hostile", "well-formed hostile inputs", 20_000, "inputs", hostile_inputs),
     Campaign("killed", "recorders killed while they record", 200, "writers", killed_recorder),
     Campaign("disk", "disks that fill up", 20, "disks", full_disk),
     Campaign("clocks", "/clock leaps at the recorder", 20, "leaps", leaping_clocks),

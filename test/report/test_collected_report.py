@@ -270,7 +270,7 @@ def test_a_folder_that_cannot_be_written_keeps_the_last_report(
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("sma_bench.report.page.os.replace", full)
+    monkeypatch.setattr("sma_bench.border.os.replace", full)
     assert main(["report", str(results[0]), "--out", str(out)]) == 2
     assert "No space left" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before

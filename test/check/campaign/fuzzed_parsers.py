@@ -18,8 +18,9 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from campaign.allowance import allowance
+from campaign.hostile_inputs import targets
 from campaign.outcome import Outcome
-from campaign.parser_seeds import Parser, parsers
+from campaign.parser_seeds import Parser
 from sma_bench.errors import InputError
 
 MEMORY = 1 << 30
@@ -94,7 +95,7 @@ def fuzzed_parsers(size: int, number: int, folder: Path) -> list[Outcome]:
     """`size` inputs by hypothesis for every parser, and as many guided ones by atheris."""
     logging.disable(logging.WARNING)
     try:
-        outcomes = [_by_hypothesis(parser, size, number, folder) for parser in parsers()]
+        outcomes = [_by_hypothesis(parser, size, number, folder) for parser in targets()]
     finally:
         logging.disable(logging.NOTSET)
     return [*outcomes, _by_atheris(size, number, folder)]
@@ -136,7 +137,7 @@ def _by_atheris(size: int, number: int, folder: Path) -> Outcome:
         return Outcome("parsers", what, 0, "skipped: atheris is not installed", "failed 0", True)
     with tempfile.TemporaryDirectory(dir=folder) as corpus:
         process = subprocess.run(
-            [sys.executable, str(_GUIDED), f"-runs={size * len(parsers())}", f"-seed={number + 1}",
+            [sys.executable, str(_GUIDED), f"-runs={size * len(targets())}", f"-seed={number + 1}",
              "-max_len=4096", corpus],
             capture_output=True, text=True, errors="replace", check=False,
         )  # fmt: skip
@@ -145,4 +146,4 @@ def _by_atheris(size: int, number: int, folder: Path) -> Outcome:
             found = json.loads(Path(corpus, "found.json").read_text())
     failed = bool(found) or process.returncode != 0
     text = f"failed 1: {found or process.stderr.strip()[-_SHOWN:]}" if failed else "failed 0"
-    return Outcome("parsers", what, size * len(parsers()), text, "failed 0", not failed)
+    return Outcome("parsers", what, size * len(targets()), text, "failed 0", not failed)

@@ -14,9 +14,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 with atheris.instrument_imports(include=["sma_bench", "yaml"]):
     from campaign.fuzzed_parsers import TRIPWIRES, edited, try_input
-    from campaign.parser_seeds import parsers
+    from campaign.hostile_inputs import targets
 
-PARSERS = parsers()
+PARSERS = targets()
 
 
 def main(arguments: list[str]) -> None:

@@ -75,8 +75,29 @@ RESULT = {
     "parameters": {
         "wire.resistance": {"value": 2.7, "std": 0.1, "unit": "ohm", "method": "E1", "n": 9}
     },
-    "experiments": [{"name": "E1", "record": "bag"}],
+    "experiments": [
+        {"name": "E1", "title": "resistance", "source": "bag", "estimates": {}, "details": {
+            "drift": {"value": 0.1, "std": 0.2, "unit": "A"}}}
+    ],
     "warnings": ["one"],
+}
+DIAGNOSIS = {
+    "verdict": "effect", "cause": ["hysteresis"],
+    "where": {
+        "stage": "thermal",
+        "table": [{"signal": "wire.temperature", "phase": "heating", "side": "front", "gap": 2.0,
+                   "share": 0.5, "rms": 1.0}],
+        "chain": [{"block": "thermal", "gap": 1.0, "ci90": [0.5, 1.5]}],
+    },
+    "candidates": [
+        {"name": "hysteresis", "stage": "thermal", "probability": 0.9, "gap_over_noise": 1.0,
+         "log_evidence": 3.0, "parameters": {"a.b": {"value": 1.0, "std": 0.1, "unit": ""}}}
+    ],
+    "shrinkage": {
+        "wire.temperature": {"rmse_before": 2.0, "rmse_after": 1.0, "noise_floor": 0.5,
+                             "fraction": 0.5, "ci90": [0.4, 0.6]}
+    },
+    "next_experiment": {"why": "to tell them apart"}, "findings": ["one"], "warnings": [],
 }
 
 
@@ -142,6 +163,14 @@ _SERIAL = (
     + frame(bytes.fromhex("42390010fb30000100e32e9aff00009a3a8e3a1c0b00000000ffff0100"))
     + _TELEMETRY
 )
+
+
+def instrument_seeds() -> tuple[tuple[str, bytes], ...]:
+    """File name and content of what instruments write."""
+    return (
+        ("pyris.txt", PYRIS.encode("latin-1")), ("ta.txt", TA.encode()),
+        ("100 MPa.txt", _isobaric()), ("tensile.txt", _tensile()),
+    )  # fmt: skip
 
 
 def parsers() -> tuple[Parser, ...]:
