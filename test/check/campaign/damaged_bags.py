@@ -1,5 +1,7 @@
 """Bags damaged at random places: never a crash, all before the damage read, the loss stated."""
 
+import contextlib
+import io
 import random
 import shutil
 from collections import Counter
@@ -10,16 +12,25 @@ from pathlib import Path
 import numpy as np
 
 from campaign.allowance import allowance
+from campaign.hostile_inputs import COMMANDS, Case, run_command
 from campaign.numbered_bag import FORMATS, MESSAGES, NumberedBag, numbered_bag, numbers_in
 from campaign.outcome import Outcome
+from sma_bench.cli import main
+from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
-from sma_bench.records import describe, read_record
+from sma_bench.identify import identify
+from sma_bench.parameters import Parameters
+from sma_bench.records import Record, describe, read_record
 
 _BLOCKS = (1, 8, 64, 512, 4096, 20_000)
 _SHOWN_FAILURES = 3
 # What reading one of these small bags may take at most.
 MEMORY = 1 << 30
 SECONDS = 20.0
+# A drive takes this many as long as a bag of numbers, and its diagnosis its time.
+_NUMBERED_A_DRIVE = 90
+_DIAGNOSIS_SECONDS = 180.0
+_RIG = Path(__file__).resolve().parents[3] / "config" / "wire_rig.yaml"
 
 Damage = Callable[[random.Random, bytes, int, int], bytes]
 
@@ -79,7 +90,38 @@ def damaged_bags(size: int, seed: int, folder: Path) -> list[Outcome]:
                 _try_once(bag, damage, rng, folder / "copy") for _ in range(repeat)
             ]
         outcomes.append(_outcome(bag, verdicts))
-    return outcomes
+    return [*outcomes, _damaged_drives(max(1, size // _NUMBERED_A_DRIVE), seed, folder)]
+
+
+def _damaged_drives(size: int, seed: int, folder: Path) -> Outcome:
+    """A drive that can be identified and diagnosed, damaged, through every command."""
+    drive, copy, out = (folder / name for name in ("drive", "drive copy", "out"))
+    with contextlib.redirect_stdout(io.StringIO()):
+        main([
+            "simulate", "--protocol", "quick_staircase", "--params", str(_RIG), "--rate", "20",
+            "--noise", "1", "--out", str(drive),
+        ])  # fmt: skip
+    storage = next(file.name for file in drive.iterdir() if file.name != "metadata.yaml")
+    raw = (drive / storage).read_bytes()
+    failures, results = [], 0
+    for k in range(size):
+        rng = random.Random(f"{seed} drive {k}")
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(drive, copy)
+        damage = rng.choice(list(DAMAGES.values()))
+        at = rng.randrange(1, len(raw))
+        (copy / storage).write_bytes(damage(rng, raw, at, rng.choice(_BLOCKS)))
+        out.mkdir(exist_ok=True)
+        for command in COMMANDS:
+            options = () if command == "info" else ("--params", str(_RIG))
+            text, code = run_command(command, Case(copy, options), out, _DIAGNOSIS_SECONDS)
+            failures += [f"drive {k}: {command}: {text}"] if text else []
+            results += code == 0
+    found = f"failed {len(failures)}, {results} results of {size * len(COMMANDS)}"
+    return Outcome(
+        "bags", f"damaged drives through {', '.join(COMMANDS)}", size,
+        "; ".join([found, *failures[:_SHOWN_FAILURES]]), "failed 0", not failures,
+    )
 
 
 def _try_once(bag: NumberedBag, damage: Damage, rng: random.Random, copy: Path) -> Verdict:
@@ -101,6 +143,7 @@ def judge(bag: NumberedBag, copy: Path, whole: set[int]) -> Verdict:
         with allowance(MEMORY, SECONDS):
             record = read_record(copy)
             describe(record)
+            _use(record)
     except InputError as error:
         if "\n" in str(error):
             return Verdict(f"more than one line: {error!s:.80}")
@@ -119,6 +162,16 @@ def judge(bag: NumberedBag, copy: Path, whole: set[int]) -> Verdict:
     if lost > 0 and not stated:
         return Verdict(f"{lost} messages lost, nothing said so", lost=lost)
     return Verdict(lost=lost + altered, altered=0 if stated else altered)
+
+
+def _use(record: Record) -> None:
+    """What commands do with a record that they can read; that it is refused is no failure."""
+    for use in (identify, diagnose):
+        try:
+            use([record], Parameters.defaults())
+        except InputError as error:
+            if "\n" in str(error):
+                raise AssertionError(f"more than one line: {error!s:.80}") from None
 
 
 def _outcome(bag: NumberedBag, verdicts: list[Verdict]) -> Outcome:

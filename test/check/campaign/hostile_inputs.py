@@ -420,13 +420,15 @@ def try_case(maker: Maker, rng: random.Random, folder: Path) -> tuple[list[str],
     return failures, refusals == len(COMMANDS)
 
 
-def run_command(command: str, case: Case, out: Path) -> tuple[str, int]:
+def run_command(
+    command: str, case: Case, out: Path, seconds: float = SECONDS
+) -> tuple[str, int]:
     """What is wrong with what a command did, "" for nothing, and its exit code."""
     told, errors = io.StringIO(), io.StringIO()
     arguments = [command, *COMMANDS[command](case, out), "--", str(case.path)]
     try:
         with (
-            allowance(MEMORY, SECONDS), warnings.catch_warnings(),
+            allowance(MEMORY, seconds), warnings.catch_warnings(),
             contextlib.redirect_stdout(told), contextlib.redirect_stderr(errors),
         ):  # fmt: skip
             code = main(arguments)
