@@ -1,5 +1,6 @@
 """Which storage files make up a bag, and what its metadata.yaml says about them."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from sma_bench.records.harvest import Harvest
 T = TypeVar("T")
 
 METADATA = "metadata.yaml"
+_LONGEST_NAME = 255  # bytes, on every file system
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _SCANNERS = {
     mcap_scan.MAGIC: mcap_scan.scan_mcap,
@@ -104,7 +106,8 @@ def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFile
         text = "cannot be understood; the storage files found beside it are read"
         harvest.lost(METADATA, text)
         return BagFiles(present)
-    files = [path / name for name in dict.fromkeys(names) if is_inside(path / name, path)]
+    names = [name for name in dict.fromkeys(names) if len(os.fsencode(name)) <= _LONGEST_NAME]
+    files = [path / name for name in names if is_inside(path / name, path)]
     for missing in (file for file in files if not file.is_file()):
         text = f"the storage file {missing.name} is missing; the others are read"
         harvest.lost(missing.name, text)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import zstandard
 
-from sma_bench.cli import main
 from sma_bench.diagnose.view import view_record
 from sma_bench.errors import InputError
 from sma_bench.identify.whole_model.rig_record import rig_record
@@ -174,6 +173,13 @@ def test_metadata_is_read_within_bounds_and_the_bag_without_it(tmp_path):
         assert len(record["wire.voltage"]) == 20
 
 
+def test_a_name_that_no_file_has_is_passed_over(tmp_path):
+    bag = small_bag(tmp_path / "bag", "mcap")
+    text = (bag / METADATA).read_text()
+    (bag / METADATA).write_text(text.replace(storage_of(bag).name, "x" * 3000))
+    assert len(read_record(bag)["wire.voltage"]) == 20
+
+
 def test_links_out_of_the_folder_of_a_bag_are_not_followed(tmp_path):
     bag = small_bag(tmp_path / "bag", "mcap")
     other = storage_of(small_bag(tmp_path / "other", "mcap"))
@@ -226,15 +232,19 @@ def test_a_night_between_two_drives_is_a_pause(tmp_path):
     assert len(record["wire.voltage"]) == 200 and "left out" not in said(record)
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+@pytest.fixture
+def drive(tmp_path):
     """A wire driven and cooled, 20 readings a second."""
-    bag = tmp_path_factory.mktemp("drive") / "bag"
-    assert main([
-        "simulate", "--protocol", "quick_staircase", "--params", str(RIG), "--rate", "20",
-        "--noise", "1", "--out", str(bag),
-    ]) == 0  # fmt: skip
-    return read_record(bag)
+    time = np.arange(1200) * 0.05
+    voltage = np.where(np.arange(1200) % 400 < 200, 2.0, 0.0)
+    kernel = np.exp(-time / 5.0) * 0.05 / 5.0
+    warmth = 300.0 + 15.0 * np.convolve(voltage, kernel)[:1200]
+    write_record(tmp_path / "drive", [
+        Signal("wire.voltage", "V", time, voltage),
+        Signal("wire.current", "A", time, voltage / 3.0),
+        Signal("wire.temperature", "K", time, warmth),
+    ])  # fmt: skip
+    return read_record(tmp_path / "drive")
 
 
 def test_a_late_stamp_costs_no_memory(drive, tmp_path):
