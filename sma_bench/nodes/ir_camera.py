@@ -18,7 +18,8 @@ from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_settings import frame_format, frame_judge, wire_gauges
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.hardware.wire_gauge import ExpectedWarmth
-from sma_bench.nodes.base import MEASURED, BenchNode, run_node
+from sma_bench.nodes.base import MEASURED, run_node
+from sma_bench.nodes.managed_node import ACTIVE, ManagedNode
 
 # A late picture is worth less than the next one.
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -30,7 +31,7 @@ _LEVELS = {
 _FLAG_OPEN = 0
 
 
-class IrCamera(BenchNode):
+class IrCamera(ManagedNode):
     """One region of the picture a wire; what cannot be trusted is not published."""
 
     frozen = True
@@ -53,6 +54,12 @@ class IrCamera(BenchNode):
                 )
         self._listen_to_flag()
         self.create_service(Trigger, "~/reset", self._reset)
+        self.start_by_itself()
+
+    def cleanup(self) -> None:
+        """As `~/reset`."""
+        for gauge in self._gauges:
+            gauge.reset()
 
     def _output(self, channel: str) -> tuple[Any, Temperature]:
         message = Temperature()
@@ -71,6 +78,8 @@ class IrCamera(BenchNode):
         )
 
     def _image(self, message: Image) -> None:
+        if self.stage != ACTIVE:
+            return
         self._report.arrived(time.monotonic())
         stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         try:
@@ -112,8 +121,7 @@ class IrCamera(BenchNode):
         self._warmth[channel].voltage(float(message.voltage), time.monotonic())
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        for gauge in self._gauges:
-            gauge.reset()
+        self.cleanup()
         response.success = True
         response.message = "wires that were lost may be read as their background again"
         return response

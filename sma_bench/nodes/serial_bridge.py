@@ -27,9 +27,10 @@ from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port
-from sma_bench.nodes.base import LATCHED, BenchNode, run_node
+from sma_bench.nodes.base import LATCHED, run_node
 from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics
 from sma_bench.nodes.commander import COMMAND, COMMANDED, Commanders, layout_fault
+from sma_bench.nodes.managed_node import ACTIVE, INACTIVE, ManagedNode
 from sma_bench.nodes.recorder_state import follow_recorder
 
 _NANOSECONDS = 1e9
@@ -43,8 +44,11 @@ _CLOCK_STEP = 1000
 """Hz: telemetry windows are whole milliseconds"""
 
 
-class SerialBridge(BenchNode):
-    """The link has its own thread; all else happens in the node's."""
+class SerialBridge(ManagedNode):
+    """The link has its own thread; all else happens in the node's.
+
+    Of the lifecycle, `inactive` is a connected port at 0 V, `active` an enabled device.
+    """
 
     frozen = True
 
@@ -52,9 +56,11 @@ class SerialBridge(BenchNode):
         super().__init__("serial_bridge")
         if self.get_parameter("use_sim_time").value:
             raise InputError("use_sim_time is set, but hardware runs in real time")
-        rate = self.settings["telemetry_rate"]
-        if _CLOCK_STEP % rate:
-            raise InputError(f"telemetry_rate is {rate} Hz, expected a divisor of {_CLOCK_STEP}")
+        self._rate = self.settings["telemetry_rate"]
+        if _CLOCK_STEP % self._rate:
+            raise InputError(
+                f"telemetry_rate is {self._rate} Hz, expected a divisor of {_CLOCK_STEP}"
+            )
         # A bridge that is late is a bench that stops. Not everybody may ask for this.
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
@@ -64,20 +70,52 @@ class SerialBridge(BenchNode):
         self._events: deque[str] = deque()
         self._tally = Tally()
         self._told = ""
+        self._let_go = False
         # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
         self._to_ros = 0
-        self._link = SerialLink(
-            self._open, LinkOptions(rate=rate), self._arrived.append, self._events.append
-        )
         self._channels = self.parameters["bench.channels"]
         self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
+        self._build()
+        self._make_topics()
+        self.start_by_itself(until=INACTIVE)
+
+    def _build(self) -> None:
+        """A link that has not begun to connect, and what drives through it."""
+        self._link = SerialLink(
+            self._open, LinkOptions(rate=self._rate), self._arrived.append, self._events.append
+        )
         guard = Guard(
             self._channels, self.settings["feedback"], self.settings["feedback_timeout"]
         )
         limits = Limits.from_parameters(self.parameters)
         self._driver = BenchDriver(self._link, self._sensors, guard, self._channels, limits)
-        self._make_topics()
+
+    def configure(self) -> None:
+        """Connect, again and again if need be."""
         self._link.start()
+
+    def activate(self) -> None:
+        """As `~/enable`."""
+        try:
+            if self._let_go:  # a manager's own word is no fault
+                self._driver.reset()
+            self._driver.enable(time.monotonic())
+        except LinkError as error:
+            raise InputError(str(error)) from None
+        self._let_go = False
+
+    def deactivate(self) -> None:
+        """0 V; whatever has stopped the device already keeps its reason."""
+        if self._driver.enabled:
+            self._let_go = True
+            self._driver.stop("deactivated on request")
+
+    def cleanup(self) -> None:
+        """0 V, port closed; what stopped the device is forgotten with it."""
+        self._link.close()
+        self._let_go = False
+        self._arrived.clear()
+        self._build()
 
     def close(self) -> None:
         """Outputs off, port closed."""
@@ -96,7 +134,7 @@ class SerialBridge(BenchNode):
             self.create_subscription(
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, channel), 10
             )
-        follow_recorder(self, self._driver.recorder)
+        follow_recorder(self, lambda failure: self._driver.recorder(failure))
         requests = {
             "enable": self._enable, "stop": self._stop, "reset": self._reset,
             "self_test": self._self_test,
@@ -118,6 +156,8 @@ class SerialBridge(BenchNode):
             self._publish(self._driver.take(reading, time.monotonic()))
         if reason := self._driver.tick(time.monotonic()):
             self.get_logger().error(f"0 V: {reason}")
+        if self.stage == ACTIVE and not self._driver.enabled:
+            self.trigger_deactivate()
         self._tell_state()
         while self._events:
             if (event := self._events.popleft()) != self._told:
@@ -166,21 +206,26 @@ class SerialBridge(BenchNode):
     ) -> Trigger.Response:
         try:
             response.message, response.success = act(), True
-        except LinkError as error:
+        except (LinkError, InputError) as error:
             response.message, response.success = str(error), False
         self._tell_state()
         return response
 
     def _enable(self) -> str:
-        self._driver.enable(time.monotonic())
+        if self.stage == ACTIVE:
+            raise LinkError("enabled already")
+        self.require(self.trigger_activate)
         return self._driver.state
 
     def _stop(self) -> str:
         self._driver.stop("stopped on request")
+        if self.stage == ACTIVE:
+            self.trigger_deactivate()
         return self._driver.state
 
     def _reset(self) -> str:
         self._driver.reset()
+        self._let_go = False
         return self._driver.state
 
     def _self_test(self) -> str:

@@ -21,7 +21,8 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_image import ENCODING
 from sma_bench.hardware.thermal_settings import synthetic_camera
-from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.nodes.base import run_node
+from sma_bench.nodes.managed_node import ACTIVE, ManagedNode
 
 FAULTS = ("none", "frozen", "shutter", "silent", "moved")
 _SWAY_PERIOD = 7.0
@@ -30,7 +31,7 @@ _TIP = "tip"
 _IMAGE_QOS = QoSProfile(depth=1)
 
 
-class SyntheticCameraNode(BenchNode):
+class SyntheticCameraNode(ManagedNode):
     """Draws a picture at every tick of its rate; no picture before all temperatures are known."""
 
     def __init__(self) -> None:
@@ -52,6 +53,7 @@ class SyntheticCameraNode(BenchNode):
         self.create_subscription(JointState, "joint_states", self._joints, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.settings["rate"], self._take, clock=steady)
+        self.start_by_itself()
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Refuse an unknown fault."""
@@ -73,7 +75,8 @@ class SyntheticCameraNode(BenchNode):
 
     def _take(self) -> None:
         fault = self.settings["fault"]
-        if fault == "silent" or any(math.isnan(kelvin) for kelvin in self._kelvin):
+        waiting = any(math.isnan(kelvin) for kelvin in self._kelvin)
+        if self.stage != ACTIVE or fault == "silent" or waiting:
             return
         self._message.header.stamp = self.get_clock().now().to_msg()
         if fault == "shutter":

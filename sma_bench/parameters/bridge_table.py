@@ -1,6 +1,6 @@
 """Parameters of the node between ROS and the bench's Uno (serial_bridge)."""
 
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import MANAGED, Parameter
 
 # Sharp GP2Y0A41SK0F, from its datasheet's curve: V = 0.124 V m/(d + 4.2 mm) + 0.03 V.
 _RANGE_SLOPE, _RANGE_SHIFT, _RANGE_LEVEL = 0.124, 4.2e-3, 0.03
@@ -52,6 +52,7 @@ def _range(side: str) -> tuple[Parameter, ...]:
 
 
 SERIAL_BRIDGE = (
+    MANAGED,
     Parameter(
         "port", "", "",
         "Serial port of the Uno, by its stable name; empty for the only one in "

@@ -1,6 +1,6 @@
 """Parameters of the infrared camera's node, and of the synthetic camera that stands in for it."""
 
-from sma_bench.parameters.parameter import Parameter, fixed
+from sma_bench.parameters.parameter import MANAGED, Parameter, fixed
 
 # What both have to agree on.
 _SCENE = fixed(
@@ -32,6 +32,7 @@ _SCENE = fixed(
 
 IR_CAMERA = fixed(
     *_SCENE,
+    MANAGED,
     Parameter(
         "regions", "", ("",),
         "One a channel: 'X Y WIDTH HEIGHT', upper left corner and size in pixels of the part of "
@@ -105,6 +106,7 @@ IR_CAMERA = fixed(
 
 SYNTHETIC_CAMERA = (
     *_SCENE,
+    MANAGED,
     *fixed(
         Parameter(
             "rate", "Hz", 80.0, "Rate of thermal_image.", "Optris Xi 400, 80 Hz", 1.0, 200.0,

@@ -2,7 +2,7 @@
 
 from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
 from sma_bench.parameters.camera_tables import IR_CAMERA, SYNTHETIC_CAMERA
-from sma_bench.parameters.parameter import Parameter, fixed
+from sma_bench.parameters.parameter import MANAGED, Parameter, fixed
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.parameters.twin_table import TWIN
@@ -143,9 +143,19 @@ EXPERIMENT = (
 RECORDER = fixed(
     Parameter(
         "output", "", "",
-        "Folder of the new bag, which must not exist; empty for record_<date>_<time>.",
+        "Folder of the new bag, which must not exist; empty for record_<date>_<time>. Later bags "
+        "of the same recorder end in _2, _3, ...",
         "choice", kind="string",
     ),
+    Parameter(
+        "skip_idle", "", False,
+        "Leave out what comes while no experiment and no controller runs.", "choice", kind="bool",
+    ),
+    Parameter(
+        "idle_margin", "s", 10.0, "What is kept before and after a run all the same.",
+        "choice: a wire in silicone cools within it", 0.0, 600.0,
+    ),
+    MANAGED,
 )
 
 # Any program that finds the node may set its parameters and call its service.

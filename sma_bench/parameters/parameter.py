@@ -106,3 +106,10 @@ class Parameter:
 def fixed(*parameters: Parameter) -> tuple[Parameter, ...]:
     """The same parameters, as ones that a running node cannot change."""
     return tuple(replace(parameter, read_only=True) for parameter in parameters)
+
+
+MANAGED = Parameter(
+    "managed", "", False,
+    "Wait for a lifecycle manager's configure and activate, instead of going there at once.",
+    "choice", kind="bool", read_only=True,
+)

@@ -10,6 +10,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
+from sma_bench.nodes.base import LATCHED
 from sma_bench.records import read_record
 
 BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -21,7 +22,8 @@ def recording(bench, folder, *topics, **options):
     node = bench.start("recorder", output=folder, **options)
 
     def counts():
-        return json.loads(states[-1].data)["messages"] if states else {}
+        messages = json.loads(states[-1].data)["messages"] if states else {}
+        return {t: n for t, n in messages.items() if t != "/diagnostics"}  # its own among them
 
     bench.until(lambda: set(topics) <= set(counts()))
     return node, counts
@@ -129,3 +131,63 @@ def test_an_output_that_cannot_be_written_is_refused(bench):
     node = bench.start("recorder", output="/proc/bag")
     assert node.process.wait(30) == 2
     assert "/proc/bag" in node.output and "Traceback" not in node.output
+
+
+def test_start_stop_and_split_give_a_bag_each_by_service_or_by_the_lifecycle(bench, tmp_path):
+    publisher = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
+    node, counts = recording(bench, tmp_path / "bag", "/bench/wire/temperature")
+    topic = "/bench/wire/temperature"
+    bench.until(publisher.get_subscription_count)
+
+    def publish(n):
+        for k in range(n):
+            publisher.publish(temperature(k))
+        bench.until(lambda: counts().get(topic) == n)
+
+    publish(3)
+    split = bench.trigger("recorder/split")
+    assert split.success and split.message.endswith(f"recording {tmp_path / 'bag_2'}")
+    publish(4)
+    assert bench.trigger("recorder/stop").success
+    assert bench.trigger("recorder/stop").message == "is inactive"
+    assert not bench.trigger("recorder/split").success
+    publisher.publish(temperature(0))  # nobody writes it
+    assert bench.change_state("recorder", "activate")
+    publish(5)
+    assert bench.change_state("recorder", "deactivate")
+    assert bench.trigger("recorder/start").success
+    assert node.end() == 0
+    for name, count in (("bag", 3), ("bag_2", 4), ("bag_3", 5)):
+        assert len(read_record(tmp_path / name)["wire.temperature"]) == count
+    assert (tmp_path / "bag_4").is_dir()
+
+
+def test_a_recorder_left_to_a_manager_writes_nothing_before_it_is_active(bench, tmp_path):
+    bench.start("recorder", output=tmp_path / "bag", managed=True)
+    assert bench.trigger("recorder/start").message == "is unconfigured"
+    assert bench.change_state("recorder", "configure")
+    assert not (tmp_path / "bag").exists()
+    assert bench.change_state("recorder", "activate")
+    assert (tmp_path / "bag").is_dir()
+
+
+def test_idle_time_is_left_out_where_asked_but_for_a_margin(bench, tmp_path):
+    state = bench.node.create_publisher(String, "experiment/state", LATCHED)
+    readings = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
+    node, counts = recording(
+        bench, tmp_path / "bag", "/bench/wire/temperature", "/bench/experiment/state",
+        skip_idle=True, idle_margin=0.0,
+    )
+    bench.until(lambda: readings.get_subscription_count() and state.get_subscription_count())
+    topic = "/bench/wire/temperature"
+    for told, k in (("idle", 1), ("running: ramp", 2), ("done: ramp", 3)):
+        state.publish(String(data=told))
+        bench.until(lambda: True, 1.0)
+        state.wait_for_all_acked(Duration(seconds=5.0))
+        for _ in range(10):
+            readings.publish(temperature(k))
+        readings.wait_for_all_acked(Duration(seconds=5.0))
+    bench.until(lambda: counts().get(topic, 0) >= 10)
+    assert node.end() == 0
+    values = set(read_record(tmp_path / "bag")["wire.temperature"].values.round(2))
+    assert values == {295.15}  # those of the run alone

@@ -5,7 +5,8 @@ import time
 
 import pytest
 from emulated_rig import bridged_rig
-from sensor_msgs.msg import JointState, Range
+from lifecycle_msgs.msg import TransitionEvent
+from sensor_msgs.msg import BatteryState, JointState, Range
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.emulation.emulated_bench import emulated_bench
@@ -180,3 +181,44 @@ def test_settings_that_cannot_be_end_the_node_with_one_line(bench, parameters, r
     node = bench.start("serial_bridge", **parameters)
     assert node.process.wait(30.0) == 2
     assert reason in node.output and "Traceback" not in node.output
+
+
+def test_a_lifecycle_manager_enables_and_stops_and_losing_active_is_zero_volts(bench, uno):
+    with emulated_bench(Parameters.defaults(), uno) as hardware:
+        states = bench.latched("serial_bridge/state", String)
+        moves = bench.listen("serial_bridge/transition_event", TransitionEvent)
+        power = bench.listen("wire/power", BatteryState)
+        bench.start("serial_bridge", port=hardware.path, feedback="[power]", managed=True)
+        bench.until(lambda: states, 120.0)
+        command = bench.talk("voltage_command", Float64MultiArray)
+
+        def driven():
+            command.publish(Float64MultiArray(data=[2.0]))
+            return abs(power[-1].voltage - 2.0) < 0.1
+
+        def move(transition):
+            return bench.change_state("serial_bridge", transition)
+
+        assert bench.trigger("serial_bridge/enable").message == "is unconfigured"
+        assert not power  # the port is not even open
+        assert move("configure")
+        bench.until(lambda: power and states[-1].data == "idle")
+        bench.until(lambda: move("activate"))
+        bench.until(driven)
+        assert move("deactivate")
+        bench.until(lambda: power[-1].voltage < 0.1)
+        assert states[-1].data == "stopped: deactivated on request"
+        bench.until(lambda: move("activate"))  # its own word is no fault to be reset
+        bench.until(driven)
+        # No command any more: the bridge stops by itself, and is active no longer.
+        bench.until(lambda: moves[-1].goal_state.label == "inactive" and power[-1].voltage < 0.1)
+        assert states[-1].data.startswith("stopped: ") and not move("activate")
+        assert bench.trigger("serial_bridge/reset").success
+        bench.until(lambda: bench.trigger("serial_bridge/enable").success)
+        bench.until(lambda: moves[-1].goal_state.label == "active")
+        bench.until(driven)
+        assert bench.trigger("serial_bridge/stop").success
+        bench.until(lambda: moves[-1].goal_state.label == "inactive")
+        assert move("cleanup")
+        bench.until(lambda: states[-1].data.startswith("not connected"))
+        assert float(hardware.pins.off_for) > 0.0

@@ -19,7 +19,7 @@ import sma_bench
 
 ROOT = Path(__file__).resolve().parents[2]
 _NAMESPACE = "/perf"
-_PATIENCE = 120.0
+_PATIENCE = 400.0
 _TICKS = os.sysconf("SC_CLK_TCK")
 # Node: what it publishes once it works. The twin needs a bench, so the simulator goes on.
 _FIRST = {
@@ -79,7 +79,7 @@ def _first(node: str, folder: Path, started: list[subprocess.Popen[bytes]]) -> l
     log = folder / f"{node}.log"
     with log.open("wb") as stream:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "sma_bench.cli", "run", node, "--ros-args",
+            [sys.executable, "-P", "-m", "sma_bench.nodes.start", node, "--ros-args",
              "-r", f"__ns:={_NAMESPACE}", "--params-file", str(_rig())],
             stdout=stream, stderr=subprocess.STDOUT,
             env={**os.environ, "PYTHONPATH": str(folder), "XDG_CACHE_HOME": str(folder / "cache")},
