@@ -7,7 +7,7 @@ from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.tables import output_console, print_table
 
 if TYPE_CHECKING:
-    from sma_bench.physics.effects import Effect
+    from sma_bench.parameters.effect_table import Effect
 
 DESCRIPTION = "show every effect with its stage, the unit and range of its size, and how it shows"
 
@@ -20,8 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the table or the page."""
-    from sma_bench.physics.effects import EFFECTS
-    from sma_bench.physics.effects.documentation import effects_page, range_of
+    from sma_bench.parameters.documentation import effects_page, range_of
+    from sma_bench.parameters.effect_table import EFFECTS
 
     if args.json:
         write_json(args.json, {"effects": [_entry(effect) for effect in EFFECTS.values()]})

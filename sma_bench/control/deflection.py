@@ -23,9 +23,8 @@ from sma_bench.control.temperature import PI, Gains, HeatBudget, Heating, Output
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench, side_names
-from sma_bench.physics.inverse import Branch, SideModel
 from sma_bench.physics.linearised import linearise
-from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
+from sma_bench.physics.operating_point import Branch, OperatingPoint, SideModel, maximum_deflection
 
 Array = NDArray[np.float64]
 

@@ -1,172 +1,121 @@
-"""Numbers of the effects that the paper's model leaves out; with every default they are off.
+"""Effects, what the paper's model leaves out: declarations, as the files of the effects state them.
 
-`effect.<name>.<number>`; the first number of an effect is its size. An effect's equation, and how
-it shows at the bench, is in `physics/effects/<name>.py`.
+An effect is one file, `physics/effects/<name>.py`: its docstring is title, equation and source, its
+`EFFECT = Effect(...)` everything else that is to be known of it; below stands the compiled
+equation. This module reads the declarations out of the files' text, without importing them: a
+parameter file is read without loading the compiler, and nothing lists the effects but their folder.
 """
 
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, get_args
+
+from sma_bench.errors import InputError
 from sma_bench.parameters.parameter import Parameter
 
 EFFECT_PREFIX = "effect."
+EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 
-ELECTRICAL = (
-    Parameter(
-        "effect.phase_dependent_resistance.austenite_change", "1", 0.0,
-        "R of austenite over R of martensite, less 1; 0 is off.",
-        "assumed: resistivities of NiTi differ by up to 25 %, either way", -0.5, 1.0,
-        uncertainty=0.12,
-    ),
-    Parameter(
-        "effect.phase_dependent_resistance.temperature_coefficient", "1/K", 0.0,
-        "Relative rise of R a kelvin above ambient.",
-        "assumed: below that of pure metals", -2e-3, 5e-3, uncertainty=2e-4,
-    ),
-    Parameter(
-        "effect.supply_drop.resistance", "ohm", 0.0,
-        "R_s of leads and contacts between the measured voltage and the wire; 0 is off.",
-        "assumed: thin leads and crimps", 0.0, 5.0, uncertainty=0.2,
-    ),
-)
+Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 
-THERMAL = (
-    Parameter(
-        "effect.latent_heat.heat", "J/kg", 0.0,
-        "Heat of transformation, the term of eq. (1) that the paper drops; 0 is off.",
-        "assumed: 4 to 25 J/g by DSC", 0.0, 60e3, uncertainty=10e3,
-    ),
-    Parameter(
-        "effect.temperature_dependent_convection.rise", "1/K", 0.0,
-        "Relative rise of h a kelvin above ambient; 0 is off.",
-        "assumed: natural convection and radiation, +25 % from 320 to 420 K", -2e-3, 2e-2,
-        uncertainty=2.5e-3,
-    ),
-    Parameter(
-        "effect.matrix_thermal_mass.heat_capacity", "J/K", 0.0,
-        "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
-        "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5,
-    ),
-    Parameter(
-        "effect.matrix_thermal_mass.inner_share", "1", 0.5,
-        "Share of the resistance from wire to air that lies between wire and silicone.",
-        "assumed: half", 0.02, 0.98, uncertainty=0.2,
-    ),
-    Parameter(
-        "effect.side_heat_coupling.conductance", "W/K", 0.0,
-        "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
-        "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01,
-    ),
-    Parameter(
-        "effect.ambient_drift.rate", "K/s", 0.0,
-        "Rise of the air around the wires; 0 is off.",
-        "assumed: 0.2 to 5 K in ten minutes", -0.2, 0.2, uncertainty=0.01,
-    ),
-    Parameter(
-        "effect.ambient_drift.bend", "K/s2", 0.0,
-        "Growth of that rise.",
-        "assumed: of the order of the rise over some minutes", -2e-3, 2e-3, uncertainty=8e-5,
-    ),
-)
 
-TRANSFORMATION = (
-    Parameter(
-        "effect.partial_transformation.memory", "1", 0.0,
-        "0: loops start at once where they are turned (contract); 1: they stay flat until they "
-        "meet the full loop.",
-        "assumed: between the two", -0.5, 1.0, uncertainty=0.4,
-    ),
-    Parameter(
-        "effect.partial_transformation.return_point", "1", 0.0,
-        "0: inner loops run on to the origin (contract); 1: they close where they were opened.",
-        "assumed: between the two", 0.0, 1.0, uncertainty=0.4,
-    ),
-    Parameter(
-        "effect.transition_drift.shift", "K", 0.0,
-        "Shift of all transition temperatures after many cycles; 0 is off.",
-        "assumed: fatigue, up to 10 K", -30.0, 30.0, uncertainty=5.0,
-    ),
-    Parameter(
-        "effect.transition_drift.cycles", "1", 3.0,
-        "n_0, transformations there and back after which 63 % of the shift is done.",
-        "assumed: the first cycles shift most", 0.2, 1000.0, uncertainty=2.0,
-    ),
-    Parameter(
-        "effect.transition_drift.plastic_strain", "1", 0.0,
-        "Elongation that grows with the shift.",
-        "assumed: up to 0.5 %", -0.02, 0.02, uncertainty=5e-4,
-    ),
-    Parameter(
-        "effect.stress_dependent_transition.austenite", "K/Pa", 0.0,
-        "Added to 1/C_A; 0 is off.",
-        "assumed: C of 5 to 15 MPa/K, wrong or absent", -2e-6, 2e-6, uncertainty=6e-8,
-    ),
-    Parameter(
-        "effect.stress_dependent_transition.martensite", "K/Pa", 0.0,
-        "Added to 1/C_M; 0 is off.",
-        "assumed: C of 5 to 15 MPa/K, wrong or absent", -2e-6, 2e-6, uncertainty=6e-8,
-    ),
-)
+@dataclass(frozen=True)
+class Effect:
+    """One departure from the paper's model; off with every default.
 
-MECHANICAL = (
-    Parameter(
-        "effect.residual_strain.share", "1", 0.0,
-        "Share of the strain recovered so far that stays when the wire cools; 0 is off.",
-        "assumed: 1 to 30 % of the stroke", -0.2, 0.8, uncertainty=0.1,
-    ),
-    Parameter(
-        "effect.viscoelastic_matrix.relaxation", "1", 0.0,
-        "Stiffness that relaxes over the stiffness that stays; 0 is off.",
-        "assumed: 5 to 20 % of silicones", 0.0, 3.0, uncertainty=0.2,
-    ),
-    Parameter(
-        "effect.viscoelastic_matrix.time_constant", "s", 20.0,
-        "Time constant of the relaxation.",
-        "assumed: 1 to 300 s", 0.2, 2000.0, uncertainty=15.0,
-    ),
-    Parameter(
-        "effect.opposing_wires.engagement", "1", 0.0,
-        "Share of the other side's bending that reaches a wire; 0 is off.",
-        "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2,
-    ),
-    Parameter(
-        "effect.opposing_wires.detwinning_stress", "Pa", 100e6,
-        "Stress at which the passive martensite gives way.",
-        "assumed: 50 to 200 MPa", 1e6, 1e9, uncertainty=60e6,
-    ),
-    Parameter(
-        "effect.side_asymmetry.ratio", "1", 0.0,
-        "The front is stiffer and the back softer by this share; 0 is off.",
-        "assumed: to 50 %", -0.9, 0.9, uncertainty=0.25,
-    ),
-    Parameter(
-        "effect.slack.strain", "1", 0.0,
-        "Contraction that a wire takes up before it pulls; 0 is off.",
-        "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3,
-    ),
-)
+    Attributes:
+        name: of the contract, and of the file.
+        stage: where in the chain it acts.
+        parameters: its numbers, `effect.<name>.<number>`, its size first.
+        shows: what an engineer sees at the bench.
+        acts_on: signals that it can change, in the order of the chain.
+        marks: columns of the core that are 1 where it is on: the step takes the longer way there.
+        row: what its columns are of, every wire or every side that bends.
+        columns: number to the column that holds it, where the core reads it as it is.
+        constants, state, scratch: further columns of that row: what a bench is; what one step hands
+            to the next, 0 at the start; what is noted within a step. A name that stands n times is
+            the first of n columns.
+        text: title, equation and source: the docstring of its file.
+    """
 
-SENSOR = (
-    Parameter(
-        "effect.temperature_underfill.missing", "1", 0.0,
-        "Share of the infrared spot that sees the background instead of the wire; 0 is off.",
-        "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2,
-    ),
-    Parameter(
-        "effect.temperature_lag.time_constant", "s", 0.0,
-        "Time constant of the temperature reading; 0 is off.",
-        "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5,
-    ),
-    Parameter(
-        "effect.deflection_drift.rate", "m/s", 0.0,
-        "Drift of the deflection reading; 0 is off.",
-        "assumed: to 5 % of the stroke", -1e-3, 1e-3, uncertainty=1e-5,
-    ),
-    Parameter(
-        "effect.deflection_drift.bend", "m/s2", 0.0,
-        "Growth of that drift.",
-        "assumed: of the order of the drift over some minutes", -1e-5, 1e-5, uncertainty=1e-7,
-    ),
-)
+    name: str
+    stage: Stage
+    parameters: tuple[Parameter, ...]
+    shows: str
+    acts_on: tuple[str, ...] = ("temperature", "deflection")
+    marks: tuple[str, ...] = ()
+    row: Literal["wire", "side"] = "wire"
+    columns: Mapping[str, str] | None = None
+    constants: tuple[str, ...] = ()
+    state: tuple[str, ...] = ()
+    scratch: tuple[str, ...] = ()
+    text: str = ""
 
-EFFECT_TABLE: tuple[Parameter, ...] = (
-    *ELECTRICAL, *THERMAL, *TRANSFORMATION, *MECHANICAL, *SENSOR,
-)
-EFFECT_NAMES = tuple(dict.fromkeys(parameter.name.split(".")[1] for parameter in EFFECT_TABLE))
+    @property
+    def size(self) -> Parameter:
+        """The number that switches it on."""
+        return self.parameters[0]
+
+    @cached_property
+    def switches(self) -> tuple[Parameter, ...]:
+        """Numbers of which any one switches it on: those whose default is 0."""
+        return tuple(p for p in self.parameters if p.default == 0.0)
+
+    def is_on(self, parameters: Mapping[str, object]) -> bool:
+        """Whether these parameters switch it on."""
+        return any(parameters[p.name] != 0.0 for p in self.switches)
+
+    def named(self, number: str) -> Parameter:
+        """The table's entry of one of its numbers.
+
+        Raises:
+            InputError: the effect has no such number.
+        """
+        for parameter in self.parameters:
+            if parameter.name == f"{EFFECT_PREFIX}{self.name}.{number}":
+                return parameter
+        known = ", ".join(p.name.rsplit(".", 1)[1] for p in self.parameters)
+        raise InputError(f"effect {self.name}: no number {number!r}, expected {known}")
+
+    @property
+    def column_names(self) -> dict[str, str]:
+        """Full name of a number to its column."""
+        prefix = f"{EFFECT_PREFIX}{self.name}."
+        return {prefix + number: column for number, column in (self.columns or {}).items()}
+
+
+def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
+    """Effects of the files in a folder by name, in the order of the chain's stages.
+
+    Raises:
+        ValueError: a file without docstring or declaration, or with one that does not fit its
+            name.
+    """
+    found = [_declared(path) for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+    stages = get_args(Stage)
+    return {e.name: e for e in sorted(found, key=lambda effect: stages.index(effect.stage))}
+
+
+def _declared(path: Path) -> Effect:
+    """The declaration in a file, evaluated with nothing at hand but the two types it names."""
+    text = path.read_text(encoding="utf-8")
+    _, found, rest = text.partition("\nEFFECT = ")
+    declaration, closed, _ = rest.partition("\n)\n")
+    if not (found and closed and '"""' in text):
+        raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
+    code = compile(declaration + "\n)", path, "eval")
+    effect: Effect = eval(code, {"Effect": Effect, "Parameter": Parameter})
+    prefix = f"{EFFECT_PREFIX}{path.stem}."
+    if effect.name != path.stem:
+        raise ValueError(f"{path}: EFFECT is called {effect.name}, expected {path.stem}")
+    if not all(p.name.startswith(prefix) for p in effect.parameters):
+        raise ValueError(f"{path}: a parameter's name does not begin with {prefix}")
+    return replace(effect, text=inspect.cleandoc(text.split('"""')[1]))
+
+
+EFFECTS = declared_effects()
+EFFECT_NAMES = tuple(EFFECTS)
+EFFECT_TABLE: tuple[Parameter, ...] = tuple(p for e in EFFECTS.values() for p in e.parameters)

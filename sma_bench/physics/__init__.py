@@ -2,8 +2,8 @@
 
 from sma_bench.physics.bending import bending_coefficients
 from sma_bench.physics.boundary import Boundary, side_names
+from sma_bench.physics.kernel import State, initial_state
 from sma_bench.physics.simulate import Bench, Simulation, simulate
-from sma_bench.physics.state import State, initial_state
 
 __all__ = [
     "Bench",

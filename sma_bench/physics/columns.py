@@ -2,46 +2,71 @@
 
 Plain arrays because calls with many arguments cost more than the physics, and because numba's
 cache on disk would hold on to classes of an older version.
+
+Columns are numbered here, from the core's own lists and from what the effects declare of theirs:
+first what a bench is, then its state, then what is noted within a step.
 """
 
-# --- a wire: what it is (reciprocals spare the core divisions)
-AMBIENT, HEATING, TIME_CONSTANT, LATENT_RISE = range(4)  # K, K/V2, s, K
-AUSTENITE_FINISH, AUSTENITE_SLOPE, AUSTENITE_SHIFT = range(4, 7)  # A_f, 1/(A_f - A_s), 1/C_A
-MARTENSITE_FINISH, MARTENSITE_SLOPE, MARTENSITE_SHIFT = range(7, 10)  # M_f, 1/(M_s-M_f), 1/C_M
-AUSTENITE_MODULUS, MODULUS_CHANGE, RECOVERABLE_STRAIN, EXPANSION, SIDE = range(10, 15)
-# effects that change how it is heated: any at all, and their numbers,
-HEATED_OTHERWISE, CAPACITY, LOSS, RESISTANCE = range(15, 19)  # m c_p, h A_c, R
-AUSTENITE_RESISTANCE, RESISTANCE_SLOPE, SUPPLY_RESISTANCE = range(19, 22)
-CONVECTION_RISE, MATRIX_CAPACITY, MATRIX_INNER_SHARE, ACROSS = range(22, 26)
-AMBIENT_RATE, AMBIENT_BEND = range(26, 28)
-# effects that change how it transforms and reads.
-EVOLVES, MEMORY, FINAL_SHIFT, SHIFT_CYCLES, FINAL_PLASTIC, RESIDUAL_SHARE = range(28, 34)
-FULL_STRAIN, AUSTENITE_FINISH_FRESH, MARTENSITE_FINISH_FRESH = range(34, 37)
-READ_OTHERWISE, MISSING_SPOT, READING_LAG = range(37, 40)
-AUSTENITE_SPREAD, MARTENSITE_SPREAD, TAIL = range(40, 43)  # of the ramps, which run from 0 to 1
-RETURN_POINT = 43
-# its state,
-WIRE_STATE = 44
-TEMPERATURE, FRACTION, STRESS, TREND, CHANGE = range(44, 49)
-PHASE_REVERSED, OWN_REVERSED, OTHER_REVERSED, OTHER_POSITION_REVERSED = range(49, 53)
-CLOCK, MATRIX_RISE, CYCLES, TURNED_CYCLES, MOST_AUSTENITE, READING, SEEN = range(53, 60)
-# reversals that are remembered: how many, and xi, f, g of each,
-TURNS, TURN_STATES, TURN_DEPTH = 60, 61, 6
-# and scratch of a step, temperature = START + LAG xi, and likewise the silicone's rise; OFFSET is
-# strain beyond the contract's.
-DECAY, LAG, START, GUESS, STEP, COUPLING, OFFSET = range(79, 86)
-OPPOSITE, OPPOSITE_MATRIX, MATRIX_START, MATRIX_LAG = range(86, 90)
-WIRE_COLUMNS = 90
+from itertools import chain
+from typing import Literal
 
-# --- a side: sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED; effects on it,
-PRESCRIBED, STIFFNESS, LOAD = range(3)
-PULLS_OTHERWISE, SLACK, RELAXATION, RELAXATION_TIME, ENGAGEMENT, DETWINNING_STRESS = range(3, 9)
-OWN_STIFFNESS, OWN_LOAD = range(9, 11)
-# its state (BENDING is the contraction that bends the beam; TAUT: 1, 0 hanging, -1 pushing),
-SIDE_STATE = 11
-CONTRACTION, CONTRACTION_CHANGE, BENDING, RELAXED, DETWINNED, YIELDING, TAUT = range(11, 18)
-PASSIVE_FRACTION, PASSIVE_BENDING = range(18, 20)
-# and scratch of a step: the matrix and its relaxing part; the passive wires; all of them together.
-MATRIX_STIFFNESS, MATRIX_LOAD, RELAXING_STIFFNESS, RELAXING_LOAD = range(20, 24)
-PASSIVE_MODULUS, PASSIVE_LIMIT, PASSIVE_HARDENING, BEAM_STIFFNESS, BEAM_LOAD = range(24, 29)
-SIDE_COLUMNS = 29
+from sma_bench.parameters.effect_table import EFFECTS
+
+_WIRE_CONSTANTS = (  # reciprocals spare the core divisions
+    "AMBIENT", "HEATING", "TIME_CONSTANT", "LATENT_RISE",  # K, K/V2, s, K
+    "AUSTENITE_FINISH", "AUSTENITE_SLOPE", "AUSTENITE_SHIFT",  # A_f, 1/(A_f - A_s), 1/C_A
+    "MARTENSITE_FINISH", "MARTENSITE_SLOPE", "MARTENSITE_SHIFT",  # M_f, 1/(M_s - M_f), 1/C_M
+    "AUSTENITE_MODULUS", "MODULUS_CHANGE", "RECOVERABLE_STRAIN", "EXPANSION", "SIDE",
+    "AUSTENITE_SPREAD", "MARTENSITE_SPREAD", "TAIL",  # of the ramps, which run from 0 to 1
+    "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
+    "HEATED_OTHERWISE", "EVOLVES", "READ_OTHERWISE",  # marks of effects
+)  # fmt: skip
+_WIRE_STATE = (
+    "TEMPERATURE", "FRACTION", "STRESS", "TREND", "CHANGE",
+    "PHASE_REVERSED", "OWN_REVERSED", "OTHER_REVERSED", "OTHER_POSITION_REVERSED",
+    "CLOCK", "READING",
+)  # fmt: skip
+_WIRE_SCRATCH = (  # temperature = START + LAG xi; OFFSET is strain beyond the contract's
+    "DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET",
+)  # fmt: skip
+
+_SIDE_CONSTANTS = (  # sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED
+    "PRESCRIBED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD", "PULLS_OTHERWISE",
+)  # fmt: skip
+_SIDE_STATE = (  # BENDING is the contraction that bends the beam
+    "CONTRACTION", "CONTRACTION_CHANGE", "BENDING",
+)  # fmt: skip
+_SIDE_SCRATCH = (  # the matrix with its relaxing part; and with the passive wires
+    "MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD",
+)  # fmt: skip
+
+
+def _declared(row: str, part: Literal["constants", "state", "scratch"]) -> list[str]:
+    effects = [EFFECTS[name] for name in sorted(EFFECTS) if EFFECTS[name].row == row]
+    numbers = [(effect.columns or {}).values() if part == "constants" else () for effect in effects]
+    return list(chain(*numbers, *(getattr(effect, part) for effect in effects)))
+
+
+def _numbered(*parts: list[str]) -> tuple[dict[str, int], list[int]]:
+    """Column of every name, the first where it stands several times; where each part begins."""
+    names = list(chain(*parts))
+    starts = [sum(map(len, parts[:k])) for k in range(len(parts) + 1)]
+    return {name: names.index(name) for name in names}, starts
+
+
+WIRE_NAMES, (_, WIRE_STATE, _, WIRE_COLUMNS) = _numbered(
+    [*_WIRE_CONSTANTS, *_declared("wire", "constants")],
+    [*_WIRE_STATE, *_declared("wire", "state")],
+    [*_WIRE_SCRATCH, *_declared("wire", "scratch")],
+)
+SIDE_NAMES, (_, SIDE_STATE, _, SIDE_COLUMNS) = _numbered(
+    [*_SIDE_CONSTANTS, *_declared("side", "constants")],
+    [*_SIDE_STATE, *_declared("side", "state")],
+    [*_SIDE_SCRATCH, *_declared("side", "scratch")],
+)
+globals().update(WIRE_NAMES, **SIDE_NAMES)
+
+
+def __getattr__(name: str) -> int:
+    """Names that are generated are known to type checkers by this."""
+    raise AttributeError(f"no column {name}: neither the core nor an effect declares it")

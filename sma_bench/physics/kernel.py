@@ -1,21 +1,236 @@
-"""The compiled core as Python sees it: parameters converted once, its rows filled and read."""
+"""The compiled core as Python sees it: state of a bench, rows filled from parameters, calls."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.compiled import Meanwhile, warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.effect_table import EFFECT_PREFIX, EFFECTS
 from sma_bench.physics import columns as at
-from sma_bench.physics import core
-from sma_bench.physics.boundary import Boundary, per_side
+from sma_bench.physics import core, phase, stress
+from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
+from sma_bench.physics.heat import time_constant
 from sma_bench.physics.otherwise import see
-from sma_bench.physics.rows import side_rows, wire_rows
-from sma_bench.physics.state import State, initial_state
+
+# --- The state of a bench between two samples, and the state it starts from.
 
 Array = NDArray[np.float64]
 
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """All that the future of a bench depends on, apart from the voltages to come.
+
+    Carried from one simulation into the next, it continues to the last bit.
+
+    Attributes:
+        temperature: (w,) K; martensite_fraction: (w,); stress: (w,) Pa.
+        contraction: (s,), sides in the order of `side_names`.
+        memory: what the kernel keeps of the history (reversals, last changes), or None at rest.
+    """
+
+    temperature: Array
+    martensite_fraction: Array
+    stress: Array
+    contraction: Array
+    memory: tuple[Array, Array] | None = None
+
+    @property
+    def bending(self) -> Array:
+        """(s,) what of the contraction bends the beam."""
+        if self.memory is None:
+            return self.contraction
+        return self.memory[1][:, at.BENDING - at.SIDE_STATE]
+
+    @property
+    def temperature_reading(self) -> Array:
+        """(w,) K, what a sensor reads."""
+        if self.memory is None:
+            return self.temperature
+        return self.memory[0][:, at.READING - at.WIRE_STATE]
+
+    @property
+    def clock(self) -> float:
+        """s since the bench's start."""
+        if self.memory is None:
+            return 0.0
+        return float(self.memory[0][0, at.CLOCK - at.WIRE_STATE])
+
+
+def initial_state(
+    parameters: Parameters,
+    *,
+    temperature: ArrayLike | None = None,
+    martensite_fraction: ArrayLike = 1.0,
+    boundary: Boundary | None = None,
+) -> State:
+    """State without history: at rest, or at a given temperature and martensite fraction.
+
+    Args:
+        temperature: one or (w,) K; ambient when not given.
+        martensite_fraction: one or (w,), 0 to 1.
+        boundary: the rig's own when not given; it decides stress and contraction.
+
+    Raises:
+        InputError: wrong shape, or a fraction that cannot be at that temperature and stress.
+    """
+    boundary = boundary or Boundary.of(parameters)
+    if temperature is None:
+        temperature = parameters["environment.ambient_temperature"]
+    kelvin = _per_wire("temperature", temperature, parameters)
+    xi = _per_wire("martensite_fraction", martensite_fraction, parameters)
+    if np.any(kelvin <= 0.0):
+        raise InputError(f"initial state: temperature is {kelvin.min():g} K, expected above 0 K")
+    if np.any((xi < 0.0) | (xi > 1.0)):
+        raise InputError(f"initial state: martensite_fraction is {xi}, expected 0 to 1")
+    contraction = _contraction(kelvin, xi, parameters, boundary)
+    sigma = stress.stress(kelvin, xi, contraction[side_of_channels(parameters)], parameters)
+    _require_possible(kelvin, xi, sigma, parameters)
+    return State(kelvin, xi, sigma, contraction)
+
+
+def _per_wire(name: str, value: ArrayLike, parameters: Parameters) -> Array:
+    wires = len(parameters["bench.channels"])
+    array = np.asarray(value, dtype=float)
+    if array.shape not in ((), (wires,)):
+        raise InputError(
+            f"initial state: {name} has shape {array.shape}, expected one or {wires} values"
+        )
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"initial state: {name} is {array}, expected finite numbers")
+    return np.array(np.broadcast_to(array, (wires,)))
+
+
+def _contraction(kelvin: Array, xi: Array, parameters: Parameters, boundary: Boundary) -> Array:
+    sides = len(side_names(parameters))
+    if boundary.contraction is not None:
+        return per_side("contraction", boundary.contraction, sides)
+    side = side_of_channels(parameters)
+    pull = np.bincount(side, stress.stress(kelvin, xi, 0.0, parameters), sides)
+    modulus = np.bincount(side, stress.modulus(xi, parameters), sides)
+    stiffness = modulus + per_side("stiffness", boundary.stiffness, sides)
+    return np.asarray((pull - per_side("load", boundary.load, sides)) / stiffness)
+
+
+def _require_possible(kelvin: Array, xi: Array, sigma: Array, parameters: Parameters) -> None:
+    f = phase.austenite_ramp(kelvin, sigma, parameters)
+    g = phase.martensite_ramp(kelvin, sigma, parameters)
+    checks = (
+        ((f == 0.0) & (g == 1.0) & (xi > 0.0), "0 above A_f"),
+        ((f == 1.0) & (g == 0.0) & (xi < 1.0), "1 below M_f"),
+    )
+    for impossible, expected in checks:
+        if np.any(impossible):
+            i = int(np.argmax(impossible))
+            raise InputError(
+                f"initial state: martensite fraction {xi[i]:g} at {kelvin[i]:g} K and "
+                f"{sigma[i] / 1e6:.4g} MPa, expected {expected} (shifted by stress)"
+            )
+
+
+# --- Parameters converted to the rows of columns.py.
+
+_WIRE_NUMBERS = (
+    "resistance", "heat_transfer_coefficient", "surface_area", "specific_heat", "mass",
+    "austenite_start_temperature", "austenite_finish_temperature",
+    "martensite_start_temperature", "martensite_finish_temperature",
+    "stress_influence_austenite", "stress_influence_martensite",
+    "austenite_modulus", "martensite_modulus", "maximum_recoverable_strain",
+    "thermal_expansion_factor", "transition_spread", "transition_tail",
+)
+
+
+def wire_rows(parameters: Parameters) -> Array:
+    """(w, WIRE_COLUMNS) constants of every wire; states are 0."""
+    wires = np.zeros((len(parameters["bench.channels"]), at.WIRE_COLUMNS))
+    for column, number in {**_effects(parameters), **_wire(parameters)}.items():
+        wires[:, column] = number
+    side = side_of_channels(parameters)
+    wires[:, at.SIDE] = side
+    # Between unequal numbers of wires: what one side gives, the other gets.
+    own = np.bincount(side)[side]
+    wires[:, at.ACROSS] *= (side.size - own) / np.maximum(own, side.size - own)
+    return wires
+
+
+def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
+    """(s, SIDE_COLUMNS) constants of every side; states are 0."""
+    count = len(side_names(parameters))
+    sides = np.zeros((count, at.SIDE_COLUMNS))
+    sides[:, at.PRESCRIBED] = boundary.contraction is not None
+    for column in (at.STIFFNESS, at.OWN_STIFFNESS):
+        sides[:, column] = per_side("stiffness", boundary.stiffness, count)
+    for column in (at.LOAD, at.OWN_LOAD):
+        sides[:, column] = per_side("load", boundary.load, count)
+    # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
+    bends = (sides[:, at.OWN_STIFFNESS] > 0.0) & (boundary.contraction is None)
+    for effect in EFFECTS.values():
+        if effect.row == "side":
+            for number, name in effect.column_names.items():
+                sides[bends, at.SIDE_NAMES[name]] = parameters[number]
+        for mark in at.SIDE_NAMES.keys() & effect.marks:
+            marked = bends if effect.row == "side" else slice(None)
+            sides[marked, at.SIDE_NAMES[mark]] += effect.is_on(parameters)
+    return sides
+
+
+def _effects(parameters: Parameters) -> Mapping[int, float]:
+    """Columns that hold an effect's number as it is, and its marks."""
+    columns = {}
+    for effect in EFFECTS.values():
+        if effect.row == "wire":
+            for number, column in effect.column_names.items():
+                columns[at.WIRE_NAMES[column]] = float(parameters[number])
+        if effect.is_on(parameters):
+            columns.update((at.WIRE_NAMES[m], 1.0) for m in at.WIRE_NAMES.keys() & effect.marks)
+    return columns
+
+
+def _wire(parameters: Parameters) -> Mapping[int, float]:
+    wire = {name: float(parameters[f"wire.{name}"]) for name in _WIRE_NUMBERS}
+    loss = wire["heat_transfer_coefficient"] * wire["surface_area"]
+    a_s, a_f = wire["austenite_start_temperature"], wire["austenite_finish_temperature"]
+    m_s, m_f = wire["martensite_start_temperature"], wire["martensite_finish_temperature"]
+    shift = f"{EFFECT_PREFIX}stress_dependent_transition."
+    return {
+        at.AMBIENT: parameters["environment.ambient_temperature"],
+        at.HEATING: 1.0 / (wire["resistance"] * loss),
+        at.TIME_CONSTANT: time_constant(parameters),
+        at.LATENT_RISE: parameters["effect.latent_heat.heat"] / wire["specific_heat"],
+        at.CAPACITY: wire["mass"] * wire["specific_heat"],
+        at.LOSS: loss,
+        at.RESISTANCE: wire["resistance"],
+        at.AUSTENITE_FINISH: a_f,
+        at.AUSTENITE_FINISH_FRESH: a_f,
+        at.AUSTENITE_SLOPE: 1.0 / (a_f - a_s),
+        at.AUSTENITE_SHIFT: max(
+            1.0 / wire["stress_influence_austenite"] + parameters[shift + "austenite"], 0.0
+        ),
+        at.AUSTENITE_SPREAD: wire["transition_spread"] / (a_f - a_s),
+        at.MARTENSITE_SPREAD: wire["transition_spread"] / (m_s - m_f),
+        at.TAIL: wire["transition_tail"],
+        at.MARTENSITE_FINISH: m_f,
+        at.MARTENSITE_FINISH_FRESH: m_f,
+        at.MARTENSITE_SLOPE: 1.0 / (m_s - m_f),
+        at.MARTENSITE_SHIFT: max(
+            1.0 / wire["stress_influence_martensite"] + parameters[shift + "martensite"], 0.0
+        ),
+        at.AUSTENITE_MODULUS: wire["austenite_modulus"],
+        at.MODULUS_CHANGE: wire["martensite_modulus"] - wire["austenite_modulus"],
+        at.RECOVERABLE_STRAIN: wire["maximum_recoverable_strain"],
+        at.FULL_STRAIN: wire["maximum_recoverable_strain"],
+        at.EXPANSION: wire["thermal_expansion_factor"],
+    }
+
+
+# --- The compiled core as Python sees it: parameters converted once, its rows filled and read.
+
 RUN = Meanwhile(core.run)
+
 
 class Kernel:
     """Parameters converted once for the compiled core, and the core's calls."""
@@ -73,5 +288,3 @@ class Kernel:
             sides[:, at.CONTRACTION],
             (wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :]),
         )
-
-

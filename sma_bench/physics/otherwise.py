@@ -7,8 +7,10 @@ austenite so far or not) are tried as they were last, and changed where the solu
 """
 
 import math
+from importlib import import_module
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.matrix_thermal_mass import warm_together
@@ -19,15 +21,32 @@ from sma_bench.physics.effects.opposing_wires import (
     yield_sign,
 )
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
-from sma_bench.physics.effects.residual_strain import keep_strain, passes_most
+from sma_bench.physics.effects.residual_strain import passes_most
 from sma_bench.physics.effects.slack import contact
 from sma_bench.physics.effects.supply_drop import power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
 from sma_bench.physics.effects.temperature_lag import follow
 from sma_bench.physics.effects.temperature_underfill import spot_temperature
-from sma_bench.physics.effects.transition_drift import plastic_strain
 from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
 from sma_bench.physics.kinetics import close_loops
+
+
+def every_effect(place, arguments, join):
+    """One compiled function that calls the functions called `place` of all effects.
+
+    Written out as source, because a compiled function cannot go through a list of others.
+    """
+    modules = {name: import_module(f"{EFFECTS_PACKAGE}.{name}") for name in sorted(EFFECTS)}
+    names = {name: getattr(m, place) for name, m in modules.items() if hasattr(m, place)}
+    body = join.join(f"{name}({arguments})" for name in names)
+    line = f"return {body}" if join == " + " else body
+    exec(compile(f"def {place}({arguments}): {line}", __file__, "exec"), names)
+    return borrowing(names[place])
+
+
+EFFECTS_PACKAGE = "sma_bench.physics.effects"
+added_strain = every_effect("added_strain", "wires, i", " + ")
+after_step = every_effect("after_step", "wires, i, fraction_before, step", "; ")
 
 
 @borrowing
@@ -49,7 +68,7 @@ def heat_balance(wires, i, voltage, step):
 @borrowing
 def set_strain(wires, i):
     """Strain of wire i beyond the contract's, for the step to come."""
-    wires[i, at.OFFSET] = keep_strain(wires, i) - plastic_strain(wires, i)
+    wires[i, at.OFFSET] = added_strain(wires, i)
 
 
 @borrowing
@@ -133,14 +152,9 @@ def finish_side(sides, side):
 @borrowing
 def finish_wire(wires, i, fraction_before, step):
     """Silicone, cycles and reading of wire i after a step."""
-    xi = wires[i, at.FRACTION]
     if wires[i, at.RETURN_POINT] != 0.0:
         close_loops(wires, i)
-    wires[i, at.CYCLES] += 0.5 * abs(xi - fraction_before)
-    wires[i, at.MOST_AUSTENITE] = max(wires[i, at.MOST_AUSTENITE], 1.0 - xi)
-    if wires[i, at.MATRIX_CAPACITY] > 0.0:
-        lag = wires[i, at.MATRIX_LAG] * (xi - fraction_before)
-        wires[i, at.MATRIX_RISE] = wires[i, at.MATRIX_START] + lag
+    after_step(wires, i, fraction_before, step)
     if wires[i, at.READ_OTHERWISE] > 0.0:
         seen = see(wires, i)
         wires[i, at.READING] = follow(

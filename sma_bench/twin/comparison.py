@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.physics.boundary import side_of_channels
-from sma_bench.physics.driven import TemperatureDriven
+from sma_bench.physics.simulate import TemperatureDriven
 from sma_bench.twin.free_run import FreeRun
 from sma_bench.twin.signal_bins import BIN, Bin, SignalBins
 

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
-from sma_bench.physics.driven import warmed_from_rest
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
-from sma_bench.physics.simulate import Simulation
-from sma_bench.physics.state import State
+from sma_bench.physics.kernel import State
+from sma_bench.physics.simulate import Simulation, warmed_from_rest
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import pytest
 
 from sma_bench.cli import main
 from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters.documentation import effects_page
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.effects.documentation import effects_page
 from sma_bench.records import Signal, read_record
 from sma_bench.records.write import write_record
 

@@ -1,6 +1,7 @@
 """What all effects have in common: none when off, little when small, finite, alike in any step."""
 
 import itertools
+import shutil
 import subprocess
 import sys
 
@@ -12,9 +13,10 @@ from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.documentation import effects_page
+from sma_bench.parameters.effect_table import declared_effects
 from sma_bench.physics import Bench, Boundary, simulate, stress
 from sma_bench.physics.effects import EFFECTS, active_effects, effect_values
-from sma_bench.physics.effects.documentation import effects_page
 
 pytest.importorskip("numba", reason="many simulations: slow without numba")
 
@@ -238,3 +240,88 @@ def test_the_committed_page_of_effects_is_the_one_they_generate(pytestconfig):
     for effect in EFFECTS.values():
         assert f"## `{effect.name}`\n" in page and effect.shows in page
         assert all(f"`{p.name}`" in page for p in effect.parameters)
+
+
+MADE_UP = '''# mypy: disallow-untyped-defs=False
+"""Wires that shrink a little every second.
+
+    e = s n
+
+Source: made up.
+"""
+
+from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
+from sma_bench.physics import columns as at
+
+EFFECT = Effect(
+    "made_up",
+    "mechanical",
+    (
+        Parameter(
+            "effect.made_up.rate", "1/s", 0.0, "Contraction a second.", "made up", 0.0, 1e-2,
+            uncertainty=1e-4,
+        ),
+    ),
+    shows="the beam bends all by itself",
+    acts_on=("deflection",),
+    marks=("EVOLVES",),
+    columns={"rate": "SHRINKING"},
+    state=("SHRUNK",),
+)
+
+
+@borrowing
+def added_strain(wires, i):
+    return wires[i, at.SHRUNK]
+
+
+@borrowing
+def after_step(wires, i, fraction_before, step):
+    wires[i, at.SHRUNK] += wires[i, at.SHRINKING] * step
+'''
+WITH_MADE_UP = """
+import sys
+from sma_bench.parameters import Parameters, documentation, read_parameters
+assert "numba" not in sys.modules, "reading parameters loads the compiler"
+assert "## `made_up`" in documentation.effects_page()
+rig = read_parameters(sys.argv[1])
+sys.modules["numba"] = None
+import numpy as np
+from sma_bench.physics import simulate, stress
+time = np.arange(101) * 0.1
+run = simulate(rig, time, np.zeros(101))
+assert abs(run.stress[-1, 0] - 22.8e9 * 1e-3 * time[-2]) < 1.0, run.stress[-1]
+assert not simulate(Parameters.defaults(), time, np.zeros(101)).stress.any()
+"""
+
+
+def test_a_new_effect_is_one_file(tmp_path, pytestconfig):
+    package = tmp_path / "sma_bench"
+    rooms = ("errors.py", "border.py", "findings.py", "compiled.py", "lifeline.py", "parameters",
+             "physics")
+    for room in rooms:
+        source = pytestconfig.rootpath / "sma_bench" / room
+        package.mkdir(exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, package / room, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, package)
+    (package / "__init__.py").touch()
+    (package / "physics" / "effects" / "made_up.py").write_text(MADE_UP)
+    file = tmp_path / "rig.yaml"
+    file.write_text("/**: {ros__parameters: {effect: {made_up: {rate: 1.0e-3}}}}")
+    subprocess.run([sys.executable, "-W", "ignore", "-c", WITH_MADE_UP, str(file)], check=True,
+                   cwd=tmp_path, timeout=120)
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("x = 1\n", "no EFFECT"),
+    (MADE_UP.replace('"made_up",', '"other",'), "is called other"),
+    (MADE_UP.replace("effect.made_up.rate", "effect.other.rate"), "does not begin with"),
+])
+def test_a_file_that_declares_no_effect_of_its_name_is_named(text, said, tmp_path):
+    (tmp_path / "made_up.py").write_text(text)
+    with pytest.raises(ValueError, match=f"made_up.py: .*{said}"):
+        declared_effects(tmp_path)

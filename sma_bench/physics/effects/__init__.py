@@ -10,40 +10,8 @@ defaults, so every simulation, node and file that takes parameters takes effects
 from collections.abc import Mapping
 
 from sma_bench.errors import InputError
+from sma_bench.parameters.effect_table import EFFECTS, Effect
 from sma_bench.parameters.parameters import unknown_parameter_message
-from sma_bench.physics.effects import (
-    ambient_drift,
-    deflection_drift,
-    latent_heat,
-    matrix_thermal_mass,
-    opposing_wires,
-    partial_transformation,
-    phase_dependent_resistance,
-    residual_strain,
-    side_asymmetry,
-    side_heat_coupling,
-    slack,
-    stress_dependent_transition,
-    supply_drop,
-    temperature_dependent_convection,
-    temperature_lag,
-    temperature_underfill,
-    transition_drift,
-    viscoelastic_matrix,
-)
-from sma_bench.physics.effects.effect import Effect
-
-EFFECTS: dict[str, Effect] = {
-    module.EFFECT.name: module.EFFECT
-    for module in (
-        phase_dependent_resistance, supply_drop,
-        latent_heat, temperature_dependent_convection, matrix_thermal_mass, side_heat_coupling,
-        ambient_drift,
-        partial_transformation, transition_drift, stress_dependent_transition,
-        residual_strain, viscoelastic_matrix, opposing_wires, side_asymmetry, slack,
-        temperature_underfill, temperature_lag, deflection_drift,
-    )
-}  # fmt: skip
 
 
 def effect_values(name: str, size: float) -> dict[str, float]:

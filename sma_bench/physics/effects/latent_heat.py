@@ -6,12 +6,21 @@ On heating the wire takes up dh, on cooling it gives it back. Source: eq. (1), w
 paper drops; `core.heat` solves it together with the fractions.
 """
 
-from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 
 EFFECT = Effect(
     "latent_heat",
     "thermal",
-    {"heat": at.LATENT_RISE},
-    "temperature lingers inside the transformation, up and down, and runs ahead of it afterwards",
+    (
+        Parameter(
+            "effect.latent_heat.heat", "J/kg", 0.0,
+            "Heat of transformation, the term of eq. (1) that the paper drops; 0 is off.",
+            "assumed: 4 to 25 J/g by DSC", 0.0, 60e3, uncertainty=10e3,
+        ),
+    ),
+    shows=(
+        "temperature lingers inside the transformation, up and down, and runs ahead of it "
+        "afterwards"
+    ),
 )

@@ -12,15 +12,33 @@ exactly over a step in which heat, air and the other side's silicone stay.
 import math
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "matrix_thermal_mass",
     "thermal",
-    {"heat_capacity": at.MATRIX_CAPACITY, "inner_share": at.MATRIX_INNER_SHARE},
-    "fast part and slow part in every heating and cooling; rests too short for the slow part "
-    "leave the wire warm",
+    (
+        Parameter(
+            "effect.matrix_thermal_mass.heat_capacity", "J/K", 0.0,
+            "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
+            "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5,
+        ),
+        Parameter(
+            "effect.matrix_thermal_mass.inner_share", "1", 0.5,
+            "Share of the resistance from wire to air that lies between wire and silicone.",
+            "assumed: half", 0.02, 0.98, uncertainty=0.2,
+        ),
+    ),
+    shows=(
+        "fast part and slow part in every heating and cooling; rests too short for the slow part "
+        "leave the wire warm"
+    ),
+    marks=("HEATED_OTHERWISE", "EVOLVES"),
+    columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE"},
+    state=("MATRIX_RISE",),
+    scratch=("OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
 )
 
 _LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range
@@ -61,3 +79,11 @@ def warm_together(wires, i, heating, loss, air, step):
     of_matrix -= fast_decay * (b * wire - (c + slow) * matrix)
     wires[i, at.MATRIX_START] = steady_matrix - wires[i, at.AMBIENT] + of_matrix / apart
     return steady_wire + of_wire / apart
+
+
+@borrowing
+def after_step(wires, i, fraction_before, step):
+    """Warm the silicone of wire i."""
+    if wires[i, at.MATRIX_CAPACITY] > 0.0:
+        lag = wires[i, at.MATRIX_LAG] * (wires[i, at.FRACTION] - fraction_before)
+        wires[i, at.MATRIX_RISE] = wires[i, at.MATRIX_START] + lag

@@ -15,18 +15,37 @@ then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
 """
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 TINY = 1e-12
+TURN_DEPTH = 6  # reversals that are remembered, each as xi, f, g
 
 EFFECT = Effect(
     "partial_transformation",
     "transformation",
-    {"memory": at.MEMORY, "return_point": at.RETURN_POINT},
-    "full loops fit, partial ones do not: deflection lingers or runs ahead after a turn inside "
-    "the loop",
-    ("deflection",),
+    (
+        Parameter(
+            "effect.partial_transformation.memory", "1", 0.0,
+            "0: loops start at once where they are turned (contract); 1: they stay flat until they "
+            "meet the full loop.",
+            "assumed: between the two", -0.5, 1.0, uncertainty=0.4,
+        ),
+        Parameter(
+            "effect.partial_transformation.return_point", "1", 0.0,
+            "0: inner loops run on to the origin (contract); 1: they close where they were opened.",
+            "assumed: between the two", 0.0, 1.0, uncertainty=0.4,
+        ),
+    ),
+    shows=(
+        "full loops fit, partial ones do not: deflection lingers or runs ahead after a turn inside "
+        "the loop"
+    ),
+    acts_on=("deflection",),
+    marks=("EVOLVES",),
+    columns={"memory": "MEMORY", "return_point": "RETURN_POINT"},
+    state=("TURNS", *18 * ("TURN_STATES",)),
 )
 
 
@@ -43,7 +62,7 @@ def flat_then_outer(phase, share, share_slope, reversed_share):
 def remember_turn(wires, i, f, g):
     """Note a reversal; when too many loops lie within each other the innermost is forgotten."""
     count = int(wires[i, at.TURNS])
-    if count == at.TURN_DEPTH:
+    if count == TURN_DEPTH:
         count -= 2
     first = at.TURN_STATES + 3 * count
     wires[i, first], wires[i, first + 1], wires[i, first + 2] = wires[i, at.FRACTION], f, g

@@ -8,20 +8,31 @@ and incomplete reorientation (detwinning) of the martensite under too small a lo
 """
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "residual_strain",
     "mechanical",
-    {"share": at.RESIDUAL_SHARE},
-    "after the first drive the deflection does not return to zero at rest, and stays there",
-    ("deflection",),
+    (
+        Parameter(
+            "effect.residual_strain.share", "1", 0.0,
+            "Share of the strain recovered so far that stays when the wire cools; 0 is off.",
+            "assumed: 1 to 30 % of the stroke", -0.2, 0.8, uncertainty=0.1,
+        ),
+    ),
+    shows="after the first drive the deflection does not return to zero at rest, and stays there",
+    acts_on=("deflection",),
+    marks=("EVOLVES", "PULLS_OTHERWISE"),
+    columns={"share": "RESIDUAL_SHARE"},
+    constants=("FULL_STRAIN",),
+    state=("MOST_AUSTENITE",),
 )
 
 
 @borrowing
-def keep_strain(wires, i):
+def added_strain(wires, i):
     """Strain of wire i that stays; how much of eps_L still follows xi is set on the way."""
     share, most = wires[i, at.RESIDUAL_SHARE], wires[i, at.MOST_AUSTENITE]
     if wires[i, at.TREND] > 0.0 and 1.0 - wires[i, at.FRACTION] >= most:
@@ -29,6 +40,13 @@ def keep_strain(wires, i):
         return 0.0
     wires[i, at.RECOVERABLE_STRAIN] = wires[i, at.FULL_STRAIN] * (1.0 - share)
     return wires[i, at.FULL_STRAIN] * share * most
+
+
+@borrowing
+def after_step(wires, i, fraction_before, step):
+    """Note how austenitic wire i has been at most."""
+    most = wires[i, at.MOST_AUSTENITE]
+    wires[i, at.MOST_AUSTENITE] = max(most, 1.0 - wires[i, at.FRACTION])
 
 
 @borrowing

@@ -6,12 +6,19 @@ Source: wires that do not lie alike in the matrix; the paper finds its two sides
 `Boundary.bending` applies it.
 """
 
-from sma_bench.physics.effects.effect import Effect
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 
 EFFECT = Effect(
     "side_asymmetry",
     "mechanical",
-    {},
-    "one side's strokes are too large and the other's too small, at right temperatures",
-    ("deflection",),
+    (
+        Parameter(
+            "effect.side_asymmetry.ratio", "1", 0.0,
+            "The front is stiffer and the back softer by this share; 0 is off.",
+            "assumed: to 50 %", -0.9, 0.9, uncertainty=0.25,
+        ),
+    ),
+    shows="one side's strokes are too large and the other's too small, at right temperatures",
+    acts_on=("deflection",),
 )

@@ -8,14 +8,26 @@ Source: conduction between parallel wires in a slab; G' of 0.15 to 0.24 W/(m K) 
 """
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "side_heat_coupling",
     "thermal",
-    {"conductance": at.ACROSS},
-    "a wire without voltage warms while the other side is driven; the driven one stays cooler",
+    (
+        Parameter(
+            "effect.side_heat_coupling.conductance", "W/K", 0.0,
+            "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
+            "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01,
+        ),
+    ),
+    shows=(
+        "a wire without voltage warms while the other side is driven; the driven one stays cooler"
+    ),
+    marks=("HEATED_OTHERWISE",),
+    columns={"conductance": "ACROSS"},
+    scratch=("OPPOSITE",),
 )
 
 

@@ -8,15 +8,29 @@ Source: a dead zone between wire and matrix (sleeves, crimps), in series with th
 """
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "slack",
     "mechanical",
-    {"strain": at.SLACK},
-    "deflection starts late and stops early in every stroke; small strokes are missing altogether",
-    ("deflection",),
+    (
+        Parameter(
+            "effect.slack.strain", "1", 0.0,
+            "Contraction that a wire takes up before it pulls; 0 is off.",
+            "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3,
+        ),
+    ),
+    shows=(
+        "deflection starts late and stops early in every stroke; small strokes are missing "
+        "altogether"
+    ),
+    acts_on=("deflection",),
+    marks=("PULLS_OTHERWISE",),
+    row="side",
+    columns={"strain": "SLACK"},
+    state=("TAUT",),
 )
 
 

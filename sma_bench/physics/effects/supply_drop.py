@@ -7,16 +7,27 @@ Source: Ohm's law.
 """
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "supply_drop",
     "electrical",
-    {"resistance": at.SUPPLY_RESISTANCE},
-    "less current and less heat than V/R and V^2/R; the resistance seen from the driver is too "
-    "large, while the heat says it is not",
-    ("current", "temperature", "deflection"),
+    (
+        Parameter(
+            "effect.supply_drop.resistance", "ohm", 0.0,
+            "R_s of leads and contacts between the measured voltage and the wire; 0 is off.",
+            "assumed: thin leads and crimps", 0.0, 5.0, uncertainty=0.2,
+        ),
+    ),
+    shows=(
+        "less current and less heat than V/R and V^2/R; the resistance seen from the driver is too "
+        "large, while the heat says it is not"
+    ),
+    acts_on=("current", "temperature", "deflection"),
+    marks=("HEATED_OTHERWISE",),
+    columns={"resistance": "SUPPLY_RESISTANCE"},
 )
 
 

@@ -9,15 +9,26 @@ Source: first-order sensor; averaging in a camera looks the same at a bench's ra
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 
 EFFECT = Effect(
     "temperature_lag",
     "sensor",
-    {"time_constant": at.READING_LAG},
-    "readings round off and follow late, heating and cooling alike; the deflection is on time",
-    ("temperature",),
+    (
+        Parameter(
+            "effect.temperature_lag.time_constant", "s", 0.0,
+            "Time constant of the temperature reading; 0 is off.",
+            "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5,
+        ),
+    ),
+    shows=(
+        "readings round off and follow late, heating and cooling alike; the deflection is on time"
+    ),
+    acts_on=("temperature",),
+    marks=("EVOLVES", "READ_OTHERWISE"),
+    columns={"time_constant": "READING_LAG"},
+    state=("SEEN",),
 )
 
 

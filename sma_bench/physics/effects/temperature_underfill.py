@@ -8,15 +8,24 @@ Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
 """
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "temperature_underfill",
     "sensor",
-    {"missing": at.MISSING_SPOT},
-    "all excess temperatures read low by one factor; the deflection knows nothing of it",
-    ("temperature",),
+    (
+        Parameter(
+            "effect.temperature_underfill.missing", "1", 0.0,
+            "Share of the infrared spot that sees the background instead of the wire; 0 is off.",
+            "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2,
+        ),
+    ),
+    shows="all excess temperatures read low by one factor; the deflection knows nothing of it",
+    acts_on=("temperature",),
+    marks=("EVOLVES", "READ_OTHERWISE"),
+    columns={"missing": "MISSING_SPOT"},
 )
 
 _EXPONENT = 4.5

@@ -11,19 +11,38 @@ Source: functional fatigue of NiTi wires, saturating with the number of transfor
 import math
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "transition_drift",
     "transformation",
-    {
-        "shift": at.FINAL_SHIFT,
-        "cycles": at.SHIFT_CYCLES,
-        "plastic_strain": at.FINAL_PLASTIC,
-    },
-    "the first cycle fits and later ones do not, or the other way round; repeated drives differ",
-    ("deflection",),
+    (
+        Parameter(
+            "effect.transition_drift.shift", "K", 0.0,
+            "Shift of all transition temperatures after many cycles; 0 is off.",
+            "assumed: fatigue, up to 10 K", -30.0, 30.0, uncertainty=5.0,
+        ),
+        Parameter(
+            "effect.transition_drift.cycles", "1", 3.0,
+            "n_0, transformations there and back after which 63 % of the shift is done.",
+            "assumed: the first cycles shift most", 0.2, 1000.0, uncertainty=2.0,
+        ),
+        Parameter(
+            "effect.transition_drift.plastic_strain", "1", 0.0,
+            "Elongation that grows with the shift.",
+            "assumed: up to 0.5 %", -0.02, 0.02, uncertainty=5e-4,
+        ),
+    ),
+    shows=(
+        "the first cycle fits and later ones do not, or the other way round; repeated drives differ"
+    ),
+    acts_on=("deflection",),
+    marks=("EVOLVES",),
+    columns={"shift": "FINAL_SHIFT", "cycles": "SHIFT_CYCLES", "plastic_strain": "FINAL_PLASTIC"},
+    constants=("AUSTENITE_FINISH_FRESH", "MARTENSITE_FINISH_FRESH"),
+    state=("CYCLES", "TURNED_CYCLES"),
 )
 
 
@@ -41,8 +60,14 @@ def shift_transition(wires, i):
 
 
 @borrowing
-def plastic_strain(wires, i):
-    """Elongation of wire i by the cycles that it has made."""
+def added_strain(wires, i):
+    """Less pull of wire i, by its elongation over the cycles that it has made."""
     if wires[i, at.FINAL_PLASTIC] == 0.0:
         return 0.0
-    return _done(wires, i, wires[i, at.CYCLES]) * wires[i, at.FINAL_PLASTIC]
+    return -_done(wires, i, wires[i, at.CYCLES]) * wires[i, at.FINAL_PLASTIC]
+
+
+@borrowing
+def after_step(wires, i, fraction_before, step):
+    """Count the transformation of wire i in a step."""
+    wires[i, at.CYCLES] += 0.5 * abs(wires[i, at.FRACTION] - fraction_before)

@@ -10,15 +10,32 @@ Source: Zener's three-parameter solid, solved for an e that goes straight over a
 import math
 
 from sma_bench.compiled import borrowing
+from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.effect import Effect
 
 EFFECT = Effect(
     "viscoelastic_matrix",
     "mechanical",
-    {"relaxation": at.RELAXATION, "time_constant": at.RELAXATION_TIME},
-    "deflection creeps on under constant temperature and comes back slowly at rest, to zero",
-    ("deflection",),
+    (
+        Parameter(
+            "effect.viscoelastic_matrix.relaxation", "1", 0.0,
+            "Stiffness that relaxes over the stiffness that stays; 0 is off.",
+            "assumed: 5 to 20 % of silicones", 0.0, 3.0, uncertainty=0.2,
+        ),
+        Parameter(
+            "effect.viscoelastic_matrix.time_constant", "s", 20.0,
+            "Time constant of the relaxation.",
+            "assumed: 1 to 300 s", 0.2, 2000.0, uncertainty=15.0,
+        ),
+    ),
+    shows="deflection creeps on under constant temperature and comes back slowly at rest, to zero",
+    acts_on=("deflection",),
+    marks=("PULLS_OTHERWISE",),
+    row="side",
+    columns={"relaxation": "RELAXATION", "time_constant": "RELAXATION_TIME"},
+    state=("RELAXED",),
+    scratch=("RELAXING_STIFFNESS", "RELAXING_LOAD"),
 )
 
 
