@@ -53,6 +53,8 @@ class Noise:
         """Most probable u (b,) in a residual (b,): what is slow of it."""
         if self.drift == 0.0:
             return np.zeros_like(residual)
+        if len(residual) < 2:  # no band beside the diagonal
+            return residual * (self.drift**2 / (self.drift**2 + self.white**2))
         phi = np.exp(-self.period / self.time)
         driven = self.drift**2 * (1.0 - phi**2)
         diagonal = np.full(len(residual), (1.0 + phi**2) / driven)

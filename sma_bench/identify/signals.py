@@ -13,6 +13,8 @@ from sma_bench.records import Record
 
 SHORTEST_PLATEAU = 2.0
 
+_LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
+
 
 @dataclass(frozen=True)
 class Staircase:
@@ -55,7 +57,7 @@ class Drive:
 
 
 def samples(record: Record, name: str) -> tuple[Array, Array]:
-    """Time (n,) s and values (n,) of a signal, without what was not measured (NaN).
+    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
 
     Raises:
         InputError: the signal is absent or holds no finite value.
@@ -64,7 +66,7 @@ def samples(record: Record, name: str) -> tuple[Array, Array]:
     if signal is None:
         raise InputError(f"{record.path}: no signal {name}")
     values = np.asarray(signal.values, dtype=np.float64)
-    good = np.isfinite(values) & np.isfinite(signal.time)
+    good = (np.abs(values) < _LARGEST) & np.isfinite(signal.time)
     if not good.any():
         raise InputError(f"{record.path}: {name} holds no finite value ({len(values)} samples)")
     time, values = np.asarray(signal.time, dtype=np.float64)[good], values[good]
@@ -75,7 +77,7 @@ def samples(record: Record, name: str) -> tuple[Array, Array]:
 def has_samples(record: Record, name: str) -> bool:
     """Whether a signal is there with at least one finite value."""
     signal = record.get(name)
-    return signal is not None and bool(np.isfinite(signal.values).any())
+    return signal is not None and bool((np.abs(signal.values) < _LARGEST).any())
 
 
 def find_drives(record: Record) -> tuple[Drive, ...]:

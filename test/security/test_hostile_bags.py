@@ -13,6 +13,7 @@ import zstandard
 
 from sma_bench.diagnose.view import view_record
 from sma_bench.errors import InputError
+from sma_bench.identify.signals import samples
 from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import read_parameters
 from sma_bench.records import Signal, read_record
@@ -260,6 +261,14 @@ def test_a_late_stamp_costs_no_memory(drive, tmp_path):
         view = view_record(record, parameters)
     assert rig.grid[-1] < 1e4 and view.grid[-1] < 1e4
     assert "are stamped up to 1e+09 s after the others" in said(record)
+
+
+def test_numbers_that_no_sensor_says_are_not_taken(drive):
+    spoiled = drive["wire.voltage"].values.copy()
+    spoiled[5:8] = 3e38, -3e38, np.inf
+    voltage = replace(drive["wire.voltage"], values=spoiled)
+    taken = samples(replace(drive, signals={"wire.voltage": voltage}), "wire.voltage")[1]
+    assert len(taken) == len(spoiled) - 3 and taken.max() == 2.0
 
 
 def test_a_grid_has_an_end_whatever_the_times(drive):
