@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose import diagnose as _diagnose
-from sma_bench.diagnose.view import QUANTITIES
 from sma_bench.errors import InputError
+from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters

@@ -29,23 +29,25 @@ ARROWS = {
     "protocols": LEAVES | {"parameters", "share"},
     "physics": LEAVES | {"parameters"},
     "records": LEAVES | {"parameters"},
-    "identify": LEAVES | {"records", "physics", "parameters"},
+    "estimation": LEAVES | {"records", "physics", "parameters"},
+    "identify": LEAVES | {"estimation", "records", "physics", "parameters"},
     "control": LEAVES | {"parameters", "physics"},
     "hardware": LEAVES | {"parameters"},
     "emulation": LEAVES | {"parameters", "physics", "share"},
     "synthetic": LEAVES
     | {"records", "physics", "parameters", "protocols", "control", "hardware"},
-    "diagnose": LEAVES | {"identify", "records", "physics", "parameters", "protocols"},
+    "diagnose": LEAVES | {"estimation", "records", "physics", "parameters", "protocols"},
     # The running twin learns noise as the diagnosis does, and steps the simulator's own core.
-    "twin": LEAVES | {"diagnose", "identify", "physics", "parameters"},
+    "twin": LEAVES | {"estimation", "physics", "parameters"},
     "batch": LEAVES | {"diagnose", "identify", "records", "parameters"},
     "report": LEAVES
-    | {"diagnose", "identify", "records", "physics", "parameters", "protocols"},
+    | {"diagnose", "estimation", "identify", "records", "physics", "parameters", "protocols"},
     "dashboard": LEAVES | {"report"},
     "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
     "api": LEAVES
     | {
-        "diagnose", "identify", "synthetic", "physics", "protocols", "records", "parameters",
+        "diagnose", "estimation", "identify", "synthetic", "physics", "protocols", "records",
+        "parameters",
     },
     "": {"api"},  # `import sma_bench` itself
 }

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sma_bench.diagnose.unknowns import BACK, FRONT
+from sma_bench.estimation.unknowns import BACK, FRONT
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.effect_table import EFFECT_PREFIX
 from sma_bench.physics.effects import active_effects

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 
 def quantities() -> tuple[str, ...]:
     """Quantities that a diagnosis compares."""
-    from sma_bench.diagnose.view import QUANTITIES
+    from sma_bench.estimation.observation import QUANTITIES
 
     return QUANTITIES
 
@@ -103,7 +103,7 @@ def write_improved(path: str, result: "Diagnosis", author: str) -> None:
         InputError: the file cannot be written.
     """
     names = [n for n in result.improved if n in result.improved.given]
-    sources = ", ".join(dict.fromkeys(view.path for view in result.views))
+    sources = ", ".join(dict.fromkeys(view.path for view in result.observations))
     comment = f"Improved by {author} from {sources}".replace("\n", " ")
     write_parameters(path, result.improved, comment, names)
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.signals import find_drives, has_samples
-from sma_bench.identify.whole_model.composite import bends
-from sma_bench.identify.whole_model.load_frame import holds_frame, is_clamped_wire, isobaric_tests
+from sma_bench.identify.load_frame import holds_frame, is_clamped_wire, isobaric_tests
+from sma_bench.identify.signals import find_drives
+from sma_bench.identify.whole_model import bends
 from sma_bench.parameters import Parameters
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
-from sma_bench.records.record import Record
+from sma_bench.records.record import Record, has_samples
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.report.paper_page import LabRecords
 from sma_bench.synthetic import paper_specimens as specimens

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from sma_bench.diagnose.fit import Fit
-from sma_bench.diagnose.view import Binned, View
+from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import Simulation
 
@@ -52,47 +52,46 @@ V_TO_DEFLECTION, T_TO_DEFLECTION = "V -> deflection", "temperature -> deflection
 
 def break_chain(recalibrated: Fit) -> list[Link]:
     """Every block whose two ends are measured, in the order of the chain."""
-    views = recalibrated.problem.views
-    quantities = list(dict.fromkeys(q for view in views for q in view.quantities))
+    observations = recalibrated.problem.observations
+    quantities = list(dict.fromkeys(q for obs in observations for q in obs.quantities))
     links = [
         _link(f"V -> {quantity}", quantity, recalibrated, recalibrated.left)
         for quantity in ("current", "temperature") if quantity in quantities
     ]
     if "deflection" in quantities:
-        if all(_sees_every_wire(view) for view in views):
+        if all(_sees_every_wire(obs) for obs in observations):
             links.append(
                 _link(T_TO_DEFLECTION, "deflection", recalibrated,
-                      [_left_behind_temperature(v, k, recalibrated) for k, v in enumerate(views)])
+                      _left_behind_temperature(recalibrated))
             )
         links.append(_link(V_TO_DEFLECTION, "deflection", recalibrated, recalibrated.left))
     return links
 
 
-def _sees_every_wire(view: View) -> bool:
-    seen = {s.wire for s in view.signals if s.quantity == "temperature"}
-    return seen == set(range(len(view.channels)))
+def _sees_every_wire(obs: Observation) -> bool:
+    seen = {s.wire for s in obs.signals if s.quantity == "temperature"}
+    return seen == set(range(len(obs.channels)))
 
 
-def _left_behind_temperature(view: View, number: int, recalibrated: Fit) -> list[Array]:
-    """What the deflection's block leaves of its signal when measured temperatures drive it."""
-    run = view.simulate(recalibrated.parameters)
-    driven = _driven_by(measured_temperature(view, run), view, recalibrated.parameters)
-    changes = [a - b for a, b in zip(view.readings(driven), view.readings(run), strict=True)]
-    return [
-        left - change
-        for left, change in zip(recalibrated.left[number], changes, strict=True)
-    ]
+def _left_behind_temperature(recalibrated: Fit) -> Array:
+    """(n,) what the deflection's block leaves of its signal when measured temperatures drive it."""
+    changes = []
+    for obs in recalibrated.problem.observations:
+        run = obs.simulate(recalibrated.parameters)
+        driven = _driven_by(measured_temperature(obs, run), obs, recalibrated.parameters)
+        changes += [a - b for a, b in zip(obs.readings(driven), obs.readings(run), strict=True)]
+    return recalibrated.left - np.concatenate(changes)
 
 
-def measured_temperature(view: View, run: Simulation) -> Array:
+def measured_temperature(obs: Observation, run: Simulation) -> Array:
     """(n, w) K on the grid: the model's temperature, corrected by what was measured."""
     corrected = run.temperature.copy()
-    for signal, reading in zip(view.signals, view.readings(run), strict=True):
+    for signal, reading in zip(obs.signals, obs.readings(run), strict=True):
         if signal.quantity == "temperature":
             smooth = gaussian_filter1d(signal.value - reading, _SMOOTHING, mode="nearest")
             left = signal.noise / np.sqrt(2.0 * np.sqrt(np.pi) * _SMOOTHING)
             correction = _with_play(smooth - smooth[0], _PLAY * left)
-            corrected[:, signal.wire] += np.interp(view.grid, signal.time, correction)
+            corrected[:, signal.wire] += np.interp(obs.grid, signal.time, correction)
     return corrected
 
 
@@ -106,25 +105,21 @@ def _with_play(course: Array, play: float) -> Array:
     return followed
 
 
-def _driven_by(temperature: Array, view: View, parameters: Parameters) -> Simulation:
+def _driven_by(temperature: Array, obs: Observation, parameters: Parameters) -> Simulation:
     """The model made to pass through temperatures (n, w) K, ambient at least."""
     loss = parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
     excess = np.maximum(temperature - parameters["environment.ambient_temperature"], 0.0)
     volts = np.sqrt(excess * loss * parameters["wire.resistance"])
     ahead = np.vstack([volts[1:], volts[-1:]])  # what is held until the next time is reached then
-    return view.simulate(parameters.replace(_LIGHT), ahead)
+    return obs.simulate(parameters.replace(_LIGHT), ahead)
 
 
-def _link(
-    block: str, quantity: str, fitted: Fit, lefts: Sequence[Sequence[Array]]
-) -> Link:
-    blocks = [
-        _energies(signal, left)
-        for view, own in zip(fitted.problem.views, lefts, strict=True)
-        for signal, left in zip(view.signals, own, strict=True)
-        if signal.quantity == quantity
+def _link(block: str, quantity: str, fitted: Fit, left: Array) -> Link:
+    energies = [
+        _energies(own.signal, left[own.rows])
+        for own in fitted.problem.blocks if own.signal.quantity == quantity
     ]
-    energy, count, power = np.concatenate(blocks).T
+    energy, count, power = np.concatenate(energies).T
     random = np.random.default_rng(_SEED)
     draws = random.integers(0, len(count), (_DRAWS, len(count)))
     low, high = np.quantile([_gap(energy[d], count[d]) for d in draws], [0.05, 0.95])
@@ -132,7 +127,7 @@ def _link(
     return Link(block, _gap(energy, count), (float(low), float(high)), rms)
 
 
-def _energies(signal: Binned, left: Array) -> Array:
+def _energies(signal: BinnedSignal, left: Array) -> Array:
     """(blocks, 3): squared misfit beyond that of white noise, over a sample's noise; samples; and
     squared misfit."""
     which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sma_bench.diagnose.fit import Fit
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import between, contribution, largest_gap
+from sma_bench.diagnose.sizes import contribution, largest_gap
+from sma_bench.estimation.solver import Fit
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
 JOIN = "+"
@@ -165,7 +165,7 @@ def _unexplained_logit(search: Search, logits: Mapping[str, float], best: float)
 
 def _moved(search: Search) -> float:
     """Gap between the parameters as believed and as recalibrated, in noise."""
-    moved = between(search.recalibrated.predicted, search.nominal.predicted)
+    moved = search.recalibrated.predicted - search.nominal.predicted
     return largest_gap(search.recalibrated.problem, moved)
 
 

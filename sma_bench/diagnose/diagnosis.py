@@ -1,7 +1,7 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from sma_bench.diagnose.chain import Link, break_chain
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
-from sma_bench.diagnose.fit import Fit, fit
 from sma_bench.diagnose.missing_term import missing_term
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
-from sma_bench.diagnose.problem import Problem
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
-from sma_bench.diagnose.sizes import Cell, between, contribution, locate
+from sma_bench.diagnose.sizes import Cell, contribution, locate
 from sma_bench.diagnose.stages import stage_of
-from sma_bench.diagnose.unknowns import SHAPES, Unknowns
-from sma_bench.diagnose.view import QUANTITIES, Binned, View, shared_bin, view_record
 from sma_bench.errors import InputError
+from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import Fit, fit
+from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
 from sma_bench.parameters.table import BY_NAME
@@ -46,8 +46,8 @@ class Diagnosis:
         where: cells of the gap, the largest share first; stage: of the chain, "" without a gap;
             chain: its blocks, each driven by what was measured before it.
         shrinkage: by quantity.
-        views: all records; fitted, held_out: those, or the parts of them, that the fit of the
-            shrinkage has seen and has not.
+        observations: all records; fitted, held_out: those, or the parts of them, that the fit of
+            the shrinkage has seen and has not.
         findings: of the records and parameters, and what a missing sensor would have added.
     """
 
@@ -60,9 +60,9 @@ class Diagnosis:
     stage: str
     chain: tuple[Link, ...]
     shrinkage: dict[str, Shrinkage]
-    views: tuple[View, ...]
-    fitted: tuple[View, ...]
-    held_out: tuple[View, ...]
+    observations: tuple[Observation, ...]
+    fitted: tuple[Observation, ...]
+    held_out: tuple[Observation, ...]
     findings: tuple[Finding, ...]
     next_experiment: NextExperiment | None
 
@@ -130,8 +130,8 @@ def diagnose(
         raise InputError("diagnose: no record, expected at least one")
     progress("records")
     shortest = shared_bin([*records, *hold_out], parameters)
-    seen = [view_record(record, parameters, shortest, quantities) for record in records]
-    unseen = [view_record(record, parameters, shortest, quantities) for record in hold_out]
+    seen = [observe(record, parameters, shortest, quantities) for record in records]
+    unseen = [observe(record, parameters, shortest, quantities) for record in hold_out]
     found = search([*seen, *unseen], parameters, progress)
     decision = decide(found)
     model = _model(decision, found)
@@ -153,12 +153,13 @@ def diagnose(
 
 
 def _next(
-    decision: Decision, views: Sequence[View], parameters: Parameters, progress: Progress
+    decision: Decision, observations: Sequence[Observation], parameters: Parameters,
+    progress: Progress,
 ) -> NextExperiment | None:
     if decision.verdict != "ambiguous":
         return None
     progress("the next experiment")
-    return next_experiment(decision.candidates, views, parameters)
+    return next_experiment(decision.candidates, observations, parameters)
 
 
 def _inseparable(following: NextExperiment | None) -> list[Finding]:
@@ -194,7 +195,7 @@ def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Paramet
     values = model.parameters
     names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
     stds = dict(zip(model.unknowns.names, model.std.tolist(), strict=True))
-    for twin, name in model.unknowns.twins.items():
+    for twin, name in model.unknowns.tied.items():
         names.append(twin)
         stds[twin] = stds[name]
     return parameters.replace(
@@ -203,13 +204,12 @@ def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Paramet
     )
 
 
-def _fitted_to(views: Sequence[View], model: Fit) -> Fit:
+def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
     """The same model fitted to some of the records, or parts of them."""
-    unknowns: Unknowns = model.unknowns
-    if not unknowns.prior.names and not unknowns.numbers:
+    if not model.unknowns.items:
         return model
-    problem = Problem(tuple(views), model.problem.noise, ()).with_nuisances(model.parameters)
-    return fit(problem, unknowns, model.x, rounds=1, keep_noise=True)
+    problem = Problem(tuple(observations), model.problem.noise, ()).with_nuisances(model.parameters)
+    return fit(problem, model.unknowns, model.x, rounds=1, keep_noise=True)
 
 
 def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:
@@ -220,40 +220,23 @@ def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:
         return locate(problem, missing_term(found))
     if model.unknowns.effects:
         return locate(problem, contribution(model, model.unknowns.effects))
-    return locate(problem, between(found.recalibrated.predicted, found.nominal.predicted))
+    return locate(problem, found.recalibrated.predicted - found.nominal.predicted)
 
 
-def _split(views: Sequence[View]) -> tuple[list[View], list[View]]:
+def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
     """Early and late part of every record."""
     early, late = [], []
-    for view in views:
-        start, stop = float(view.grid[0]), float(view.grid[-1])
+    for obs in observations:
+        start, stop = float(obs.grid[0]), float(obs.grid[-1])
         border = start + _FIT_SHARE * (stop - start)
-        early.append(_part(view, -np.inf, border))
-        late.append(_part(view, border, np.inf))
+        early.append(obs.between(-np.inf, border))
+        late.append(obs.between(border, np.inf))
     return early, late
 
 
-def _part(view: View, start: float, stop: float) -> View:
-    """The same drive, the signals of a span of time only."""
-    signals = []
-    for s in view.signals:
-        keep = np.flatnonzero((s.time >= start) & (s.time < stop))
-        if len(keep) > 1:
-            signals.append(_kept(s, keep))
-    return replace(view, signals=tuple(signals))
-
-
-def _kept(signal: Binned, keep: NDArray[np.intp]) -> Binned:
-    return replace(
-        signal, time=signal.time[keep], value=signal.value[keep], count=signal.count[keep],
-        average=signal.average[keep],
-    )
-
-
-def _missing(views: Sequence[View]) -> list[Finding]:
-    held = {q for view in views for q in view.quantities}
-    composite = any(len(view.channels) > 1 for view in views)
+def _missing(observations: Sequence[Observation]) -> list[Finding]:
+    held = {q for obs in observations for q in obs.quantities}
+    composite = any(len(obs.channels) > 1 for obs in observations)
     wanted = [q for q in _WOULD_ADD if composite or q != "deflection"]
     return [
         Finding("info", quantity, f"not compared: {_WOULD_ADD[quantity]}")

@@ -5,16 +5,17 @@ one stretch and found again in another; a sensor's drift cannot. The response is
 features of the simulation with independent Gaussian weights, whose size is the most likely one.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.signal import lfilter
 
-from sma_bench.diagnose.fit import Fit
-from sma_bench.diagnose.problem import Problem
-from sma_bench.diagnose.view import Binned, View
+from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import Fit
 from sma_bench.physics.simulate import Simulation
 
 Array = NDArray[np.float64]
@@ -31,11 +32,11 @@ class Flexible:
 
     Attributes:
         gain: of evidence over the fit, both with the noise that they leave.
-        response: (b,) per view and signal, the missing term's course.
+        response: (n,) the missing term's course.
     """
 
     gain: float
-    response: list[list[Array]]
+    response: Array
 
 
 def flexible_residual(fitted: Fit) -> Flexible:
@@ -43,9 +44,9 @@ def flexible_residual(fitted: Fit) -> Flexible:
 
     It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
     """
-    features = [
-        _features(view, view.simulate(fitted.parameters)) for view in fitted.problem.views
-    ]
+    features = np.vstack(
+        [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
+    )
     own = _likelihood(fitted.problem, fitted.left)
     problem = replace(
         fitted.problem,
@@ -54,28 +55,22 @@ def flexible_residual(fitted: Fit) -> Flexible:
             for name, noise in fitted.problem.noise.items()
         },
     )
-    best = Flexible(0.0, [[np.zeros_like(r) for r in rs] for rs in fitted.left])
+    best = Flexible(0.0, np.zeros_like(fitted.left))
     for _ in range(_ROUNDS):
         marginal, weights = _most_likely(problem, fitted, features)
         gain = _likelihood(problem, fitted.left) + marginal - own
-        response = [[f @ weights for f in fs] for fs in features]
+        response = features @ weights
         if gain > best.gain:
             best = Flexible(gain, response)
-        left = [
-            [r - s for r, s in zip(rs, ss, strict=True)]
-            for rs, ss in zip(fitted.left, response, strict=True)
-        ]
-        problem = problem.with_noise(left)
+        problem = problem.with_noise(fitted.left - response)
     return best
 
 
-def _most_likely(
-    problem: Problem, fitted: Fit, features: Sequence[Sequence[Array]]
-) -> tuple[float, Array]:
+def _most_likely(problem: Problem, fitted: Fit, features: Array) -> tuple[float, Array]:
     """Gain of the features in marginal likelihood, and their weights, with the likeliest size."""
-    rows = np.hstack([problem.stack(fitted.derivatives), problem.nuisance_rows])
+    rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
     normal = rows.T @ rows + np.eye(rows.shape[1])
-    phi, base = problem.stack(features), problem.stack(fitted.left)
+    phi, base = problem.whiten(features), problem.whiten(fitted.left)
     # What the fitted unknowns can still take up is not the features' to explain.
     across = rows.T @ phi
     taken = np.linalg.solve(normal, np.column_stack([across, rows.T @ base]))
@@ -92,66 +87,60 @@ def _most_likely(
     return best, weights
 
 
-def _likelihood(problem: Problem, parts: Sequence[Sequence[Array]]) -> float:
-    """Log of the probability of a residual and of its noise."""
-    white = problem.stack(parts)
+def _likelihood(problem: Problem, residual: Array) -> float:
+    """Log of the probability of a residual (n,) and of its noise."""
+    white = problem.whiten(residual)
     return float(-0.5 * white @ white) - problem.log_scale() + problem.log_prior()
 
 
-def _features(view: View, simulation: Simulation) -> list[Array]:
-    """(b, p) per signal, in units of its noise; p is the same for all, each signal has its own."""
+def _features(obs: Observation, simulation: Simulation) -> Array:
+    """(n, p) on the rows of a record, in units of their noise; each signal has its own of the p."""
     blocks = [
-        np.column_stack(list(_of_signal(signal, view, simulation))) for signal in view.signals
+        np.column_stack(list(_of_signal(signal, obs, simulation))) for signal in obs.signals
     ]
-    total = sum(b.shape[1] for b in blocks)
-    placed, start = [], 0
-    for signal, block in zip(view.signals, blocks, strict=True):
-        whole = np.zeros((len(block), total))
-        whole[:, start : start + block.shape[1]] = block * signal.noise
-        start += block.shape[1]
-        placed.append(whole)
-    return placed
+    scaled = [block * signal.noise for signal, block in zip(obs.signals, blocks, strict=True)]
+    return np.asarray(block_diag(*scaled))
 
 
-def _of_signal(signal: Binned, view: View, simulation: Simulation) -> Iterator[Array]:
-    clock = (view.grid - view.grid[0]) / 100.0
+def _of_signal(signal: BinnedSignal, obs: Observation, simulation: Simulation) -> Iterator[Array]:
+    clock = (obs.grid - obs.grid[0]) / 100.0
     courses = [clock, clock**2]
     if signal.quantity == "deflection":
-        for side in dict.fromkeys(view.sides):
-            courses += _of_side(side, view, simulation)
+        for side in dict.fromkeys(obs.sides):
+            courses += _of_side(side, obs, simulation)
     else:
-        courses += _of_wire(signal.wire, view, simulation)
+        courses += _of_wire(signal.wire, obs, simulation)
     for course in courses:
         yield signal.average @ course
     if signal.quantity == "current":
         yield signal.average @ np.ones_like(clock)
 
 
-def _of_wire(wire: int, view: View, simulation: Simulation) -> list[Array]:
-    power = _unit(view.voltage[:, wire] ** 2)
+def _of_wire(wire: int, obs: Observation, simulation: Simulation) -> list[Array]:
+    power = _unit(obs.voltage[:, wire] ** 2)
     own = simulation.temperature[:, wire]
-    opposite = [k for k, side in enumerate(view.sides) if side != view.sides[wire]]
-    courses = [_remembered(power, memory, view.grid) for memory in _MEMORIES]
+    opposite = [k for k, side in enumerate(obs.sides) if side != obs.sides[wire]]
+    courses = [_remembered(power, memory, obs.grid) for memory in _MEMORIES]
     if opposite:
-        across = _unit(np.mean(view.voltage[:, opposite] ** 2, axis=1))
-        courses += [_remembered(across, memory, view.grid) for memory in _MEMORIES[1:]]
+        across = _unit(np.mean(obs.voltage[:, opposite] ** 2, axis=1))
+        courses += [_remembered(across, memory, obs.grid) for memory in _MEMORIES[1:]]
     rise = _unit(own - own.min())
     xi = simulation.martensite_fraction[:, wire]
     return [
         *courses, rise, rise**2, np.maximum(rise - 0.5, 0.0), 1.0 - xi,
-        _unit(np.gradient(own, view.grid)), np.gradient(xi, view.grid),
+        _unit(np.gradient(own, obs.grid)), np.gradient(xi, obs.grid),
     ]
 
 
-def _of_side(side: str, view: View, simulation: Simulation) -> list[Array]:
-    own = [k for k, name in enumerate(view.sides) if name == side]
-    number = list(dict.fromkeys(view.sides)).index(side)
+def _of_side(side: str, obs: Observation, simulation: Simulation) -> list[Array]:
+    own = [k for k, name in enumerate(obs.sides) if name == side]
+    number = list(dict.fromkeys(obs.sides)).index(side)
     stroke = _unit(simulation.contraction[:, number])
     rise = _unit(np.mean(simulation.temperature[:, own], axis=1) - simulation.temperature.min())
     xi = np.mean(simulation.martensite_fraction[:, own], axis=1)
-    turning = np.gradient(xi, view.grid)
+    turning = np.gradient(xi, obs.grid)
     return [
-        *(_remembered(stroke, memory, view.grid) for memory in _MEMORIES),
+        *(_remembered(stroke, memory, obs.grid) for memory in _MEMORIES),
         stroke, stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke),
         rise, rise**2, np.maximum(rise - 0.5, 0.0), xi * (1.0 - xi), turning, np.sign(turning),
     ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sma_bench.diagnose.fit import Fit
+from sma_bench.estimation.solver import Fit
 
 _SURE = 4.0  # standard deviations of the log ratio of two variances
 _FEWEST = 30
@@ -41,27 +41,28 @@ def left_over(fitted: Fit) -> Left:
     problem = fitted.problem
     drift = -problem.log_prior()
     found = Left(-np.inf, "", 0.0, 0.0, drift)
-    for view, left in zip(problem.views, fitted.left, strict=True):
-        rates = view.rates(view.simulate(fitted.parameters))
-        for signal, residual, rate in zip(view.signals, left, rates, strict=True):
-            white = problem.noise[signal.name].whiten(residual)
-            speed = np.abs(rate)
-            moving = speed > np.median(speed)
-            if min(moving.sum(), (~moving).sum()) < _FEWEST:
-                continue
-            fast, slow = float(np.mean(white[moving] ** 2)), float(np.mean(white[~moving] ** 2))
-            spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
-            ratio = float(np.log(fast / slow) / spread)
-            outlier = max(found.outlier, float(np.max(np.abs(white))))
-            size, shows = found.size, found.shows
-            if ratio > _SURE:
-                # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
-                noise = problem.noise[signal.name]
-                excess = np.sqrt(1.0 - slow / fast)
-                drifting = excess * float(np.hypot(noise.drift, noise.white))
-                sample = signal.noise * np.sqrt(float(np.median(signal.count)))
-                size = max(size, drifting / sample)
-                shows = tuple(dict.fromkeys((*shows, signal.name)))
-            first = max((ratio, signal.name), (found.ratio, found.signal), key=lambda r: r[0])
-            found = Left(*first, size, outlier, drift, shows)
+    rates = [
+        rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))
+    ]
+    for block, rate in zip(problem.blocks, rates, strict=True):
+        signal, noise = block.signal, problem.noise[block.signal.name]
+        white = noise.whiten(fitted.left[block.rows])
+        speed = np.abs(rate)
+        moving = speed > np.median(speed)
+        if min(moving.sum(), (~moving).sum()) < _FEWEST:
+            continue
+        fast, slow = float(np.mean(white[moving] ** 2)), float(np.mean(white[~moving] ** 2))
+        spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
+        ratio = float(np.log(fast / slow) / spread)
+        outlier = max(found.outlier, float(np.max(np.abs(white))))
+        size, shows = found.size, found.shows
+        if ratio > _SURE:
+            # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
+            excess = np.sqrt(1.0 - slow / fast)
+            drifting = excess * float(np.hypot(noise.drift, noise.white))
+            sample = signal.noise * np.sqrt(float(np.median(signal.count)))
+            size = max(size, drifting / sample)
+            shows = tuple(dict.fromkeys((*shows, signal.name)))
+        first = max((ratio, signal.name), (found.ratio, found.signal), key=lambda r: r[0])
+        found = Left(*first, size, outlier, drift, shows)
     return found

@@ -14,15 +14,13 @@ from sma_bench.diagnose.search import Search
 Array = NDArray[np.float64]
 
 
-def missing_term(found: Search) -> list[list[Array]]:
-    """(b,) per view and signal, in the signals' units."""
+def missing_term(found: Search) -> Array:
+    """(n,) in the signals' units."""
     if found.flexible.gain > FLEXIBLE:
         return found.flexible.response
     problem = found.recalibrated.problem
-    slow = [
-        [problem.noise[s.name].drift_in(left) for s, left in zip(view.signals, own, strict=True)]
-        for view, own in zip(problem.views, found.recalibrated.left, strict=True)
-    ]
-    if any(part.any() for own in slow for part in own):
-        return slow
-    return found.recalibrated.left
+    left = found.recalibrated.left
+    slow = np.concatenate(
+        [problem.noise[b.signal.name].drift_in(left[b.rows]) for b in problem.blocks]
+    )
+    return slow if slow.any() else left

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from sma_bench.diagnose.decision import NAMED, NO_GAP, UNEXPLAINED, Candidate, scale_of
-from sma_bench.diagnose.fit import Fit
-from sma_bench.diagnose.problem import Problem, in_threads
-from sma_bench.diagnose.view import Binned, View
+from sma_bench.estimation.nuisances import offsets
+from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import Fit
+from sma_bench.estimation.threads import in_threads
 from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
 
@@ -79,13 +81,13 @@ class NextExperiment:
 
 
 def next_experiment(
-    candidates: Sequence[Candidate], views: Sequence[View], parameters: Parameters
+    candidates: Sequence[Candidate], observations: Sequence[Observation], parameters: Parameters
 ) -> NextExperiment | None:
     """The most telling protocol of the menu.
 
     Args:
-        candidates: the most probable first; views: the records, for what is measured and how hard
-            the bench was driven.
+        candidates: the most probable first; observations: the records, for what is measured and how
+            hard the bench was driven.
 
     Returns:
         None when fewer than two causes can be simulated; one that does not `settle` the matter
@@ -98,10 +100,10 @@ def next_experiment(
     if len(tied) < 2:
         return None
     fits = {c.name: c.fit for c in tied if c.fit is not None}
-    menu, long = _menu(_highest(views, parameters), parameters)
-    planned = [_weighed(each, fits, candidates, views[0], parameters) for each in menu]
+    menu, long = _menu(_highest(observations, parameters), parameters)
+    planned = [_weighed(each, fits, candidates, observations[0], parameters) for each in menu]
     if not any(experiment.settles for experiment in planned):
-        planned.append(_weighed(long, fits, candidates, views[0], parameters))
+        planned.append(_weighed(long, fits, candidates, observations[0], parameters))
     best = max(planned, key=lambda experiment: (experiment.chance, experiment.distance))
     words = (
         f"{best.why}: tells them apart by {best.distance:.1f} standard deviations; one of them "
@@ -112,7 +114,7 @@ def next_experiment(
 
 def _weighed(
     document: dict[str, Any], fits: Mapping[str, Fit], candidates: Sequence[Candidate],
-    like: View, parameters: Parameters,
+    like: Observation, parameters: Parameters,
 ) -> NextExperiment:
     """A protocol of the menu with what it would tell."""
     known = next(iter(fits.values())).problem
@@ -122,9 +124,9 @@ def _weighed(
     return NextExperiment(document["description"], tuple(fits), document, distance, chance)
 
 
-def _highest(views: Sequence[View], parameters: Parameters) -> float:
+def _highest(observations: Sequence[Observation], parameters: Parameters) -> float:
     """The voltage that the bench has stood so far."""
-    seen = max(float(view.voltage.max()) for view in views)
+    seen = max(float(obs.voltage.max()) for obs in observations)
     return min(seen, float(parameters["bench.maximum_voltage"]))
 
 
@@ -189,20 +191,17 @@ def _menu(
 
 
 def _planned(
-    document: dict[str, Any], known: Problem, like: View, parameters: Parameters
+    document: dict[str, Any], known: Problem, like: Observation, parameters: Parameters
 ) -> Problem:
     """The bench on a protocol that it has not run: the same sensors at the same rates."""
     protocol = parse_protocol(document, parameters, "next experiment")
     time, voltage = protocol.sample(_PERIOD)
     signals = tuple(_planned_signal(signal, time, voltage) for signal in like.signals)
-    view = replace(like, grid=time, voltage=voltage, signals=signals, path=document["name"])
-    zeros = np.diag([s.zero_std for s in signals])  # of each sensor for itself
-    return Problem((view,), known.noise, (
-        tuple(np.tile(own, (len(s.time), 1)) for s, own in zip(signals, zeros, strict=True)),
-    ))
+    obs = replace(like, grid=time, voltage=voltage, signals=signals, path=document["name"])
+    return Problem((obs,), known.noise, (offsets(signals),))
 
 
-def _planned_signal(signal: Binned, time: Array, voltage: Array) -> Binned:
+def _planned_signal(signal: BinnedSignal, time: Array, voltage: Array) -> BinnedSignal:
     stride = max(1, round(signal.period / _PERIOD))
     rows = np.arange(len(time) // stride)
     entries = np.repeat(1.0 / stride, len(rows) * stride)
@@ -222,7 +221,7 @@ def _planned_signal(signal: Binned, time: Array, voltage: Array) -> Binned:
 def _tellings(fits: Mapping[str, Fit], problem: Problem) -> dict[tuple[str, str], Telling]:
     """Of every (truth, rival)."""
     predicted = {name: problem.predict(f.parameters) for name, f in fits.items()}
-    whitened = {name: problem.stack(p) for name, p in predicted.items()}
+    whitened = {name: problem.whiten(p) for name, p in predicted.items()}
     spaces = {name: _refit_space(f, problem, predicted[name]) for name, f in fits.items()}
     freedom = {name: _freedom(space) for name, space in spaces.items()}
     tellings = {}
@@ -276,21 +275,17 @@ def _expected(tellings: Mapping[tuple[str, str], Telling], truth: str, rival: st
     return nats if visible else min(nats, 0.0)
 
 
-def _refit_space(fitted: Fit, problem: Problem, predicted: list[list[Array]]) -> Array:
+def _refit_space(fitted: Fit, problem: Problem, predicted: Array) -> Array:
     """Whitened directions (n, k) in which the records leave a cause free, one deviation long."""
     spread, turn = np.linalg.eigh(fitted.covariance)
     directions = turn * np.sqrt(np.maximum(spread, 0.0))
 
     def moved(column: Array) -> Array:
         there = fitted.unknowns.parameters(_within(fitted, fitted.x + _STEP * column))
-        change = problem.predict(there)
-        return problem.stack(
-            [[(m - b) / _STEP for m, b in zip(ms, bs, strict=True)]
-             for ms, bs in zip(change, predicted, strict=True)]
-        )
+        return problem.whiten((problem.predict(there) - predicted) / _STEP)
 
     columns = in_threads(moved, [(column,) for column in directions.T])
-    return np.column_stack([*columns, problem.nuisance_rows])
+    return np.column_stack([*columns, problem.white_nuisances])
 
 
 def _within(fitted: Fit, x: Array) -> Array:

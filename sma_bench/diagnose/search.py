@@ -1,18 +1,19 @@
 """Candidates: recalibration alone, every effect with it, and pairs around the best ones."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.fit import Fit, fit
 from sma_bench.diagnose.flexible import Flexible, flexible_residual
 from sma_bench.diagnose.left_over import Left, left_over
-from sma_bench.diagnose.problem import Problem, in_threads
 from sma_bench.diagnose.starts import Remainder, find_start, start_off
-from sma_bench.diagnose.unknowns import Unknowns, baseline_unknowns
-from sma_bench.diagnose.view import View
+from sma_bench.estimation.observation import Observation
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import Fit, fit, recalibrate
+from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.unknowns import Unknowns, unknowns_of, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS, active_effects
 
@@ -68,28 +69,25 @@ class Search:
 
 
 def search(
-    views: Sequence[View], parameters: Parameters, progress: Progress = lambda text: None
+    observations: Sequence[Observation],
+    parameters: Parameters,
+    progress: Progress = lambda text: None,
 ) -> Search:
     """Fit everything.
 
     Args:
-        views: of all records, those held out as well (their shares are told apart later).
+        observations: of all records, those held out as well (their shares are told apart later).
         parameters: as believed, with uncertainties.
     """
-    quantities = tuple(dict.fromkeys(q for view in views for q in view.quantities))
-    baseline = baseline_unknowns(parameters, quantities)
+    quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
+    baseline = unknowns_of_records(parameters, quantities)
     progress("recalibration")
-    problem = Problem.of(views).with_nuisances(parameters)
-    first = max(
-        in_threads(
-            lambda spread: fit(problem, baseline, baseline.start(spread), far=True),
-            [(spread,) for spread in _SPREADS],
-        ),
-        key=lambda f: f.evidence,
-    )
-    problem = problem.with_nuisances(first.parameters)
-    recalibrated = fit(problem, baseline, first.x, rounds=2)
-    nominal = _nominal(problem, parameters, quantities)
+    fresh = Problem.of(observations)
+    starts = [baseline.start(spread) for spread in _SPREADS]
+    recalibrated, _ = recalibrate(fresh, parameters, baseline, starts)
+    problem = replace(fresh, nuisances=recalibrated.problem.nuisances)
+    # As believed: every parameter exact.
+    nominal = fit(problem, unknowns_of(parameters, (), shapes=False), np.zeros(0), rounds=2)
     possible = _possible(parameters, quantities)
     singles = _singles(baseline, recalibrated, possible, progress)
     better = _again(problem, baseline, recalibrated, singles)
@@ -98,7 +96,7 @@ def search(
     if stuck:
         progress("recalibration was stuck: once more")
         singles = _singles(baseline, recalibrated, possible, progress)
-    if np.max(np.abs(recalibrated.x[: len(baseline.prior.names)])) > _SURPRISING:
+    if np.max(np.abs(recalibrated.x[: baseline.bench])) > _SURPRISING:
         progress("effects instead of surprising parameters")
         for name, found in _from_belief(problem, baseline, recalibrated, list(singles)).items():
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
@@ -184,20 +182,6 @@ def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
     ]
 
 
-def _nominal(problem: Problem, parameters: Parameters, quantities: Sequence[str]) -> Fit:
-    """The model as believed: every parameter exact."""
-    exact = parameters.replace(
-        uncertainty=dict.fromkeys(baseline_unknowns(parameters, quantities).prior.names, 0.0)
-    )
-    unknowns = Unknowns(baseline_unknowns(exact, ()).prior, (), ())
-    x = np.zeros(unknowns.baseline)
-    return fit(problem, unknowns, x, rounds=2, frozen=_none(problem, unknowns.baseline))
-
-
-def _none(problem: Problem, columns: int) -> list[list[np.ndarray]]:
-    return [[np.zeros((len(s.time), columns)) for s in v.signals] for v in problem.views]
-
-
 def _worth_refining(singles: dict[str, Fit], recalibrated: Fit) -> list[str]:
     gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
     ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
@@ -231,7 +215,7 @@ def _pairs(
 def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[Fit]:
     """One effect with each of the partners that promise most beside it."""
     remainder = Remainder(singles[name])
-    frozen = [[d[:, : baseline.baseline] for d in own] for own in singles[name].derivatives]
+    frozen = singles[name].derivatives[:, : baseline.baseline]
 
     def promise(partner: str) -> float:
         unknowns = baseline.with_effects([name, partner])

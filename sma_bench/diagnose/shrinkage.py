@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.fit import Fit
-from sma_bench.diagnose.noise import Noise
-from sma_bench.diagnose.view import Binned, View
+from sma_bench.estimation.noise_model import Noise
+from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -41,19 +41,19 @@ class Shrinkage:
 
 
 def shrinkage(
-    views: Sequence[View], nominal: Parameters, improved: Parameters, fitted: Fit
+    observations: Sequence[Observation], nominal: Parameters, improved: Parameters, fitted: Fit
 ) -> dict[str, Shrinkage]:
     """Of every quantity that the held-out data have.
 
     Args:
-        views: held-out data; nominal: parameters as believed.
+        observations: held-out data; nominal: parameters as believed.
         improved: parameters of a fit that has not seen these data; fitted: for the sensors' noise.
     """
     pairs: dict[str, list[tuple[Array, Array, float]]] = {}
-    for view in views:
-        before = view.readings(view.simulate(nominal))
-        after = view.readings(view.simulate(improved))
-        for signal, old, new in zip(view.signals, before, after, strict=True):
+    for obs in observations:
+        before = obs.readings(obs.simulate(nominal))
+        after = obs.readings(obs.simulate(improved))
+        for signal, old, new in zip(obs.signals, before, after, strict=True):
             noise = fitted.problem.noise[signal.name]
             pairs.setdefault(signal.quantity, []).append(
                 (*_blocks(signal, old, new, noise), _floor(signal, noise))
@@ -61,12 +61,12 @@ def shrinkage(
     return {quantity: _of(parts) for quantity, parts in pairs.items()}
 
 
-def _floor(signal: Binned, noise: Noise) -> float:
+def _floor(signal: BinnedSignal, noise: Noise) -> float:
     """Variance of a sample's noise."""
     return float(noise.white**2 * np.median(signal.count) + noise.drift**2)
 
 
-def _blocks(signal: Binned, old: Array, new: Array, noise: Noise) -> tuple[Array, Array]:
+def _blocks(signal: BinnedSignal, old: Array, new: Array, noise: Noise) -> tuple[Array, Array]:
     """(blocks,) sums of squares of samples before and after, and counts, as rows of 2 columns."""
     which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)
     _, which = np.unique(which, return_inverse=True)

@@ -1,19 +1,17 @@
 """How large a gap is in the noise of the sensors, and where it lies."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.fit import Fit
-from sma_bench.diagnose.problem import DRIFT_EFFECT, Problem
-from sma_bench.diagnose.view import View
+from sma_bench.estimation.residual import DRIFT_EFFECT, Block, Problem
+from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
-Readings = Sequence[Sequence[Array]]
 
 INITIAL, DRIVE, REST = "initial", "drive", "rest"
 
@@ -40,63 +38,47 @@ def without_effects(parameters: Parameters, names: Iterable[str]) -> Parameters:
     return parameters.replace({p.name: p.default for p in numbers})
 
 
-def contribution(fitted: Fit, names: Iterable[str]) -> list[list[Array]]:
-    """What effects of a fit add to the readings, per view and signal (b,)."""
+def contribution(fitted: Fit, names: Iterable[str]) -> Array:
+    """(n,) what effects of a fit add to the readings."""
     problem, chosen = fitted.problem, tuple(names)
-    off = problem.predict(without_effects(fitted.parameters, chosen))
-    added = between(fitted.predicted, off)
+    added = fitted.predicted - problem.predict(without_effects(fitted.parameters, chosen))
     if DRIFT_EFFECT in chosen:
-        for view, own, left in zip(problem.views, added, fitted.left, strict=True):
-            for k, signal in enumerate(view.signals):
-                if signal.name == "deflection":
-                    own[k] = own[k] + problem.noise[signal.name].drift_in(left[k])
+        for block in problem.of_signal("deflection"):
+            noise = problem.noise["deflection"]
+            added[block.rows] += noise.drift_in(fitted.left[block.rows])
     return added
 
 
 def sample_noise(problem: Problem, name: str) -> float:
     """Standard deviation of a sample of a signal: what scatters, and what drifts unless it is an
     effect that it drifts."""
-    signal = next(s for v in problem.views for s in v.signals if s.name == name)
+    signal = next(problem.of_signal(name)).signal
     noise = problem.noise[name]
     white = noise.white * np.sqrt(float(np.median(signal.count)))
     return float(white if noise.wanders else np.hypot(white, noise.drift))
 
 
-def largest_gap(problem: Problem, difference: Readings) -> float:
+def largest_gap(problem: Problem, difference: Array) -> float:
     """Largest root mean square over the noise, over signals and records."""
     return max(
-        float(np.sqrt(np.mean(part**2))) / sample_noise(problem, s.name)
-        for view, own in zip(problem.views, difference, strict=True)
-        for s, part in zip(view.signals, own, strict=True)
+        float(np.sqrt(np.mean(difference[b.rows] ** 2))) / sample_noise(problem, b.signal.name)
+        for b in problem.blocks
     )
 
 
-def between(first: Readings, second: Readings) -> list[list[Array]]:
-    """First less second, per view and signal."""
-    return [
-        [a - b for a, b in zip(one, two, strict=True)]
-        for one, two in zip(first, second, strict=True)
-    ]
-
-
-def locate(problem: Problem, difference: Readings) -> list[Cell]:
-    """Where a difference lies, the cell with the largest share first.
-
-    Args:
-        difference: per view and signal (b,), in the signals' units.
-    """
+def locate(problem: Problem, difference: Array) -> list[Cell]:
+    """Where a difference (n,), in the signals' units, lies; the largest share first."""
     squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
-    for view, own in zip(problem.views, difference, strict=True):
-        for signal, part in zip(view.signals, own, strict=True):
-            noise = sample_noise(problem, signal.name)
-            phase, side = view.phase_of(signal.time), _sides(view, signal.wire, signal.quantity,
-                                                             signal.time)
-            for p, s in {*zip(phase.tolist(), side.tolist(), strict=True)}:
-                here = (phase == p) & (side == s)
-                count = float(signal.count[here].sum())
-                power = float(np.sum(part[here] ** 2 * signal.count[here]))
-                cell = squares.setdefault((signal.name, p, s), [])
-                cell.append((count, power, power / noise**2))
+    for block in problem.blocks:
+        signal, part = block.signal, difference[block.rows]
+        noise = sample_noise(problem, signal.name)
+        phase, side = block.observation.phase_of(signal.time), _sides(block)
+        for p, s in {*zip(phase.tolist(), side.tolist(), strict=True)}:
+            here = (phase == p) & (side == s)
+            count = float(signal.count[here].sum())
+            power = float(np.sum(part[here] ** 2 * signal.count[here]))
+            cell = squares.setdefault((signal.name, p, s), [])
+            cell.append((count, power, power / noise**2))
     total = sum(row[2] for rows in squares.values() for row in rows) or 1.0
     cells = []
     for (name, p, s), rows in squares.items():
@@ -108,14 +90,15 @@ def locate(problem: Problem, difference: Readings) -> list[Cell]:
     return sorted(cells, key=lambda cell: -cell.share)
 
 
-def _sides(view: View, wire: int, quantity: str, time: Array) -> NDArray[np.str_]:
+def _sides(block: Block) -> NDArray[np.str_]:
     """The wire's own side; for the deflection the side that was driven last."""
-    if quantity != "deflection":
-        return np.full(len(time), view.sides[wire])
-    names = list(dict.fromkeys(view.sides))
+    obs, time = block.observation, block.signal.time
+    if block.signal.quantity != "deflection":
+        return np.full(len(time), obs.sides[block.signal.wire])
+    names = list(dict.fromkeys(obs.sides))
     power = np.column_stack(
         [
-            np.max(view.voltage[:, [k for k, n in enumerate(view.sides) if n == name]], axis=1)
+            np.max(obs.voltage[:, [k for k, n in enumerate(obs.sides) if n == name]], axis=1)
             for name in names
         ]
     )
@@ -123,5 +106,5 @@ def _sides(view: View, wire: int, quantity: str, time: Array) -> NDArray[np.str_
     strongest = np.argmax(power, axis=1)
     last = np.maximum.accumulate(np.where(driven, np.arange(len(driven)), -1))
     first = int(np.argmax(driven)) if driven.any() else 0
-    at = np.clip(np.searchsorted(view.grid, time, side="right") - 1, 0, len(view.grid) - 1)
+    at = np.clip(np.searchsorted(obs.grid, time, side="right") - 1, 0, len(obs.grid) - 1)
     return np.array(names)[strongest[np.where(last[at] < 0, first, last[at])]]

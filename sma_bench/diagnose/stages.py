@@ -91,7 +91,7 @@ def _moved_furthest(found: Search) -> tuple[str, float]:
     moves so far by chance: squared prior deviations are chi squared."""
     moved: dict[str, list[float]] = {}
     unknowns = found.recalibrated.unknowns
-    for name, x in zip(unknowns.prior.names, found.recalibrated.x.tolist(), strict=False):
+    for name, x in zip(unknowns.bench_names, found.recalibrated.x.tolist(), strict=False):
         moved.setdefault(_STAGES.get(name, MECHANICAL), []).append(x)
     chances = {
         stage: float(chi2.logsf(np.sum(np.square(xs)), len(xs))) for stage, xs in moved.items()

@@ -10,9 +10,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.fit import Fit
-from sma_bench.diagnose.problem import Problem, in_threads
-from sma_bench.diagnose.unknowns import Unknowns, default_of, x_of
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import Fit
+from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.unknowns import Unknowns, default_of, number_of_effect
 from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -45,9 +46,9 @@ class Remainder:
     def __init__(self, fitted: Fit) -> None:
         self.fitted = fitted
         problem = fitted.problem
-        self._rows = np.hstack([problem.stack(fitted.derivatives), problem.nuisance_rows])
+        self._rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
         self._normal = self._rows.T @ self._rows + np.eye(self._rows.shape[1])
-        self._residual = problem.stack(problem.differences(fitted.predicted))
+        self._residual = problem.whiten(problem.measured - fitted.predicted)
         self._projected = self._project(self._residual)
 
     def _project(self, column: Array) -> Array:
@@ -86,11 +87,7 @@ def find_start(
         trials.append(np.clip(x, low, high))
 
     def changed(x: Array) -> Array:
-        moved = problem.predict(unknowns.parameters(x))
-        return problem.stack(
-            [[m - b for m, b in zip(ms, bs, strict=True)]
-             for ms, bs in zip(moved, fitted.predicted, strict=True)]
-        )
+        return problem.whiten(problem.predict(unknowns.parameters(x)) - fitted.predicted)
 
     best = Start(start_off(fitted, unknowns, name), 0.0)
     switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]
@@ -106,7 +103,7 @@ def find_start(
 def start_off(fitted: Fit, unknowns: Unknowns, name: str) -> Array:
     """Where a fit without this effect ended, the effect added but off."""
     effect = EFFECTS[name]
-    offset = [0.0 if p in effect.switches else x_of(p, default_of(p)) for p in effect.parameters]
+    offset = np.zeros(len(effect.parameters))
     return np.clip(np.concatenate([fitted.x, offset]), *unknowns.bounds())
 
 
@@ -115,7 +112,7 @@ def _offsets(name: str, quick: bool) -> list[Array]:
     effect = EFFECTS[name]
     known = {} if quick else _SHAPES
     shapes = [
-        [x_of(p, value) for value in known.get(p.name, (default_of(p),))]
+        [number_of_effect(p).x_of(value) for value in known.get(p.name, (default_of(p),))]
         if p not in effect.switches else [0.0]
         for p in effect.parameters
     ]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,16 +15,29 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
+_CONTRADICTS = 3.0  # standard errors
+
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with one standard deviation, both in `unit`; `n` measured points stand behind it."""
+    """A number with one standard deviation, both in `unit`; `n` measured points stand behind it.
+
+    `systematic` is the part of `std` that more of the same records would not lower; `informed` the
+    share of the number's information that came from the records.
+    """
 
     value: float
     std: float
     unit: str
     method: str
     n: int
+    systematic: float = 0.0
+    informed: float = 1.0
+
+    @property
+    def statistical(self) -> float:
+        """Standard deviation without the systematic part."""
+        return math.sqrt(max(self.std**2 - self.systematic**2, 0.0))
 
     @property
     def relative_std(self) -> float:
@@ -36,10 +49,25 @@ class Estimate:
         return {
             "value": float(self.value),
             "std": float(self.std),
+            "statistical": float(self.statistical),
+            "systematic": float(self.systematic),
+            "informed": float(self.informed),
             "unit": self.unit,
             "method": self.method,
             "n": int(self.n),
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """(k, k) correlations of the errors of k numbers."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+    def to_json(self) -> dict[str, Any]:
+        """As in the contract, section 5."""
+        return {"names": list(self.names), "matrix": np.round(self.matrix, 6).tolist()}
 
 
 @dataclass(frozen=True)
@@ -48,7 +76,8 @@ class Experiment:
 
     `estimates` maps parameter names of the contract to what goes into a parameter file;
     `details` holds further numbers (one direction, one heating rate, another method) under
-    names of their own; `curves` holds the arrays of its figure, never written to JSON.
+    names of their own; `curves` holds the arrays of its figure, never written to JSON;
+    `correlation` is that of the errors of estimates which one fit gave together.
     """
 
     name: str
@@ -58,6 +87,7 @@ class Experiment:
     curves: dict[str, Array] = field(default_factory=dict)
     source: str = ""
     details: dict[str, Estimate] = field(default_factory=dict)
+    correlation: Correlation | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the curves."""
@@ -89,10 +119,39 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     mean = float(np.sum(weights * values) / np.sum(weights))
     birge = math.sqrt(float(np.sum(weights * (values - mean) ** 2)) / (len(estimates) - 1))
     first = estimates[0]
+    # What is the same in every record does not average out.
+    systematic = max(e.systematic for e in estimates)
     return Estimate(
         value=mean,
-        std=max(1.0, birge) / math.sqrt(float(np.sum(weights))),
+        std=max(max(1.0, birge) / math.sqrt(float(np.sum(weights))), systematic),
         unit=first.unit,
         method=f"{first.method}; weighted mean of {len(estimates)} records",
         n=sum(e.n for e in estimates),
+        systematic=systematic,
     )
+
+
+def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estimate, str]:
+    """A measurement beside what was known, and a remark if they contradict each other.
+
+    A measurement that is surer counts alone: it was made to replace what was known. One that is
+    less sure is joined with it, unless they contradict each other and nobody stated the number.
+    """
+    if prior.std <= 0.0:
+        return measured, ""
+    if measured.std <= prior.std:
+        return replace(measured, informed=1.0 - (measured.std / prior.std) ** 2), ""
+    apart = (measured.value - prior.value) / math.hypot(measured.std, prior.std)
+    remark = "" if abs(apart) < _CONTRADICTS else (
+        f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit} is {apart:+.1f} "
+        f"standard errors from {prior.value:.6g} +- {prior.std:.2g}, "
+    ) + ("which was stated to be surer" if stated else "a default that nobody measured: left out")
+    if remark and not stated:
+        return replace(measured, informed=1.0), remark
+    weight = prior.std**2 / (prior.std**2 + measured.std**2)
+    std = measured.std * math.sqrt(weight)
+    return replace(
+        measured, value=prior.value + weight * (measured.value - prior.value), std=std,
+        method=f"{measured.method}, joined with what was known",
+        systematic=min(weight * measured.systematic, std), informed=weight,
+    ), remark

@@ -5,10 +5,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
+from sma_bench.identify import load_frame, whole_model
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
-from sma_bench.identify.estimate import Estimate, Experiment
+from sma_bench.identify.estimate import Correlation, Estimate, Experiment
 from sma_bench.identify.instruments.heating_rates import identify_heating_rates
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
@@ -23,7 +26,6 @@ from sma_bench.identify.thermal.experiments import (
     run_resistance,
     run_specific_heat,
 )
-from sma_bench.identify.whole_model import composite, load_frame
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
@@ -74,6 +76,22 @@ class Identification:
         return (same or told)[-1].name
 
     @property
+    def correlation(self) -> Correlation:
+        """Of the errors of all estimates; 0 between those of different experiments."""
+        names = list(self.estimates)
+        matrix = np.eye(len(names))
+        for own in (e for e in self.experiments if e.correlation is not None):
+            assert own.correlation is not None
+            chosen = [
+                (k, names.index(name)) for k, name in enumerate(own.correlation.names)
+                if name in names and own.estimates.get(name) == self.estimates[name]
+            ]
+            if chosen:
+                here, there = np.array(chosen).T
+                matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
+        return Correlation(tuple(names), matrix)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Everything a careful reader should know before using the numbers."""
         found = [(note, "") for note in self.notes]
@@ -89,6 +107,7 @@ class Identification:
         """The result file of the contract, section 5."""
         return {
             "parameters": {name: e.to_json() for name, e in self.estimates.items()},
+            "correlation": self.correlation.to_json(),
             "experiments": [experiment.to_json() for experiment in self.experiments],
             "warnings": list(self.warnings),
         }
@@ -130,7 +149,7 @@ def identify(
     whole = _whole_model(run, bags, report)
     told = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     # A composite's wires are told by the whole model alone: their staircases bend it.
-    drives = find_all_drives(run, [r for r in bags if not (whole and composite.bends(r))])
+    drives = find_all_drives(run, [r for r in bags if not (whole and whole_model.bends(r))])
     for name, thermal in _THERMAL.items():
         told(name)
         thermal(run, drives)
@@ -138,17 +157,17 @@ def identify(
     told("E8")
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
+    run.weigh_priors(whole)
     _report_missing(run, records, drives)
-    return Identification(
-        run.improved(), run.estimates, tuple(run.experiments), tuple(run.notes)
-    )
+    improved = run.improved()
+    return Identification(improved, run.estimates, tuple(run.experiments), tuple(run.notes))
 
 
 def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment | None:
     """E10 where a record shows a deflection, else E9 where one shows a load frame."""
-    bent = [record for record in bags if composite.bends(record)]
+    bent = [record for record in bags if whole_model.bends(record)]
     framed = [record for record in bags if load_frame.holds_frame(record)]
-    name = composite.NAME if bent else load_frame.NAME
+    name = whole_model.NAME if bent else load_frame.NAME
     if not (bent or framed) or name not in run.wanted:
         return None
     loaded = any(load_frame.holds_loads(record) for record in framed)
@@ -163,7 +182,7 @@ def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment
     told = part(report, 0.0, _WHOLE_MODEL, name)
     try:
         if bent:
-            experiment = composite.identify_composite([*framed, *bent], run.given, told)
+            experiment = whole_model.identify_composite([*framed, *bent], run.given, told)
         else:
             experiment = load_frame.identify_load_frame(framed, run.given, told)
     except InputError as error:

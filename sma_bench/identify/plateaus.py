@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array
-from sma_bench.identify.noise import (
+from sma_bench.estimation.noise_model import (
     autocorrelation,
     inflation,
     quantisation_variance,
     resolution,
 )
-from sma_bench.identify.segments import Segment
+from sma_bench.estimation.voltage import Segment
+from sma_bench.findings import Finding
+from sma_bench.identify.estimate import Array
 
 SETTLE = 15.0
 AVERAGE = 15.0

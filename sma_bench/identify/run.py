@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Estimate, Experiment, combine
+from sma_bench.identify.estimate import Estimate, Experiment, combine, with_prior
 from sma_bench.parameters import Parameters
 
 
@@ -53,10 +54,37 @@ class Run:
             )
 
     def improved(self) -> Parameters:
-        """The given parameters with what is identified put in."""
-        values = {name: e.value for name, e in self.estimates.items()}
-        errors = {name: e.std for name, e in self.estimates.items()}
-        return self.given.replace(values, errors, "identified")
+        """The given parameters with what is identified put in, as far as they may hold it."""
+        found, waiting = self.given, dict(self.estimates)
+        reasons: dict[str, str] = {}
+        # An end of a range may only fit once its other end has been put in.
+        while waiting:
+            before = len(waiting)
+            for name, e in list(waiting.items()):
+                try:
+                    found = found.replace({name: e.value}, {name: e.std}, "identified")
+                except InputError as error:
+                    reasons[name] = str(error)
+                else:
+                    del waiting[name]
+            if len(waiting) == before:
+                break
+        for name, e in waiting.items():
+            text = f"{e.value:.6g} +- {e.std:.2g} {e.unit} is not given: {reasons[name]}"
+            self.notes.append(Finding("warning", name, text, {"value": e.value}))
+            del self.estimates[name]
+        return found
+
+    def weigh_priors(self, whole: Experiment | None) -> None:
+        """Nothing is less sure than it was before: where an experiment of its own says less of a
+        number than was known, both count. The whole model has weighed the priors already."""
+        for name, estimate in self.estimates.items():
+            if whole is not None and estimate is whole.estimates.get(name):
+                continue
+            prior = Estimate(self.given[name], self.given.std(name), estimate.unit, "given", 0)
+            self.estimates[name], remark = with_prior(estimate, prior, name in self.given.given)
+            if remark:
+                self.notes.append(Finding("warning", name, remark))
 
     def missing(self, names: Sequence[str]) -> list[str]:
         """The wanted ones of `names` without a result."""

@@ -5,15 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.voltage import Segment, Segments, find_segments, protocol_spans
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array
 from sma_bench.identify.plateaus import FEWEST_LEVELS, windows
-from sma_bench.identify.segments import Segment, Segments, find_segments, protocol_spans
 from sma_bench.records import Record
+from sma_bench.records.record import has_samples, samples
 
 SHORTEST_PLATEAU = 2.0
-
-_LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
 
 
 @dataclass(frozen=True)
@@ -54,30 +53,6 @@ class Drive:
             for n, word in zip(counts, ("plateau", "voltage", "ramp"), strict=True)
         )
         return f"{self.channel}: {plateaus} at {voltages}, {ramps}"
-
-
-def samples(record: Record, name: str) -> tuple[Array, Array]:
-    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
-
-    Raises:
-        InputError: the signal is absent or holds no finite value.
-    """
-    signal = record.get(name)
-    if signal is None:
-        raise InputError(f"{record.path}: no signal {name}")
-    values = np.asarray(signal.values, dtype=np.float64)
-    good = (np.abs(values) < _LARGEST) & np.isfinite(signal.time)
-    if not good.any():
-        raise InputError(f"{record.path}: {name} holds no finite value ({len(values)} samples)")
-    time, values = np.asarray(signal.time, dtype=np.float64)[good], values[good]
-    order = np.argsort(time, kind="stable")
-    return time[order], values[order]
-
-
-def has_samples(record: Record, name: str) -> bool:
-    """Whether a signal is there with at least one finite value."""
-    signal = record.get(name)
-    return signal is not None and bool((np.abs(signal.values) < _LARGEST).any())
 
 
 def find_drives(record: Record) -> tuple[Drive, ...]:

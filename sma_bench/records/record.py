@@ -12,6 +12,8 @@ from sma_bench.findings import Finding
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -105,3 +107,27 @@ class Record:
     def duration(self) -> float:
         """Time of the last sample in s; 0 for a record without signals."""
         return max((float(s.time[-1]) for s in self.signals.values() if len(s)), default=0.0)
+
+
+def samples(record: Record, name: str) -> tuple[FloatArray, FloatArray]:
+    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
+
+    Raises:
+        InputError: the signal is absent or holds no finite value.
+    """
+    signal = record.get(name)
+    if signal is None:
+        raise InputError(f"{record.path}: no signal {name}")
+    values = np.asarray(signal.values, dtype=np.float64)
+    good = (np.abs(values) < _LARGEST) & np.isfinite(signal.time)
+    if not good.any():
+        raise InputError(f"{record.path}: {name} holds no finite value ({len(values)} samples)")
+    time, values = np.asarray(signal.time, dtype=np.float64)[good], values[good]
+    order = np.argsort(time, kind="stable")
+    return time[order], values[order]
+
+
+def has_samples(record: Record, name: str) -> bool:
+    """Whether a signal is there with at least one finite value."""
+    signal = record.get(name)
+    return signal is not None and bool((np.abs(signal.values) < _LARGEST).any())

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
+from sma_bench.estimation.observation import find_rig
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.whole_model.rig_record import rig_record
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
 from sma_bench.records.held_voltages import held_voltages
@@ -246,7 +246,7 @@ def composite_run(record: Record, parameters: Parameters) -> CompositeRun:
     Raises:
         InputError: the record lacks the voltage of a channel, or a deflection.
     """
-    rig = rig_record(record, parameters)
+    rig = find_rig(record, parameters)
     time, voltage = held_voltages(record, parameters["bench.channels"])
     simulated = simulate(parameters, time, voltage).deflection
     front = np.array(parameters["bench.channel_sides"]) == "front"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate
 from sma_bench.diagnose.sizes import sample_noise
-from sma_bench.diagnose.view import Binned, View
+from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.protocols import parse_protocol
@@ -38,8 +38,8 @@ def course_pictures(result: Diagnosis) -> list[Picture]:
     """Measured against simulated, before and after: a picture a quantity of the held-out data."""
     pictures = []
     for quantity in result.shrinkage:
-        view = next(v for v in result.held_out if quantity in v.quantities)
-        pictures.append(_courses(result, view, quantity))
+        obs = next(v for v in result.held_out if quantity in v.quantities)
+        pictures.append(_courses(result, obs, quantity))
     return pictures
 
 
@@ -155,9 +155,9 @@ def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Pictur
     return Picture("diagnosis_next_experiment", "The next experiment", caption, figure)
 
 
-def _courses(result: Diagnosis, view: View, quantity: str) -> Picture:
+def _courses(result: Diagnosis, obs: Observation, quantity: str) -> Picture:
     unit, factor = scale_of(quantity)
-    shown = _worst_of_sides(result, view, quantity)
+    shown = _worst_of_sides(result, obs, quantity)
     figure = Figure(figsize=(7.2, 0.8 + 2.9 * len(shown)), layout="constrained")
     axes = figure.subplots(
         2 * len(shown), 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1.0) * len(shown)}
@@ -180,7 +180,7 @@ def _courses(result: Diagnosis, view: View, quantity: str) -> Picture:
         ax.grid(alpha=0.25)
         ax.spines[["top", "right"]].set_visible(False)
     caption = (
-        f"{view.path}, held out; means over {shown[0][0].period:.2g} s; of each side the signal "
+        f"{obs.path}, held out; means over {shown[0][0].period:.2g} s; of each side the signal "
         "with the largest error. Error: measured less simulated, the band is twice the noise of a "
         "sample. The improved parameters are those of --out, fitted to all records."
     )
@@ -191,22 +191,22 @@ def _courses(result: Diagnosis, view: View, quantity: str) -> Picture:
 
 
 def _worst_of_sides(
-    result: Diagnosis, view: View, quantity: str
-) -> list[tuple[Binned, Array, Array]]:
+    result: Diagnosis, obs: Observation, quantity: str
+) -> list[tuple[BinnedSignal, Array, Array]]:
     """Of each side the signal that the belief misses most, with its readings before and after."""
-    before = view.readings(view.simulate(result.parameters))
-    after = view.readings(view.simulate(result.improved))
-    worst: dict[str, tuple[float, tuple[Binned, Array, Array]]] = {}
-    for signal, old, new in zip(view.signals, before, after, strict=True):
+    before = obs.readings(obs.simulate(result.parameters))
+    after = obs.readings(obs.simulate(result.improved))
+    worst: dict[str, tuple[float, tuple[BinnedSignal, Array, Array]]] = {}
+    for signal, old, new in zip(obs.signals, before, after, strict=True):
         if signal.quantity == quantity:
             miss = float(np.mean((signal.value - old) ** 2))
-            side = view.sides[signal.wire]
+            side = obs.sides[signal.wire]
             if side not in worst or miss > worst[side][0]:
                 worst[side] = (miss, (signal, old, new))
     return [row for _, row in worst.values()]
 
 
-def _error(ax: Axes, result: Diagnosis, row: tuple[Binned, Array, Array]) -> None:
+def _error(ax: Axes, result: Diagnosis, row: tuple[BinnedSignal, Array, Array]) -> None:
     """Differences in the unit on paper, which `row` has already."""
     signal, old, new = row
     factor = scale_of(signal.name).factor

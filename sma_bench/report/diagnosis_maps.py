@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import UNEXPLAINED
-from sma_bench.diagnose.fit import Fit
 from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, Cell, locate
+from sma_bench.estimation.solver import Fit
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.report.page import Picture
 
@@ -56,7 +56,7 @@ def gap_picture(result: Diagnosis) -> Picture:
 def stage_picture(result: Diagnosis) -> Picture:
     """Evidence that the best effect of each stage earns, by quantity and phase."""
     best = _best_of_stages(result)
-    quantities = tuple(dict.fromkeys(q for v in result.views for q in v.quantities))
+    quantities = tuple(dict.fromkeys(q for v in result.observations for q in v.quantities))
     columns = [(q, p) for q in quantities for p in PHASES]
     whole = _power(result, result.search.recalibrated)
     table = np.array(
@@ -101,15 +101,14 @@ def _power(result: Diagnosis, fitted: Fit) -> Mapping[tuple[str, str], float]:
     """Whitened squared residual by quantity and phase."""
     noise = result.model.problem.noise
     found: dict[tuple[str, str], float] = {}
-    for view, own in zip(result.views, fitted.left, strict=True):
-        for signal, left in zip(view.signals, own, strict=True):
-            white = noise[signal.name].whiten(left) ** 2
-            phases = view.phase_of(signal.time)
-            for phase in PHASES:
-                key = (signal.quantity, phase)
-                here = phases == phase
-                if here.any():
-                    found[key] = found.get(key, 0.0) + float(white[here].sum())
+    for block in fitted.problem.blocks:
+        white = noise[block.signal.name].whiten(fitted.left[block.rows]) ** 2
+        phases = block.observation.phase_of(block.signal.time)
+        for phase in PHASES:
+            key = (block.signal.quantity, phase)
+            here = phases == phase
+            if here.any():
+                found[key] = found.get(key, 0.0) + float(white[here].sum())
     return found
 
 
@@ -131,8 +130,8 @@ def _row(cell: Cell) -> str:
 def _rows(result: Diagnosis) -> list[str]:
     """Signals by quantity, in the order of the records; the deflection once a side."""
     rows: dict[str, None] = {}
-    for quantity in dict.fromkeys(q for view in result.views for q in view.quantities):
-        for view in result.views:
+    for quantity in dict.fromkeys(q for view in result.observations for q in view.quantities):
+        for view in result.observations:
             for signal in view.signals:
                 if signal.quantity != quantity:
                     continue

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.sizes import locate
-from sma_bench.diagnose.view import Binned, View
+from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.physics.simulate import Simulation
 from sma_bench.report.diagnosis_maps import PHASES
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
@@ -36,24 +36,22 @@ def _missing(result: Diagnosis, name: str) -> Picture:
     figure, (course, temperature, voltage) = new_figure(3, 8.0, shared=False)
     model = result.search.recalibrated
     shown = ""
-    for view, lefts, smooths in zip(result.views, model.left, free_form(result), strict=True):
-        simulation = view.simulate(model.parameters)
-        for signal, left, smooth in zip(view.signals, lefts, smooths, strict=True):
-            if signal.name != name:
-                continue
-            if not shown:
-                shown = view.path
-                course.plot(signal.time, factor * left, color=FAINT, lw=1.0,
-                            label="left by recalibration")
-                if smooth.any():
-                    course.plot(signal.time, factor * smooth, color=SECOND, lw=1.2,
-                                label="of it a smooth response of free form")
-            warm, volts = _causes(view, signal, simulation)
-            phases = view.phase_of(signal.time)
-            for phase, colour in _COLOURS.items():
-                here = phases == phase
-                for ax, x in ((temperature, warm), (voltage, volts)):
-                    ax.plot(x[here], factor * left[here], ".", ms=2.5, color=colour)
+    response = free_form(result)
+    for block in model.problem.of_signal(name):
+        obs, time = block.observation, block.signal.time
+        left, smooth = model.left[block.rows], response[block.rows]
+        if not shown:
+            shown = obs.path
+            course.plot(time, factor * left, color=FAINT, lw=1.0, label="left by recalibration")
+            if smooth.any():
+                course.plot(time, factor * smooth, color=SECOND, lw=1.2,
+                            label="of it a smooth response of free form")
+        warm, volts = _causes(obs, block.signal, obs.simulate(model.parameters))
+        phases = obs.phase_of(time)
+        for phase, colour in _COLOURS.items():
+            here = phases == phase
+            for ax, x in ((temperature, warm), (voltage, volts)):
+                ax.plot(x[here], factor * left[here], ".", ms=2.5, color=colour)
     for phase, colour in _COLOURS.items():
         temperature.plot([], [], ".", ms=8, color=colour, label=phase)
     legend_above(course)
@@ -78,13 +76,13 @@ def _missing(result: Diagnosis, name: str) -> Picture:
     return Picture(f"diagnosis_missing_{name.replace('.', '_')}", title, caption, figure)
 
 
-def _causes(view: View, signal: Binned, simulation: Simulation) -> tuple[Array, Array]:
+def _causes(obs: Observation, signal: BinnedSignal, simulation: Simulation) -> tuple[Array, Array]:
     """Temperature and voltage (b,) that the term may depend on."""
-    at = np.clip(np.searchsorted(view.grid, signal.time), 0, len(view.grid) - 1)
-    temperature, voltage = simulation.temperature[at], view.voltage[at]
+    at = np.clip(np.searchsorted(obs.grid, signal.time), 0, len(obs.grid) - 1)
+    temperature, voltage = simulation.temperature[at], obs.voltage[at]
     if signal.quantity != "deflection":
         return temperature[:, signal.wire], voltage[:, signal.wire]
-    front = np.array(view.sides) == view.sides[0]
+    front = np.array(obs.sides) == obs.sides[0]
     return _difference(temperature, front), _difference(voltage, front)
 
 

@@ -49,7 +49,7 @@ def write_diagnosis_report(
         Section(f"{k}. {s.title}", s.paragraphs, s.notes, s.tables, s.pictures)
         for k, s in enumerate(sections, 1)
     ]
-    sources = "; ".join(dict.fromkeys(v.path for v in result.views))
+    sources = "; ".join(dict.fromkeys(v.path for v in result.observations))
     title = "The gap between simulation and bench"
     summary = f"{headline(result)} From {sources}."
     return write_report(directory, title, summary, numbered, report=report)
@@ -114,7 +114,7 @@ def _looked_at(result: Diagnosis) -> Section:
         for s in view.signals:
             span = f"{s.time[0]:.1f} to {s.time[-1]:.1f}"
             rows.append((view.path, part, s.name, span, f"{int(s.count.sum())}", f"{s.period:.2g}"))
-    left_out = dict.fromkeys(name for view in result.views for name in view.left_out)
+    left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
     paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
     header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
     return Section(

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.noise import Noise, estimate_noise
-from sma_bench.identify.colour import white_noise_level
-from sma_bench.identify.noise import resolution
+from sma_bench.estimation.noise_model import Noise, estimate_noise, resolution, white_noise_level
 
 Array = NDArray[np.float64]
 

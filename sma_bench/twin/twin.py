@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.diagnose.noise import estimate_noise
+from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.physics.boundary import side_names
 from sma_bench.twin.comparison import Comparison

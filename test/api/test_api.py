@@ -37,11 +37,11 @@ def test_importing_the_package_imports_nothing_heavy():
 
 
 def test_functions_are_not_hidden_by_the_rooms_of_their_names():
-    code = "import sma_bench.identify.run, sma_bench.diagnose.view\n"
+    code = "import sma_bench.identify.run, sma_bench.diagnose.chain\n"
     code += "from sma_bench.identify import identify as room\n"
     code += "import sma_bench, inspect\n"
     code += "for f in (sma_bench.identify, sma_bench.diagnose): print(inspect.signature(f))\n"
-    code += "from sma_bench.diagnose.view import View; from sma_bench import identify\n"
+    code += "from sma_bench.diagnose.chain import Link; from sma_bench import identify\n"
     code += "print(identify is sma_bench.api.identify, identify is room)"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     lines = process.stdout.splitlines()
@@ -111,7 +111,7 @@ def test_a_protocol_may_be_written_in_the_notebook():
 def test_diagnosis_of_frames_is_that_of_the_bags(planted_diagnosis):
     pytest.importorskip("pandas")
     told = planted_diagnosis
-    seen, unseen = (sma_bench.to_frame(view.path) for view in told.views)
+    seen, unseen = (sma_bench.to_frame(view.path) for view in told.observations)
     with few_effects():
         found = sma_bench.diagnose(seen, told.parameters, unseen)
     assert found.decision.cause == told.decision.cause == ("side_heat_coupling",)

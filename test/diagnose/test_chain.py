@@ -10,17 +10,17 @@ from sma_bench.diagnose.chain import (
     measured_temperature,
     reading_of,
 )
-from sma_bench.diagnose.fit import fit
-from sma_bench.diagnose.problem import Problem
-from sma_bench.diagnose.unknowns import baseline_unknowns
-from sma_bench.diagnose.view import view_record
+from sma_bench.estimation.observation import observe
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import fit
+from sma_bench.estimation.unknowns import unknowns_of_records
 
 ALL = ("current", "temperature", "deflection")
 
 
 def recalibrated(path, effects=None, quantities=ALL):
-    view = view_record(planted_record(path / "bag", effects, quantities=quantities), believed())
-    unknowns = baseline_unknowns(believed(), quantities)
+    view = observe(planted_record(path / "bag", effects, quantities=quantities), believed())
+    unknowns = unknowns_of_records(believed(), quantities)
     problem = Problem.of([view]).with_nuisances(believed())
     return fit(problem, unknowns, unknowns.start(), far=True)
 
@@ -57,7 +57,7 @@ def test_a_mechanical_cause_stays_whatever_drives_the_model(tmp_path):
 
 def test_the_measured_temperature_is_within_its_noise_of_what_was_measured(tmp_path):
     fitted = recalibrated(tmp_path, {"effect.latent_heat.heat": 2e4})
-    (view,) = fitted.problem.views
+    (view,) = fitted.problem.observations
     run = view.simulate(fitted.parameters)
     corrected = measured_temperature(view, run)
     before, after = 0.0, 0.0

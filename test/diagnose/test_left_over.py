@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from sma_bench.diagnose.left_over import left_over
-from sma_bench.diagnose.noise import Noise
+from sma_bench.estimation.noise_model import Noise
 
 BINS, PERIOD, WHITE = 400, 0.2, 0.1
 NAMES = ("front_1.current", "front_1.temperature", "deflection")
@@ -15,21 +15,24 @@ MOVING = np.arange(BINS) % 100 < 50
 def fitted(**louder):
     """A fit that leaves white noise, of some signals times a factor while the bench moves."""
     random = np.random.default_rng(5)
-    left, signals = [], []
+    left, blocks = [], []
     for name in NAMES:
         factor = louder.get(name.rpartition(".")[2], 1.0)
         scatter = WHITE * random.standard_normal(BINS)
         left.append(np.where(MOVING, factor, 1.0) * scatter)
-        signals.append(SimpleNamespace(name=name, noise=WHITE, count=np.full(BINS, 4.0)))
-    view = SimpleNamespace(
-        signals=signals, simulate=lambda parameters: None,
+        signal = SimpleNamespace(name=name, noise=WHITE, count=np.full(BINS, 4.0))
+        rows = slice(len(blocks) * BINS, (len(blocks) + 1) * BINS)
+        blocks.append(SimpleNamespace(signal=signal, rows=rows))
+    observation = SimpleNamespace(
+        simulate=lambda parameters: None,
         rates=lambda simulation: [MOVING + 0.001 * np.arange(BINS) / BINS for _ in NAMES],
     )
     problem = SimpleNamespace(
-        views=[view], noise={name: Noise(WHITE, 0.0, 1.0, PERIOD) for name in NAMES},
+        observations=[observation], blocks=blocks,
+        noise={name: Noise(WHITE, 0.0, 1.0, PERIOD) for name in NAMES},
         log_prior=lambda: -2.0,
     )
-    return SimpleNamespace(problem=problem, left=[left], parameters=None)
+    return SimpleNamespace(problem=problem, left=np.concatenate(left), parameters=None)
 
 
 def test_noise_shows_nowhere():

@@ -7,7 +7,7 @@ import pytest
 
 from sma_bench.diagnose.decision import FLEXIBLE
 from sma_bench.diagnose.missing_term import missing_term
-from sma_bench.diagnose.noise import Noise, estimate_noise
+from sma_bench.estimation.noise_model import Noise, estimate_noise
 
 PERIOD, BINS = 0.2, 600
 STEPS = np.where(np.arange(BINS) // 150 % 2, 1.0, 0.0)  # of a camera's shutter, in K
@@ -23,17 +23,20 @@ def searched(gain, course=STEPS):
     noise = {
         name: estimate_noise([part], 0.05, PERIOD) for name, part in zip(NAMES, left, strict=True)
     }
-    view = SimpleNamespace(signals=[SimpleNamespace(name=name) for name in NAMES])
-    problem = SimpleNamespace(views=[view], noise=noise)
-    in_the_current = [[np.full(BINS, 1e-4), np.zeros(BINS)]]
+    blocks = [
+        SimpleNamespace(signal=SimpleNamespace(name=name), rows=slice(k * BINS, (k + 1) * BINS))
+        for k, name in enumerate(NAMES)
+    ]
+    problem = SimpleNamespace(blocks=blocks, noise=noise)
+    in_the_current = np.concatenate([np.full(BINS, 1e-4), np.zeros(BINS)])
     return SimpleNamespace(
-        recalibrated=SimpleNamespace(problem=problem, left=[left]),
+        recalibrated=SimpleNamespace(problem=problem, left=np.concatenate(left)),
         flexible=SimpleNamespace(gain=gain, response=in_the_current),
     )
 
 
 def powers(found):
-    ((current, temperature),) = missing_term(found)
+    current, temperature = np.split(missing_term(found), 2)
     return float(np.mean(current**2)), float(np.mean(temperature**2))
 
 

@@ -80,6 +80,6 @@ def test_the_gap_shrinks_on_the_record_that_was_held_out(planted_diagnosis):
 
 def test_what_the_effect_leaves_is_noise(planted_diagnosis):
     problem, left = planted_diagnosis.model.problem, planted_diagnosis.model.left
-    white = problem.stack(left)
+    white = problem.whiten(left)
     assert white.std() == pytest.approx(1.0, abs=0.1)
     assert planted_diagnosis.search.beyond.gain < 10.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sma_bench.diagnose.noise import Noise, estimate_noise, first_guess
+from sma_bench.estimation.noise_model import Noise, estimate_noise, first_guess
 
 PERIOD = 0.2
 NOISES = (

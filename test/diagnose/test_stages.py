@@ -38,7 +38,7 @@ RANKED = (
 def searched(moved=(), shows=(), flexible=0.0, ranked=RANKED):
     x = np.array([dict(moved).get(name, 0.0) for name in NAMES])
     recalibrated = SimpleNamespace(
-        unknowns=SimpleNamespace(prior=SimpleNamespace(names=NAMES)),
+        unknowns=SimpleNamespace(bench_names=NAMES),
         x=np.array([*x, 5.0]),  # 5: a shape, of no stage
     )
     return SimpleNamespace(

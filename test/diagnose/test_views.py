@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_record, true_bench
 
-from sma_bench.diagnose.view import view_record
 from sma_bench.errors import InputError
+from sma_bench.estimation.observation import observe
 from sma_bench.physics import simulate
 from sma_bench.records import Record, Signal
 
 
 @pytest.fixture(scope="module")
 def view(tmp_path_factory):
-    return view_record(planted_record(tmp_path_factory.mktemp("view") / "bag"), believed())
+    return observe(planted_record(tmp_path_factory.mktemp("view") / "bag"), believed())
 
 
 def record_of(*signals):
@@ -76,13 +76,13 @@ def test_what_cannot_be_compared_is_named():
     time, _ = drive()
     force = Signal("force", "N", time, np.ones_like(time))
     with pytest.raises(InputError, match="made_up"):
-        view_record(record_of(*volts(), force), believed())
+        observe(record_of(*volts(), force), believed())
     with pytest.raises(InputError, match="voltage"):
-        view_record(record_of(Signal("deflection", "m", time, 0.0 * time)), believed())
+        observe(record_of(Signal("deflection", "m", time, 0.0 * time)), believed())
 
 
 def test_cells_begin_at_the_jumps_and_are_short_after_them(jumping):
-    view = view_record(record_of(*jumping), believed())
+    view = observe(record_of(*jumping), believed())
     edges = np.concatenate([view.drive.early, view.drive.late])
     assert len(edges) == 8
     assert np.isin(edges, view.grid).all()
@@ -104,7 +104,7 @@ def test_a_held_level_between_two_steps_of_the_converter_is_not_known(jumping):
         Signal(s.name, s.unit, s.time, np.round((s.values + 2e-3 * scatter) / 0.01) * 0.01)
         if s.name.endswith("voltage") else s for s in jumping
     ]
-    view = view_record(record_of(*coarse), believed())
+    view = observe(record_of(*coarse), believed())
     assert len(view.levels) == 2
     for moved, level in zip(view.levels, (1.8, 2.2), strict=True):
         change = moved - view.voltage
@@ -112,7 +112,7 @@ def test_a_held_level_between_two_steps_of_the_converter_is_not_known(jumping):
         assert np.all((change[held] > 1e-3) & (change[held] < 1.1 * 0.01 / np.sqrt(12.0)))
         other = np.abs(view.voltage - (4.0 - level)) < 0.02
         assert not change[other | (view.voltage < 0.02)].any()
-    assert view_record(record_of(*jumping), believed()).levels == []
+    assert observe(record_of(*jumping), believed()).levels == []
 
 
 @pytest.fixture(scope="module")

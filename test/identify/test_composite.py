@@ -8,12 +8,11 @@ import pytest
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
+from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
+from sma_bench.estimation.unknowns import BENDING, HEAT, MATERIAL, SHAPES
 from sma_bench.identify import identify
-from sma_bench.identify.whole_model.composite import identify_composite
-from sma_bench.identify.whole_model.output_error import fit_bench
-from sma_bench.identify.whole_model.prior import BENDING, HEAT, MATERIAL
-from sma_bench.identify.whole_model.rig_record import rig_record
+from sma_bench.identify.whole_model import fit_whole_model, identify_composite, observe_all
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
 from sma_bench.records import Record, Signal, read_record
@@ -47,17 +46,22 @@ def foreign(shared_data):
 @pytest.mark.parametrize("which", [(0,), (1,), (0, 1)], ids=["triangle", "step", "both"])
 def test_foreign_records_give_back_the_truth_within_the_stated_errors(foreign, signals, which):
     records, nominal, truth = foreign
-    rigs = [rig_record(only(records[i], *signals), nominal) for i in which]
-    fit = fit_bench(rigs, nominal, (*HEAT, *MATERIAL, *BENDING))
-    assert len(fit.prior.names) == 19
-    true = np.array([truth[name] for name in fit.prior.names])
-    z = (fit.values - true) / fit.std
-    worst = fit.prior.names[int(np.argmax(np.abs(z)))]
-    assert np.max(np.abs(z)) < 3.0, worst
-    apart = fit.x - fit.prior.x_of(true)
-    # 0.1 % of chi-square with 19 degrees of freedom lies above 43.8.
-    assert apart @ np.linalg.solve(fit.covariance, apart) < 43.8
-    assert fit.released == ()
+    observations = observe_all([only(records[i], *signals) for i in which], nominal)
+    found = fit_whole_model(observations, nominal)
+    numbers = [number for number in found.numbers if number.name not in SHAPES]
+    assert len(numbers) == 19
+    z = {n.name: (n.value - truth[n.name]) / n.std for n in numbers}
+    assert max(map(abs, z.values())) < 3.5, z
+    fit = found.fit
+    # One factor carries what is known of both.
+    true = [
+        truth.get(u.name, 0.0) * (truth[u.partner] / nominal[u.partner] if u.partner else 1.0)
+        for u in fit.unknowns.items
+    ]
+    apart = fit.x - fit.unknowns.x_of(true)
+    # 0.1 % of chi-square with 20 degrees of freedom lies above 45.3.
+    assert apart @ np.linalg.solve(fit.covariance, apart) < 45.3
+    assert all(n.std <= n.prior_std and 0.0 <= n.informed <= 1.0 for n in found.numbers)
 
 
 def test_deflection_alone_says_which_parameters_it_cannot_tell(foreign):
@@ -67,6 +71,7 @@ def test_deflection_alone_says_which_parameters_it_cannot_tell(foreign):
     assert "wire.resistance" in untold
     assert "composite.stress_per_deflection_front" not in untold
     assert "the prior" in found.estimates["wire.resistance"].method
+    assert found.estimates["wire.resistance"].informed < 0.2
     assert found.estimates["wire.resistance"].std > 0.8 * nominal.std("wire.resistance")
     assert found.estimates[FRONT].std < 0.7 * nominal.std(FRONT)
     products = [f.text for f in found.findings if "product" in f.text]
@@ -90,6 +95,38 @@ def test_identify_uses_the_whole_model_on_composite_bags(foreign):
     assert {e.name for e in result.experiments} == {"E10"}
     assert result.parameters[ALPHA] == pytest.approx(result.estimates[ALPHA].value)
     assert result.parameters.std(FRONT) == pytest.approx(result.estimates[FRONT].std)
+    document = result.to_json()
+    names = document["correlation"]["names"]
+    assert names == list(document["parameters"])
+    matrix = np.array(document["correlation"]["matrix"])
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    np.testing.assert_allclose(matrix, matrix.T)
+    assert abs(matrix[names.index(FRONT), names.index(BACK)]) > 0.9
+    for name, number in document["parameters"].items():
+        whole = np.hypot(number["statistical"], number["systematic"])
+        assert whole == pytest.approx(number["std"])
+        assert number["std"] <= nominal.std(name)
+    assert document["parameters"]["wire.resistance"]["informed"] > 0.99
+
+
+def test_an_unseen_run_is_predicted_no_worse_than_by_the_diagnosis(foreign):
+    """They are the same fit, except that identification tells the sides apart."""
+    records, nominal, _ = foreign
+    seen, unseen = records
+    gap = diagnose([seen], nominal, [unseen])
+    (held_out,) = observe_all([unseen], nominal)
+
+    def misses(parameters):
+        readings = held_out.readings(held_out.simulate(parameters))
+        return {
+            s.quantity: float(np.sqrt(np.mean((s.value - reading) ** 2))) / s.noise
+            for s, reading in zip(held_out.signals, readings, strict=True)
+        }
+
+    ours = misses(identify([seen], nominal).parameters)
+    theirs = misses(gap.search.recalibrated.parameters)
+    for quantity, miss in ours.items():
+        assert miss < 1.02 * theirs[quantity] + 0.02
 
 
 # --- records made here --------------------------------------------------------------------------
@@ -181,7 +218,7 @@ def test_errors_stay_true_under_coloured_noise():
     assert np.sqrt(np.mean(np.square(deviations))) < 1.5
 
 
-def test_a_prior_that_the_record_contradicts_is_reported_and_gives_way():
+def test_a_prior_that_the_record_contradicts_is_reported():
     known = bench().replace({"wire.resistance": 3.0}, {"wire.resistance": 0.01})
     found = identify_composite([record_of(bench())], known)
     estimate = found.estimates["wire.resistance"]
@@ -189,6 +226,7 @@ def test_a_prior_that_the_record_contradicts_is_reported_and_gives_way():
     warning = next(f for f in found.findings if f.subject == "wire.resistance")
     assert warning.severity == "warning"
     assert warning.numbers["deviations"] == pytest.approx(-30.1, abs=0.5)
+    assert estimate.std <= 0.01
 
 
 def test_an_effect_that_the_model_lacks_is_seen_in_the_residual():

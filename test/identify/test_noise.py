@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sma_bench.identify.estimate import Estimate, combine
-from sma_bench.identify.noise import (
+from sma_bench.estimation.noise_model import (
     autocorrelation,
     inflation,
     quantisation_variance,
     resolution,
 )
+from sma_bench.identify.estimate import Estimate, combine
 
 
 def coloured(rng, n, keep):

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.identify.segments import find_segments, protocol_spans
+from sma_bench.estimation.voltage import find_segments, protocol_spans
 
 STEP = 10.0 / 1023.0
 

@@ -17,6 +17,7 @@ from figures import Outcome, Skipped, as_json, print_section  # noqa: E402
 
 SECTIONS = {
     "simulation": ("simulation", "stiff solvers at equal error, the same recurrence in C"),
+    "solver": ("solvers", "the estimation's own solver beside scipy's least_squares"),
     "reading": ("reading", "bags: rosbags, mcap-ros2-support, the bytes alone"),
     "commands": ("whole_commands", "help, identification, diagnosis; cold and warm"),
     "nodes": ("node_rates", "rates, jitter, latency, share of a core; the camera"),

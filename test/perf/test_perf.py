@@ -61,7 +61,9 @@ def test_simulation_is_held_against_solvers_and_c(tmp_path):
 
 @pytest.mark.slow
 def test_reading_growth_commands_and_batch_are_complete(tmp_path):
-    document, _ = run(tmp_path, "reading", "growth", "commands", "batch")
+    document, _ = run(tmp_path, "reading", "growth", "commands", "batch", "solver")
+    for case, found in measures(document, "solver").items():
+        assert found["ours: simulations"] < found["least_squares: simulations"], case
     bags = measures(document, "reading")
     for case, found in bags.items():
         assert found["rosbags, message by message: times slower"] > 0.0

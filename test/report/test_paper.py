@@ -14,8 +14,8 @@ from sma_bench.cli import main
 from sma_bench.commands.paper_drawing import paper_page
 from sma_bench.commands.paper_records import sort_records
 from sma_bench.errors import InputError
-from sma_bench.identify.whole_model.load_frame_drive import wire_length
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length_from_mass
 from sma_bench.parameters.paper_numbers import DSC_CYCLES
 from sma_bench.physics import Boundary, simulate
 from sma_bench.protocols import load_protocol
@@ -318,7 +318,7 @@ def test_a_bag_of_a_load_frame_that_holds_loads_is_an_isobaric_test():
     signals = [
         Signal("wire.voltage", "V", time, volts[:, 0]),
         Signal("wire.temperature", "K", time, kelvin),
-        Signal("elongation", "m", time, -wire_length(wire) * held.contraction[:, 0]),
+        Signal("elongation", "m", time, -wire_length_from_mass(wire) * held.contraction[:, 0]),
         Signal("force", "N", time, held.force[:, 0]),
     ]
     found, _ = sort_records([Record(Path("bag"), 0, {s.name: s for s in signals})], wire)

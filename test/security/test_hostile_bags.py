@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 import zstandard
 
-from sma_bench.diagnose.view import view_record
 from sma_bench.errors import InputError
-from sma_bench.identify.signals import samples
-from sma_bench.identify.whole_model.rig_record import rig_record
+from sma_bench.estimation.observation import observe
 from sma_bench.parameters import read_parameters
 from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_files import METADATA
+from sma_bench.records.record import samples
 from sma_bench.records.write import write_record
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
@@ -257,9 +256,8 @@ def test_a_late_stamp_costs_no_memory(drive, tmp_path):
     write_record(tmp_path / "bag", late)
     record, parameters = read_record(tmp_path / "bag"), read_parameters(RIG)
     with allowance(GIGABYTE, 60.0):
-        rig = rig_record(record, parameters)
-        view = view_record(record, parameters)
-    assert rig.grid[-1] < 1e4 and view.grid[-1] < 1e4
+        observation = observe(record, parameters)
+    assert observation.grid[-1] < 1e4
     assert "are stamped up to 1e+09 s after the others" in said(record)
 
 
@@ -278,4 +276,4 @@ def test_a_grid_has_an_end_whatever_the_times(drive):
         for name, s in drive.signals.items()
     }
     with allowance(GIGABYTE, 60.0):
-        assert len(rig_record(replace(drive, signals=far), read_parameters(RIG)).grid) < 5e6
+        assert len(observe(replace(drive, signals=far), read_parameters(RIG)).grid) < 5e6

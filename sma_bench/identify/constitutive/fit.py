@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.identify.constitutive.law import (
     Elastic,
     Law,
@@ -15,7 +16,6 @@ from sma_bench.identify.constitutive.law import (
     without_free_parts,
 )
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.noise import autocorrelation, inflation
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, in_turn, silent
 

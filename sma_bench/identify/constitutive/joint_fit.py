@@ -12,7 +12,7 @@ from sma_bench.identify.constitutive import findings as remarks
 from sma_bench.identify.constitutive.fit import LawFit, fit_law
 from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, make_loops
 from sma_bench.identify.constitutive.starts import unknowns_of
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.estimate import Array, Correlation, Estimate, Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, part, silent
@@ -88,14 +88,16 @@ def fit_constitutive(
     findings.extend(remarks.about_numbers(chosen))
     cycles = _cycle_by_cycle(chosen, records, parameters, findings)
     details = {**_details(fits), **cycles}
+    estimates = _estimates(chosen, parameters, findings)
     return Experiment(
         name=NAME,
         title=TITLE,
-        estimates=_estimates(chosen, parameters, findings),
+        estimates=estimates,
         findings=tuple(findings),
         curves=_curves(chosen),
         source="; ".join(str(record.path) for record in records),
         details=details,
+        correlation=_correlation(chosen, list(estimates)),
     )
 
 
@@ -131,7 +133,7 @@ def _estimates(
             continue
         weights = {name: 1.0 / len(slopes) for name in slopes}
         # The secant from zero to the largest stress: with a bend there is no one slope.
-        weights[f"bend_{label[-1]}"] = max(f.loop.stress for f in fit.loops) / REFERENCE_STRESS
+        weights[f"bend_{label[-1]}"] = _largest_stress(fit)
         slope = sum(w * fit.all().get(name, 0.0) for name, w in weights.items())
         std = fit.error(weights)
         if slope <= _SIGNIFICANT * std:
@@ -162,14 +164,27 @@ def _add_shift_error(
 
 def _strain_estimate(fit: LawFit, method: str, n: int) -> dict[str, Estimate]:
     name = "wire.maximum_recoverable_strain"
+    error = fit.error(_strain_weights(fit))
     if "eps_L" in fit.names:
-        return {name: Estimate(fit["eps_L"], fit.error({"eps_L": 1.0}), "1", method, n)}
-    s = max(f.loop.stress for f in fit.loops) / REFERENCE_STRESS
-    grown = 1.0 - math.exp(-fit["k"] * s)
-    weights = {"H_min": 1.0, "dH": grown, "k": fit["dH"] * s * (1.0 - grown)}
-    value = fit["H_min"] + fit["dH"] * grown
+        return {name: Estimate(fit["eps_L"], error, "1", method, n)}
+    s = _largest_stress(fit)
+    value = fit["H_min"] + fit["dH"] * (1.0 - math.exp(-fit["k"] * s))
     where = f"{method}, at the largest stress {s * REFERENCE_STRESS / 1e6:.0f} MPa"
-    return {name: Estimate(value, fit.error(weights), "1", where, n)}
+    return {name: Estimate(value, error, "1", where, n)}
+
+
+def _strain_weights(fit: LawFit) -> dict[str, float]:
+    """Derivatives of the strain at the largest stress."""
+    if "eps_L" in fit.names:
+        return {"eps_L": 1.0}
+    s = _largest_stress(fit)
+    grown = 1.0 - math.exp(-fit["k"] * s)
+    return {"H_min": 1.0, "dH": grown, "k": fit["dH"] * s * (1.0 - grown)}
+
+
+def _largest_stress(fit: LawFit) -> float:
+    """In units of the reference."""
+    return max(f.loop.stress for f in fit.loops) / REFERENCE_STRESS
 
 
 def _expansion_estimate(
@@ -248,6 +263,21 @@ def _cycle_by_cycle(
             )
         findings.append(remarks.cycles_differ(record.name, joint, errors))
     return details
+
+
+def _correlation(fit: LawFit, names: Sequence[str]) -> Correlation:
+    """Of the errors of the estimates; that of an inverse slope has the other sign."""
+    weights = {parameter: {name: 1.0} for name, parameter in TEMPERATURES.items()}
+    for label, (parameter, common, own) in INFLUENCES.items():
+        slopes = common if fit.law == "contract" else own
+        weights[parameter] = {name: -1.0 / len(slopes) for name in slopes}
+        weights[parameter][f"bend_{label[-1]}"] = -_largest_stress(fit)
+    weights["wire.maximum_recoverable_strain"] = _strain_weights(fit)
+    weights["wire.thermal_expansion_factor"] = {"Theta_T": 1.0, "alpha_M": -1.0}
+    turn = np.array([[weights[n].get(name, 0.0) for name in fit.names] for n in names])
+    covariance = turn @ fit.covariance @ turn.T if names else np.zeros((0, 0))
+    sigma = np.sqrt(np.diag(covariance))
+    return Correlation(tuple(names), covariance / np.outer(sigma, sigma))
 
 
 def _curves(fit: LawFit) -> dict[str, Array]:

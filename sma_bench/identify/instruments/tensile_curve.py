@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.noise import autocorrelation, inflation
 from sma_bench.identify.pieces import Piece, fit_piece, straight_pieces
 from sma_bench.records.tensile import TensileRecord
 

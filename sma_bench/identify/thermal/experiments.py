@@ -1,7 +1,6 @@
 """E1 to E3 on bags: which records serve which experiment, and how their results join."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Estimate, combine
@@ -19,7 +18,7 @@ from sma_bench.identify.thermal.heat_transfer import (
     coefficient,
     identify_heat_transfer,
 )
-from sma_bench.identify.thermal.resistance import SCALE_STD, identify_resistance
+from sma_bench.identify.thermal.resistance import identify_resistance
 from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.records import Record
 
@@ -69,10 +68,6 @@ def run_resistance(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
         except InputError as error:
             run.fail("E1", str(error))
     run.join("E1")
-    if RESISTANCE in run.estimates:
-        # The sensors' scale is the same in every record and does not average out.
-        joint = run.estimates[RESISTANCE]
-        run.estimates[RESISTANCE] = replace(joint, std=max(joint.std, SCALE_STD * joint.value))
 
 
 def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.noise import autocorrelation, inflation
 from sma_bench.identify.thermal.heat_fit import HEAT_TRANSFER, SPECIFIC_HEAT, HeatFit, Window
 
 SUBJECT = "wire.specific_heat"

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from sma_bench.estimation.noise_model import autocorrelation
 from sma_bench.identify.estimate import Array, Indices
-from sma_bench.identify.noise import autocorrelation
 from sma_bench.identify.thermal.heat_response import (
     VoltageCourse,
     course_from_samples,
@@ -24,7 +24,6 @@ _EDGE_STD = 1.0 / math.sqrt(12.0)
 _LAST_EDGE = 0.49
 _STEP = 1e-5
 _PASSES = 3
-_ITERATIONS = 60
 _ENOUGH = 1e-7
 
 
@@ -120,10 +119,15 @@ def fit_heat(windows: Sequence[Window], knowledge: Knowledge, start: Array) -> H
         knowledge: what is known beforehand.
         start: (3,) logarithms of (c_p, h, R) to begin with.
     """
+    from scipy.optimize import least_squares  # half a second to load
+
     problem = _Problem(windows, knowledge)
     guess = problem.first_guess(start)
     for _ in range(_PASSES):
-        guess = _minimise(problem, guess)
+        guess = least_squares(
+            problem.residuals, guess, problem.jacobian, problem.bounds(), x_scale="jac",
+            ftol=_ENOUGH,
+        ).x
         scatter = problem.scatter_of(guess)
         done = abs(scatter - problem.noise) < 1e-3 * scatter
         problem.noise = scatter
@@ -139,31 +143,6 @@ def fit_heat(windows: Sequence[Window], knowledge: Knowledge, start: Array) -> H
         residuals=tuple(w.temperature - m for w, m in zip(windows, models, strict=True)),
         scatter=problem.noise,
     )
-
-
-def _minimise(problem: "_Problem", guess: Array) -> Array:
-    """Levenberg-Marquardt on the normal equations: thousands of samples, a dozen unknowns."""
-    low, high = problem.bounds()
-    left = problem.residuals(guess)
-    cost, damping = float(left @ left), 1e-4
-    for _ in range(_ITERATIONS):
-        slopes = problem.jacobian(guess)
-        normal, gradient = slopes.T @ slopes, slopes.T @ left
-        while damping < 1e8:
-            damped = normal + damping * np.diag(np.diag(normal))
-            trial = np.clip(guess - np.linalg.solve(damped, gradient), low, high)
-            trial_left = problem.residuals(trial)
-            trial_cost = float(trial_left @ trial_left)
-            if trial_cost <= cost:
-                break
-            damping *= 8.0
-        else:
-            return guess
-        done = cost - trial_cost < _ENOUGH * cost
-        guess, left, cost, damping = trial, trial_left, trial_cost, damping / 8.0
-        if done:
-            break
-    return guess
 
 
 def rough_time_constant(windows: Sequence[Window]) -> tuple[float, float]:

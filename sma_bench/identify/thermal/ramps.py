@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from sma_bench.estimation.voltage import Segment
 from sma_bench.findings import Finding
-from sma_bench.identify.segments import Segment
-from sma_bench.identify.signals import Drive, samples
+from sma_bench.identify.signals import Drive
 from sma_bench.identify.thermal.heat_fit import Window
 from sma_bench.records import Record
+from sma_bench.records.record import samples
 
 BEFORE = 3.0
 AFTER = 12.0

@@ -9,9 +9,10 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment, Mask
 from sma_bench.identify.plateaus import AVERAGE, SETTLE, Means, means, same_level
-from sma_bench.identify.signals import Staircase, samples
+from sma_bench.identify.signals import Staircase
 from sma_bench.identify.straight_line import LinearFit, fit_linear
 from sma_bench.records import Record
+from sma_bench.records.record import samples
 
 PARAMETER = "wire.resistance"
 # Assumed, not measured: no record shows the gain errors of its own two sensors. Half a step of a
@@ -140,7 +141,8 @@ def _estimate(
         findings.append(
             Finding("info", "current", text, {"offset": offset, "offset_std": offset_std})
         )
-    return Estimate(resistance, std, "ohm", method, n), details, findings
+    systematic = SCALE_STD * resistance
+    return Estimate(resistance, std, "ohm", method, n, systematic), details, findings
 
 
 def _details(joint: LinearFit, n: int) -> dict[str, Estimate]:

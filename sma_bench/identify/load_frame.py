@@ -11,19 +11,18 @@ from dataclasses import replace
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.load_frame import has_load_frame, is_clamped
+from sma_bench.estimation.observation import find_rig
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
-from sma_bench.identify.signals import has_samples, samples
-from sma_bench.identify.whole_model.fit import fit_experiment
-from sma_bench.identify.whole_model.load_frame_drive import has_load_frame, is_clamped, wire_length
-from sma_bench.identify.whole_model.rig_record import rig_record
+from sma_bench.identify.whole_model import fit_experiment, observe_all
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import NITI_DENSITY
+from sma_bench.parameters.audit import NITI_DENSITY, wire_length_from_mass
 from sma_bench.physics.bending import wire_section
 from sma_bench.progress import Report, silent
 from sma_bench.records.isobaric import IsobaricRecord
-from sma_bench.records.record import Record
+from sma_bench.records.record import Record, has_samples, samples
 from sma_bench.records.thermal_cycles import find_cycles
 
 NAME = "E9"
@@ -52,13 +51,13 @@ def identify_load_frame(
     Raises:
         InputError: no load frame in any record, no voltage, or neither held loads nor clamps.
     """
-    rigs = [rig_record(record, parameters) for record in records]
-    if not any(rig.holds for rig in rigs):
+    observations = observe_all(records, parameters)
+    if not any(one.holds for one in observations):
         where = ", ".join(str(record.path) for record in records) or "no records"
         raise InputError(
             f"{where}: no load frame, expected joint_states wire with position or effort"
         )
-    fitted = fit_experiment(NAME, TITLE, rigs, parameters, report)
+    fitted = fit_experiment(NAME, TITLE, observations, parameters, report)
     beside, remarks = _tangents(records, parameters, fitted)
     return replace(
         fitted,
@@ -75,12 +74,12 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
     Raises:
         InputError: no voltage, temperature or elongation.
     """
-    rig = rig_record(record, parameters)
+    rig = find_rig(record, parameters)
     time, elongation = samples(record, "elongation")
     kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
     tests: list[IsobaricRecord] = []
     for hold in rig.holds:
-        start, stop = rig.grid[hold.first], rig.grid[hold.last - 1]
+        start, stop = hold.start, hold.stop
         inside = (time >= start) & (time <= stop)
         if hold.clamped or stop - start < _SHORTEST_TEST:
             continue
@@ -89,7 +88,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
         stress = hold.value / wire_section(parameters)
         name = f"{record.path.name} {stress / 1e6:.0f} MPa"
         cycles, remarks = find_cycles(
-            kelvin[inside], elongation[inside] / wire_length(parameters),
+            kelvin[inside], elongation[inside] / wire_length_from_mass(parameters),
             np.full(int(inside.sum()), stress), name,
         )
         tests.append(
@@ -100,7 +99,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
 
 def about_length(parameters: Parameters) -> Finding:
     """Where the gauge length comes from."""
-    length = wire_length(parameters)
+    length = wire_length_from_mass(parameters)
     text = (
         f"wire length {length * 1e3:.2f} mm from mass and diameter at {NITI_DENSITY:g} kg/m3, "
         "taken as the gauge length: strains scale with its inverse, stresses with that of the "

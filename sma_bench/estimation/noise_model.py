@@ -1,4 +1,5 @@
-"""Noise of a signal: white noise of the samples plus a slow drift, and how to whiten it.
+"""Noise of a signal: white noise of the samples plus a slow drift, and how to whiten it; and what
+samples show of it by themselves: scatter, a converter's steps, how sure a mean is.
 
     r_k = u_k + w_k,   u_k = phi u_(k-1) + v_k,   phi = exp(-dt/tau)
 
@@ -6,6 +7,7 @@ As an innovations process this is ARMA(1,1): (1 - phi B) r = (1 + theta B) e, so
 short recursion (Box, Jenkins and Reinsel, Time Series Analysis, ch. 3).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -24,6 +26,11 @@ _SLOW = 3.0  # s: drift of a longer time than that must be of the usual size
 _WANDERING = 25.0  # s: no faster is a zero that wanders
 _UNUSUAL = 0.35  # standard deviation of the log of an unusual drift
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 13)])  # drift over white
+
+_FEW_LEVELS = 0.2
+_OFTEN = 0.01
+_EXACT = 0.01
+_HARMONICS = 50
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,8 @@ class Noise:
         """Most probable u (b,) in a residual (b,): what is slow of it."""
         if self.drift == 0.0:
             return np.zeros_like(residual)
+        if len(residual) < 2:  # no band beside the diagonal
+            return residual * (self.drift**2 / (self.drift**2 + self.white**2))
         if len(residual) < 2:  # no band beside the diagonal
             return residual * (self.drift**2 / (self.drift**2 + self.white**2))
         phi = np.exp(-self.period / self.time)
@@ -175,3 +184,109 @@ def _add_powers(
             before = residual[i]
             power += (innovation * scale[k]) ** 2
         powers[k] += power
+
+
+def white_noise_level(values: Array) -> float:
+    """Standard deviation of what changes from sample to sample, quantisation included.
+
+    From second differences, so that a smooth course drops out.
+
+    Args:
+        values: (n,) samples of one signal.
+    """
+    second = np.diff(values, 2)
+    # The median of a coarsely quantised signal jumps by a step; clipped squares do not.
+    robust = 1.4826 * float(np.median(np.abs(second)))
+    limit = 5.0 * max(robust, float(np.sqrt(np.mean(second**2))) / 5.0)
+    return float(np.sqrt(np.mean(np.minimum(second**2, limit**2)) / 6.0))
+
+
+def noise_floor(values: Array) -> float:
+    """White noise of one sample among its neighbours (n,), its converter's included; never 0."""
+    floor = max(white_noise_level(values), resolution(values) / np.sqrt(12.0))
+    return float(floor) or 1e-6 * max(float(np.ptp(values)), 1e-12)
+
+
+def resolution(values: Array) -> float:
+    """Step of a quantised signal in its own unit; 0 when none is seen.
+
+    The step is what all distinct values are whole multiples apart. A quiet signal at a few levels
+    shows the levels' spacing only: that counts as a step if samples often move by just one of it,
+    or if it is finer than the closest two levels.
+
+    Args:
+        values: (n,) samples.
+    """
+    levels = np.unique(np.round(values, 9))
+    if len(levels) < 2 or len(levels) > _FEW_LEVELS * len(values):
+        return 0.0
+    gaps = np.diff(levels)
+    step = _common_step(gaps)
+    if step == 0.0 or step < 0.4 * float(gaps.min()):
+        return step
+    single = np.abs(np.abs(np.diff(values)) - step) < 0.1 * step
+    return step if float(np.mean(single)) > _OFTEN else 0.0
+
+
+def _common_step(gaps: Array) -> float:
+    """Greatest common divisor of measured gaps (Euclid), 0 where there is none to speak of."""
+    smallest = _EXACT * float(gaps.min())
+    step = float(gaps[0])
+    for gap in np.unique(np.round(gaps, 9)):
+        a, b = max(step, float(gap)), min(step, float(gap))
+        while b > smallest:
+            rest = a % b
+            # A remainder just below the divisor is rounding, not a remainder.
+            a, b = b, 0.0 if b - rest < smallest else rest
+        step = a
+    return step if step > 2.0 * smallest else 0.0
+
+
+def quantisation_variance(scatter: float, step: float) -> float:
+    """Variance of the mean's error that averaging cannot remove, in the signal's unit squared.
+
+    Noise of standard deviation s before a converter of step q smooths its staircase; what is left
+    of the mean's error has variance sum_k q^2/(2 pi^2 k^2) exp(-4 pi^2 k^2 s^2/q^2), which is
+    q^2/12 without noise (Widrow and Kollar, Quantization Noise, 2008, ch. 9).
+
+    Args:
+        scatter: standard deviation of the samples as recorded, so including the quantisation.
+        step: the converter's step; 0 for a continuous signal.
+    """
+    if step <= 0.0:
+        return 0.0
+    before = max(scatter**2 - step**2 / 12.0, 0.0)
+    k = np.arange(1, _HARMONICS + 1)
+    decay = np.exp(-4.0 * np.pi**2 * k**2 * before / step**2)
+    return float(np.sum(step**2 / (2.0 * np.pi**2 * k**2) * decay))
+
+
+def autocorrelation(residuals: Sequence[Array], longest: int = 200) -> Array:
+    """Autocorrelation of stretches of one noise process, cut where it is no longer seen.
+
+    Args:
+        residuals: stretches (n_i,), each without gaps worth mentioning.
+
+    Returns:
+        (m,) correlations at lags 0 .. m-1; [1.] for white noise. The sum is cut at the first lag
+        below twice its own standard error (Geyer's initial positive sequence, made stricter).
+    """
+    usable = [r - r.mean() for r in residuals if len(r) > 3]
+    total = sum(len(r) for r in usable)
+    power = sum(float(r @ r) for r in usable)
+    if total == 0 or power == 0.0:
+        return np.ones(1)
+    found = [1.0]
+    for lag in range(1, min(longest, max(len(r) for r in usable) // 3) + 1):
+        pairs = [(r[:-lag], r[lag:]) for r in usable if len(r) > lag]
+        count = sum(len(a) for a, _ in pairs)
+        value = sum(float(a @ b) for a, b in pairs) / power * total / count
+        if value < 2.0 / math.sqrt(count):
+            break
+        found.append(value)
+    return np.array(found)
+
+
+def inflation(correlation: Array) -> float:
+    """Factor 1 + 2 sum rho by which coloured noise enlarges the variance of a mean (>= 1)."""
+    return float(max(1.0, 2.0 * np.sum(correlation) - 1.0))

@@ -1,0 +1,90 @@
+"""What may be off in a record beside the model's numbers: columns of unit prior, linear.
+
+Zeros of sensors, delays of their clocks, moments of jumps between two samples, levels that a
+converter holds between two of its steps, straight stretches of a noisy voltage, loads that were
+held. A fit takes them along; those of a sensor are worth telling when they are found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.threads import in_threads
+from sma_bench.parameters import Parameters
+
+OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
+UNITS = {"current": "A", "temperature": "K", "deflection": "m", "elongation": "m", "force": "N"}
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One of them: `std` of its prior in `unit`, of the signal or quantity `subject`."""
+
+    kind: str
+    subject: str = ""
+    std: float = 1.0
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """Those of one record: (n, q) `columns` on its rows, one signal after the other."""
+
+    items: tuple[Nuisance, ...]
+    columns: Array
+
+    @classmethod
+    def none(cls, observation: Observation) -> "Nuisances":
+        """Nothing is off."""
+        return cls((), np.zeros((sum(len(s.time) for s in observation.signals), 0)))
+
+
+def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
+    """Only the sensors' zeros."""
+    rows = np.concatenate([np.full(len(s.time), k) for k, s in enumerate(signals)])
+    own = [k for k, s in enumerate(signals) if s.sensor.zero_std > 0.0]
+    items = tuple(
+        Nuisance(OFFSET, signals[k].name, signals[k].sensor.zero_std, UNITS[signals[k].quantity])
+        for k in own
+    )
+    columns = [signals[k].sensor.zero_std * (rows == k) for k in own]
+    return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
+
+
+def nuisances_about(
+    observation: Observation, parameters: Parameters, voltage_noise: bool = False
+) -> Nuisances:
+    """All of a record, linear about the model at these parameters; `voltage_noise`: with what the
+    voltmeter's noise leaves open of every straight stretch."""
+    simulation = observation.simulate(parameters)
+    base = np.concatenate(observation.readings(simulation))
+
+    def moved(voltage: Array | None, loads: Array | None) -> Array:
+        there = observation.simulate(parameters, voltage, loads)
+        return np.concatenate(observation.readings(there)) - base
+
+    zeros = offsets(observation.signals)
+    rates = observation.rates(simulation)
+    items, columns = [*zeros.items], [zeros.columns]
+    for quantity in observation.quantities:
+        late = np.concatenate([
+            -s.sensor.clock_std * rate if s.quantity == quantity else np.zeros(len(rate))
+            for s, rate in zip(observation.signals, rates, strict=True)
+        ])  # fmt: skip
+        if late.any():
+            std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
+            items.append(Nuisance(DELAY, quantity, std, "s"))
+            columns.append(late[:, np.newaxis])
+    moves: list[tuple[str, tuple[Array | None, Array | None]]] = [
+        *((JUMP, (volts, None)) for volts in observation.jumps),
+        *((LEVEL, (volts, None)) for volts in observation.levels),
+        *((LINE, (volts, None)) for volts in (observation.lines if voltage_noise else ())),
+        *((LOAD, (None, loads)) for loads in observation.load_errors),
+    ]
+    found = in_threads(moved, [arguments for _, arguments in moves])
+    items += [Nuisance(kind) for kind, _ in moves]
+    columns += [column[:, np.newaxis] for column in found]
+    return Nuisances(tuple(items), np.hstack(columns))

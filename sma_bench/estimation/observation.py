@@ -1,0 +1,507 @@
+"""A record as the engine sees it: the drive on a grid of cells, every signal in bins of time.
+
+Each bin of each signal is a row of an averaging matrix on what the simulation does on the grid. The
+loads or clamps of a load frame are boundaries of the simulation, on the same grid.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.load_frame import Hold, find_holds
+from sma_bench.estimation.noise_model import Array, noise_floor
+from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length_from_mass
+from sma_bench.physics import simulate
+from sma_bench.physics.electrical import current
+from sma_bench.physics.heat import time_constant
+from sma_bench.physics.simulate import Simulation
+from sma_bench.records.record import Record, has_samples, samples
+
+QUANTITIES = ("current", "temperature", "deflection")
+
+_CELL = 0.02  # s of the simulation; the voltages' energy over it is exact
+_LONG_CELL = 0.1
+# After a jump a wire is fast: what is read turns within a few hundredths of a second.
+_FINE_CELL, _FINE_SPAN = 0.0075, 0.45
+_CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
+_FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
+_NARROW = 1e-3  # s
+_HELD = 2e-4  # of the largest voltage, from cell to cell
+_SETTLED = 3.0  # s without a change after which the long cell will do
+_BIN = 0.2  # s, shorter than any time constant of a wire in air
+_MOST_BINS = 1500  # a signal
+_FULL = 0.5  # of the usual number of samples
+_MOST_CELLS = 12_000
+_END_OF_CELLS = 4_000_000  # whatever the stamps
+_SAMPLES_A_BIN = 2.0
+_FEWEST_SAMPLES = 20
+_DRIVEN = 0.02  # of the largest voltage
+_CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
+_MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What is known of the sensor of a quantity, in the quantity's unit.
+
+    Attributes:
+        zero_std: of its unknown zero, 0 where it is taken at its word.
+        least: noise of a bin at least; no bench is simulated, and no voltage known, to less.
+        drift: slow drift of a good instrument; one of a sample's scatter is usual in any case.
+        clock_std: s, of the delay of its stamps; 0 for the driver's own.
+    """
+
+    zero_std: float
+    least: float
+    drift: float
+    clock_std: float = _CLOCK_STD
+
+
+SENSORS = {
+    "current": Sensor(0.005, 5e-4, 0.01, 0.0),
+    "temperature": Sensor(0.2, 0.02, 0.5),
+    "deflection": Sensor(5e-4, 5e-6, 5e-5),
+    "elongation": Sensor(1e-3, 1e-6, 1e-5),
+    "force": Sensor(0.0, 1e-3, 0.02),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BinnedSignal:
+    """One measured signal, averaged over bins of time.
+
+    Attributes:
+        name; quantity: what it measures; wire: the column it belongs to.
+        time: (b,) s, mean stamp; value: (b,) mean in the signal's unit; count: (b,) samples.
+        period: s between bins.
+        noise: white noise of a bin of the usual count, from sample to sample.
+        average: (b, n) from a course on the simulation's grid to bins; for a current from
+            conductance to current.
+    """
+
+    name: str
+    quantity: str
+    wire: int
+    time: Array
+    value: Array
+    count: Array
+    period: float
+    noise: float
+    average: csr_array
+
+    @property
+    def sensor(self) -> Sensor:
+        """What is known of its sensor."""
+        return SENSORS[self.quantity]
+
+    @property
+    def usual_drift(self) -> float:
+        """Slow drift that a good instrument may have."""
+        return max(self.sensor.drift, self.noise * float(np.sqrt(np.median(self.count))))
+
+    def part(self, keep: NDArray[np.intp]) -> "BinnedSignal":
+        """Some of its bins."""
+        return replace(
+            self, time=self.time[keep], value=self.value[keep], count=self.count[keep],
+            average=self.average[keep],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One record ready to be compared with simulations.
+
+    Attributes:
+        path: of the record; signals: what it measures, bin by bin.
+        channels: names of the wires; sides: side name of each wire.
+        grid: (n,) s; voltage: (n, w) V held over each cell; drive: the voltages as read.
+        left_out: what the record holds that is not compared.
+        holds: what a load frame did, empty for the composite and a bare wire.
+    """
+
+    path: str
+    channels: tuple[str, ...]
+    sides: tuple[str, ...]
+    grid: Array
+    voltage: Array
+    drive: AppliedVoltage
+    signals: tuple[BinnedSignal, ...]
+    left_out: tuple[str, ...]
+    holds: tuple[Hold, ...] = ()
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What is measured, each once."""
+        return tuple(dict.fromkeys(s.quantity for s in self.signals))
+
+    def simulate(
+        self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
+    ) -> Simulation:
+        """The model on this record's drive.
+
+        Args:
+            parameters: of the model; channels are this record's own.
+            voltage: (n, w) V, another one; loads: (h,) errors of the holds, m or N.
+        """
+        if tuple(parameters["bench.channels"]) != self.channels:
+            own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
+            parameters = parameters.replace(own)
+        volts = self.voltage if voltage is None else voltage
+        if not self.holds:
+            return simulate(parameters, self.grid, volts)
+        return self._under_loads(parameters, volts, loads)
+
+    def _under_loads(
+        self, parameters: Parameters, volts: Array, loads: Array | None
+    ) -> Simulation:
+        """One hold after the other, each from where the last one ended."""
+        errors = np.zeros(len(self.holds)) if loads is None else loads
+        begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
+        ends = [*begins[1:].tolist(), len(self.grid)]
+        parts: list[Simulation] = []
+        for hold, error, begin, end in zip(
+            self.holds, errors.tolist(), begins.tolist(), ends, strict=True
+        ):
+            span = slice(begin - 1 if parts else 0, end)
+            if end > span.start + bool(parts):
+                parts.append(
+                    simulate(
+                        parameters, self.grid[span], volts[span],
+                        initial=parts[-1].final if parts else None,
+                        boundary=hold.boundary(error, parameters),
+                    )
+                )
+        return _joined(parts)
+
+    def readings(self, simulation: Simulation) -> list[Array]:
+        """What the model's sensors read, one (b,) array a signal."""
+        return [s.average @ self.course(s, simulation) for s in self.signals]
+
+    def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
+        """(n,) on the grid: what the signal averages; the conductance for a current."""
+        wire = signal.wire
+        if signal.quantity == "deflection":
+            return simulation.deflection_reading
+        if signal.quantity == "temperature":
+            return simulation.temperature_reading[:, wire]
+        if signal.quantity == "elongation":
+            length = wire_length_from_mass(simulation.parameters)
+            return -length * simulation.contraction[:, 0]
+        if signal.quantity == "force":
+            return simulation.force[:, wire]
+        return current(
+            simulation.parameters, 1.0, simulation.temperature[:, wire],
+            simulation.martensite_fraction[:, wire],
+        )
+
+    def rates(self, simulation: Simulation) -> list[Array]:
+        """d/dt of each signal, bin by bin."""
+        return [
+            s.average @ np.gradient(self.course(s, simulation), self.grid) for s in self.signals
+        ]
+
+    def phase_of(self, time: Array) -> NDArray[np.str_]:
+        """`initial`, `drive` or `rest` at each time: before, during, and after driving."""
+        driven = self.voltage.max(axis=1) > _DRIVEN * max(float(self.voltage.max()), 1e-9)
+        first = self.grid[np.argmax(driven)] if driven.any() else np.inf
+        at = np.clip(np.searchsorted(self.grid, time, side="right") - 1, 0, len(self.grid) - 1)
+        return np.where(time < first, "initial", np.where(driven[at], "drive", "rest"))
+
+    def between(self, start: float, stop: float) -> "Observation":
+        """The same drive, the signals of a span of time only."""
+        kept = [(s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals]
+        parts = tuple(s.part(keep) for s, keep in kept if len(keep) > 1)
+        return replace(self, signals=parts)
+
+    @cached_property
+    def jumps(self) -> list[Array]:
+        """Voltages (n, w) with one jump's moment moved by a standard deviation, one a jump."""
+        count = len(self.drive.early)
+        moved = np.eye(count) / np.sqrt(12.0)
+        return [self.drive.on_grid(self.grid, place) for place in moved]
+
+    @cached_property
+    def levels(self) -> list[Array]:
+        """Voltages (n, w) with one held level moved by a standard deviation, one a level of which
+        the converter's steps hide something."""
+        place = np.zeros(len(self.drive.early))
+        return [
+            self.drive.on_grid(self.grid, place, error) for error in self.drive.level_errors()
+        ]
+
+    @cached_property
+    def lines(self) -> list[Array]:
+        """Voltages (n, w) with the mean or the slope of one straight stretch moved by a standard
+        deviation of the voltmeter's noise."""
+        place = np.zeros(len(self.drive.early))
+        return [self.drive.on_grid(self.grid, place, e) for e in self.drive.line_errors()]
+
+    @property
+    def load_errors(self) -> list[Array]:
+        """(h,) one standard error of each held load in turn."""
+        return [row for row in np.diag([hold.std for hold in self.holds]) if row.any()]
+
+
+def _joined(parts: Sequence[Simulation]) -> Simulation:
+    """One simulation of parts, each of which begins with the last sample of the one before."""
+    if len(parts) == 1:
+        return parts[0]
+    histories = (
+        "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
+        "bending", "temperature_reading",
+    )
+    first, *others = parts
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(first, name), *(getattr(p, name)[1:] for p in others)])
+        for name in histories
+    }
+    return replace(first, final=parts[-1].final, **joined)
+
+
+# --- from a record ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Samples of one signal that a model can be held to; `wire` is the column of its wire."""
+
+    name: str
+    quantity: str
+    wire: int
+    time: Array
+    values: Array
+
+    def where(self, keep: NDArray[np.bool_]) -> "Measured":
+        """Some of its samples."""
+        return replace(self, time=self.time[keep], values=self.values[keep])
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a record holds of a rig: its wires, what drives them, and everything measured."""
+
+    record: Record
+    channels: tuple[str, ...]
+    sides: tuple[str, ...]
+    voltage: AppliedVoltage
+    start: float
+    stop: float
+    holds: tuple[Hold, ...]
+    measured: tuple[Measured, ...]
+
+
+def shared_bin(records: Sequence[Record], parameters: Parameters) -> float:
+    """Shortest bin [s] that suits every signal of all records: noise is that of a bin."""
+    measured = [m for record in records for m in find_rig(record, parameters).measured]
+    return max([_BIN, *(_own_bin(m) for m in measured)])
+
+
+def observe(
+    record: Record,
+    parameters: Parameters,
+    shortest_bin: float = _BIN,
+    quantities: Collection[str] = QUANTITIES,
+) -> Observation:
+    """Prepare a record of the composite rig, or of one wire with or without a load frame.
+
+    Args:
+        record: the bag; parameters: as believed, for the channels.
+        shortest_bin: s, of `shared_bin`; quantities: to compare, all that are there.
+
+    Raises:
+        InputError: no voltage of some channel, nothing to compare with, or a load frame that
+            neither holds a load nor the clamps.
+    """
+    rig = find_rig(record, parameters)
+    grid = _grid(rig, time_constant(parameters) / _CELLS)
+    known = [m for m in _known_history(rig, parameters) if m.quantity in quantities]
+    if not known:
+        held = ", ".join(m.name for m in rig.measured)
+        raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
+    left_out = tuple(m.name for m in rig.measured if m.quantity not in quantities)
+    place = np.zeros(len(rig.voltage.early))
+    return Observation(
+        str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
+        rig.voltage, tuple(_binned(m, rig, grid, shortest_bin) for m in known), left_out, rig.holds,
+    )
+
+
+def find_rig(record: Record, parameters: Parameters) -> Rig:
+    """The rig that a record is of.
+
+    Raises:
+        InputError: as `observe`.
+    """
+    channels, sides = _channels(record, parameters)
+    voltages = [samples(record, f"{channel}.voltage") for channel in channels]
+    voltage = applied_voltage(voltages)
+    start = min(float(time[0]) for time, _ in voltages)
+    stop = max(float(time[-1]) for time, _ in voltages)
+    holds = find_holds(record, start, stop) if len(channels) == 1 else ()
+    found = (_without_jumps(m, voltage) for m in _measured(record, channels, holds))
+    measured = tuple(_without_load_changes(m, holds) for m in found)
+    if not measured:
+        raise InputError(
+            f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
+        )
+    return Rig(record, channels, sides, voltage, start, stop, holds, measured)
+
+
+def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
+    channels = tuple(parameters["bench.channels"])
+    missing = [c for c in channels if c not in driven]
+    if not missing:
+        return channels, tuple(parameters["bench.channel_sides"])
+    if len(driven) == len(record.channels) == 1:
+        return (driven[0],), ("front",)
+    held = ", ".join(driven) or "none"
+    raise InputError(
+        f"{record.path}: no voltage of channel {missing[0]}, the record has {held}; "
+        "expected those of bench.channels"
+    )
+
+
+def _measured(
+    record: Record, channels: tuple[str, ...], holds: tuple[Hold, ...]
+) -> list[Measured]:
+    found = []
+    for wire, channel in enumerate(channels):
+        for quantity in ("current", "temperature"):
+            name = f"{channel}.{quantity}"
+            if has_samples(record, name):
+                found.append(Measured(name, quantity, wire, *samples(record, name)))
+    if len(channels) > 1:
+        found += _deflection(record)
+    elif holds:
+        response = "force" if holds[0].clamped else "elongation"
+        if has_samples(record, response):
+            found.append(Measured(response, response, 0, *samples(record, response)))
+    return [m for m in found if len(m.time) >= _FEWEST_SAMPLES]
+
+
+def _deflection(record: Record) -> list[Measured]:
+    """The tip's position; without it, from the range sensors that look at it from both sides."""
+    if has_samples(record, "deflection"):
+        return [Measured("deflection", "deflection", 0, *samples(record, "deflection"))]
+    sides = [s for s in ("front", "back") if has_samples(record, f"{s}.range")]
+    if not sides:
+        return []
+    time = samples(record, f"{sides[0]}.range")[0]
+    readings = {s: np.interp(time, *samples(record, f"{s}.range")) for s in sides}
+    signed = [(-1.0 if side == "front" else 1.0) * readings[side] for side in sides]
+    away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
+    return [Measured("deflection", "deflection", 0, time, away - away[0])]
+
+
+def _without_jumps(measured: Measured, voltage: AppliedVoltage) -> Measured:
+    """A current read while the voltage jumps says nothing: only the jump's bounds are known."""
+    if measured.quantity != "current":
+        return measured
+    return measured.where(~voltage.is_jumping(measured.time))
+
+
+def _without_load_changes(measured: Measured, holds: tuple[Hold, ...]) -> Measured:
+    """While the load changes the wire follows a force that is known too roughly."""
+    if measured.quantity != "elongation":
+        return measured
+    known = np.ones(len(measured.time), dtype=bool)
+    for hold in holds:
+        if not hold.steady:
+            start, stop = hold.start - _MARGIN, hold.stop + _MARGIN
+            known &= (measured.time < start) | (measured.time > stop)
+    return measured.where(known)
+
+
+def _known_history(rig: Rig, parameters: Parameters) -> list[Measured]:
+    """What was measured; of a record that begins under voltage, after that has been forgotten."""
+    first = np.array([c.voltage[0] for c in rig.voltage.channels])
+    if np.max(np.abs(first)) <= _DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
+        return list(rig.measured)
+    begin = rig.start + _FORGOTTEN * time_constant(parameters)
+    return [m.where(m.time >= begin) for m in rig.measured if np.sum(m.time >= begin) > 1]
+
+
+def _grid(rig: Rig, finest: float) -> Array:
+    start, stop = rig.start, rig.stop
+    cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
+    cell = max(cell, (stop - start) / _END_OF_CELLS)
+    even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
+    even = _thinned(even, rig.voltage, max(1, round(_LONG_CELL / cell)))
+    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(finest, 2.0 * _NARROW)))
+    loads = [hold.start for hold in rig.holds]
+    jumps = np.unique(np.concatenate([rig.voltage.early, rig.voltage.late, loads]))
+    jumps = jumps[(jumps > start) & (jumps < even[-1])]
+    after = np.add.outer(rig.voltage.late, fine).ravel()
+    others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
+    near = _to_the_nearest(jumps, others)
+    near[others <= start] = np.inf
+    grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
+    return grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
+
+
+def _to_the_nearest(jumps: Array, points: Array) -> Array:
+    """(n,) how far each point is from the nearest jump; jumps are in order."""
+    around = np.concatenate([[-np.inf], jumps, [np.inf]])
+    k = np.searchsorted(around, points)
+    return np.asarray(np.minimum(around[k] - points, points - around[k - 1]))
+
+
+def _thinned(even: Array, voltage: AppliedVoltage, stride: int) -> Array:
+    """An even grid (n,) with only every so many points where voltages have been held for long."""
+    volts = np.column_stack([voltage.at(k, even) for k in range(len(voltage.channels))])
+    changes = np.abs(np.diff(volts, axis=0, prepend=volts[:1])).max(axis=1)
+    changed = changes > _HELD * max(float(volts.max()), 1e-9)
+    last = np.maximum.accumulate(np.where(changed, even, -np.inf))
+    first = np.minimum.accumulate(np.where(changed, even, np.inf)[::-1])[::-1]
+    moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
+    return even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
+
+
+def _own_bin(measured: Measured) -> float:
+    time = measured.time
+    duration = float(time[-1] - time[0])
+    return max(duration / _MOST_BINS, _SAMPLES_A_BIN * float(np.median(np.diff(time))))
+
+
+def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> BinnedSignal:
+    period = max(shortest, _own_bin(measured))
+    which = np.floor((measured.time - measured.time[0]) / period).astype(np.intp)
+    _, which, count = np.unique(which, return_inverse=True, return_counts=True)
+    # The mean of far fewer samples than usual would scatter like no other.
+    full = (count >= _FULL * np.median(count))[which]
+    measured = measured.where(full)
+    time, value = measured.time, measured.values
+    kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
+    bins = len(kept)
+    least = SENSORS[measured.quantity].least
+    noise = max(least, noise_floor(value) / float(np.sqrt(np.median(count))))
+    return BinnedSignal(
+        measured.name, measured.quantity, measured.wire,
+        np.bincount(which, time, bins) / count, np.bincount(which, value, bins) / count,
+        count.astype(np.float64), period, noise, _averaging(measured, rig, grid, which, count),
+    )
+
+
+def _averaging(
+    measured: Measured, rig: Rig, grid: Array, which: NDArray[np.intp], count: NDArray[np.intp]
+) -> csr_array:
+    """Interpolation at the samples' times, then the mean over each bin."""
+    time = measured.time
+    right = np.clip(np.searchsorted(grid, time), 1, len(grid) - 1)
+    share = np.clip((time - grid[right - 1]) / (grid[right] - grid[right - 1]), 0.0, 1.0)
+    weight = 1.0 / count[which]
+    if measured.quantity == "current":
+        weight = weight * rig.voltage.at(measured.wire, time)
+    rows = np.concatenate([which, which])
+    columns = np.concatenate([right - 1, right])
+    entries = np.concatenate([weight * (1.0 - share), weight * share])
+    return csr_array((entries, (rows, columns)), shape=(len(count), len(grid)))

@@ -1,0 +1,157 @@
+"""One flat residual of all records, with an index of its rows, and its derivatives.
+
+    y = O[ F(V(z); theta) ] + N z + e
+
+A row is a bin of a signal of a record. Whitened, rows are independent of unit variance.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
+from sma_bench.estimation.nuisances import Nuisances, nuisances_about
+from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.unknowns import Unknowns
+from sma_bench.parameters import Parameters
+
+_STEP = 0.02  # prior deviations, of a derivative
+# Its numbers are the straight part of a wander whose rest is the sensor's noise.
+DRIFT_EFFECT = "deflection_drift"
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """The rows of one signal of one record."""
+
+    observation: Observation
+    signal: BinnedSignal
+    rows: slice
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Records, the noise of their sensors, and what else may be off in each record.
+
+    Attributes:
+        observations: the records; noise: one per signal name; nuisances: one per record.
+        voltage_noise: whether the voltmeter's noise is carried along, which takes two simulations
+            a straight stretch: for estimates whose errors count.
+    """
+
+    observations: tuple[Observation, ...]
+    noise: dict[str, Noise]
+    nuisances: tuple[Nuisances, ...]
+    voltage_noise: bool = False
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation], voltage_noise: bool = False) -> Self:
+        """Noise as yet unknown, nuisances none."""
+        noise = {
+            s.name: first_guess(s.noise, s.period, s.usual_drift)
+            for observation in observations for s in observation.signals
+        }
+        none = tuple(Nuisances.none(o) for o in observations)
+        return cls(tuple(observations), noise, none, voltage_noise)
+
+    def with_nuisances(self, parameters: Parameters) -> Self:
+        """Nuisances about the model at these parameters."""
+        found = tuple(
+            nuisances_about(o, parameters, self.voltage_noise) for o in self.observations
+        )
+        return replace(self, nuisances=found)
+
+    def with_noise(self, residual: Array) -> Self:
+        """Noise estimated anew from a residual (n,)."""
+        found: dict[str, Noise] = {}
+        for name in self.noise:
+            own = [block for block in self.blocks if block.signal.name == name]
+            white = float(np.median([block.signal.noise for block in own]))
+            first = own[0].signal
+            found[name] = estimate_noise(
+                [residual[block.rows] for block in own], white, first.period, first.usual_drift,
+                self.noise[name].wanders,
+            )
+        return replace(self, noise=found)
+
+    def for_effects(self, effects: Sequence[str]) -> Self:
+        """The same, the deflection's zero wandering if that is one of the effects."""
+        wanders = DRIFT_EFFECT in effects
+        return replace(
+            self,
+            noise={
+                name: replace(noise, wanders=wanders and name == "deflection")
+                for name, noise in self.noise.items()
+            },
+        )
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """The index of the rows: records in order, signals in order."""
+        found, start = [], 0
+        for observation in self.observations:
+            for signal in observation.signals:
+                stop = start + len(signal.time)
+                found.append(Block(observation, signal, slice(start, stop)))
+                start = stop
+        return tuple(found)
+
+    def of_signal(self, name: str) -> Iterator[Block]:
+        """Blocks of one signal."""
+        return (block for block in self.blocks if block.signal.name == name)
+
+    @cached_property
+    def measured(self) -> Array:
+        """(n,) values."""
+        return np.concatenate([block.signal.value for block in self.blocks])
+
+    def predict(self, parameters: Parameters) -> Array:
+        """(n,) readings."""
+        return np.concatenate(
+            [part for o in self.observations for part in o.readings(o.simulate(parameters))]
+        )
+
+    def derivatives(
+        self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int] | None = None
+    ) -> Array:
+        """d(readings)/dx (n, k) of the `which` unknowns (all when None)."""
+        low, high = unknowns.bounds()
+        chosen = range(len(x)) if which is None else which
+        steps = [_STEP if x[i] + _STEP <= high[i] else -_STEP for i in chosen]
+
+        def column(i: int, step: float) -> Array:
+            there = x.copy()
+            there[i] = np.clip(x[i] + step, low[i], high[i])
+            return (self.predict(unknowns.parameters(there)) - predicted) / step
+
+        columns = in_threads(column, list(zip(chosen, steps, strict=True)))
+        return np.column_stack(columns) if columns else np.zeros((len(predicted), 0))
+
+    def whiten(self, rows: Array) -> Array:
+        """Rows (n,) or (n, k) as independent ones of unit variance."""
+        return np.concatenate(
+            [self.noise[b.signal.name].whiten(rows[b.rows]) for b in self.blocks]
+        )
+
+    @cached_property
+    def nuisance_rows(self) -> Array:
+        """(n, q), block diagonal in the records."""
+        return np.asarray(block_diag(*(own.columns for own in self.nuisances)))
+
+    @cached_property
+    def white_nuisances(self) -> Array:
+        """(n, q) whitened."""
+        return self.whiten(self.nuisance_rows)
+
+    def log_scale(self) -> float:
+        """Sum over all rows of the log of what whitening divided by."""
+        return sum(self.noise[b.signal.name].log_scale(len(b.signal.time)) for b in self.blocks)
+
+    def log_prior(self) -> float:
+        """Log of how probable such noise is of these sensors."""
+        return sum(noise.log_prior for noise in self.noise.values())

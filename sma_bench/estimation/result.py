@@ -1,0 +1,186 @@
+"""What a fit found: every number with its errors and where they come from, and what was off.
+
+A factor of a product that records know only as a whole (`Unknown.partner`) is told apart from the
+other by the priors alone; both are given here, with what that leaves open.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.nuisances import DELAY, OFFSET
+from sma_bench.estimation.solver import Fit
+from sma_bench.estimation.unknowns import PRODUCTS, Unknown
+from sma_bench.parameters.table import BY_NAME
+
+_SAME = 3.0  # nats below the best within which a start has ended at the same place
+_AT_END = 1e-3  # prior deviations
+
+
+@dataclass(frozen=True)
+class Number:
+    """One estimated parameter, in its unit.
+
+    Attributes:
+        std: one standard deviation, never above `prior_std`, that of what was known.
+        moved: prior deviations from what was believed.
+        informed: share of its information that came from the records: 1 - variance/prior variance.
+        at_end: whether it stands at an end of its range.
+    """
+
+    name: str
+    value: float
+    std: float
+    believed: float
+    prior_std: float
+    moved: float
+    informed: float
+    at_end: bool
+
+
+@dataclass(frozen=True)
+class Off:
+    """A sensor's zero or the delay of its stamps, as found: `value` +- `std` of a prior
+    `prior_std`, in `unit`."""
+
+    kind: str
+    path: str
+    subject: str
+    value: float
+    std: float
+    prior_std: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The best of several fits.
+
+    Attributes:
+        numbers: every parameter; correlation: (k, k) of their errors.
+        products: value, standard deviation and correlation are those of the product of two factors.
+        off: zeros and delays; agreed: how many of `starts` ended at this place.
+    """
+
+    fit: Fit
+    numbers: tuple[Number, ...]
+    correlation: Array
+    products: tuple[Number, ...]
+    off: tuple[Off, ...]
+    agreed: int
+    starts: int
+
+    @property
+    def samples(self) -> int:
+        """How many stand behind it."""
+        return int(sum(block.signal.count.sum() for block in self.fit.problem.blocks))
+
+
+def result_of(fitted: Fit, tried: Sequence[Fit]) -> Result:
+    """Numbers of a fit, which is the best of those `tried` carried to its end."""
+    apart = _factors(fitted)
+    covariance = apart.turn @ block_diag(fitted.covariance, np.eye(apart.open)) @ apart.turn.T
+    sigma = np.sqrt(np.diag(covariance))
+    moved = apart.turn[:, : len(fitted.x)] @ fitted.x
+    low, high = fitted.unknowns.bounds()
+    at_end = (fitted.x - low < _AT_END) | (high - fitted.x < _AT_END)
+    numbers = tuple(
+        _number(item, at, error, bool(at_end[k]))
+        for item, at, error, k in zip(
+            apart.items, moved.tolist(), sigma.tolist(), apart.origin, strict=True
+        )
+    )
+    best = max(one.evidence for one in tried)
+    return Result(
+        fitted, numbers, covariance / np.outer(sigma, sigma), _products(fitted), _off(fitted),
+        sum(one.evidence > best - _SAME for one in tried), len(tried),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Deviations of all factors: `turn` (m, k + open) times what was fitted and what is open.
+
+    `items` (m) with their own priors, from the unknown `origin`.
+    """
+
+    items: list[Unknown]
+    origin: list[int]
+    turn: Array
+    open: int
+
+
+def _factors(fitted: Fit) -> _Factors:
+    """A product's deviation x splits by the priors: own share w of it, w' = sqrt(1 - w^2) the
+    partner's, and w' n against w n, which no record tells, n of unit prior."""
+    unknowns = fitted.unknowns
+    split = [k for k, item in enumerate(unknowns.items) if item.partner]
+    items, origin, rows = [], [], []
+    for k, item in enumerate(unknowns.items):
+        row, other = np.zeros((2, len(unknowns.items) + len(split)))
+        row[k] = share = item.share
+        if item.partner:
+            rest = float(np.sqrt(1.0 - share**2))
+            place = len(unknowns.items) + split.index(k)
+            row[place], other[k], other[place] = rest, rest, -share
+        for name, std, own in (
+            (item.name, item.own_std if item.partner else item.std, row),
+            (item.partner, rest * item.std if item.partner else 0.0, other),
+        ):
+            if name and std > 0.0:
+                items.append(_factor(name, std, item, fitted))
+                origin.append(k)
+                rows.append(own)
+    turn = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
+    return _Factors(items, origin, turn, len(split))
+
+
+def _factor(name: str, std: float, item: Unknown, fitted: Fit) -> Unknown:
+    if name == item.name and not item.partner:
+        return item
+    mean = item.mean if name == item.name else float(fitted.unknowns.base[name])
+    low, high = BY_NAME[name].low, BY_NAME[name].high
+    return Unknown(
+        name, mean, std / item.mean * mean, -np.inf if low is None else float(low),
+        np.inf if high is None else float(high), item.log,
+    )
+
+
+def _number(item: Unknown, moved: float, sigma: float, at_end: bool) -> Number:
+    informed = float(np.clip(1.0 - sigma**2, 0.0, 1.0))
+    # By its logarithm, a number that has grown has a larger error than a believed one.
+    std = min(item.slope(moved) * sigma, item.std)
+    value = item.value(moved)
+    return Number(item.name, value, std, item.mean, item.std, moved, informed, at_end)
+
+
+def _products(fitted: Fit) -> tuple[Number, ...]:
+    """Of what the records know better than its factors."""
+    found = []
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    for k, item in enumerate(fitted.unknowns.items):
+        if item.name in PRODUCTS and item.partner:
+            other = float(fitted.unknowns.base[item.partner])
+            whole = Unknown(
+                f"{item.name} x {item.partner}", item.mean * other, item.std * other, log=True
+            )
+            found.append(_number(whole, float(fitted.x[k]), float(sigma[k]), False))
+    return tuple(found)
+
+
+def _off(fitted: Fit) -> tuple[Off, ...]:
+    errors = np.sqrt(np.diag(fitted.joint))[len(fitted.x) :]
+    problem = fitted.problem
+    named = [
+        (observation.path, item)
+        for observation, own in zip(problem.observations, problem.nuisances, strict=True)
+        for item in own.items
+    ]
+    return tuple(
+        Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
+        for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
+        if item.kind in (OFFSET, DELAY)
+    )

@@ -1,0 +1,252 @@
+"""Most probable numbers of a model, and how well it predicts all records.
+
+    maximise  log p(records | x, z, noise) + log p(x) + log p(z)
+
+by Gauss-Newton steps within bounds, damped where they must be, the nuisances z eliminated; the
+noise of every sensor is estimated anew from what the model itself leaves, so that it is charged for
+structure it leaves only as far as noise cannot be that. The evidence is Laplace's: the fit, less
+what its freedom was worth.
+
+scipy.optimize.least_squares ends at the same place after several times as many simulations
+(`./bench perf solver`): it cannot keep the derivatives of what hardly moves, nor stop at a fraction
+of a nat.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.unknowns import Unknowns
+from sma_bench.parameters import Parameters
+from sma_bench.progress import Report, silent
+
+_MOST_STEPS, _FAR_STEPS = 10, 20
+_RADIUS = 8.0  # prior deviations a step
+_GAIN = 0.3  # nats: a step that gains less is the last
+_SHORTEST = 1e-2
+_DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One model, fitted.
+
+    Attributes:
+        problem: with the noise that this model leaves.
+        unknowns, x: what was moved and to where; z: nuisances (q,).
+        joint: (k + q, k + q) covariance of x and z.
+        evidence: log of p(records | model), up to a constant common to all models.
+        predicted: (n,) readings; derivatives: (n, k) of these.
+        left: (n,) residual, the nuisances' part taken off.
+    """
+
+    problem: Problem
+    unknowns: Unknowns
+    x: Array
+    z: Array
+    joint: Array
+    evidence: float
+    predicted: Array
+    derivatives: Array
+    left: Array
+
+    @property
+    def covariance(self) -> Array:
+        """(k, k) of x."""
+        k = len(self.x)
+        return self.joint[:k, :k]
+
+    @property
+    def parameters(self) -> Parameters:
+        """The bench as this model has it."""
+        return self.unknowns.parameters(self.x)
+
+    @property
+    def surprise(self) -> float:
+        """Sum of the squared prior deviations of the bench's parameters: about their number where
+        the model is right."""
+        moved = self.x[: self.unknowns.bench]
+        return float(moved @ moved)
+
+    @property
+    def std(self) -> Array:
+        """(k,) standard errors in the parameters' units."""
+        return self.unknowns.slopes(self.x) * np.sqrt(np.diag(self.covariance))
+
+
+def fit(
+    problem: Problem,
+    unknowns: Unknowns,
+    x: Array,
+    *,
+    rounds: int = 3,
+    frozen: Array | None = None,
+    keep_noise: bool = False,
+    far: bool = False,
+) -> Fit:
+    """Fit one model.
+
+    Args:
+        problem: records and their noise as first guessed.
+        unknowns, x: what may move, and its start (k,).
+        rounds: of fitting and estimating the noise.
+        frozen: (n, baseline) derivatives of the baseline's unknowns, taken as they are: quick and a
+            little off. They are computed anew in every round when None; those of the effects at
+            every step.
+        keep_noise: take the problem's noise as it is.
+        far: from the optimum: all derivatives anew at every step, in as many as it takes.
+    """
+    state = _State(problem, unknowns, x, frozen)
+    for number in range(rounds):
+        if number:
+            state.linearise()
+        state.climb(_FAR_STEPS if far else _MOST_STEPS, far)
+        if not keep_noise:
+            state.problem = state.problem.with_noise(state.left())
+        if number == rounds - 1:
+            state.climb(2)
+    return state.finished()
+
+
+def recalibrate(
+    problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
+    report: Report = silent,
+) -> tuple[Fit, list[Fit]]:
+    """The model fitted from several starts, the best of them carried to its end; and all of them.
+
+    Args:
+        parameters: as believed, about which nuisances are linear at first.
+        starts: (k,) each; report: told at every start.
+    """
+    first = problem.with_nuisances(parameters)
+
+    def from_start(number: int, x: Array) -> Fit:
+        report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
+        return fit(first, unknowns, x, far=True)
+
+    tried = in_threads(from_start, list(enumerate(starts)))
+    report(len(starts) / (len(starts) + 1), "from the best start to the end")
+    best = max(tried, key=lambda fitted: fitted.evidence)
+    return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
+
+
+class _State:
+    def __init__(
+        self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None
+    ) -> None:
+        self.problem = problem.for_effects(unknowns.effects)
+        self.unknowns, self.given = unknowns, frozen
+        self.x = np.clip(x, *unknowns.bounds())
+        self.predicted = self.problem.predict(unknowns.parameters(self.x))
+        self.z = self._best_nuisances()
+        self.linearise()
+
+    def linearise(self) -> None:
+        """Derivatives at the present place."""
+        self.base = self.given
+        if self.base is None:
+            self.base = self.problem.derivatives(
+                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline)
+            )
+        self.slopes = self._slopes()
+
+    def _slopes(self) -> Array:
+        assert self.base is not None
+        own = self.problem.derivatives(
+            self.unknowns, self.x, self.predicted, range(self.unknowns.baseline, len(self.x))
+        )
+        return np.hstack([self.base, own])
+
+    def difference(self) -> Array:
+        return self.problem.measured - self.predicted
+
+    def left(self) -> Array:
+        return self.difference() - self.problem.nuisance_rows @ self.z
+
+    def cost(self) -> float:
+        """Twice the negative log posterior, without its constants."""
+        white = self.problem.whiten(self.left())
+        return float(white @ white + self.x @ self.x + self.z @ self.z)
+
+    def climb(self, most: int, far: bool = False) -> None:
+        """Steps as long as they gain."""
+        low, high = self.unknowns.bounds()
+        cost = self.cost()
+        fresh = True
+        for _ in range(most):
+            if not fresh and far:
+                self.linearise()
+            elif not fresh:
+                self.slopes = self._slopes()
+            now = self._descend(cost, low, high)
+            if cost - now < 2.0 * _GAIN:
+                return
+            cost, fresh = now, False
+
+    def _descend(self, cost: float, low: Array, high: Array) -> float:
+        """The least damped step that gains, and the cost after it; none if none does."""
+        rows = self._rows()
+        normal = rows.T @ rows + np.eye(rows.shape[1])
+        force = rows.T @ self.problem.whiten(self.difference())
+        force[: len(self.x)] -= self.x
+        before = self.x, self.z, self.predicted
+        for damping in _DAMPINGS:
+            step = self._step(normal, force, damping, low, high)
+            if np.max(np.abs(step), initial=0.0) < _SHORTEST:
+                break
+            self.x = np.clip(before[0] + step, low, high)
+            self.predicted = self.problem.predict(self.unknowns.parameters(self.x))
+            self.z = self._best_nuisances()
+            now = self.cost()
+            if now < cost:
+                return now
+        self.x, self.z, self.predicted = before
+        return cost
+
+    def _rows(self) -> Array:
+        return np.hstack([self.problem.whiten(self.slopes), self.problem.white_nuisances])
+
+    def _step(
+        self, normal: Array, force: Array, damping: float, low: Array, high: Array
+    ) -> Array:
+        """(k,) damped in the unknowns, in their prior deviations (Levenberg)."""
+        k = len(self.x)
+        damped = normal.copy()
+        damped[range(k), range(k)] += damping
+        free = np.ones(len(force), dtype=bool)
+        step = np.zeros(len(force))
+        for _ in range(4):
+            step[:] = 0.0
+            step[free] = np.linalg.solve(damped[np.ix_(free, free)], force[free])
+            outward = ((self.x <= low) & (step[:k] < 0.0)) | ((self.x >= high) & (step[:k] > 0.0))
+            if not (outward & free[:k]).any():
+                break
+            free[:k] &= ~outward
+        longest = float(np.max(np.abs(step[:k]), initial=0.0))
+        if longest > _RADIUS:
+            step *= _RADIUS / longest
+        return step[:k]
+
+    def _best_nuisances(self) -> Array:
+        rows = self.problem.white_nuisances
+        normal = rows.T @ rows + np.eye(rows.shape[1])
+        return np.asarray(
+            np.linalg.solve(normal, rows.T @ self.problem.whiten(self.difference()))
+        )
+
+    def finished(self) -> Fit:
+        self.slopes = self._slopes()
+        rows = self._rows()
+        information = rows.T @ rows + np.eye(rows.shape[1])
+        joint: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        freedom = float(np.linalg.slogdet(information)[1])
+        evidence = -0.5 * self.cost() - 0.5 * freedom - self.problem.log_scale()
+        evidence += self.problem.log_prior()
+        return Fit(
+            self.problem, self.unknowns, self.x, self.z, joint, evidence, self.predicted,
+            self.slopes, self.left(),
+        )

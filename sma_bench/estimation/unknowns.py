@@ -1,0 +1,307 @@
+"""What a fit may move: the bench's parameters under their priors, and the numbers of effects.
+
+One list of everything that records can depend on. A record knows some factors only as a product
+(h A_c, m c_p): one of them is moved and carries what is known of the other (`partner`).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics import bending_coefficients
+from sma_bench.physics.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+HEAT = (
+    "wire.resistance",
+    "wire.heat_transfer_coefficient",
+    "wire.specific_heat",
+    "environment.ambient_temperature",
+)
+MATERIAL = (
+    "wire.austenite_start_temperature",
+    "wire.austenite_finish_temperature",
+    "wire.martensite_start_temperature",
+    "wire.martensite_finish_temperature",
+    "wire.martensite_modulus",
+    "wire.austenite_modulus",
+    "wire.maximum_recoverable_strain",
+    "wire.thermal_expansion_factor",
+    "wire.stress_influence_austenite",
+    "wire.stress_influence_martensite",
+)
+# One number where front and back are believed alike: that they are not is an effect.
+FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_deflection_back"
+BENDING = ("composite.deflection_per_strain", FRONT, BACK)
+# A load frame shows strains and stresses by the wire's length (from its mass) and section.
+LOAD_FRAME = ("wire.mass", "wire.diameter")
+# Real kinetics are a little smoother than the cosine's; that is no effect, but a nuisance.
+# Standard deviation about what is believed, lowest and highest value, in the parameter's unit.
+SHAPES = {
+    "wire.transition_spread": (1.5, 0.0, 12.0),
+    "wire.transition_tail": (0.3, 0.0, 1.0),
+    "effect.partial_transformation.memory": (0.04, -0.1, 0.1),
+}
+# Products: what is known of the second factor is carried by the first, which the fit moves.
+PRODUCTS = {
+    "wire.heat_transfer_coefficient": "wire.surface_area",
+    "wire.specific_heat": "wire.mass",
+}
+_STRAIGHT = {
+    "environment.ambient_temperature",
+    "wire.austenite_start_temperature",
+    "wire.austenite_finish_temperature",
+    "wire.martensite_start_temperature",
+    "wire.martensite_finish_temperature",
+    "wire.thermal_expansion_factor",
+}
+_DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
+_REACH = 30.0  # prior deviations
+_NARROWEST_RANGE = 0.2
+_ORDERED = (
+    ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
+    ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
+)
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number and its Gaussian prior.
+
+    Attributes:
+        mean, std, low, high: in the parameter's unit.
+        log: its logarithm is moved, because the model mostly knows products, which are straight
+            lines there; `mean` is then that of the value, `std/mean` of the logarithm.
+        tied: parameters that take the same value.
+        partner: the other factor of a product that records know only as a whole; own_std is what
+            is known of this factor alone, the rest of `std` the partner's.
+    """
+
+    name: str
+    mean: float
+    std: float
+    low: float = -math.inf
+    high: float = math.inf
+    log: bool = False
+    tied: tuple[str, ...] = ()
+    partner: str = ""
+    own_std: float = 0.0
+
+    def value(self, x: float) -> float:
+        """In its unit, `x` prior deviations from the mean, within its range."""
+        if self.log:
+            moved = self.mean * math.exp(self.std / self.mean * x)
+        else:
+            moved = self.mean + self.std * x
+        return float(min(max(moved, self.low), self.high))
+
+    def x_of(self, value: float) -> float:
+        """Inverse of `value`."""
+        if not self.log:
+            return (value - self.mean) / self.std
+        ratio = value / self.mean
+        return math.log(ratio) * self.mean / self.std if ratio > 0.0 else -math.inf
+
+    def slope(self, x: float) -> float:
+        """Units a prior deviation."""
+        return self.std / self.mean * self.value(x) if self.log else self.std
+
+    @property
+    def share(self) -> float:
+        """Of a product's deviation that is this factor's own: 1 without a partner."""
+        return self.own_std / self.std if self.partner else 1.0
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Numbers of the bench, shapes of its kinetics, then the numbers of some effects.
+
+    They are moved as x (k,), in prior deviations.
+
+    Attributes:
+        base: all the other parameters.
+        items: in this order; bench: how many are the bench's own; baseline: with the shapes, how
+            many every candidate has; effects: names, in the order of the numbers.
+    """
+
+    base: Parameters
+    items: tuple[Unknown, ...]
+    bench: int
+    baseline: int
+    effects: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all unknowns."""
+        return tuple(item.name for item in self.items)
+
+    @property
+    def bench_names(self) -> tuple[str, ...]:
+        """Those of the bench."""
+        return self.names[: self.bench]
+
+    @property
+    def tied(self) -> dict[str, str]:
+        """Parameters that take another one's value."""
+        return {other: item.name for item in self.items for other in item.tied}
+
+    @cached_property
+    def _bounds(self) -> tuple[Array, Array]:
+        ends = [(item.x_of(item.low), item.x_of(item.high)) for item in self.items]
+        low, high = np.array(ends, dtype=np.float64).reshape(-1, 2).T
+        return np.maximum(low, -_REACH), np.minimum(high, _REACH)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest (k,) of x."""
+        return self._bounds
+
+    def values(self, x: Array) -> Array:
+        """(k,) in their units."""
+        parameters = self.parameters(x)
+        return np.array([parameters[name] for name in self.names])
+
+    def slopes(self, x: Array) -> Array:
+        """(k,) units a prior deviation."""
+        return np.array([item.slope(at) for item, at in zip(self.items, x, strict=True)])
+
+    def x_of(self, values: Iterable[float]) -> Array:
+        """(k,) of values in their units."""
+        return np.array([item.x_of(v) for item, v in zip(self.items, values, strict=True)])
+
+    def parameters(self, x: Array) -> Parameters:
+        """The bench at x; a start temperature that has passed its finish is held below it."""
+        values = {
+            item.name: item.value(at) for item, at in zip(self.items, x.tolist(), strict=True)
+        }
+        for lower, upper in _ORDERED:
+            start, finish = (values.get(n, self.base[n]) for n in (lower, upper))
+            if finish - start < _NARROWEST_RANGE:
+                middle = 0.5 * (start + finish)
+                values[lower] = middle - 0.5 * _NARROWEST_RANGE
+                values[upper] = middle + 0.5 * _NARROWEST_RANGE
+        values |= {other: values[name] for other, name in self.tied.items()}
+        return self.base.replace(values)
+
+    def start(self, spread: float = 0.3) -> Array:
+        """What is believed, effects off; `spread` in its prior's deviations, at 0 of which its
+        slope vanishes."""
+        x = np.zeros(len(self.items))
+        if self.baseline > self.bench:
+            x[self.bench] = spread
+        return x
+
+    def with_effects(self, names: Iterable[str]) -> "Unknowns":
+        """The same baseline with the numbers of these effects."""
+        effects = tuple(names)
+        numbers = (number_of_effect(p) for name in effects for p in EFFECTS[name].parameters)
+        items = (*self.items[: self.baseline], *numbers)
+        return Unknowns(self.base, items, self.bench, self.baseline, effects)
+
+
+def unknowns_of_records(
+    parameters: Parameters,
+    quantities: Sequence[str],
+    *,
+    load_frame: bool = False,
+    sides_apart: bool = False,
+) -> Unknowns:
+    """Everything of the baseline that records of these quantities can depend on.
+
+    Args:
+        parameters: as believed, with uncertainties.
+        load_frame: records of a wire under held loads or between clamps are among them.
+        sides_apart: front and back are two numbers even where they are believed alike.
+    """
+    names = [*HEAT]
+    if "deflection" in quantities or load_frame:
+        names += MATERIAL
+        names += BENDING if "deflection" in quantities else ()
+        names += LOAD_FRAME if load_frame else ()
+    elif "temperature" not in quantities:
+        names = ["wire.resistance"]
+    return unknowns_of(parameters, names, sides_apart=sides_apart)
+
+
+def unknowns_of(
+    parameters: Parameters, names: Sequence[str], *, shapes: bool = True, sides_apart: bool = False
+) -> Unknowns:
+    """Unknowns from the values and the `uncertainty.` of a parameter set.
+
+    A parameter with uncertainty 0 is exact and not among the names. Bending coefficients which are
+    derived from the geometry start there, with 30 % unless their uncertainty is given.
+    """
+    derived = dict(zip(BENDING, bending_coefficients(parameters), strict=True))
+    found = {}
+    for name in names:
+        item = _of_bench(name, parameters, derived, names)
+        if item.std > 0.0:
+            found[name] = item
+    if not sides_apart and _alike(found):
+        front = found[FRONT]
+        found[FRONT] = Unknown(
+            FRONT, front.mean, front.std, front.low, front.high, front.log, (BACK,)
+        )
+        del found[BACK]
+    fixed = {n: v for n, v in derived.items() if n not in found and parameters[n] != v}
+    base = parameters.replace(fixed)
+    extra = [_shape(name, base) for name in SHAPES] if shapes else []
+    items = (*found.values(), *extra)
+    return Unknowns(base, items, len(found), len(items))
+
+
+def _of_bench(
+    name: str, parameters: Parameters, derived: dict[str, float], names: Sequence[str]
+) -> Unknown:
+    mean, std = derived.get(name, parameters[name]), parameters.std(name)
+    if name in derived and name not in parameters.given_uncertainty and not parameters[name]:
+        std = max(std, _DERIVED_STD * mean)
+    own, partner = std, PRODUCTS.get(name, "")
+    if partner and partner not in names:
+        std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
+    else:
+        partner = ""
+    low, high = _range(name)
+    low = 1e-3 * mean if name in BENDING else low
+    return Unknown(name, mean, std, low, high, name not in _STRAIGHT, (), partner, own)
+
+
+def _range(name: str) -> tuple[float, float]:
+    low, high = BY_NAME[name].low, BY_NAME[name].high
+    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
+
+
+def _alike(found: dict[str, Unknown]) -> bool:
+    """Whether both sides are believed to be equally stiff, and equally well known."""
+    front, back = found.get(FRONT), found.get(BACK)
+    if front is None or back is None:
+        return False
+    return (front.mean, front.std) == (back.mean, back.std)
+
+
+def _shape(name: str, believed: Parameters) -> Unknown:
+    """What is believed is within its range."""
+    std, low, high = SHAPES[name]
+    mean = float(believed[name])
+    return Unknown(name, mean, std, min(low, mean), max(high, mean))
+
+
+def number_of_effect(number: Parameter) -> Unknown:
+    """An effect's number, centred where nobody gave another; moved by its logarithm where that is
+    not 0."""
+    assert number.low is not None and number.high is not None
+    default, std = default_of(number), float(number.uncertainty or 1.0)
+    return Unknown(number.name, default, std, number.low, number.high, log=default != 0.0)
+
+
+def default_of(number: Parameter) -> float:
+    """An effect's number where nobody gave another."""
+    assert isinstance(number.default, float)
+    return number.default

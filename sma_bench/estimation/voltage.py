@@ -1,0 +1,449 @@
+"""A measured voltage in straight pieces: plateaus, ramps, jumps, and the energy that it stands for.
+
+Heat goes with the mean square over cells of time, so that is exact; a jump happens somewhere
+between two samples, and a level that a converter holds between two of its steps is not known to the
+last bit: both are errors that a fit may move (nuisances.py).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import Array, quantisation_variance, resolution
+
+SHORTEST_SEGMENT = 0.5
+FEWEST_SAMPLES = 20
+_TOLERANCE_STD = 8.0
+_TOLERANCE_STEPS = 2.5
+_SMALLEST_TOLERANCE = 1e-3
+_MOST_PIECES = 20_000
+_SMALLEST_JUMP = 0.05  # of the largest voltage; less heats too little to be misplaced
+_STRAIGHT = 1.3
+_FEWEST_IN_LINE = 10
+_OFF = 5e-3  # V, below it a channel is off
+_NARROWEST = 1e-3
+_ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of the voltage that one straight line describes.
+
+    `start`, `stop` in s, `voltage_start`, `voltage_stop` in V are the line's ends. A plateau's
+    `direction` is that of the step which led to it (for the first one: of the step which left it).
+    """
+
+    kind: Literal["plateau", "ramp"]
+    start: float
+    stop: float
+    voltage_start: float
+    voltage_stop: float
+    direction: Literal["up", "down"]
+
+    @property
+    def duration(self) -> float:
+        """Length in s."""
+        return self.stop - self.start
+
+    @property
+    def level(self) -> float:
+        """Mean voltage in V."""
+        return 0.5 * (self.voltage_start + self.voltage_stop)
+
+    @property
+    def slope(self) -> float:
+        """Rate in V/s."""
+        return (self.voltage_stop - self.voltage_start) / self.duration
+
+
+@dataclass(frozen=True)
+class Segments:
+    """All plateaus and ramps of a voltage in order, and the edges (s before, s after) of jumps.
+
+    `tolerance` (V) is how far a sample may lie from its line.
+    """
+
+    items: tuple[Segment, ...]
+    edges: tuple[tuple[float, float], ...]
+    tolerance: float
+
+    @property
+    def plateaus(self) -> tuple[Segment, ...]:
+        """Stretches of constant voltage."""
+        return tuple(s for s in self.items if s.kind == "plateau")
+
+    @property
+    def ramps(self) -> tuple[Segment, ...]:
+        """Stretches of steadily changing voltage."""
+        return tuple(s for s in self.items if s.kind == "ramp")
+
+    def between(self, start: float, stop: float) -> "Segments":
+        """Segments and edges that begin within [start, stop) s, such as one protocol's."""
+        return Segments(
+            tuple(s for s in self.items if start <= s.start < stop),
+            tuple(e for e in self.edges if start <= e[0] < stop),
+            self.tolerance,
+        )
+
+    def levels(self) -> int:
+        """Number of plateau voltages that differ from each other."""
+        sorted_levels = np.sort([p.level for p in self.plateaus])
+        if len(sorted_levels) == 0:
+            return 0
+        return 1 + int(np.sum(np.diff(sorted_levels) > self.tolerance))
+
+
+def find_segments(time: Array, voltage: Array) -> Segments:
+    """Cut a voltage into straight pieces (Douglas and Peucker, 1973) and sort them.
+
+    Args:
+        time: (n,) s, increasing; gaps and jitter do no harm.
+        voltage: (n,) V, noisy or quantised.
+
+    Raises:
+        InputError: fewer than 20 samples, or values that are not finite.
+    """
+    if len(time) < FEWEST_SAMPLES:
+        raise InputError(
+            f"voltage has {len(time)} samples, expected {FEWEST_SAMPLES} or more to find segments"
+        )
+    if not (np.all(np.isfinite(voltage)) and np.all(np.isfinite(time))):
+        raise InputError("voltage holds values that are not finite, expected V")
+    # The median of three drops single wild samples and keeps edges and ramps.
+    smooth = np.asarray(median_filter(voltage, 3, mode="constant"), dtype=np.float64)
+    smooth[[0, -1]] = voltage[[0, -1]]
+    tolerance = _tolerance(voltage)
+    span = float(np.ptp(smooth))
+    while True:
+        pieces = _merge(time, smooth, _split(time, smooth, tolerance), tolerance)
+        if tolerance > span / 8.0 or not _is_fragmented(time, pieces):
+            break
+        # A ramp commanded in small steps looks like many tiny plateaus: look more coarsely.
+        tolerance *= 2.0
+    return _sort(time, smooth, pieces, tolerance)
+
+
+def protocol_spans(
+    markers: Iterable[tuple[float, str]], duration: float
+) -> tuple[tuple[str, float, float], ...]:
+    """(protocol, start, stop) in s, one for each run of markers "protocol/step" of one protocol.
+
+    Without markers the whole record is one span without a name.
+    """
+    spans: list[tuple[str, float, float]] = []
+    for time, text in sorted(markers):
+        name = text.split("/")[0].strip()
+        if spans and spans[-1][0] == name:
+            continue
+        if spans:
+            spans[-1] = (spans[-1][0], spans[-1][1], time)
+        spans.append((name, time, duration))
+    return tuple(spans) or (("", -np.inf, np.inf),)
+
+
+def _tolerance(voltage: Array) -> float:
+    second = np.diff(voltage, 2)
+    # A channel that is switched off may read exactly 0, which says nothing of its noise.
+    driven = second[voltage[1:-1] != 0.0]
+    second = driven if len(driven) else second
+    noise = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
+    return max(
+        _TOLERANCE_STD * noise, _TOLERANCE_STEPS * resolution(voltage), _SMALLEST_TOLERANCE
+    )
+
+
+def _split(time: Array, voltage: Array, tolerance: float) -> list[tuple[int, int]]:
+    """Index pairs (first, last) of chords that stay within the tolerance of all samples."""
+    pieces: list[tuple[int, int]] = []
+    stack = [(0, len(time) - 1)]
+    while stack and len(pieces) < _MOST_PIECES:
+        first, last = stack.pop()
+        inner = slice(first + 1, last)
+        share = (time[inner] - time[first]) / max(time[last] - time[first], 1e-12)
+        chord = voltage[first] + share * (voltage[last] - voltage[first])
+        away = np.abs(voltage[inner] - chord)
+        if len(away) and away.max() > tolerance:
+            middle = first + 1 + int(np.argmax(away))
+            stack.extend([(middle, last), (first, middle)])
+        else:
+            pieces.append((first, last))
+    return pieces
+
+
+def _line(time: Array, voltage: Array, first: int, last: int) -> tuple[float, float, float]:
+    """Ends of the least-squares line through samples first..last, and the largest distance."""
+    t, v = time[first : last + 1], voltage[first : last + 1]
+    centred = t - t.mean()
+    slope = float(centred @ v) / max(float(centred @ centred), 1e-12)
+    fitted = v.mean() + slope * centred
+    return float(fitted[0]), float(fitted[-1]), float(np.max(np.abs(v - fitted)))
+
+
+def _merge(
+    time: Array, voltage: Array, pieces: Sequence[tuple[int, int]], tolerance: float
+) -> list[tuple[int, int]]:
+    """Join neighbours that one line describes as well: the chords end on noisy samples."""
+    merged: list[tuple[int, int]] = []
+    for piece in pieces:
+        while merged:
+            first, last = merged[-1][0], piece[1]
+            is_edge = any(b - a == 1 for a, b in (merged[-1], piece))
+            if _line(time, voltage, first, last)[2] > tolerance / (2.0 if is_edge else 1.0):
+                break
+            merged.pop()
+            piece = (first, last)
+        merged.append(piece)
+    return merged
+
+
+def _is_fragmented(time: Array, pieces: Sequence[tuple[int, int]]) -> bool:
+    """Whether some stretch of voltage fell into nothing but crumbs."""
+    crumbs = 0.0
+    for first, last in pieces:
+        length = float(time[last] - time[first])
+        crumbs = crumbs + length if length < SHORTEST_SEGMENT else 0.0
+        if crumbs > 2.0 * SHORTEST_SEGMENT:
+            return True
+    return False
+
+
+def _sort(
+    time: Array, voltage: Array, pieces: Sequence[tuple[int, int]], tolerance: float
+) -> Segments:
+    found: list[tuple[bool, float, float, float, float]] = []
+    edges: list[tuple[float, float]] = []
+    for first, last in pieces:
+        if last - first == 1 and abs(voltage[last] - voltage[first]) > tolerance:
+            edges.append((float(time[first]), float(time[last])))
+        if time[last] - time[first] < SHORTEST_SEGMENT:
+            continue
+        begin, end, _ = _line(time, voltage, first, last)
+        found.append(
+            (abs(end - begin) <= tolerance, float(time[first]), float(time[last]), begin, end)
+        )
+    levels = [0.5 * (begin + end) for flat, _, _, begin, end in found if flat]
+    items = []
+    seen = 0
+    for flat, start, stop, begin, end in found:
+        rise = end - begin
+        if flat:
+            reference = levels[max(seen, 1) - 1 : max(seen, 1) + 1]
+            rise = reference[-1] - reference[0] if len(reference) == 2 else 0.0
+            seen += 1
+        items.append(
+            Segment(
+                "plateau" if flat else "ramp", start, stop, begin, end,
+                "up" if rise >= 0.0 else "down",
+            )
+        )
+    return Segments(tuple(items), tuple(edges), tolerance)
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """Voltage of one channel: knots, and straight lines between them.
+
+    Attributes:
+        time: (k,) s; voltage: (k,) V, straight stretches freed of their noise.
+        jumps: (j,) knots after which the voltage jumps before the next one.
+        lines: first and last knot of each straight stretch, and the noise [V] of its samples.
+        hidden, step: V, amplitude of the converter's error that no averaging removes, and its step.
+    """
+
+    time: Array
+    voltage: Array
+    jumps: Array
+    lines: tuple[tuple[int, int, float], ...]
+    hidden: float
+    step: float
+
+    def energy(self, moments: Array, grid: Array, error: Array | None = None) -> Array:
+        """Integral of V^2 [V2 s] over each cell of `grid` (n,), as (n - 1,).
+
+        Args:
+            moments: (j,) s at which the jumps happen.
+            error: (k,) V, added to the knots.
+        """
+        at = self.jumps.astype(np.intp) + 1
+        volts = self.voltage if error is None else self.voltage + error
+        order = np.repeat(at, 2)
+        time = np.insert(self.time, order, np.repeat(moments, 2))
+        level = np.insert(volts, order, np.column_stack([volts[at - 1], volts[at]]).ravel())
+        before, after = min(grid[0], time[0]) - 1.0, max(grid[-1], time[-1]) + 1.0
+        time = np.concatenate([[before], time, [after]])
+        level = np.concatenate([level[:1], level, level[-1:]])
+        square = (level[1:] ** 2 + level[1:] * level[:-1] + level[:-1] ** 2) / 3.0
+        total = np.concatenate([[0.0], np.cumsum(square * np.diff(time))])
+        return np.diff(np.interp(grid, time, total))
+
+    def hidden_levels(self) -> list[tuple[int, int, float]]:
+        """First and last knot, and volts, of each held level that is not known to the last bit."""
+        levels = []
+        for first, last, _ in self.lines:
+            volts = self.voltage[first:last]
+            if self.hidden > 0.0 and np.ptp(volts) < self.step and volts.min() > max(
+                self.step, _OFF
+            ):
+                levels.append((first, last, float(volts.mean())))
+        return levels
+
+
+@dataclass(frozen=True)
+class AppliedVoltage:
+    """Voltages of all channels of a record, and the moments of their common jumps.
+
+    `early`, `late` (e,) s: the last sample before each event and the first one after it, the
+    narrowest over the channels; `events` gives each channel's jumps their event.
+    """
+
+    channels: tuple[Polygon, ...]
+    events: tuple[Array, ...]
+    early: Array
+    late: Array
+
+    def moments(self, place: Array) -> Array:
+        """(e,) s; `place` (e,) from -0.5 (just after `early`) to 0.5 (just before `late`)."""
+        return 0.5 * (self.early + self.late) + place * (self.late - self.early)
+
+    def at(self, channel: int, time: Array) -> Array:
+        """(m,) V of a channel at `time` (m,) s, freed of noise."""
+        polygon = self.channels[channel]
+        return np.interp(time, polygon.time, polygon.voltage)
+
+    def level_errors(self) -> list[tuple[Array, ...]]:
+        """(k,) V a channel: one standard error of each held level in turn, of all held at it."""
+        held = sorted(
+            (level, channel, first, last)
+            for channel, polygon in enumerate(self.channels)
+            for first, last, level in polygon.hidden_levels()
+        )
+        errors: list[tuple[Array, ...]] = []
+        reached = -np.inf
+        for level, channel, first, last in held:
+            polygon = self.channels[channel]
+            if level - reached > _ONE_LEVEL * polygon.step:
+                errors.append(tuple(np.zeros(len(c.time)) for c in self.channels))
+                reached = level
+            errors[-1][channel][first:last] = polygon.hidden / np.sqrt(2.0)
+        return errors
+
+    def line_errors(self) -> list[tuple[Array, ...]]:
+        """(k,) V a channel: one standard error of the mean and of the slope of each straight
+        stretch in turn, from the noise of its samples."""
+        errors = []
+        for channel, polygon in enumerate(self.channels):
+            for first, last, noise in polygon.lines:
+                if noise == 0.0 or polygon.voltage[first:last].max() <= max(polygon.step, _OFF):
+                    continue
+                std = noise / np.sqrt(last - first)
+                tilt = np.sqrt(3.0) * np.linspace(-1.0, 1.0, last - first)
+                for shape in (np.ones(last - first), tilt):
+                    knots = tuple(np.zeros(len(c.time)) for c in self.channels)
+                    knots[channel][first:last] = std * shape
+                    errors.append(knots)
+        return errors
+
+    def is_jumping(self, time: Array) -> NDArray[np.bool_]:
+        """(m,) whether `time` (m,) s lies strictly within the bounds of an event."""
+        event = np.searchsorted(self.early, time, side="left") - 1
+        inside = event >= 0
+        inside[inside] = time[inside] < self.late[event[inside]]
+        return np.asarray(inside)
+
+    def on_grid(
+        self, grid: Array, place: Array, errors: Sequence[Array] | None = None
+    ) -> Array:
+        """Voltages (n, w) V which, held from each grid time to the next, heat as the true ones."""
+        moments = self.moments(place)
+        columns = []
+        for channel, (polygon, own) in enumerate(zip(self.channels, self.events, strict=True)):
+            error = None if errors is None else errors[channel]
+            energy = polygon.energy(moments[own.astype(np.intp)], grid, error)
+            columns.append(np.sqrt(np.maximum(energy, 0.0) / np.diff(grid)))
+        volts = np.column_stack(columns)
+        return np.vstack([volts, volts[-1:]])
+
+
+def applied_voltage(channels: Sequence[tuple[Array, Array]]) -> AppliedVoltage:
+    """Prepare measured voltages.
+
+    Args:
+        channels: (time (n,) s, voltage (n,) V) of each channel.
+
+    Raises:
+        InputError: too few samples, or values that are not finite.
+    """
+    polygons = tuple(_polygon(*channel) for channel in channels)
+    return AppliedVoltage(polygons, *_events(polygons))
+
+
+def _polygon(time: Array, voltage: Array) -> Polygon:
+    segments = find_segments(time, voltage)
+    step = resolution(voltage)
+    # A level between two steps of the converter toggles by half a step about its mean.
+    limit = _STRAIGHT * float(np.hypot(_scatter(voltage, step), 0.5 * step))
+    smooth, lines = _free_of_noise(time, voltage, segments, limit)
+    left = [n for first, last, n in lines if smooth[first:last].max() > max(step, _OFF)]
+    within = float(np.sqrt(np.mean(np.square(left)))) if left else 0.0
+    hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
+    return Polygon(time, smooth, _jumps(time, smooth, segments), tuple(lines), hidden, step)
+
+
+def _scatter(voltage: Array, step: float) -> float:
+    """Noise [V] of the driven samples, its converter's included."""
+    second = np.diff(voltage, 2)[voltage[1:-1] > _OFF]
+    robust = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if len(second) else 0.0
+    return max(robust, step / np.sqrt(12.0))
+
+
+def _free_of_noise(
+    time: Array, voltage: Array, segments: Segments, limit: float
+) -> tuple[Array, list[tuple[int, int, float]]]:
+    """Straight lines where the voltage is straight: first and last knot, and scatter, of each.
+
+    Noise on a plateau would make temperatures turn back and forth, and hysteresis with them.
+    """
+    smooth = voltage.copy()
+    lines = []
+    for segment in segments.items:
+        first, last = np.searchsorted(time, [segment.start, segment.stop + 1e-9])
+        line = np.interp(
+            time[first:last], [segment.start, segment.stop],
+            [segment.voltage_start, segment.voltage_stop],
+        )
+        left = float(np.std(voltage[first:last] - line))
+        if last - first >= _FEWEST_IN_LINE and left < limit:
+            smooth[first:last] = line
+            lines.append((int(first), int(last), left))
+    return smooth, lines
+
+
+def _jumps(time: Array, voltage: Array, segments: Segments) -> Array:
+    knots = np.searchsorted(time, [before for before, _ in segments.edges])
+    size = np.abs(voltage[np.minimum(knots + 1, len(voltage) - 1)] - voltage[knots])
+    knots = knots[size > _SMALLEST_JUMP * float(np.max(np.abs(voltage), initial=0.0))]
+    return np.unique(knots).astype(np.float64)
+
+
+def _events(polygons: tuple[Polygon, ...]) -> tuple[tuple[Array, ...], Array, Array]:
+    """Jumps of several channels that can have been one command are one event."""
+    found = sorted(
+        (polygon.time[knot], polygon.time[knot + 1], channel, order)
+        for channel, polygon in enumerate(polygons)
+        for order, knot in enumerate(polygon.jumps.astype(np.intp))
+    )
+    bounds: list[list[float]] = []
+    events = [np.zeros(len(polygon.jumps)) for polygon in polygons]
+    for before, after, channel, order in found:
+        if bounds and before < bounds[-1][1] - _NARROWEST:
+            bounds[-1] = [max(before, bounds[-1][0]), min(after, bounds[-1][1])]
+        else:
+            bounds.append([before, after])
+        events[channel][order] = len(bounds) - 1
+    edges = np.array(bounds, dtype=np.float64).reshape(-1, 2)
+    return tuple(events), edges[:, 0], edges[:, 1]

@@ -1,0 +1,303 @@
+"""E9, E10 and E12: the whole model fitted to any set of rig records, as an experiment.
+
+It is the fit that the diagnosis calls recalibration, from more starts.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import chdtrc
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.load_frame import LOAD_FRAME
+from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.nuisances import DELAY
+from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.result import Number, Off, Result, result_of
+from sma_bench.estimation.solver import recalibrate
+from sma_bench.estimation.unknowns import PRODUCTS, SHAPES, Unknowns, unknowns_of_records
+from sma_bench.findings import Finding
+from sma_bench.identify.estimate import Correlation, Estimate, Experiment
+from sma_bench.identify.thermal.resistance import PARAMETER as RESISTANCE
+from sma_bench.identify.thermal.resistance import SCALE_STD
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.progress import Report, silent
+from sma_bench.records.record import Record, has_samples
+
+NAME = "E10"
+TITLE = "Composite rig"
+_SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
+_DRAWN, _SEED = 2, 17  # further starts, drawn from the prior
+_UNINFORMED = 0.2  # share of information
+_TIED = 0.95
+_FAR = 3.5  # prior deviations
+_FOUND = 4.0  # standard deviations of a zero or a delay
+_LAGS, _RARE = 20, 1e-6
+_FLOOR = 1.3
+_UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
+          "wire.specific_heat": ("heat_capacity", "J/K", "m c_p")}  # fmt: skip
+
+
+def identify_composite(
+    records: Sequence[Record], parameters: Parameters, report: Report = silent
+) -> Experiment:
+    """Bending coefficients alpha, beta of each side, and the wire's parameters.
+
+    The baseline model (contract, section 4) is simulated on the measured voltages and held to
+    every other signal that the records have: deflection, currents, temperatures. Priors are the
+    parameters' values and `uncertainty.`; what the records cannot tell stays there and is named
+    in the findings. Records of a single wire in a load frame may join: the same alloy.
+
+    Args:
+        records: composite bags, at least one with a deflection (or ranges).
+        parameters: the lab's values with their uncertainties, and bench.channels.
+        report: told how far the fit is.
+
+    Raises:
+        InputError: no voltage of some channel, or no deflection in any record.
+    """
+    observations = observe_all(records, parameters)
+    if not any("deflection" in one.quantities for one in observations):
+        where = ", ".join(str(record.path) for record in records) or "no records"
+        raise InputError(f"{where}: no deflection, expected joint_states tip or front/back range")
+    return fit_experiment(NAME, TITLE, observations, parameters, report)
+
+
+def bends(record: Record) -> bool:
+    """Whether a record shows the composite bending."""
+    return any(has_samples(record, name) for name in ("deflection", "front.range", "back.range"))
+
+
+def observe_all(records: Sequence[Record], parameters: Parameters) -> list[Observation]:
+    """Everything that the records measure, in bins that suit all of them."""
+    if not records:
+        return []
+    shortest = shared_bin(records, parameters)
+    quantities = (*QUANTITIES, *LOAD_FRAME)
+    return [observe(record, parameters, shortest, quantities) for record in records]
+
+
+def fit_experiment(
+    name: str, title: str, observations: Sequence[Observation], parameters: Parameters,
+    report: Report = silent,
+) -> Experiment:
+    """Fit everything that the records can depend on, and report it."""
+    result = fit_whole_model(observations, parameters, report)
+    quantities = list(dict.fromkeys(q for one in observations for q in one.quantities))
+    method = f"simulation fitted to {', '.join(quantities)}"
+    told = [number for number in result.numbers if _is_told(number)]
+    return Experiment(
+        name, title, {n.name: _estimate(n, method, result.samples) for n in told},
+        findings(result), curves(result), "; ".join(one.path for one in observations),
+        details(result), correlation_of(result, [n.name for n in told]),
+    )
+
+
+def fit_whole_model(
+    observations: Sequence[Observation], parameters: Parameters, report: Report = silent
+) -> Result:
+    """The whole model fitted to prepared records, from several starts."""
+    quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
+    unknowns = unknowns_of_records(
+        parameters, quantities, load_frame=any(one.holds for one in observations),
+        sides_apart=True,
+    )
+    tries = starts(unknowns)
+    problem = Problem.of(observations, voltage_noise=True)
+    fitted, tried = recalibrate(problem, parameters, unknowns, tries, report)
+    return result_of(fitted, tried)
+
+
+def starts(unknowns: Unknowns) -> list[Array]:
+    """What is believed, with sharp and with smooth kinetics, and some believable benches."""
+    random = np.random.default_rng(_SEED)
+    drawn = []
+    for _ in range(_DRAWN):
+        x = unknowns.start(abs(float(random.standard_normal())))
+        x[: unknowns.bench] = random.standard_normal(unknowns.bench)
+        drawn.append(x)
+    return [*(unknowns.start(spread) for spread in _SPREADS), *drawn]
+
+
+def _is_told(number: Number) -> bool:
+    """A shape of the kinetics that is the cosine's is not worth a line."""
+    return number.name not in SHAPES or number.value != BY_NAME[number.name].default
+
+
+def _estimate(number: Number, method: str, n: int) -> Estimate:
+    informed = number.informed >= _UNINFORMED
+    words = method if informed else f"{method}: mostly the prior, the records add little"
+    systematic = SCALE_STD * number.value if number.name == RESISTANCE else 0.0
+    # What nobody measured better is not known better: sensors' scales are in what was known, too.
+    std = min(math.hypot(number.std, systematic), number.prior_std)
+    return Estimate(
+        number.value, std, BY_NAME[number.name].unit, words, n, min(systematic, std),
+        number.informed,
+    )
+
+
+def details(result: Result) -> dict[str, Estimate]:
+    """Products that the data know better than their factors, zeros of sensors, delays."""
+    n = result.samples
+    found = {}
+    for number in result.products:
+        name, unit, symbol = _UNITS[number.name.split(" x ")[0]]
+        words = f"{symbol}, the only form in the model"
+        found[name] = Estimate(
+            number.value, number.std, unit, words, n, informed=number.informed
+        )
+    paths = list(dict.fromkeys(off.path for off in result.off))
+    for off in result.off:
+        head = f"{paths.index(off.path)}." if len(paths) > 1 else ""
+        informed = max(0.0, 1.0 - (off.std / off.prior_std) ** 2)
+        words = f"fitted beside the model, {off.path}"
+        found[f"{head}{off.kind}.{off.subject}"] = Estimate(
+            off.value, off.std, off.unit, words, n, informed=informed
+        )
+    return found
+
+
+def correlation_of(result: Result, names: Sequence[str]) -> Correlation:
+    """Of the errors of some of the numbers."""
+    every = [number.name for number in result.numbers]
+    chosen = [every.index(name) for name in names]
+    return Correlation(tuple(names), result.correlation[np.ix_(chosen, chosen)])
+
+
+def curves(result: Result) -> dict[str, Array]:
+    """Time, measured and model of every signal, bin by bin."""
+    found: dict[str, Array] = {}
+    fitted = result.fit
+    paths = list(dict.fromkeys(one.path for one in fitted.problem.observations))
+    for block in fitted.problem.blocks:
+        signal, path = block.signal, block.observation.path
+        head = f"{paths.index(path)}.{signal.name}" if len(paths) > 1 else signal.name
+        found[f"{head}.time"] = signal.time
+        found[f"{head}.measured"] = signal.value
+        found[f"{head}.model"] = signal.value - fitted.left[block.rows]
+    return found
+
+
+def findings(result: Result) -> tuple[Finding, ...]:
+    """What cannot be told, contradicted priors, ends of ranges, starts, sensors, residuals."""
+    return (
+        *_uninformed(result), *_tied(result), *_surprising(result.numbers),
+        *_at_end(result.numbers), *_starts(result), *map(_about_off, filter(_is_off, result.off)),
+        *_residuals(result),
+    )
+
+
+def _uninformed(result: Result) -> list[Finding]:
+    remarks = []
+    which = [n.name for n in result.numbers if n.informed < _UNINFORMED and n.name not in SHAPES]
+    if which:
+        text = (
+            f"the records hardly improve what was known of {', '.join(which)}: value and error "
+            "are mostly the prior's"
+        )
+        remarks.append(Finding("info", "priors", text, {"parameters": float(len(which))}))
+    for number in result.products:
+        first = number.name.split(" x ")[0]
+        text = (
+            f"only the product {_UNITS[first][2]} with {PRODUCTS[first]} enters the model; the "
+            "priors of the two split it"
+        )
+        remarks.append(Finding("info", first, text))
+    return remarks
+
+
+def _tied(result: Result) -> list[Finding]:
+    remarks = []
+    for i, first in enumerate(result.numbers):
+        for j, second in enumerate(result.numbers[:i]):
+            rho = float(result.correlation[i, j])
+            informed = min(first.informed, second.informed) >= _UNINFORMED
+            if abs(rho) > _TIED and informed:
+                text = f"hardly told apart from {second.name}: correlation {rho:+.3f}"
+                remarks.append(Finding("info", first.name, text, {"correlation": rho}))
+    return remarks
+
+
+def _surprising(numbers: Sequence[Number]) -> list[Finding]:
+    remarks = []
+    for number in numbers:
+        away = (number.value - number.believed) / number.prior_std
+        if abs(number.moved) > _FAR:
+            text = (
+                f"the records say {number.value:.6g} +- {number.std:.2g} "
+                f"{BY_NAME[number.name].unit}, {away:+.1f} standard deviations from the stated "
+                f"{number.believed:.6g} +- {number.prior_std:.2g}: the statement, its uncertainty "
+                "or the model is wrong"
+            )
+            remarks.append(Finding("warning", number.name, text, {"deviations": away}))
+    return remarks
+
+
+def _at_end(numbers: Sequence[Number]) -> list[Finding]:
+    return [
+        Finding("warning", n.name, f"the fit stopped at an end of its range, {n.value:.6g}")
+        for n in numbers if n.at_end and n.name not in SHAPES
+    ]
+
+
+def _starts(result: Result) -> list[Finding]:
+    text = f"{result.agreed} of {result.starts} starts ended at the same place, the best"
+    numbers = {"agreed": float(result.agreed), "starts": float(result.starts)}
+    return [Finding("info" if result.agreed > 1 else "warning", "starts", text, numbers)]
+
+
+def _is_off(off: Off) -> bool:
+    return abs(off.value) > _FOUND * off.std
+
+
+def _about_off(off: Off) -> Finding:
+    if off.kind == DELAY:
+        text = (
+            f"{off.path}: stamps lie {off.value * 1e3:+.1f} +- {off.std * 1e3:.1f} ms behind those "
+            "of the voltage"
+        )
+        return Finding("info", off.subject, text, {"delay": off.value, "delay_std": off.std})
+    text = f"{off.path}: reads {off.value:+.3g} +- {off.std:.2g} {off.unit} at zero"
+    return Finding("info", off.subject, text, {"offset": off.value, "offset_std": off.std})
+
+
+def _residuals(result: Result) -> list[Finding]:
+    remarks = []
+    fitted = result.fit
+    for block in fitted.problem.blocks:
+        signal, left = block.signal, fitted.left[block.rows]
+        ratio = float(np.std(left)) / signal.noise
+        numbers = {"rms": float(np.std(left)), "noise_floor": signal.noise, "ratio": ratio}
+        if ratio > _FLOOR:
+            text = (
+                f"{block.observation.path}: the model leaves {ratio:.2f} times the noise from "
+                f"sample to sample ({np.std(left):.3g} against {signal.noise:.3g} in a bin): a "
+                "sensor that drifts or an effect that the model lacks; errors count it as drift"
+            )
+            remarks.append(Finding("warning", signal.name, text, numbers))
+        chance = _chance_of_white(fitted.problem.noise[signal.name].whiten(left))
+        if chance < _RARE:
+            text = (
+                f"{block.observation.path}: the whitened residual is still correlated "
+                f"(probability {chance:.1g} if it were white): standard errors may be too small"
+            )
+            remarks.append(Finding("warning", signal.name, text, {"probability": chance}))
+    if not remarks:
+        text = "every residual is at its noise floor and, whitened, uncorrelated"
+        remarks.append(Finding("info", "residuals", text))
+    return remarks
+
+
+def _chance_of_white(white: Array) -> float:
+    """Probability that white noise is as correlated over 20 lags (Ljung and Box, 1978)."""
+    n = len(white)
+    centred = white - white.mean()
+    power = float(centred @ centred)
+    if n < 5 * _LAGS or power == 0.0:
+        return 1.0
+    rho = np.array([float(centred[:-k] @ centred[k:]) / power for k in range(1, _LAGS + 1)])
+    q = n * (n + 2) * float(np.sum(rho**2 / (n - np.arange(1, _LAGS + 1))))
+    return float(chdtrc(_LAGS, q))

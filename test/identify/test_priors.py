@@ -1,0 +1,95 @@
+"""What was known beside what was measured: nothing ends less sure than it was."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sma_bench.estimation.result import result_of
+from sma_bench.estimation.unknowns import unknowns_of
+from sma_bench.identify.estimate import Estimate, with_prior
+from sma_bench.identify.run import Run
+from sma_bench.parameters import Parameters
+
+LOSS, AREA = "wire.heat_transfer_coefficient", "wire.surface_area"
+PRIOR = Estimate(100.0, 4.0, "1", "given", 0)
+
+
+def measured(value, std, systematic=0.0):
+    return Estimate(value, std, "1", "measured", 9, systematic)
+
+
+def test_a_surer_measurement_counts_alone():
+    found, remark = with_prior(measured(130.0, 2.0, 1.0), PRIOR, stated=True)
+    assert (found.value, found.std, found.systematic, remark) == (130.0, 2.0, 1.0, "")
+    assert found.informed == pytest.approx(0.75)
+    assert found.statistical == pytest.approx(np.sqrt(3.0))
+
+
+def test_a_less_sure_one_is_joined_with_what_was_known():
+    found, remark = with_prior(measured(105.0, 8.0), PRIOR, stated=False)
+    assert found.value == pytest.approx(101.0)
+    assert found.std < 4.0
+    assert found.std == pytest.approx(np.sqrt(1.0 / (1.0 / 16.0 + 1.0 / 64.0)))
+    assert (found.informed, remark) == (pytest.approx(0.2), "")
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_contradiction_is_said_and_only_a_statement_counts_against_a_measurement(stated):
+    found, remark = with_prior(measured(150.0, 8.0), PRIOR, stated)
+    assert "+5.6 standard errors" in remark
+    assert found.value == pytest.approx(110.0 if stated else 150.0)
+
+
+def test_a_number_out_of_its_range_is_named_and_ends_nothing_else():
+    run = Run(Parameters.defaults(), frozenset())
+    run.estimates = {
+        "wire.thermal_expansion_factor": Estimate(9e12, 1e5, "Pa/K", "", 3),
+        "wire.resistance": Estimate(2.5, 0.01, "ohm", "", 3),
+        # Its other end comes after it.
+        "wire.austenite_start_temperature": Estimate(370.0, 1.0, "K", "", 3),
+        "wire.austenite_finish_temperature": Estimate(390.0, 1.0, "K", "", 3),
+    }
+    improved = run.improved()
+    assert improved["wire.resistance"] == 2.5
+    assert improved["wire.austenite_start_temperature"] == 370.0
+    assert "wire.thermal_expansion_factor" not in run.estimates
+    (note,) = run.notes
+    assert note.severity == "warning" and note.subject == "wire.thermal_expansion_factor"
+
+
+def fitted(parameters, x, covariance):
+    """A fit of the heat loss alone, x prior deviations up."""
+    unknowns = unknowns_of(parameters, [LOSS], shapes=False)
+    problem = SimpleNamespace(observations=(), nuisances=(), blocks=())
+    fit = SimpleNamespace(
+        unknowns=unknowns, x=np.array([x]), z=np.zeros(0), problem=problem, evidence=0.0,
+        covariance=np.array([[covariance]]), joint=np.array([[covariance]]),
+    )
+    return result_of(fit, [fit, SimpleNamespace(evidence=-9.0)])
+
+
+def test_two_factors_known_only_as_a_product_are_split_by_their_priors():
+    known = Parameters.defaults()
+    known = known.replace({}, {LOSS: 0.04 * known[LOSS], AREA: 0.03 * known[AREA]})
+    found = fitted(known, 2.0, 1e-6)
+    loss, area = found.numbers
+    assert (loss.name, area.name, found.agreed, found.starts) == (LOSS, AREA, 1, 2)
+    # The product has moved by 2 of its 5 %: each factor by its share of the variance.
+    assert np.log(loss.value / known[LOSS]) == pytest.approx(2.0 * 0.05 * 0.64)
+    assert np.log(area.value / known[AREA]) == pytest.approx(2.0 * 0.05 * 0.36)
+    (product,) = found.products
+    assert product.value == pytest.approx(loss.value * area.value)
+    assert product.std < 1e-3 * product.value
+    # What is left open of one is left open of the other, the other way.
+    assert found.correlation[0, 1] == pytest.approx(-1.0, abs=1e-4)
+    assert loss.informed == pytest.approx(0.64, abs=1e-4)
+    assert loss.std <= known.std(LOSS) and area.std <= known.std(AREA)
+
+
+def test_records_that_say_nothing_leave_everything_as_it_was():
+    known = Parameters.defaults()
+    known = known.replace({}, {LOSS: 0.04 * known[LOSS], AREA: 0.03 * known[AREA]})
+    for number in fitted(known, 0.0, 1.0).numbers:
+        assert number.informed == pytest.approx(0.0, abs=1e-9)
+        assert number.std == pytest.approx(number.prior_std)
