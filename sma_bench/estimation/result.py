@@ -17,6 +17,7 @@ from sma_bench.estimation.unknowns import PRODUCTS, Unknown
 from sma_bench.parameters.table import BY_NAME
 
 _SAME = 3.0  # nats below the best within which a start has ended at the same place
+_NEAR = 0.5  # standard deviations
 _AT_END = 1e-3  # prior deviations
 
 
@@ -93,11 +94,19 @@ def result_of(fitted: Fit, tried: Sequence[Fit]) -> Result:
             apart.items, moved.tolist(), sigma.tolist(), apart.origin, strict=True
         )
     )
-    best = max(one.evidence for one in tried)
+    best = max(tried, key=lambda one: one.evidence)
     return Result(
         fitted, numbers, covariance / np.outer(sigma, sigma), _products(fitted), _off(fitted),
-        sum(one.evidence > best - _SAME for one in tried), len(tried),
+        sum(_is_same(one, best) for one in tried), len(tried),
     )
+
+
+def _is_same(one: Fit, best: Fit) -> bool:
+    """Whether a start has ended where the best one did: as probable, or within half a standard
+    deviation, where a few nats are soon lost among hundreds of thousands."""
+    if one.evidence > best.evidence - _SAME:
+        return True
+    return bool(np.all(np.abs(one.x - best.x) < _NEAR * np.sqrt(np.diag(best.covariance))))
 
 
 @dataclass(frozen=True, eq=False)

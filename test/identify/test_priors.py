@@ -66,7 +66,8 @@ def fitted(parameters, x, covariance):
         unknowns=unknowns, x=np.array([x]), z=np.zeros(0), problem=problem, evidence=0.0,
         covariance=np.array([[covariance]]), joint=np.array([[covariance]]),
     )
-    return result_of(fit, [fit, SimpleNamespace(evidence=-9.0)])
+    elsewhere = SimpleNamespace(evidence=-9.0, x=fit.x + 3.0)
+    return result_of(fit, [fit, elsewhere])
 
 
 def test_two_factors_known_only_as_a_product_are_split_by_their_priors():
