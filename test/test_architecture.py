@@ -39,10 +39,15 @@ ARROWS = {
     "diagnose": LEAVES | {"estimation", "records", "physics", "parameters", "protocols"},
     # The running twin learns noise as the diagnosis does, and steps the simulator's own core.
     "twin": LEAVES | {"estimation", "physics", "parameters"},
-    "batch": LEAVES | {"diagnose", "identify", "records", "parameters"},
+    "results": LEAVES | {"parameters"},
     "report": LEAVES
-    | {"diagnose", "estimation", "identify", "records", "physics", "parameters", "protocols"},
-    "dashboard": LEAVES | {"report"},
+    | {
+        "diagnose", "estimation", "identify", "records", "physics", "parameters", "protocols",
+        "results",
+    },
+    "tasks": LEAVES
+    | {"diagnose", "estimation", "identify", "records", "parameters", "report", "results"},
+    "dashboard": LEAVES | {"results"},
     "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
     "api": LEAVES
     | {

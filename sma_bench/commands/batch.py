@@ -6,8 +6,6 @@ from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
-from sma_bench.batch import Outcome, Task, on_cluster, on_processes
-from sma_bench.batch.task import DIAGNOSE, IDENTIFY
 from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.progress_bar import progress
@@ -16,6 +14,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import write_parameters
 from sma_bench.progress import counted
+from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, on_cluster, on_processes
 
 _BAD_INPUT = 2
 _STOPPED = "not done: interrupted"

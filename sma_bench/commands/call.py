@@ -56,7 +56,7 @@ def _call(
 ) -> str:
     try:
         from sma_bench.nodes.bench_client import BenchClient
-        from sma_bench.nodes.job_process import told_share
+        from sma_bench.tasks.jobs import told_share
     except ModuleNotFoundError as error:
         raise InputError(f"call: {error.name} is not installed, nodes need ROS 2") from None
     with progress(f"{node}/{service}") as report:

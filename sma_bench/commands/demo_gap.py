@@ -14,10 +14,9 @@ from sma_bench.commands.demo_table import SHARE
 from sma_bench.commands.output import write_json
 from sma_bench.commands.progress_bar import Course, progress
 from sma_bench.commands.tables import print_table
-from sma_bench.nodes.diagnosis_job import gap_states
 from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.progress import part
-from sma_bench.report.quantities import in_print
+from sma_bench.results import gap_states, in_print
 from sma_bench.share import share_directory
 
 NAMESPACE = "/demo_gap"

@@ -14,7 +14,7 @@ from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.protocols import parse_protocol
-from sma_bench.report.quantities import in_print
+from sma_bench.results import in_print
 
 _PERIOD = 0.02  # s
 # Of neither record: levels and order are others.

@@ -9,11 +9,11 @@ from typing import Any, Self
 
 from sma_bench.compiled import is_compiled
 from sma_bench.errors import InputError
-from sma_bench.nodes.job_process import told_share
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import core
 from sma_bench.progress import COMPILING, Report, part, shares, silent
 from sma_bench.protocols import load_protocol
+from sma_bench.tasks.jobs import told_share
 
 # Nothing may take longer than this without a sign of life, on however loaded a machine.
 PATIENCE = 60.0

@@ -1,7 +1,6 @@
 """sma-bench diagnose: where simulation and bench disagree, which effect causes it, how far."""
 
 import argparse
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from sma_bench.border import printable
@@ -10,9 +9,6 @@ from sma_bench.commands.parameter_options import add_parameter_options, paramete
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
 from sma_bench.commands.tables import output_console, print_table
-from sma_bench.parameters import write_parameters
-from sma_bench.parameters.effect_table import EFFECT_NAMES
-from sma_bench.progress import Report, by_name, in_turn, part
 
 if TYPE_CHECKING:
     from sma_bench.diagnose import Diagnosis
@@ -21,19 +17,6 @@ _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 _LEAST_SHOWN = 0.005
 _CELLS_SHOWN = 6
-_READING = 0.05  # of the time
-# Seconds that each step takes of a composite record, as `diagnose` names them.
-_PLAN = {
-    "records": 0.1,
-    "recalibration": 4.7,
-    **dict.fromkeys(EFFECT_NAMES, 0.4),
-    "effects instead of surprising parameters": 6.0,
-    "the best again, carefully": 0.5,
-    "pairs": 2.5,
-    "what is left": 0.7,
-    "shrinkage on data that no fit saw": 0.2,
-    "the next experiment": 2.0,
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,18 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
-    from sma_bench.diagnose import diagnose
-    from sma_bench.records import read_record
+    from sma_bench.tasks.work import diagnose_files, write_improved
 
     parameters = parameters_from_options(args)
     with progress("diagnose") as report:
-        reading = part(report, 0.0, _READING)
-        paths = in_turn([*args.records, *args.hold_out], reading, lambda path: f"reading {path}")
-        records = [read_record(path) for path in paths]
-        seen = len(args.records)
-        told = diagnosis_steps(part(report, _READING, 1.0))
         compared = args.signals or quantities()
-        result = diagnose(records[:seen], parameters, records[seen:], told, compared)
+        result = diagnose_files(args.records, args.hold_out, parameters, compared, report)
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
@@ -89,23 +66,6 @@ def quantities() -> tuple[str, ...]:
     from sma_bench.estimation.observation import QUANTITIES
 
     return QUANTITIES
-
-
-def diagnosis_steps(report: Report) -> Callable[[str], None]:
-    """Turns what a diagnosis tells into a share of its time."""
-    return by_name(report, _PLAN)
-
-
-def write_improved(path: str, result: "Diagnosis", author: str) -> None:
-    """Write the improved parameters, those only that are not left at their default.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    names = [n for n in result.improved if n in result.improved.given]
-    sources = ", ".join(dict.fromkeys(view.path for view in result.observations))
-    comment = f"Improved by {author} from {sources}".replace("\n", " ")
-    write_parameters(path, result.improved, comment, names)
 
 
 def print_result(result: "Diagnosis") -> None:

@@ -8,13 +8,9 @@ from sma_bench.commands.parameter_options import add_parameter_options, paramete
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.progress_bar import progress
 from sma_bench.commands.tables import output_console, print_table
-from sma_bench.parameters import write_parameters
-from sma_bench.progress import in_turn, part
 
 if TYPE_CHECKING:
     from sma_bench.identify import Identification
-
-_READING = 0.2  # of the time, about
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,19 +35,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print a table, write the files that were asked for."""
-    from sma_bench.identify import identify
-    from sma_bench.records import open_record
+    from sma_bench.tasks.work import identify_files, write_identified
 
     parameters = parameters_from_options(args)
     with progress("identify") as report:
-        paths = in_turn(args.records, part(report, 0.0, _READING), lambda path: f"reading {path}")
-        records = [open_record(path, args.namespace) for path in paths]
-        result = identify(records, parameters, args.experiments, part(report, _READING, 1.0))
+        result = identify_files(
+            args.records, parameters, args.experiments, args.namespace, report
+        )
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
-        comment = "Identified by sma-bench identify from " + ", ".join(args.records)
-        write_parameters(args.out, result.parameters, comment.replace("\n", " "))
+        write_identified(args.out, result, "sma-bench identify", args.records)
     print_result(result)
     if args.report:
         from sma_bench.report.identification_report import write_identification_report

@@ -1,8 +1,6 @@
 """How commands print findings and write results."""
 
 import argparse
-import json
-import math
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -13,7 +11,7 @@ from rich.text import Text
 from sma_bench.border import printable
 from sma_bench.commands.tables import output_console
 from sma_bench.findings import Finding
-from sma_bench.parameters.yaml_file import write_text_atomically
+from sma_bench.results import json_text, write_result
 
 STANDARD_OUTPUT = "-"
 _STYLES = {"info": "green", "warning": "yellow", "error": "red"}
@@ -73,19 +71,4 @@ def write_json(path: str, document: dict[str, Any]) -> None:
     if path == STANDARD_OUTPUT:
         print(json_text(document), end="", flush=True, file=_results[-1] if _results else None)
         return
-    write_text_atomically(path, json_text(document))
-
-
-def json_text(document: dict[str, Any]) -> str:
-    """A result as JSON; NaN becomes null so that any reader takes it."""
-    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    write_result(path, document)

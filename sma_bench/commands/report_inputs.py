@@ -10,8 +10,8 @@ from sma_bench.records.record import Record
 from sma_bench.report.page import Section, Table
 from sma_bench.report.provenance import digest, versions
 from sma_bench.report.record_section import record_section
-from sma_bench.report.result_file import IdentifyResult, read_result
 from sma_bench.report.result_section import diagnose_section, identify_section
+from sma_bench.results import IdentifyResult, read_result
 
 _RESULT = ".json"
 

@@ -6,8 +6,7 @@ from typing import Any
 
 from sma_bench.border import read_json_object, shown
 from sma_bench.errors import InputError
-from sma_bench.report.quantities import in_print
-from sma_bench.report.result_file import DiagnoseResult, diagnosis_from
+from sma_bench.results import DiagnoseResult, diagnosis_from, in_print
 
 _MOST_CANDIDATES = 5
 _LEAST_SHOWN = 0.005

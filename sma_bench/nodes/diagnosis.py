@@ -7,9 +7,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from sma_bench.nodes.base import LATCHED, run_node
-from sma_bench.nodes.diagnosis_job import GapState, Job, gap_states
 from sma_bench.nodes.job_node import JobNode, job_executor
-from sma_bench.nodes.job_process import output_inside
+from sma_bench.results import GapState, gap_states
+from sma_bench.tasks.jobs import DiagnosisJob, output_inside
 
 
 class DiagnosisNode(JobNode):
@@ -28,11 +28,11 @@ class DiagnosisNode(JobNode):
         for name in ("improved", "report"):
             output_inside(settings["output_root"], settings[name], name)
 
-    def job(self) -> Job:
+    def job(self) -> DiagnosisJob:
         """The node's parameters, as they are now."""
-        return Job.from_settings(self.settings, self.parameters)
+        return DiagnosisJob.from_settings(self.settings, self.parameters)
 
-    def on_result(self, job: Job, result: str) -> None:
+    def on_result(self, job: DiagnosisJob, result: str) -> None:
         """Publish the gap."""
         states = gap_states(json.loads(result))
         message = DiagnosticArray(status=[self._status(state) for state in states])

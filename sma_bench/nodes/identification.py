@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from sma_bench.nodes.base import run_node
-from sma_bench.nodes.identification_job import Job
 from sma_bench.nodes.job_node import JobNode, job_executor
-from sma_bench.nodes.job_process import output_inside
+from sma_bench.tasks.jobs import IdentificationJob, output_inside
 
 
 class Identification(JobNode):
@@ -20,11 +19,11 @@ class Identification(JobNode):
         where = "output_directory"
         output_inside(settings["output_root"], settings[where], where)
 
-    def job(self) -> Job:
+    def job(self) -> IdentificationJob:
         """The node's parameters, as they are now."""
-        return Job.from_settings(self.settings, self.parameters)
+        return IdentificationJob.from_settings(self.settings, self.parameters)
 
-    def on_result(self, job: Job, _: str) -> None:
+    def on_result(self, job: IdentificationJob, _: str) -> None:
         """Say what it is from."""
         self.get_logger().info(f"identified from {', '.join(job.records)}")
 

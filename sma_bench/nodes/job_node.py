@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED, BenchNode
-from sma_bench.nodes.job_process import CANCELLED, Job, JobProcess, busy
+from sma_bench.tasks.jobs import CANCELLED, Job, JobProcess, busy
 
 # One request at work, one that is refused, and the node's other callbacks.
 _THREADS = 4

@@ -17,7 +17,7 @@ from sma_bench.protocols import parse_protocol
 from sma_bench.report.diagnosis_words import at_noise
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, new_figure
 from sma_bench.report.page import Picture
-from sma_bench.report.quantities import scale_of
+from sma_bench.results import scale_of
 
 Array = NDArray[np.float64]
 

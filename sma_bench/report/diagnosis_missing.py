@@ -11,7 +11,7 @@ from sma_bench.report.diagnosis_maps import PHASES
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.free_form import free_form
 from sma_bench.report.page import Picture
-from sma_bench.report.quantities import scale_of
+from sma_bench.results import scale_of
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from sma_bench.report.diagnosis_words import (
     with_error,
 )
 from sma_bench.report.page import Picture, Section, Table, write_report
-from sma_bench.report.quantities import in_print, scale_of
+from sma_bench.results import in_print, scale_of
 
 _LEAST_SHOWN = 0.005
 

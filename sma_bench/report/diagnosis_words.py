@@ -19,7 +19,7 @@ from sma_bench.diagnose.shrinkage import Shrinkage
 from sma_bench.diagnose.sizes import Cell
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.report.quantities import in_print
+from sma_bench.results import in_print
 
 _AT_NOISE = 1.05  # rms of the error over the noise of a sample
 _PHASES = {

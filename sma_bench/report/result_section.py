@@ -10,9 +10,8 @@ from sma_bench.report.diagnosis_figures import STAGE_COLOURS
 from sma_bench.report.diagnosis_words import with_error
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, new_figure
 from sma_bench.report.page import Picture, Section, Table
-from sma_bench.report.quantities import in_print
 from sma_bench.report.record_section import plain
-from sma_bench.report.result_file import DiagnoseResult, IdentifyResult, Number
+from sma_bench.results import DiagnoseResult, IdentifyResult, Number, in_print
 
 _LEAST_SHOWN = 0.005
 _MOST_BARS = 12

@@ -14,8 +14,8 @@ import pytest
 import yaml
 
 from sma_bench.cli import main
-from sma_bench.nodes.job_process import busy, told_share
 from sma_bench.records import read_record
+from sma_bench.tasks.jobs import busy, told_share
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = {

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from sma_bench.commands import progress_bar
-from sma_bench.commands.diagnose import diagnosis_steps
 from sma_bench.commands.progress_bar import Course, duration, progress
 from sma_bench.diagnose import search
 from sma_bench.diagnose.diagnosis import diagnose
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.progress import by_name, counted, in_turn, part, shares
+from sma_bench.tasks.work import diagnosis_steps
 
 WORK = """
 import sys, time

@@ -8,10 +8,10 @@ import pytest
 from planted import believed, drive, few_effects, planted_record
 
 from sma_bench.blind.answers import checked_answer
-from sma_bench.commands.output import json_text
 from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
 from sma_bench.physics import simulate
+from sma_bench.results import json_text
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 

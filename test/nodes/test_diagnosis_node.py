@@ -9,9 +9,10 @@ from std_msgs.msg import String
 
 from sma_bench.blind.answers import checked_answer
 from sma_bench.errors import InputError
-from sma_bench.nodes.diagnosis_job import Job, gap_states
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.results import gap_states
+from sma_bench.tasks.jobs import DiagnosisJob
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -90,11 +91,12 @@ def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
 def test_a_job_carries_what_was_given_and_not_the_defaults():
     settings = {p.name: p.default for p in NODE_TABLES["diagnosis"]}
     settings |= {"record": ("a",), "record_root": "/bags"}
-    job = Job.from_settings(settings, Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6}))
+    believed = Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
+    job = DiagnosisJob.from_settings(settings, believed)
     assert (job.records, job.hold_out, job.improved) == (["/bags/a"], [], "")
     assert (job.values, job.uncertainty) == ({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
     with pytest.raises(InputError, match="hold_out.*outside record_root"):
-        Job.from_settings(settings | {"hold_out": ("/etc",)}, Parameters.defaults())
+        DiagnosisJob.from_settings(settings | {"hold_out": ("/etc",)}, Parameters.defaults())
 
 
 def test_the_gap_warns_where_it_is_and_only_there():

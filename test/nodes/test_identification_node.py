@@ -8,13 +8,17 @@ import pytest
 from std_msgs.msg import String
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.identification_job import Job
-from sma_bench.nodes.job_process import output_inside, records_inside, require_own
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
 from sma_bench.protocols import parse_protocol
 from sma_bench.records.write import write_record
+from sma_bench.tasks.jobs import (
+    IdentificationJob,
+    output_inside,
+    records_inside,
+    require_own,
+)
 
 RATE = 50.0
 
@@ -172,6 +176,6 @@ def test_a_job_carries_what_was_given_and_not_the_defaults():
     settings = {p.name: p.default for p in NODE_TABLES["identification"]}
     settings["record"] = ("a", "")
     parameters = Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
-    job = Job.from_settings(settings, parameters)
+    job = IdentificationJob.from_settings(settings, parameters)
     assert (job.records, job.experiments) == (["a"], [])
     assert (job.values, job.uncertainty) == ({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})

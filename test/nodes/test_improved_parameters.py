@@ -6,11 +6,11 @@ from planted import believed, true_bench
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from sma_bench.commands.diagnose import write_improved
 from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
 from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics.effects import active_effects
+from sma_bench.tasks.work import write_improved
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
 PERFECT = SETTINGS | {

@@ -7,8 +7,8 @@ from planted import believed, true_bench
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64, Float64MultiArray
 
-from sma_bench.commands.diagnose import write_improved
 from sma_bench.parameters import write_parameters
+from sma_bench.tasks.work import write_improved
 
 EFFECT = "effect.side_heat_coupling.conductance"
 HIDDEN = {EFFECT: 0.002}

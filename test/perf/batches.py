@@ -11,10 +11,9 @@ from figures import Figure, Outcome, Skipped, at_most
 from timing import exponent
 from whole_commands import staircase_signals
 
-from sma_bench.batch import Task, on_cluster, on_processes
-from sma_bench.batch.task import IDENTIFY
 from sma_bench.parameters import Parameters
 from sma_bench.records.write import write_record
+from sma_bench.tasks.batch import IDENTIFY, Task, on_cluster, on_processes
 
 BAGS = 200
 _DURATION = 300.0  # s, of each

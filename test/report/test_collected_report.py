@@ -19,7 +19,7 @@ from sma_bench.records.write import write_record
 from sma_bench.report.courses import script, thinned
 from sma_bench.report.provenance import digest
 from sma_bench.report.record_section import record_section
-from sma_bench.report.result_file import read_result
+from sma_bench.results import read_result
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
 IDENTIFIED = {

@@ -15,7 +15,7 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.references import TEMPERATURE, load_reference
 from sma_bench.records import open_record, read_record
-from sma_bench.report.result_file import read_result
+from sma_bench.results import read_result
 
 PYRIS = """Filename:\tC:\\run.dcd
 Sample ID:\tNiTi wire

@@ -1,18 +1,96 @@
-"""Who does the tasks: processes of this machine, or the workers of a dask cluster.
+"""Many records, each by itself: tasks, and who does them.
 
-Both yield (index of the task, outcome) as soon as each is done, and end what still runs when the
-caller is interrupted, is killed or stops asking.
-"""
+Processes of this machine, or the workers of a dask cluster; both yield (index of the task, outcome)
+as soon as each is done, and end what still runs when the caller is interrupted, is killed or stops
+asking."""
 
+import time
 from collections import deque
 from collections.abc import Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from typing import Any
 
-from sma_bench.batch.task import Outcome, Task, run_task
 from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
 from sma_bench.worker_pool import WorkerPool
+
+# --- One record of a batch: what is to be done with it, and what came of it.
+
+IDENTIFY, DIAGNOSE = "identify", "diagnose"
+
+
+@dataclass(frozen=True)
+class Task:
+    """A record to identify or diagnose; travels to the process that does it.
+
+    Attributes:
+        kind: "identify" or "diagnose".
+        path: the record, where the worker sees it.
+        parameters: priors of the identification, or what the diagnosis holds against the record.
+    """
+
+    kind: str
+    path: str
+    parameters: Parameters
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one record.
+
+    Attributes:
+        result: the document that the command of this kind writes as JSON; None where it failed.
+        parameters: identified or improved; None where it failed.
+        error: why it failed, in one line; "" where it did not.
+        seconds: how long it took.
+    """
+
+    path: str
+    result: dict[str, Any] | None = None
+    parameters: Parameters | None = None
+    error: str = ""
+    seconds: float = 0.0
+
+
+def run_task(task: Task) -> Outcome:
+    """Do one task; whatever goes wrong with its record stays with it."""
+    begin = time.perf_counter()
+    try:
+        document, parameters = _WORK[task.kind](task)
+    except InputError as error:
+        reason = str(error)
+    except Exception as error:  # noqa: BLE001 (one record must not end the others)
+        reason = f"{task.path}: failed: {type(error).__name__}: {error}"
+    else:
+        return Outcome(task.path, document, parameters, "", time.perf_counter() - begin)
+    return Outcome(task.path, error=" ".join(reason.split()), seconds=time.perf_counter() - begin)
+
+
+def _identify(task: Task) -> tuple[dict[str, Any], Parameters]:
+    from sma_bench.identify import identify
+    from sma_bench.records import open_record
+
+    result = identify([open_record(task.path)], task.parameters)
+    return result.to_json(), result.parameters
+
+
+def _diagnose(task: Task) -> tuple[dict[str, Any], Parameters]:
+    from sma_bench.diagnose import diagnose
+    from sma_bench.records import read_record
+
+    result = diagnose([read_record(task.path)], task.parameters)
+    return result.to_json(), result.improved
+
+
+_WORK = {IDENTIFY: _identify, DIAGNOSE: _diagnose}
+
+
+# --- Who does the tasks: processes of this machine, or the workers of a dask cluster.
+#
+# Both yield (index of the task, outcome) as soon as each is done, and end what still runs when the
+# caller is interrupted, is killed or stops asking.
 
 MOST_JOBS = 1024
 _CONNECTING = "10s"

@@ -1,20 +1,22 @@
-"""Work that takes its time, as a process of its own, so that it cannot block a node. No ROS."""
+"""Identification and diagnosis as processes of their own, so that they cannot block a node."""
 
 import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from sma_bench.border import is_inside, read_bytes
 from sma_bench.errors import InputError
 from sma_bench.lifeline import end_with_parent, tied_to_this_process
-from sma_bench.progress import COMPILING, Report, silent
+from sma_bench.parameters import Parameters
+from sma_bench.progress import COMPILING, Report, part, silent
+from sma_bench.results import json_text, write_result
 
 CANCELLED = "cancelled on request"
 OWN_ROOT = "sma_bench_results"
@@ -22,16 +24,8 @@ _OWN_BEGINNINGS = (b"# Improved by ", b"# Identified by ", b'{\n  "parameters"')
 _LARGEST_RESULT = 1 << 26
 _BAD_INPUT = 2
 _TOLD = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
+_DIAGNOSED = 0.9  # of the time, about; the rest draws the report
 _BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
-
-
-class Job(Protocol):
-    """A dataclass of plain values that travel as JSON to its module, run as a program."""
-
-    __dataclass_fields__: Any
-
-    def run(self) -> str:
-        """The result as JSON."""
 
 
 class JobProcess:
@@ -43,7 +37,7 @@ class JobProcess:
         self._running: subprocess.Popen[str] | None = None
         self._killed = self._cancelled = False
 
-    def run(self, job: Job, report: Report = silent) -> str:
+    def run(self, job: "Job", report: Report = silent) -> str:
         """The job's result, waited for without using the processor.
 
         Args:
@@ -53,7 +47,7 @@ class JobProcess:
             InputError: what the job raised, or that it was ended.
         """
         process = self._running = subprocess.Popen(
-            [sys.executable, "-m", type(job).__module__],
+            [sys.executable, "-m", "sma_bench.tasks.jobs", type(job).__name__],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             # Ctrl-C in a terminal is for the node, which then ends this process.
             start_new_session=True, env=tied_to_this_process(),
@@ -115,20 +109,6 @@ def told_share(state: str) -> tuple[float, str] | None:
     """What `busy` put into a state; None of another one."""
     found = _BUSY.match(state)
     return (int(found["percent"]) / 100.0, found["what"]) if found else None
-
-
-def run_job(kind: Callable[..., Job]) -> int:
-    """The program: a job as JSON on standard input, its result on standard output."""
-    from sma_bench.compiled import when_compiling  # brings numba, which the node does without
-
-    end_with_parent()
-    when_compiling(lambda: tell(0.0, COMPILING))
-    try:
-        print(kind(**json.load(sys.stdin)).run(), end="")
-    except InputError as error:
-        print(error)
-        return _BAD_INPUT
-    return 0
 
 
 def records_inside(root: str, records: list[str], parameter: str = "record") -> list[str]:
@@ -206,3 +186,132 @@ def made_folder(path: str) -> Path:
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
     return folder
+
+
+# --- The two kinds of job.
+
+PARAMETER_FILE = "identified.yaml"
+RESULT_FILE = "identified.json"
+
+
+@dataclass(frozen=True)
+class IdentificationJob:
+    """What to identify from, and where the result goes; plain values that travel as JSON."""
+
+    records: list[str]
+    experiments: list[str]
+    output_directory: str
+    values: dict[str, Any]
+    uncertainty: dict[str, float]
+
+    @classmethod
+    def from_settings(
+        cls, settings: Mapping[str, Any], parameters: Parameters
+    ) -> "IdentificationJob":
+        """Snapshot of the identification node's parameters.
+
+        Raises:
+            InputError: no record, one outside `record_root`, or a result outside `output_root`.
+        """
+        return cls(
+            records=records_inside(settings["record_root"], given(settings["record"])),
+            experiments=given(settings["experiments"]),
+            output_directory=output_inside(
+                settings["output_root"], settings["output_directory"], "output_directory"
+            ),
+            values={name: parameters[name] for name in parameters.given},
+            uncertainty=parameters.given_uncertainty,
+        )
+
+    def run(self) -> str:
+        """Identify, write `identified.yaml` and `identified.json`, and return the latter's text.
+
+        Raises:
+            InputError: a record, an experiment or the output folder is not as it should be.
+        """
+        from sma_bench.tasks.work import identify_files, write_identified
+
+        parameters = Parameters(self.values, self.uncertainty)
+        result = identify_files(self.records, parameters, self.experiments or None, report=tell)
+        folder = made_folder(self.output_directory)
+        files = folder / PARAMETER_FILE, folder / RESULT_FILE
+        require_own(*files, parameter="output_directory")
+        write_identified(files[0], result, "the identification node", self.records)
+        write_result(files[1], result.to_json())
+        return json_text(result.to_json())
+
+
+@dataclass(frozen=True)
+class DiagnosisJob:
+    """What to diagnose, and where files go; plain values that travel as JSON."""
+
+    records: list[str]
+    hold_out: list[str]
+    improved: str
+    report: str
+    values: dict[str, Any]
+    uncertainty: dict[str, float]
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any], parameters: Parameters) -> "DiagnosisJob":
+        """Snapshot of the diagnosis node's parameters.
+
+        Raises:
+            InputError: no record, one outside `record_root`, or a result outside `output_root`.
+        """
+        root, held_out = settings["record_root"], given(settings["hold_out"])
+        output, improved = settings["output_root"], settings["improved"]
+        return cls(
+            records=records_inside(root, given(settings["record"])),
+            hold_out=records_inside(root, held_out, "hold_out") if held_out else [],
+            improved=output_inside(output, improved, "improved", ".yaml"),
+            report=output_inside(output, settings["report"], "report"),
+            values={name: parameters[name] for name in parameters.given},
+            uncertainty=parameters.given_uncertainty,
+        )
+
+    def run(self) -> str:
+        """Diagnose, write the files asked for, and return the contract's JSON.
+
+        Raises:
+            InputError: a record or a path is not as it should be.
+        """
+        from sma_bench.tasks.work import diagnose_files, write_improved
+
+        parameters = Parameters(self.values, self.uncertainty)
+        share = _DIAGNOSED if self.report else 1.0
+        result = diagnose_files(
+            self.records, self.hold_out, parameters, report=part(tell, 0.0, share)
+        )
+        if self.improved:
+            made_folder(str(Path(self.improved).parent))
+            write_improved(self.improved, result, "the diagnosis node")
+        if self.report:
+            from sma_bench.report.diagnosis_report import write_diagnosis_report
+
+            write_diagnosis_report(self.report, result, part(tell, share, 1.0))
+        return json_text(result.to_json())
+
+
+Job = IdentificationJob | DiagnosisJob
+JOBS: dict[str, type[Job]] = {
+    "IdentificationJob": IdentificationJob, "DiagnosisJob": DiagnosisJob,
+}
+
+
+def run_job(kind: str) -> int:
+    """The program: a job as JSON on standard input, its result on standard output."""
+    from sma_bench.compiled import when_compiling  # brings numba, which the node does without
+
+    end_with_parent()
+    when_compiling(lambda: tell(0.0, COMPILING))
+    try:
+        print(JOBS[kind](**json.load(sys.stdin)).run(), end="")
+    except InputError as error:
+        print(error)
+        return _BAD_INPUT
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(run_job(sys.argv[1]))

@@ -1,14 +1,48 @@
-"""Result files of `sma-bench identify` and `diagnose`, read back and checked (docs/topics.md)."""
+"""Result files of identify and diagnose (docs/topics.md): written, read back, checked, printed."""
 
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from sma_bench.border import read_json, read_text
 from sma_bench.errors import InputError
-from sma_bench.report.quantities import is_known
+from sma_bench.parameters.yaml_file import write_text_atomically
+
+# --- How measured quantities are printed for people.
+
+
+class Scale(NamedTuple):
+    """Unit on paper and the factor from SI to it."""
+
+    unit: str
+    factor: float
+
+
+_SCALES = {
+    "current": Scale("mA", 1e3), "temperature": Scale("K", 1.0), "deflection": Scale("mm", 1e3),
+}
+
+
+def scale_of(signal: str) -> Scale:
+    """Of a quantity, or of a signal `channel.quantity`."""
+    return _SCALES[signal.rpartition(".")[2]]
+
+
+def is_known(signal: str) -> bool:
+    """Whether it is of a quantity that can be printed."""
+    return signal.rpartition(".")[2] in _SCALES
+
+
+def in_print(signal: str, value: float) -> str:
+    """An SI value with its unit on paper, to two or three digits."""
+    unit, factor = scale_of(signal)
+    return f"{factor * value:.3g} {unit}"
+
+
+# --- Result files of `sma-bench identify` and `diagnose`, read back and checked (docs/topics.md).
 
 LARGEST = 1 << 24
 _LARGEST_NUMBER = 1e100
@@ -202,3 +236,85 @@ def _number(found: Any) -> float:
     if abs(found) > _LARGEST_NUMBER:
         raise ValueError(f"{found!r:.40} is beyond all measure")
     return float(found)
+
+
+# --- What a result says of the gap, in lines of `~/gap`.
+
+NO_GAP = "no_gap"
+_AT_NOISE = 1.05  # rms of the error over the noise of a sample
+
+
+@dataclass(frozen=True)
+class GapState:
+    """One line of `~/gap`: whether there is a gap, in words and in numbers."""
+
+    name: str
+    is_gap: bool
+    message: str
+    values: dict[str, str]
+
+
+def gap_states(result: Mapping[str, Any]) -> list[GapState]:
+    """The gap as a whole, and one state a measured quantity.
+
+    Args:
+        result: of a diagnosis, read from its JSON.
+    """
+    is_gap = result["verdict"] != NO_GAP
+    where = {key: str(result["where"][key]) for key in ("signal", "phase", "side", "stage")}
+    probability = f"{result['candidates'][0]['probability']:.3f}"
+    whole = GapState(
+        "sim-to-real gap", is_gap, _message(result),
+        {"verdict": result["verdict"], "probability": probability, **where},
+    )
+    return [whole, *(_of(q, s, is_gap) for q, s in result["shrinkage"].items())]
+
+
+def _message(result: Mapping[str, Any]) -> str:
+    likely = [c["name"] for c in result["candidates"] if c["probability"] > 0.1]
+    return {
+        "effect": f"explained by {' and '.join(result['cause'])}",
+        "recalibration": "the parameters are off",
+        NO_GAP: "none beyond the noise",
+        "ambiguous": f"one of {', '.join(likely)}",
+        "unexplained": "no effect of the library explains it",
+    }[result["verdict"]]
+
+
+def _of(quantity: str, shrinkage: Mapping[str, Any], is_gap: bool) -> GapState:
+    # JSON has null for a number that does not exist.
+    numbers = {key: math.nan if value is None else value for key, value in shrinkage.items()}
+    times = numbers["rmse_before"] / numbers["noise_floor"]
+    shown = is_gap and times > _AT_NOISE
+    message = f"{times:.1f} times the noise"
+    if shown:
+        message += f", {100.0 * numbers['fraction']:.0f} % of the gap gone with the improvement"
+    keys = ("rmse_before", "rmse_after", "noise_floor", "fraction")
+    values = {key: f"{numbers[key]:.4g}" for key in keys}
+    return GapState(f"sim-to-real gap: {quantity}", shown, message, values)
+
+
+# --- Written.
+
+def write_result(path: str | Path, document: dict[str, Any]) -> None:
+    """Write a result file, whole or not at all.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    write_text_atomically(path, json_text(document))
+
+
+def json_text(document: dict[str, Any]) -> str:
+    """A result as JSON; NaN becomes null so that any reader takes it."""
+    return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,103 @@
+"""From files to results and from results to files, for whoever asks."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from sma_bench.diagnose import Diagnosis, diagnose
+from sma_bench.estimation.observation import QUANTITIES
+from sma_bench.identify import Identification, identify
+from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters.effect_table import EFFECT_NAMES
+from sma_bench.progress import Report, by_name, in_turn, part, silent
+from sma_bench.records import open_record, read_record
+
+# Shares of the time, about, that reading takes.
+_READING, _READING_BAGS = 0.2, 0.05
+# Seconds that each step takes of a composite record, as `diagnose` names them.
+_PLAN = {
+    "records": 0.1,
+    "recalibration": 4.7,
+    **dict.fromkeys(EFFECT_NAMES, 0.4),
+    "effects instead of surprising parameters": 6.0,
+    "the best again, carefully": 0.5,
+    "pairs": 2.5,
+    "what is left": 0.7,
+    "shrinkage on data that no fit saw": 0.2,
+    "the next experiment": 2.0,
+}
+
+
+def identify_files(
+    paths: Sequence[str], parameters: Parameters, experiments: Sequence[str] | None = None,
+    namespace: str | None = None, report: Report = silent,
+) -> Identification:
+    """Identify from bags and instrument files (`identify/`).
+
+    Args:
+        paths: of the records; parameters: what is known beforehand.
+        experiments: of E1 to E10; all that the records allow when None.
+        namespace: where two benches are in one bag, the one to take.
+        report: told how far it is.
+
+    Raises:
+        InputError: a record that cannot be read, or nothing that can be identified.
+    """
+    reading = part(report, 0.0, _READING)
+    records = [
+        open_record(path, namespace)
+        for path in in_turn(paths, reading, lambda path: f"reading {path}")
+    ]
+    return identify(records, parameters, experiments, part(report, _READING, 1.0))
+
+
+def diagnose_files(
+    paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
+    quantities: Sequence[str] = QUANTITIES, report: Report = silent,
+) -> Diagnosis:
+    """Diagnose the gap between bags of one bench and its model (`diagnose/`).
+
+    Args:
+        paths: of the bags; hold_out: of those on which the shrinkage is measured.
+        parameters: as believed; quantities: that are compared.
+        report: told how far it is.
+
+    Raises:
+        InputError: a bag that cannot be read, or nothing that can be compared.
+    """
+    reading = part(report, 0.0, _READING_BAGS)
+    records = [
+        read_record(path)
+        for path in in_turn([*paths, *hold_out], reading, lambda path: f"reading {path}")
+    ]
+    told = diagnosis_steps(part(report, _READING_BAGS, 1.0))
+    seen = len(paths)
+    return diagnose(records[:seen], parameters, records[seen:], told, quantities)
+
+
+def diagnosis_steps(report: Report) -> Callable[[str], None]:
+    """Turns what a diagnosis says it is doing into a share of its time."""
+    return by_name(report, _PLAN)
+
+
+def write_identified(
+    path: str | Path, result: Identification, author: str, sources: Sequence[str]
+) -> None:
+    """Write the parameters with what was identified put in.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    comment = f"Identified by {author} from " + ", ".join(sources)
+    write_parameters(path, result.parameters, comment.replace("\n", " "))
+
+
+def write_improved(path: str | Path, result: Diagnosis, author: str) -> None:
+    """Write the improved parameters, those only that are not left at their default.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    names = [n for n in result.improved if n in result.improved.given]
+    sources = ", ".join(dict.fromkeys(view.path for view in result.observations))
+    comment = f"Improved by {author} from {sources}".replace("\n", " ")
+    write_parameters(path, result.improved, comment, names)
