@@ -10,8 +10,7 @@ import warnings
 from collections.abc import Sequence
 
 from sma_bench import __version__
-from sma_bench.commands.interrupts import terminated_as_interrupted
-from sma_bench.commands.parser import CommandParser, command_parser
+from sma_bench.commands.parser import CommandParser, command_parser, terminated_as_interrupted
 from sma_bench.errors import InputError
 from sma_bench.lifeline import end_with_parent
 
@@ -93,7 +92,9 @@ def _dispatch(arguments: list[str]) -> int:
     module.add_arguments(parser)
     parser.set_defaults(command_line=shlex.join(["sma-bench", *arguments]))
     args = parser.parse_args(rest)
-    from sma_bench.commands.output import results_apart  # --help does without what it brings along
+    from sma_bench.commands.terminal import (
+        results_apart,  # --help does without what it brings along
+    )
 
     with results_apart(args), terminated_as_interrupted():
         return module.run(args)

@@ -64,9 +64,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(autouse=True)
 def _no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a loaded machine any command may be slow enough to say so; errors are counted by line."""
-    from sma_bench.commands import progress_bar
+    from sma_bench.commands import terminal
 
-    monkeypatch.setattr(progress_bar, "FIRST_LINE", 1e6)
+    monkeypatch.setattr(terminal, "FIRST_LINE", 1e6)
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,8 @@
 
 import argparse
 
-from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.terminal import add_json_option, print_findings, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import audit
 

@@ -6,10 +6,15 @@ from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
-from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
-from sma_bench.commands.progress_bar import progress
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import (
+    add_json_option,
+    output_console,
+    print_findings,
+    print_table,
+    progress,
+    write_json,
+)
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import write_parameters

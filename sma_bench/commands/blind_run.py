@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parser import one_of
-from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.terminal import add_json_option, progress, write_json
 from sma_bench.errors import InputError
 from sma_bench.progress import counted
 

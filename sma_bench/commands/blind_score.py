@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sma_bench.commands.blind_run import print_failure
-from sma_bench.commands.output import add_json_option, write_json
-from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.terminal import add_json_option, progress, write_json
 from sma_bench.progress import counted
 
 if TYPE_CHECKING:

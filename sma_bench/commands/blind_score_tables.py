@@ -18,7 +18,7 @@ from sma_bench.blind.score import (
     side_by_side,
     summary,
 )
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import output_console, print_table
 
 _MET_STYLE = {"aim": "green", "floor": "yellow", "missed": "red", "": ""}
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from sma_bench.commands.output import add_json_option, write_json
+from sma_bench.commands.terminal import add_json_option, write_json
 from sma_bench.errors import InputError
 from sma_bench.hardware.known_loads import SENSORS, SensorFit, fit_sensor
 from sma_bench.hardware.link_status import Reading

@@ -5,9 +5,8 @@ import re
 from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json
-from sma_bench.commands.output import add_json_option, say, write_json
 from sma_bench.commands.parameter_options import named_value
-from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.terminal import add_json_option, progress, say, write_json
 from sma_bench.errors import InputError
 
 _LARGEST_ANSWER = 64 * MEGABYTE

@@ -63,11 +63,14 @@ def completion_script(shell: str) -> str:
     from sma_bench.cli import COMMANDS
 
     names = [n for n in COMMANDS if n not in ("run", "blind")]
-    parsers = {name: _parser(name, f"sma_bench.commands.{name}") for name in names}
-    for name in blind.COMMANDS:
-        parsers[f"blind {name}"] = _parser(name, f"sma_bench.commands.blind_{name}")
+    parsers = {
+        name: _parser(name, importlib.import_module(f"sma_bench.commands.{name}").add_arguments)
+        for name in names
+    }
+    for name, command in blind.SHOWN.items():
+        parsers[f"blind {name}"] = _parser(name, command.add_arguments)
     words = {name: _positional(parser) for name, parser in parsers.items()}
-    words |= {"blind": list(blind.COMMANDS), "run": sorted(NODE_TABLES)}
+    words |= {"blind": list(blind.SHOWN), "run": sorted(NODE_TABLES)}
     options = {name: sorted(parser._option_string_actions) for name, parser in parsers.items()}
     values = [
         _reply(f"{name} {option}", choices, 8, "; return")
@@ -83,9 +86,9 @@ def completion_script(shell: str) -> str:
     )
 
 
-def _parser(name: str, module: str) -> CommandParser:
+def _parser(name: str, add: Callable[[CommandParser], None]) -> CommandParser:
     parser = command_parser(name, None)
-    importlib.import_module(module).add_arguments(parser)
+    add(parser)
     return parser
 
 

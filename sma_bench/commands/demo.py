@@ -1,7 +1,7 @@
 """sma-bench demo: a simulated bench, identified and diagnosed through the real nodes.
 
-Two acts: Table I of a wire (demo_table), and a composite bench that hides an effect which the
-diagnosis has to name (demo_gap).
+Two acts (demo_acts): Table I of a wire, and a composite bench that hides an effect which the
+diagnosis has to name.
 """
 
 import argparse
@@ -10,9 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sma_bench.commands.output import add_json_option, write_json
-from sma_bench.commands.progress_bar import Course
-from sma_bench.commands.tables import output_console
+from sma_bench.commands.terminal import Course, add_json_option, output_console, write_json
 from sma_bench.errors import InputError
 
 _SEEDS = 2**31
@@ -45,10 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
-    from sma_bench.commands.demo_gap import gap_act
+    from sma_bench.commands.demo_acts import FITTED, QUICK, gap_act, simulated_truth, table_act
     from sma_bench.commands.demo_hardware import hardware_act
     from sma_bench.commands.demo_stage import make_folder
-    from sma_bench.commands.demo_table import FITTED, QUICK, simulated_truth, table_act
 
     course, console = Course(), output_console()
     if args.draw is not None and args.draw < 0:

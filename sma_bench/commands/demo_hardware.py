@@ -12,10 +12,9 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from sma_bench.commands.demo_acts import TABLE_ONE
 from sma_bench.commands.demo_stage import PATIENCE, Stage, recording_time
-from sma_bench.commands.demo_table import TABLE_ONE
-from sma_bench.commands.progress_bar import Course, progress
-from sma_bench.commands.tables import print_table
+from sma_bench.commands.terminal import Course, print_table, progress
 from sma_bench.emulation.build import missing_tools
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters

@@ -3,8 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.output import add_json_option, write_json
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import add_json_option, output_console, print_table, write_json
 
 if TYPE_CHECKING:
     from sma_bench.parameters.effect_table import Effect

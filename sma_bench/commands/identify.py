@@ -3,11 +3,17 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.output import add_json_option, print_findings, say, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import one_of
-from sma_bench.commands.progress_bar import progress
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import (
+    add_json_option,
+    output_console,
+    print_findings,
+    print_table,
+    progress,
+    say,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from sma_bench.identify import Identification

@@ -7,9 +7,14 @@ from rich.console import Console
 from rich.markup import escape
 
 from sma_bench.border import printable
-from sma_bench.commands.output import add_json_option, print_findings, write_json
-from sma_bench.commands.progress_bar import progress
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import (
+    add_json_option,
+    output_console,
+    print_findings,
+    print_table,
+    progress,
+    write_json,
+)
 from sma_bench.findings import Finding
 
 _MOST_MARKERS = 20

@@ -4,9 +4,8 @@ import argparse
 import time
 from pathlib import Path
 
-from sma_bench.commands.output import add_json_option, print_findings, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
-from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.terminal import add_json_option, print_findings, progress, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import in_turn, part

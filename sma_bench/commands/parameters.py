@@ -2,9 +2,8 @@
 
 import argparse
 
-from sma_bench.commands.output import add_json_option, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import add_json_option, output_console, print_table, write_json
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import parameter_page
 from sma_bench.parameters.node_tables import NODE_TABLES

@@ -4,9 +4,8 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sma_bench.commands.output import add_json_option, say, write_json
 from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
-from sma_bench.commands.progress_bar import progress
+from sma_bench.commands.terminal import add_json_option, progress, say, write_json
 from sma_bench.progress import in_turn, part
 
 _READING = 0.3  # of the time, about

@@ -3,8 +3,7 @@
 import importlib
 from collections.abc import Sequence
 
-from sma_bench.commands.examples import EXAMPLES
-from sma_bench.commands.parser import example_text
+from sma_bench.commands.parser import EXAMPLES, example_text
 from sma_bench.errors import InputError
 from sma_bench.nodes.start import start
 from sma_bench.parameters.node_tables import NODE_TABLES

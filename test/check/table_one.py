@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "firmware"))
 
 from virtual_port import VirtualPort
 
+from sma_bench.commands.demo_acts import TABLE_ONE, simulated_truth
 from sma_bench.commands.demo_hardware import PROTOCOLS, WITHIN_SIGMAS
-from sma_bench.commands.demo_table import TABLE_ONE, simulated_truth
 from sma_bench.emulation.build import build_emulator, build_firmware, missing_tools
 from sma_bench.emulation.emulated_uno import EmulatedUno
 from sma_bench.emulation.plant import Plant

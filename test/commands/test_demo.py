@@ -12,23 +12,25 @@ from rich.console import Console
 
 from sma_bench.blind.answers import checked_answer
 from sma_bench.cli import main
-from sma_bench.commands.demo_gap import HOLD_OUT, RECORD, print_argument
-from sma_bench.commands.demo_hidden import (
+from sma_bench.commands.demo_acts import (
+    FITTED,
     HIDEABLE,
+    HOLD_OUT,
+    QUICK,
+    RECORD,
+    TABLE_ONE,
+    VALIDATION,
+    confidently_wrong,
+    gap_on_new_drive,
     hidden_bench,
     hidden_effect,
     hidden_numbers,
-)
-from sma_bench.commands.demo_reveal import confidently_wrong, gap_on_new_drive, reveal
-from sma_bench.commands.demo_stage import Stage
-from sma_bench.commands.demo_table import (
-    FITTED,
-    QUICK,
-    TABLE_ONE,
-    VALIDATION,
+    print_argument,
     promise_holds,
+    reveal,
     simulated_truth,
 )
+from sma_bench.commands.demo_stage import Stage
 from sma_bench.identify import identify
 from sma_bench.nodes.discovery import USERS_VARIABLES
 from sma_bench.parameters import Parameters, read_parameters

@@ -10,16 +10,19 @@ from sma_bench.cli import COMMANDS, main
 from sma_bench.commands import blind
 
 PRINT_NO_RESULT = {"run", "completion", "blind", "dashboard"}
-WITH_RESULT = [
-    *(name for name in COMMANDS if name not in PRINT_NO_RESULT),
-    *(f"blind_{name}" for name in blind.COMMANDS),
-]
+WITH_RESULT = {
+    **{
+        name: importlib.import_module(f"sma_bench.commands.{name}").add_arguments
+        for name in COMMANDS if name not in PRINT_NO_RESULT
+    },
+    **{f"blind {name}": command.add_arguments for name, command in blind.SHOWN.items()},
+}
 
 
 @pytest.mark.parametrize("name", WITH_RESULT)
 def test_every_command_with_a_result_takes_json(name):
     parser = argparse.ArgumentParser()
-    importlib.import_module(f"sma_bench.commands.{name}").add_arguments(parser)
+    WITH_RESULT[name](parser)
     (json_option,) = [a for a in parser._actions if "--json" in a.option_strings]
     assert json_option.nargs == "?" and json_option.const == "-"
 

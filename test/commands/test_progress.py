@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sma_bench.commands import progress_bar
-from sma_bench.commands.progress_bar import Course, duration, progress
+from sma_bench.commands import terminal
+from sma_bench.commands.terminal import Course, duration, progress
 from sma_bench.diagnose import search
 from sma_bench.diagnose.diagnosis import diagnose
 from sma_bench.physics.effects import EFFECTS
@@ -21,9 +21,9 @@ from sma_bench.tasks.work import diagnosis_steps
 
 WORK = """
 import sys, time
-from sma_bench.commands import progress_bar
-progress_bar.FIRST_BAR, progress_bar.FIRST_LINE, progress_bar.NEXT_LINE = 0.1, 0.3, 0.3
-with progress_bar.progress("work") as report:
+from sma_bench.commands import terminal
+terminal.FIRST_BAR, terminal.FIRST_LINE, terminal.NEXT_LINE = 0.1, 0.3, 0.3
+with terminal.progress("work") as report:
     for k in range(10):
         report(k / 10, "数据 of a long name that no terminal of forty columns can show whole")
         time.sleep(0.1)
@@ -135,7 +135,7 @@ def test_a_dumb_terminal_gets_lines():
 def test_nothing_is_said_of_what_is_over_in_a_moment(monkeypatch):
     said = io.StringIO()
     monkeypatch.setattr(sys, "stderr", said)
-    monkeypatch.setattr(progress_bar, "FIRST_LINE", 5.0)
+    monkeypatch.setattr(terminal, "FIRST_LINE", 5.0)
     with progress("work") as report:
         report(0.5, "half")
     assert said.getvalue() == ""
@@ -145,7 +145,7 @@ def test_the_display_ends_with_an_error(monkeypatch):
     monkeypatch.setattr(sys, "stderr", io.StringIO())
     with pytest.raises(KeyError), progress("work"):
         raise KeyError
-    assert "work" not in [thread.name for thread in progress_bar.threading.enumerate()]
+    assert "work" not in [thread.name for thread in terminal.threading.enumerate()]
 
 
 def on_a_terminal(program, columns, **environment):

@@ -7,7 +7,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from sma_bench.cli import main
-from sma_bench.commands.tables import output_console, print_table
+from sma_bench.commands.terminal import output_console, print_table
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 

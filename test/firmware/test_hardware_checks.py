@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
 import fuzz  # noqa: E402
 import table_one  # noqa: E402
 
+from sma_bench.commands.demo_acts import TABLE_ONE  # noqa: E402
 from sma_bench.commands.demo_hardware import LARGEST_RELATIVE_STD, WITHIN_SIGMAS  # noqa: E402
-from sma_bench.commands.demo_table import TABLE_ONE  # noqa: E402
 
 
 def program(folder: Path, text: str) -> Path:

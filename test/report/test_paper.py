@@ -11,8 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sma_bench.cli import main
-from sma_bench.commands.paper_drawing import paper_page
-from sma_bench.commands.paper_records import sort_records
+from sma_bench.commands.paper_drawing import paper_page, sort_records
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length_from_mass

@@ -48,7 +48,7 @@ from campaign.parser_seeds import (
 )
 from sma_bench.border import read_json
 from sma_bench.cli import main
-from sma_bench.commands import progress_bar
+from sma_bench.commands import terminal
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.references import TEMPERATURE, load_reference
@@ -375,7 +375,7 @@ COMMANDS: dict[str, Callable[[Case, Path], list[str]]] = {
 
 def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` inputs, each through all commands."""
-    progress_bar.FIRST_LINE = 1e6  # said on a machine that is busy with something else
+    terminal.FIRST_LINE = 1e6  # said on a machine that is busy with something else
     names = [name for name, (weight, _) in MAKERS.items() for _ in range(weight)]
     tried: Counter[str] = Counter()
     refused: Counter[str] = Counter()
