@@ -54,6 +54,7 @@ setup(
     extras_require={
         "cluster": ["distributed"],
         "notebook": ["pandas"],
+        "parquet": ["pyarrow"],
         "test": ["pytest", "hypothesis"],
     },
     zip_safe=False,

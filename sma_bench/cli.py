@@ -16,6 +16,7 @@ from sma_bench.lifeline import end_with_parent
 
 COMMANDS = {
     "info": "what a record holds and whether it can be trusted",
+    "import": "tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
     "identify": "parameters of Table I from bags and instrument files",
     "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
     "batch": "many records, each identified or diagnosed by itself, on all cores or a cluster",

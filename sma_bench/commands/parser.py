@@ -17,6 +17,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "info my_bag",
         "info two_benches --namespace /left --json info.json",
     ),
+    "import": (
+        "import run.csv --params rig.yaml --out run",
+        "import monday.xlsx tuesday.xlsx --map run.map.yaml --out week --json week.json",
+    ),
     "identify": (
         "identify my_bag --params lab.yaml --out identified.yaml",
         "identify staircase ramp DSC.txt --report identified --json identified.json",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records.contract import unit_of
+from sma_bench.records.contract import COLDEST_BENCH, unit_of
 from sma_bench.records.record import FloatArray, Record, Signal
 
 TIME = "time"
@@ -155,6 +155,11 @@ def _signal(where: str, name: str, unit: str, time: Any, values: Any) -> Signal:
         k = int(backward[0]) if backward.size else 0
         around = ", ".join(f"{t:g}" for t in seconds[k : k + 2])
         raise InputError(f"{where}: {name}: times {around} s, expected finite and increasing")
+    if unit == "K" and len(numbers) and numbers.max() < COLDEST_BENCH:
+        raise InputError(
+            f"{where}: {name} is {numbers.min():.4g} to {numbers.max():.4g}, expected kelvin; of "
+            "Celsius add 273.15"
+        )
     return Signal(name, unit, seconds, numbers)
 
 

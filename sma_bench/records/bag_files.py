@@ -8,8 +8,16 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
-from sma_bench.border import OverBudget, is_inside, read_yaml, require_there
+from sma_bench.border import (
+    OverBudget,
+    is_inside,
+    read_json_object,
+    read_yaml,
+    require_there,
+    shown,
+)
 from sma_bench.errors import InputError
+from sma_bench.findings import Finding
 from sma_bench.records import mcap_scan, sqlite_scan
 from sma_bench.records.compression import ZSTD_MAGIC, decompress_file
 from sma_bench.records.harvest import Harvest
@@ -17,7 +25,9 @@ from sma_bench.records.harvest import Harvest
 T = TypeVar("T")
 
 METADATA = "metadata.yaml"
+PROVENANCE = "sma_bench_provenance"  # key of custom_data in it
 _LONGEST_NAME = 255  # bytes, on every file system
+_LONGEST_TOLD, _MOST_SENTENCES = 2000, 50  # of a provenance: characters, signals
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _SCANNERS = {
     mcap_scan.MAGIC: mcap_scan.scan_mcap,
@@ -106,6 +116,7 @@ def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFile
         text = "cannot be understood; the storage files found beside it are read"
         harvest.lost(METADATA, text)
         return BagFiles(present)
+    _tell_provenance(information.get("custom_data"), harvest)
     names = [name for name in dict.fromkeys(names) if len(os.fsencode(name)) <= _LONGEST_NAME]
     files = [path / name for name in names if is_inside(path / name, path)]
     for missing in (file for file in files if not file.is_file()):
@@ -118,6 +129,22 @@ def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFile
             harvest.lost(extra.name, text)
             files.append(extra)
     return BagFiles([file for file in files if file.is_file()], promised)
+
+
+def _tell_provenance(custom: Any, harvest: Harvest) -> None:
+    """A finding of where an imported bag comes from."""
+    text = custom.get(PROVENANCE) if isinstance(custom, dict) else None
+    if not isinstance(text, str):
+        return
+    try:
+        said = read_json_object(text, PROVENANCE)
+    except InputError as error:
+        harvest.findings.append(Finding("warning", METADATA, str(error)))
+        return
+    how = said.get("how")
+    parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
+    parts += [str(part) for part in how[:_MOST_SENTENCES]] if isinstance(how, list) else []
+    harvest.findings.append(Finding("info", "record", shown("; ".join(parts), _LONGEST_TOLD)))
 
 
 def _of(kind: type[T], value: Any) -> T:

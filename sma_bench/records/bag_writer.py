@@ -7,7 +7,7 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -58,6 +58,7 @@ class BagWriter:
         storage: str = "mcap",
         compress: bool = True,
         flush_every: float = _FLUSH_EVERY,
+        custom_data: Mapping[str, str] | None = None,
     ) -> None:
         """Begin a bag.
 
@@ -67,6 +68,7 @@ class BagWriter:
             compress: the chunks of an mcap.
             flush_every: s of wall time between flushes. Where the chunks end depends on it; with
                 inf they are full, and the bytes depend on the messages alone.
+            custom_data: texts by name for metadata.yaml, which rosbag2 keeps a place for.
         """
         self.path = Path(path)
         if storage not in STORAGES:
@@ -82,6 +84,8 @@ class BagWriter:
         self._closed = False
         self._flush_every, self._next_flush = flush_every, 0.0
         self._writer = Writer(self.path, version=_FORMAT_VERSION, storage_plugin=STORAGES[storage])
+        for key, text in (custom_data or {}).items():
+            self._writer.set_custom_data(key, text)
         self._live = storage == "mcap"
         if compress and self._live:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -257,7 +261,7 @@ class BagWriter:
                     "message_count": count,
                 }
             ],
-            "custom_data": None,
+            "custom_data": writer.custom_data or None,
             "ros_distro": "jazzy",
         }
         return yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sma_bench.findings import Finding, Severity
+from sma_bench.records import contract
 from sma_bench.records.record import FloatArray, Record, Signal
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
@@ -191,6 +192,12 @@ def _temperature_sense(name: str, low: float, high: float) -> Iterator[Finding]:
         yield Finding("error", name, text, numbers)
     elif low < 0:
         text = f"{low - 273.15:.1f} degC lies below absolute zero"
+        yield Finding("error", name, text, numbers)
+    elif high < contract.COLDEST_BENCH:
+        text = (
+            f"{low:.4g} to {high:.4g} K, colder than any bench; Celsius taken for kelvin, or "
+            "converted twice?"
+        )
         yield Finding("error", name, text, numbers)
 
 

@@ -34,6 +34,8 @@ CONTRACT: tuple[tuple[tuple[str, ...], str], ...] = (
 NOT_DECODED = frozenset({IMAGE})
 
 CELSIUS_ZERO = 273.15
+# Carbon dioxide's ice has 195 K: "kelvin" that are always below it were written in Celsius.
+COLDEST_BENCH = 190.0
 
 # What lies below it is predicted, not measured: neither recorded nor read.
 TWIN = "twin"

@@ -17,6 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import FloatArray
+from sma_bench.records.tables import is_text, read_lines
 from sma_bench.records.text_table import head_of
 
 SegmentKind = Literal["heating", "cooling", "isothermal"]
@@ -130,6 +131,8 @@ def read_dsc(path: str | Path) -> DscRecord:
 
 
 def _lines(path: Path) -> list[str]:
+    if not is_text(path):
+        return read_lines(path)
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise InputError(f"{path}: too large for a DSC export")

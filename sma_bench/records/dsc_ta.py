@@ -23,6 +23,7 @@ from sma_bench.records.text_table import (
     name_and_unit,
     plain_unit,
     read_lines,
+    read_text_table,
 )
 
 _START = "StartOfData"
@@ -75,7 +76,51 @@ def is_ta_dsc(path: Path) -> bool:
     """Whether a file looks like a DSC text export of Universal Analysis or TRIOS."""
     head = head_of(path, 65536)
     universal = b"StartOfData" in head and b"Sig1" in head and b"DSC" in head
-    return universal or (b"[step]" in head and b"Heat Flow" in head)
+    return universal or (b"[step]" in head and b"Heat Flow" in head) or _is_plain(path, head)
+
+
+def _is_plain(path: Path, head: bytes) -> bool:
+    """Whether a file is a table with titles of time, temperature and heat flow, and no more."""
+    lower = head.lower()
+    if not all(word in lower for word in (b"heat", b"flow", b"temp", b"time")):
+        return False
+    try:
+        return _plain_block(path) is not None
+    except InputError:
+        return False
+
+
+def _plain_block(path: Path) -> "_Block | None":
+    table = read_text_table(path)
+    named = [name_and_unit(title) for title in table.titles]
+    plain = [(part[0].lower().replace("_", " "), part[1]) if part else ("", "") for part in named]
+    names = tuple(name for name, _ in plain)
+    wanted = all(any(n.startswith(w) for n in names) for w in ("time", "temperature", "heat flow"))
+    units = tuple(unit for _, unit in plain)
+    return _Block("", names, units, table.values, int(table.lines[0])) if wanted else None
+
+
+def _plain_segments(
+    path: Path, lines: Sequence[str]
+) -> tuple[float, dict[str, str], tuple[DscSegment, ...], tuple[Finding, ...]]:
+    """Mass, header, segments and findings of a table with titles. Heat flow for a gram needs no
+    mass: one of 1 mg gives the same."""
+    block = _plain_block(path)
+    if block is None:
+        raise InputError(f"{path}: neither {_START} nor {_STEP} in it, expected a TA DSC export")
+    header = {key.rstrip(":"): value for key, value in _key_values(lines[: block.line - 1]).items()}
+    for line in lines[: block.line - 1]:
+        key, colon, value = line.partition(":")
+        if colon:
+            header.setdefault(key.strip(), value.strip())
+    findings: tuple[Finding, ...] = ()
+    if not any(key in header for key in _MASS_KEYS) and block.column(path, "heat")[1] == "w/g":
+        header["Size"] = "1 mg"
+        text = f"{path}: no sample mass; heat flow is for a gram, so 1 mg is taken"
+        findings = (Finding("warning", "sample mass", text),)
+    mass = _mass(path, header)
+    segments, more = _cut(path, block, mass, ())
+    return mass, header, segments, (*findings, *more)
 
 
 def read_ta_dsc(path: str | Path) -> TaDscRecord:
@@ -97,7 +142,7 @@ def read_ta_dsc(path: str | Path) -> TaDscRecord:
         mass = _mass(path, header)
         segments, findings = _trios_segments(path, stripped, mass)
     else:
-        raise InputError(f"{path}: neither {_START} nor {_STEP} in it, expected a TA DSC export")
+        mass, header, segments, findings = _plain_segments(path, stripped)
     if not any(segment.kind != "isothermal" for segment in segments):
         raise InputError(f"{path}: no heating or cooling in it, expected a DSC scan")
     if "Sample" in header:

@@ -13,6 +13,7 @@ from sma_bench.records.text_table import (
     FloatArray,
     TextTable,
     find_column,
+    is_driven,
     plain_unit,
     read_lines,
     read_text_table,
@@ -69,6 +70,8 @@ def is_isobaric(path: Path) -> bool:
     if not table.titles:
         temperature = table.values[:, 0]
         return table.values.shape[1] == 3 and float(np.ptp(temperature)) > SMALLEST_RANGE
+    if is_driven(table):
+        return False
     found = find_column(table, _TEMPERATURE, ("temperature",))
     others = (find_column(table, ("stress",), ("stress",)),
               find_column(table, _STRAIN, ("strain", "length")))
@@ -174,6 +177,8 @@ def _titled(
                 f"{', '.join(table.titles)}"
             )
     assert temperature and stress and strain
+    for used in (temperature, stress, strain):
+        findings += used[0].remark(table.path)
     kelvin, pascal, other = (
         to_si(table.values[:, column.index], kind, column.unit)
         for column, kind in (temperature, stress, strain)

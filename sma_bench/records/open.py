@@ -10,7 +10,9 @@ from sma_bench.records.dsc import DscRecord, is_dsc, read_dsc
 from sma_bench.records.dsc_ta import is_ta_dsc, read_ta_dsc
 from sma_bench.records.isobaric import IsobaricRecord, is_isobaric, read_isobaric
 from sma_bench.records.record import Record
+from sma_bench.records.tables import read_table_file
 from sma_bench.records.tensile import TensileRecord, is_tensile, read_tensile
+from sma_bench.records.text_table import near_miss, read_text_table
 
 AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 
@@ -34,7 +36,30 @@ def open_record(path: str | Path, namespace: str | None = None) -> AnyRecord:
     for recognises, read in _INSTRUMENTS:
         if recognises(path):
             return read(path)
+    _refuse_table(path)
     raise InputError(
         f"{path}: neither a bag (folder, .mcap, .db3) nor an instrument file known here (DSC "
         "export of PerkinElmer or TA, isobaric test, tensile test)"
     )
+
+
+def _refuse_table(path: Path) -> None:
+    """InputError that says what a table lacks, or how the table of a logger becomes a record."""
+    try:
+        table = read_table_file(path)
+    except InputError:
+        return
+    if missing := _missing(path):
+        raise InputError(f"{path}: {missing}")
+    if len(table.columns) > 1:
+        raise InputError(
+            f"{path}: a table of another logger ({table.format}); make a record of it: sma-bench "
+            f"import {path.name} --out {path.stem}"
+        )
+
+
+def _missing(path: Path) -> str:
+    try:
+        return near_miss(read_text_table(path))
+    except InputError:
+        return ""

@@ -14,6 +14,7 @@ from sma_bench.records.text_table import (
     FloatArray,
     TextTable,
     find_column,
+    is_driven,
     read_text_table,
     to_si,
 )
@@ -54,6 +55,8 @@ def is_tensile(path: Path) -> bool:
         table = read_text_table(path)
     except InputError:
         return False
+    if is_driven(table):
+        return False
     pairs = (
         (("strain",), "strain", ("stress",), "stress"), (_EXTENSION, "length", _FORCE, "force")
     )
@@ -93,12 +96,12 @@ def read_tensile(
         raise InputError(f"{path}: no titles above the numbers, expected Strain (%),Stress (MPa)")
     if len(table.values) < FEWEST_ROWS:
         raise InputError(f"{path}: {len(table.values)} rows, expected {FEWEST_ROWS} or more")
+    findings: list[Finding] = []
     strain = _either(table, ("strain",), "strain", _EXTENSION, "length", gauge_length,
-                     "gauge length")
-    stress = _either(table, ("stress",), "stress", _FORCE, "force", area, "area")
+                     "gauge length", findings)
+    stress = _either(table, ("stress",), "stress", _FORCE, "force", area, "area", findings)
     _check(table, strain, "strain", LARGEST_STRAIN)
     _check(table, stress, "stress", LARGEST_STRESS)
-    findings: list[Finding] = []
     if temperature is None:
         temperature = _temperature(table, findings)
     return TensileRecord(path, strain, stress, temperature, tuple(findings))
@@ -112,10 +115,12 @@ def _either(
     other_kind: str,
     divisor: float | None,
     divisor_name: str,
+    findings: list[Finding],
 ) -> FloatArray:
     """A column in its own right, or another one over what the specimen measures."""
     found = find_column(table, words, (kind,))
     if found is not None and (kind == "strain" or found[0].unit):
+        findings += found[0].remark(table.path)
         return _column_values(table, found)
     other = find_column(table, other_words, (other_kind,))
     if other is None:
@@ -127,6 +132,7 @@ def _either(
         raise InputError(
             f"{table.path}: {other[0].name} instead of {kind} needs the specimen's {divisor_name}"
         )
+    findings += other[0].remark(table.path)
     return _column_values(table, other) / divisor
 
 

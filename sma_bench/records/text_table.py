@@ -9,21 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
+from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
+from sma_bench.records.table_cells import name_and_unit
+from sma_bench.records.tables import CANDIDATES, format_of, read_lines
 
 FloatArray = NDArray[np.float64]
 
-LARGEST_FILE = 200_000_000  # bytes
-_CANDIDATES: tuple[tuple[str | None, str], ...] = (
-    ("\t", "."),
-    (";", "."),
-    (",", "."),
-    (None, "."),
-    (";", ","),
-    ("\t", ","),
-    (None, ","),
-)  # separator (None: blanks) and decimal sign
 # Possessive: thousands of digits that end in a letter would be tried again at each of them.
+_HEAD_LINES = 200
+_LARGEST_STRAIN = 0.5  # as a ratio: NiTi breaks before
+_DRIVES = ("duty", "pwm", "volt", "current")
+_GUESSES = {"force": "N", "length": "mm"}
 _NUMBER = re.compile(
     r"[+-]?(\d++\.?+\d*+|\.\d++)([eE][+-]?\d++)?\Z|[+-]?(nan|inf)\Z", re.IGNORECASE
 )
@@ -79,11 +76,20 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Column:
-    """One column by its title: position, name and unit as written ("" where none is given)."""
+    """One column by its title: position, name, and unit as written or, where `is_guessed`, taken
+    for granted."""
 
     index: int
     name: str
     unit: str
+    is_guessed: bool = False
+
+    def remark(self, path: Path) -> list[Finding]:
+        """That the unit is a guess, where it is one."""
+        if not self.is_guessed:
+            return []
+        text = f"{path}: {self.name} has no unit; taken as {self.unit} because of its values"
+        return [Finding("warning", f"unit of {self.name}", text)]
 
 
 def read_text_table(path: Path | str) -> TextTable:
@@ -127,31 +133,12 @@ def head_of(path: Path, size: int) -> bytes:
     """
     try:
         with path.open("rb") as file:
-            return file.read(size).replace(b"\0", b"")
+            head = file.read(size)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def read_lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8, UTF-16 or Latin-1.
-
-    Raises:
-        InputError: the file is absent, unreadable, binary or larger than any such file.
-    """
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: {path.stat().st_size} bytes, expected a text file")
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", errors="replace").splitlines()
-    if b"\0" in content:
-        raise InputError(f"{path}: holds zero bytes, expected a text file")
-    try:
-        return content.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        return content.decode("latin-1").splitlines()
+    if format_of(head) == "text":
+        return head.replace(b"\0", b"")
+    return "\n".join(read_lines(path)[:_HEAD_LINES]).encode()[:size]
 
 
 def find_column(
@@ -165,7 +152,8 @@ def find_column(
         units: keys of UNITS, one of which must know the column's unit.
 
     Returns:
-        The column and the key of UNITS that knows its unit, or None.
+        The column and the key of UNITS that knows its unit, or None. Where the title has no unit
+        and the values make one likely, the column has that and says so (`Column.remark`).
     """
     columns = [_column(i, title) for i, title in enumerate(table.titles)]
     for word in words:
@@ -173,9 +161,44 @@ def find_column(
             if word not in column.name.lower():
                 continue
             for kind in units:
+                if not column.unit and (guess := _guess(kind, table.values[:, column.index])):
+                    return Column(column.index, column.name, guess, True), kind
                 if plain_unit(column.unit) in UNITS[kind]:
                     return column, kind
     return None
+
+
+def _guess(kind: str, values: FloatArray) -> str:
+    """The unit of a column whose title has none; "" where its values leave it open."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if kind == "temperature":
+        return "K" if float(values.min(initial=0.0)) > 180.0 else "C"
+    if kind == "stress":
+        return "Pa" if largest > 1e5 else "MPa"
+    if kind == "strain":
+        return "%" if largest > _LARGEST_STRAIN else ""
+    return _GUESSES.get(kind, "")
+
+
+def is_driven(table: TextTable) -> bool:
+    """Whether a title speaks of a duty, voltage or current: a bench's record, no instrument's."""
+    return any(word in title.lower() for word in _DRIVES for title in table.titles)
+
+
+def near_miss(table: TextTable) -> str:
+    """What a table lacks to be an isobaric or tensile test; "" where it has little of either."""
+    kinds = {"temperature": ("temp",), "strain": ("strain",), "stress": ("stress",),
+             "force": ("force", "load"), "length": ("extension", "elongation")}  # fmt: skip
+    has = {kind for kind, words in kinds.items() if find_column(table, words, (kind,))}
+    bad = [t for t in table.titles for words in kinds.values()
+           if any(w in t.lower() for w in words) and not has]  # fmt: skip
+    if {"temperature", "strain"} <= has or {"temperature", "length"} <= has:
+        return "no stress column: an isobaric test has temperature, strain and stress"
+    if "stress" in has:
+        return "no strain column: a tensile test has strain and stress"
+    if "strain" in has:
+        return "no stress column: a tensile test has strain and stress"
+    return f"the unit of {bad[0]!r} is not known" if bad else ""
 
 
 def to_si(values: FloatArray, kind: str, unit: str) -> FloatArray:
@@ -200,19 +223,6 @@ def plain_unit(unit: str) -> str:
     return re.sub(r"[°º^\s]", "", plain)
 
 
-def name_and_unit(title: str) -> tuple[str, str] | None:
-    """`Stress, true (MPa)` or `... [MPa]` in its parts; None where no brackets end it."""
-    text = title.strip()
-    if not text.endswith((")", "]")):
-        return None
-    inner = text[:-1]
-    before = max(inner.rfind(")"), inner.rfind("]")) + 1
-    opening = re.compile(r"[(\[]").search(inner, before)
-    if opening is None:
-        return None
-    return inner[: opening.start()].rstrip(" \t,_"), inner[opening.end() :].strip()
-
-
 def _column(index: int, title: str) -> Column:
     if parts := name_and_unit(title):
         return Column(index, *parts)
@@ -227,7 +237,7 @@ def _dialect(rows: Sequence[str]) -> tuple[str | None, str]:
         tables = (_numbers(row, *candidate) for row in rows[:2000])
         return sum(len(numbers) for numbers in tables if numbers and len(numbers) > 1)
 
-    return max(_CANDIDATES, key=count)
+    return max(CANDIDATES, key=count)
 
 
 def _split(row: str, separator: str | None) -> list[str]:

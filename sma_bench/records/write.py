@@ -1,16 +1,19 @@
 """Writes signals as a bag of the contract."""
 
+import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
+from sma_bench.records.bag_files import PROVENANCE
 from sma_bench.records.bag_writer import STILL_READABLE, BagWriter
 from sma_bench.records.messages import Stream, marker_stream, streams_of
 from sma_bench.records.record import Record, Signal
@@ -28,6 +31,7 @@ def write_record(
     storage: str = "mcap",
     start_ns: int | None = None,
     markers: Iterable[tuple[float, str]] = (),
+    provenance: Mapping[str, Any] | None = None,
     report: Report = silent,
 ) -> None:
     """Write a record, or signals, as a bag; the bag appears whole or not at all.
@@ -45,6 +49,8 @@ def write_record(
         storage: "mcap" or "sqlite3".
         start_ns: epoch time of t = 0 in ns; the record's own, else 0.
         markers: (time in s, text), added to the record's own.
+        provenance: where the signals come from, kept in metadata.yaml (`source`, `sha256`, `how`
+            and whatever else, as JSON) and told by `read_record`.
         report: told how far it is.
 
     Raises:
@@ -59,7 +65,11 @@ def write_record(
         streams.append(marker_stream(texts, prefix, start))
     if not streams:
         raise InputError(f"{path}: no signals to write, expected at least one")
-    with _beside(path) as temporary, BagWriter(temporary, storage, flush_every=inf) as writer:
+    custom = {PROVENANCE: json.dumps(dict(provenance))} if provenance else None
+    with (
+        _beside(path) as temporary,
+        BagWriter(temporary, storage, flush_every=inf, custom_data=custom) as writer,
+    ):
         _write_streams(writer, streams, report)
 
 

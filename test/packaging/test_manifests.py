@@ -16,12 +16,15 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Module, its name at the package index, its rosdep key.
 THIRD_PARTY = {
+    "h5py": ("h5py", "python3-h5py"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "lz4": ("lz4", None),  # comes with rosbags
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "PIL": ("pillow", "python3-pil"),
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
+    "openpyxl": ("openpyxl", "python3-openpyxl"),
+    "pint": ("pint", "python3-pint"),
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "ruamel": ("ruamel-yaml", None),  # comes with rosbags
@@ -32,7 +35,8 @@ THIRD_PARTY = {
     "zstandard": ("zstandard", None),  # a Debian package, but no rosdep key
 }
 # The same of what the package does without, with the extra of setup.py that names it.
-OPTIONAL = {"distributed": ("distributed", "cluster"), "pandas": ("pandas", "notebook")}
+OPTIONAL = {"distributed": ("distributed", "cluster"), "pandas": ("pandas", "notebook"),
+            "pyarrow": ("pyarrow", "parquet")}
 ROS = re.compile(r"rclpy|rosidl_\w+|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 
 

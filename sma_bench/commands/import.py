@@ -1,0 +1,180 @@
+"""sma-bench import: tables of other loggers to bags of the contract."""
+
+import argparse
+import re
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sma_bench.commands.terminal import add_json_option, print_findings, write_json
+from sma_bench.errors import InputError
+
+if TYPE_CHECKING:
+    from sma_bench.records.import_proposal import Bench
+
+MAP_SUFFIX = ".map.yaml"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "files", metavar="FILE", nargs="+",
+        help="CSV, TSV or text, Excel (.xlsx), MATLAB (.mat), HDF5 or Parquet; each is one run",
+    )
+    parser.add_argument(
+        "--map", metavar="MAP.yaml", dest="map_file",
+        help="which column is what; proposed and written beside --out when not given",
+    )
+    parser.add_argument(
+        "--params", metavar="P.yaml",
+        help="the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
+    )
+    parser.add_argument(
+        "--out", metavar="BAG", required=True,
+        help="bag to write (new folder); of several files, a folder with a bag for each",
+    )
+    parser.add_argument("--force", action="store_true", help="replace bags and maps that exist")
+    add_json_option(parser, "what was imported")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read every file, then write every bag: a file that is wrong leaves none of them."""
+    from sma_bench.records.import_map import read_map
+    from sma_bench.records.import_proposal import Bench
+
+    given = read_map(args.map_file) if args.map_file else None
+    bench = _bench(args.params) if args.params else Bench()
+    outputs = _outputs([Path(file) for file in args.files], Path(args.out))
+    _protect(args, outputs)
+    made = [_read(source, out, given, bench, args) for source, out in outputs]
+    for one in made:
+        _write(one, args.force)
+        _tell(one)
+    if args.json:
+        keys = ("source", "sha256", "format", "bag", "map", "signals", "how", "notes")
+        write_json(args.json, {"imported": [{key: one[key] for key in keys} for one in made]})
+    return 0
+
+
+def _bench(path: str) -> "Bench":
+    from sma_bench.parameters.yaml_file import read_parameter_names
+    from sma_bench.records.import_proposal import bench_of
+
+    return bench_of(read_parameter_names(path), path)
+
+
+def _outputs(files: list[Path], out: Path) -> list[tuple[Path, Path]]:
+    """Each file with its bag."""
+    if len(files) == 1:
+        return [(files[0], out)]
+    stems = [re.sub(r"[^\w.-]+", "_", file.stem).strip(".") or "run" for file in files]
+    twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+    if twice is not None:
+        raise InputError(f"--out {out}: two files would become {twice}, expected different names")
+    return [(file, out / stem) for file, stem in zip(files, stems, strict=True)]
+
+
+def _protect(args: argparse.Namespace, outputs: list[tuple[Path, Path]]) -> None:
+    """No output replaces a file without --force, and no input ever."""
+    inputs = [Path(name).resolve() for name in (*args.files, args.map_file, args.params) if name]
+    for _, out in outputs:
+        for path in (out, _map_of(out)):
+            here = path.resolve()
+            if any(here == given or here in given.parents for given in inputs) and (
+                path == out or not args.map_file
+            ):
+                raise InputError(f"{path}: an input, or the folder of one, expected a new path")
+        if out.exists() and not args.force:
+            raise InputError(f"{out}: exists already, expected a new path; --force replaces it")
+        if out.exists() and not (out.is_dir() and (out / "metadata.yaml").is_file()):
+            raise InputError(f"{out}: is not a bag; --force replaces bags only")
+
+
+def _map_of(out: Path) -> Path:
+    return out.with_name(out.name + MAP_SUFFIX)
+
+
+def _read(
+    source: Path, out: Path, given: Any, bench: "Bench", args: argparse.Namespace
+) -> dict[str, Any]:
+    from sma_bench.records.import_map import convert, map_text
+    from sma_bench.records.import_proposal import propose
+    from sma_bench.records.tables import read_table_file
+
+    table = read_table_file(source)
+    used, text, map_file = given, None, args.map_file
+    questions: list[str] = []
+    if given is None:
+        used, questions, remarks = propose(table, bench)
+        text, map_file = map_text(used, table, remarks), str(_map_of(out))
+    if questions:
+        _write_map(Path(map_file), text, args.force)
+        more = f" (and {len(questions) - 1} more)" if len(questions) > 1 else ""
+        raise InputError(
+            f"{source}: unsure of {questions[0]}{more}: fill in {map_file} and call again with "
+            f"--map {map_file}"
+        )
+    signals, sentences, start_ns = convert(table, used)
+    return {
+        "source": str(source), "sha256": table.sha256, "format": table.format, "bag": str(out),
+        "map": map_file, "how": sentences, "notes": list(table.notes), "text": text,
+        "start_ns": start_ns, "made": signals,
+        "signals": {
+            s.name: {
+                "unit": s.unit, "samples": len(s), "min": float(s.values.min()),
+                "max": float(s.values.max()),
+            }
+            for s in signals
+        },
+    }  # fmt: skip
+
+
+def _write_map(path: Path, text: str | None, force: bool) -> None:
+    """Write a proposed map, but not over one that somebody has edited."""
+    from sma_bench.parameters.yaml_file import write_text_atomically
+
+    if text is None:
+        return
+    if path.exists() and not force:
+        if path.is_file() and path.read_text(errors="replace") == text:
+            return
+        raise InputError(f"{path}: exists already; --map {path} uses it, --force replaces it")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text_atomically(path, text)
+
+
+def _write(one: dict[str, Any], force: bool) -> None:
+    from sma_bench.records.write import write_record
+
+    out = Path(one["bag"])
+    if one["text"] is not None:
+        _write_map(Path(one["map"]), one["text"], force)
+    old = out.with_name(f".{out.name}.old")
+    if out.exists():
+        out.rename(old)
+    try:
+        write_record(out, one["made"], start_ns=one["start_ns"], provenance={
+            "source": Path(one["source"]).name, "sha256": one["sha256"], "how": one["how"],
+        })  # fmt: skip
+    except BaseException:
+        if old.exists():
+            old.rename(out)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _tell(one: dict[str, Any]) -> None:
+    from sma_bench.border import printable
+    from sma_bench.findings import Finding
+    from sma_bench.records.check import check_record
+    from sma_bench.records.record import Record
+
+    print(printable(f"{one['bag']}: from {one['source']} by {one['map']}"))
+    for sentence in one["how"]:
+        print(printable(f"  {sentence}"))
+    signals = {signal.name: signal for signal in one["made"]}
+    record = Record(Path(one["bag"]), one["start_ns"], signals)
+    print_findings([
+        *(Finding("warning", one["source"], note) for note in one["notes"]),
+        *(finding for finding in check_record(record) if finding.severity != "info"),
+    ])  # fmt: skip
