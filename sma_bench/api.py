@@ -21,7 +21,7 @@ from sma_bench.parameters.node_tables import node_groups
 from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
-from sma_bench.protocols import load_protocol, parse_protocol, protocol_names
+from sma_bench.protocols import Protocol, load_protocol, parse_protocol, protocol_names
 from sma_bench.records import Record, Signal, open_record
 from sma_bench.records.arrays import (
     frame_from_record,
@@ -146,8 +146,9 @@ def simulate(
     bench = load_parameters(parameters)
     for name, size in (effects or {}).items():
         bench = bench.replace(effect_values(name, float(size)), where="effects")
-    time, voltage = _voltages(drive, bench, rate)
-    return simulate_finely(bench, time, voltage)
+    if (protocol := _protocol(drive, bench)) is not None:
+        return simulate_finely(protocol.bench(bench), *protocol.sample(_period(rate)))
+    return simulate_finely(bench, *_voltages(drive, bench))
 
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:
@@ -264,17 +265,21 @@ def _bags(records: Sequence[AnyRecord]) -> list[Record]:
     return [record for record in records if isinstance(record, Record)]
 
 
-def _voltages(drive: Any, bench: Parameters, rate: float) -> tuple[ArrayLike, ArrayLike]:
+def _protocol(drive: Any, bench: Parameters) -> Protocol | None:
+    shipped = isinstance(drive, str) and drive in protocol_names()
+    if shipped or (isinstance(drive, str | Path) and Path(drive).suffix == ".yaml"):
+        return load_protocol(drive, bench)
+    if isinstance(drive, Mapping) and "steps" in drive:
+        return parse_protocol(drive, bench)
+    return None
+
+
+def _voltages(drive: Any, bench: Parameters) -> tuple[ArrayLike, ArrayLike]:
     """Time (n,) s and voltage (n, w) V."""
     if isinstance(drive, tuple):
         if len(drive) != 2:
             raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
         return drive
-    shipped = isinstance(drive, str) and drive in protocol_names()
-    if shipped or (isinstance(drive, str | Path) and Path(drive).suffix == ".yaml"):
-        return load_protocol(drive, bench).sample(_period(rate))
-    if isinstance(drive, Mapping) and "steps" in drive:
-        return parse_protocol(drive, bench).sample(_period(rate))
     if isinstance(drive, str) and not Path(drive).exists():
         raise InputError(
             f"simulate: {drive}: neither a bag nor a protocol, expected one of "

@@ -50,7 +50,9 @@ def run(args: argparse.Namespace) -> int:
     if args.protocol:
         if not 0.0 < args.rate <= LARGEST_RATE:
             raise InputError(f"--rate is {args.rate:g} Hz, expected 0 to {LARGEST_RATE:g}")
-        time, voltage = load_protocol(args.protocol, parameters).sample(1.0 / args.rate)
+        protocol = load_protocol(args.protocol, parameters)
+        parameters = protocol.bench(parameters)
+        time, voltage = protocol.sample(1.0 / args.rate)
     else:
         record = read_record(args.input)
         start_ns = record.start_ns

@@ -23,6 +23,7 @@ from sma_bench.control.temperature import PI, Gains, HeatBudget, Heating, Output
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench, side_names
+from sma_bench.physics.boundary import require_load
 from sma_bench.physics.linearised import linearise
 from sma_bench.physics.operating_point import Branch, OperatingPoint, SideModel, maximum_deflection
 
@@ -98,6 +99,7 @@ class DeflectionController:
         """
         if not 0.0 < period < math.inf:
             raise InputError(f"deflection control: period is {period} s, expected above 0")
+        require_load(parameters, "deflection control", ("beam",))
         self.parameters = parameters
         self.heating = Heating.of(parameters, maximum_power, power_rate)
         self._sides = {

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import require_plain_drive
 from sma_bench.physics.heat import heat_loss, time_constant
 
 # --- A PI controller with anti-windup, and the rule that tunes it.
@@ -279,6 +280,7 @@ class TemperatureController:
         """
         if not 0.0 < period < math.inf:
             raise InputError(f"temperature control: period is {period} s, expected above 0")
+        require_plain_drive(parameters, "temperature control")
         self._wires = len(parameters["bench.channels"])
         self.heating = Heating.of(parameters, maximum_power, power_rate)
         self.gains = Gains.simc(

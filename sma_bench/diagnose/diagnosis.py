@@ -23,6 +23,7 @@ from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
 from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.boundary import require_load
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.record import Record
 
@@ -128,6 +129,7 @@ def diagnose(
     """
     if not records:
         raise InputError("diagnose: no record, expected at least one")
+    require_load(parameters, "diagnose", ("clamped", "beam"))
     progress("records")
     shortest = shared_bin([*records, *hold_out], parameters)
     seen = [observe(record, parameters, shortest, quantities) for record in records]
@@ -242,5 +244,3 @@ def _missing(observations: Sequence[Observation]) -> list[Finding]:
         Finding("info", quantity, f"not compared: {_WOULD_ADD[quantity]}")
         for quantity in wanted if quantity not in held
     ]
-
-

@@ -22,7 +22,8 @@ class Plant:
         """The rig's channels hang on the first outputs; the others have nothing connected."""
         self._uno = uno
         self._wires = len(parameters["bench.channels"])
-        self.bench = Bench(parameters)
+        # What the outputs did comes as volts that heat, whatever the drive.
+        self.bench = Bench(parameters.replace({"bench.drive": "voltage"}))
         self._squares = np.array(uno.electrics.square_time)
         self._time = uno.time
         resistance = parameters["wire.resistance"]

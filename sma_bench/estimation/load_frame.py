@@ -13,7 +13,7 @@ from sma_bench.estimation.noise_model import (
 )
 from sma_bench.estimation.voltage import find_segments
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length_from_mass
+from sma_bench.parameters.audit import wire_length
 from sma_bench.physics import Boundary
 from sma_bench.physics.bending import wire_section
 from sma_bench.records.record import Record, has_samples, samples
@@ -43,7 +43,7 @@ class Hold:
     def boundary(self, error: float, parameters: Parameters) -> Boundary:
         """What the wire pulls against, `error` (m or N) off."""
         if self.clamped:
-            return Boundary.clamped(-(self.value + error) / wire_length_from_mass(parameters))
+            return Boundary.clamped(-(self.value + error) / wire_length(parameters))
         return Boundary.held_stress((self.value + error) / wire_section(parameters))
 
 

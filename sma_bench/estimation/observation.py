@@ -18,7 +18,7 @@ from sma_bench.estimation.load_frame import Hold, find_holds
 from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length_from_mass
+from sma_bench.parameters.audit import wire_length
 from sma_bench.physics import simulate
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
@@ -193,7 +193,7 @@ class Observation:
         if signal.quantity == "temperature":
             return simulation.temperature_reading[:, wire]
         if signal.quantity == "elongation":
-            length = wire_length_from_mass(simulation.parameters)
+            length = wire_length(simulation.parameters)
             return -length * simulation.contraction[:, 0]
         if signal.quantity == "force":
             return simulation.force[:, wire]

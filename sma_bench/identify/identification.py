@@ -27,6 +27,7 @@ from sma_bench.identify.thermal.experiments import (
     run_specific_heat,
 )
 from sma_bench.parameters import Parameters
+from sma_bench.physics.boundary import require_load
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.isobaric import IsobaricRecord
@@ -143,6 +144,7 @@ def identify(
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
+    require_load(parameters, "identify", ("clamped", "force", "beam"))
     run = Run(parameters, wanted, asked=experiments is not None)
     bags = [r for r in records if isinstance(r, Record)]
     run.notes.extend(f for record in bags for f in record.findings)

@@ -18,7 +18,7 @@ from sma_bench.identify.estimate import Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.whole_model import fit_experiment, observe_all
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import NITI_DENSITY, wire_length_from_mass
+from sma_bench.parameters.audit import NITI_DENSITY, wire_length
 from sma_bench.physics.bending import wire_section
 from sma_bench.progress import Report, silent
 from sma_bench.records.isobaric import IsobaricRecord
@@ -88,7 +88,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
         stress = hold.value / wire_section(parameters)
         name = f"{record.path.name} {stress / 1e6:.0f} MPa"
         cycles, remarks = find_cycles(
-            kelvin[inside], elongation[inside] / wire_length_from_mass(parameters),
+            kelvin[inside], elongation[inside] / wire_length(parameters),
             np.full(int(inside.sum()), stress), name,
         )
         tests.append(
@@ -99,9 +99,12 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
 
 def about_length(parameters: Parameters) -> Finding:
     """Where the gauge length comes from."""
-    length = wire_length_from_mass(parameters)
+    length = wire_length(parameters)
+    source = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
+    if parameters["wire.length"]:
+        source = "as given"
     text = (
-        f"wire length {length * 1e3:.2f} mm from mass and diameter at {NITI_DENSITY:g} kg/m3, "
+        f"wire length {length * 1e3:.2f} mm {source}, "
         "taken as the gauge length: strains scale with its inverse, stresses with that of the "
         "section"
     )

@@ -74,7 +74,7 @@ class PlannedNode:
 
 @dataclass(frozen=True)
 class Rig:
-    """A bench of the paper: its parameter file in config/ and the protocol to begin with."""
+    """A bench: its parameter file in config/ and the protocol to begin with."""
 
     file: str
     protocol: str
@@ -128,6 +128,9 @@ class Rig:
 
 WIRE = Rig("wire_rig.yaml", "staircase", bends=False)
 COMPOSITE = Rig("composite_rig.yaml", "composite_triangle", bends=True)
+WEIGHT = Rig("weight_rig.yaml", "isobaric", bends=False)
+SPRING = Rig("spring_rig.yaml", "triangle", bends=False)
+ANTAGONIST = Rig("antagonist_rig.yaml", "composite_triangle", bends=False)
 
 
 def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:

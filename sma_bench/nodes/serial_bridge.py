@@ -32,6 +32,7 @@ from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics
 from sma_bench.nodes.commander import COMMAND, COMMANDED, Commanders, layout_fault
 from sma_bench.nodes.managed_node import ACTIVE, INACTIVE, ManagedNode
 from sma_bench.nodes.recorder_state import follow_recorder
+from sma_bench.parameters.parameters import require_plain_drive
 
 _NANOSECONDS = 1e9
 _TICK = 0.005
@@ -73,6 +74,7 @@ class SerialBridge(ManagedNode):
         self._let_go = False
         # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
         self._to_ros = 0
+        require_plain_drive(self.parameters, "serial_bridge")
         self._channels = self.parameters["bench.channels"]
         self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
         self._build()

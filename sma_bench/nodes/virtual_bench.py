@@ -8,7 +8,9 @@ import numpy as np
 from sma_bench.hardware.instruments import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
+from sma_bench.physics.boundary import moves_tip
 
 NANOSECONDS = 1_000_000_000
 RATES = ("power", "temperature", "mechanics", "ambient")
@@ -18,8 +20,8 @@ class Reading(NamedTuple):
     """What one group of instruments read at `time` ns since the start.
 
     `values` per kind: power, (V, A) of every channel; temperature, degC of every channel; ambient,
-    degC; mechanics, (elongation m, force N) of a clamped wire, or (front m, back m) of the range
-    sensors of a composite.
+    degC; mechanics, (elongation m, force N) of a wire, or (front m, back m) of the range sensors
+    beside a tip.
     """
 
     kind: str
@@ -38,7 +40,8 @@ class VirtualBench:
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
         """`settings` are the simulator node's own parameters."""
         self.channels: tuple[str, ...] = parameters["bench.channels"]
-        self.composite = len(self.channels) > 1
+        self.composite = moves_tip(parameters)
+        self._clamped = load_kind(parameters) == "clamped"
         # The first step may compile the physics for seconds: not between two readings.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
         self._bench = Bench(parameters)
@@ -130,5 +133,7 @@ class VirtualBench:
         return [front.read(self._standoff - deflection), back.read(self._standoff + deflection)]
 
     def _read_load_frame(self, _: tuple[float, ...]) -> list[float]:
-        # The frame holds the clamps: the wire's length never changes.
-        return [0.0, self._force.read(float(self._bench.force[0]))]
+        elongation = 0.0  # where the frame holds the clamps
+        if not self._clamped:
+            elongation = self._range[0].read(float(self._bench.elongation[0]))
+        return [elongation, self._force.read(float(self._bench.force.sum()))]

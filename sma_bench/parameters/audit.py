@@ -33,6 +33,11 @@ def audit(parameters: Parameters) -> list[Finding]:
     return findings
 
 
+def wire_length(parameters: Parameters) -> float:
+    """Length [m] of the wires: given, or that of their mass."""
+    return parameters["wire.length"] or wire_length_from_mass(parameters)
+
+
 def wire_length_from_mass(parameters: Parameters) -> float:
     """Length [m] of NiTi wire (6450 kg/m3) of the given mass and diameter."""
     return parameters["wire.mass"] / (NITI_DENSITY * _cross_section(parameters))

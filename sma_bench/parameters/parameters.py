@@ -11,6 +11,8 @@ from sma_bench.parameters.table import BY_NAME, TABLE
 
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
+LOAD_KINDS = ("clamped", "force", "spring", "antagonist", "beam")
+DRIVES = ("voltage", "duty", "current")
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _ORDERED_TEMPERATURES = (
     ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
@@ -23,6 +25,24 @@ def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, list(known), n=1)
     hint = f", did you mean {close[0]}?" if close else ""
     return f"unknown parameter {name}{hint}"
+
+
+def load_kind(parameters: Mapping[str, Any]) -> str:
+    """`load.kind`, or what is meant where nothing is given: clamped for one channel, else beam."""
+    default = "clamped" if len(parameters["bench.channels"]) == 1 else "beam"
+    return parameters["load.kind"] or default
+
+
+def require_plain_drive(parameters: Mapping[str, Any], what: str) -> None:
+    """Refuse a drive that `what` would take for volts at one wire a channel.
+
+    Raises:
+        InputError: a duty or a current source, resistance of leads, wires in parallel.
+    """
+    for name, plain in (("bench.drive", "voltage"), ("bench.lead_resistance", 0.0),
+                        ("wire.count", 1)):  # fmt: skip
+        if parameters[name] != plain:
+            raise InputError(f"{what}: {name} is {parameters[name]}, expected {plain} so far")
 
 
 class Parameters(Mapping[str, Value]):
@@ -147,3 +167,22 @@ class Parameters(Mapping[str, Value]):
                 raise InputError(
                     f"{self._where}bench.channel_sides: {side!r}, expected front or back"
                 )
+        self._check_choice("load.kind", ("", *LOAD_KINDS))
+        self._check_choice("bench.drive", DRIVES)
+        kind, used = load_kind(self), len(set(sides))
+        if kind == "spring" and self["load.stiffness"] == 0.0:
+            raise InputError(
+                f"{self._where}load.stiffness is 0 N/m, expected that of the spring (load.kind)"
+            )
+        wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
+        if used != wanted:
+            expected = "front and back" if wanted == 2 else "one side"
+            raise InputError(
+                f"{self._where}bench.channel_sides: {list(sides)} with load.kind {kind}, "
+                f"expected {expected}"
+            )
+
+    def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
+        if self[name] not in choices:
+            expected = ", ".join(choice for choice in choices if choice)
+            raise InputError(f"{self._where}{name} is {self[name]!r}, expected {expected}")

@@ -35,6 +35,16 @@ WIRE = (
         "section II.B", 1e-5, 5e-3, uncertainty=3e-6,
     ),
     Parameter(
+        "wire.length", "m", 0.0,
+        "Length of the wires between their clamps; 0 means derived from mass and diameter.",
+        "mass over the density of NiTi, 6450 kg/m3", 0.0, 100.0,
+    ),
+    Parameter(
+        "wire.count", "1", 1,
+        "Equal wires in parallel on one channel; wire.resistance and wire.mass are those of one.",
+        "Fig. 1: one wire", 1, 1000, kind="integer", read_only=True,
+    ),
+    Parameter(
         "wire.austenite_start_temperature", "K", 331.81,
         "A_s, stress free.",
         "Table II, cycle 2", 150.0, 900.0, uncertainty=1.1,
@@ -161,6 +171,31 @@ COMPOSITE = (
     ),
 )
 
+LOAD = (
+    Parameter(
+        "load.kind", "", "",
+        "What the wires pull against: clamped (no motion), force (a weight, or a frame that holds "
+        "load.force), spring, antagonist (front and back wires on one slider) or beam; empty: "
+        "clamped for one channel, beam for several.",
+        "Fig. 1: clamped; Figs. 11, 12: a beam", kind="string", read_only=True,
+    ),
+    Parameter(
+        "load.force", "N", 0.0,
+        "Held force; beside a spring or on an antagonists' slider (to the back) a weight.",
+        "none; the paper's E6 holds 1 N", -1e4, 1e4, uncertainty=0.02,
+    ),
+    Parameter(
+        "load.stiffness", "N/m", 0.0,
+        "Of the spring, or of the slider's own.",
+        "assumed: none", 0.0, 1e8, uncertainty=20.0,
+    ),
+    Parameter(
+        "load.preload", "N", 0.0,
+        "Of the spring at the reference position, or of each side of an antagonist at rest.",
+        "assumed: none", -1e4, 1e4, uncertainty=0.2,
+    ),
+)
+
 BENCH = (
     Parameter(
         "bench.channels", "", ("wire",),
@@ -171,6 +206,22 @@ BENCH = (
         "bench.channel_sides", "", ("front",),
         "Side of the beam (front or back) of every channel.",
         "Fig. 1: one clamped wire", kind="strings", read_only=True,
+    ),
+    Parameter(
+        "bench.drive", "", "voltage",
+        "How a command of V volts heats: voltage, V reach the wire; duty, bench.supply_voltage is "
+        "on for V over it of the time; current, V over wire.resistance and per wire.",
+        "section IV: 0 to 10 V", kind="string", read_only=True,
+    ),
+    Parameter(
+        "bench.supply_voltage", "V", 10.0,
+        "What a duty switches.",
+        "section IV: 0 to 10 V", 0.1, 60.0, uncertainty=0.1,
+    ),
+    Parameter(
+        "bench.lead_resistance", "ohm", 0.0,
+        "Known resistance of leads between the voltmeter and the wires of a channel.",
+        "assumed: measured at the wire", 0.0, 100.0, uncertainty=0.01,
     ),
     Parameter(
         "bench.maximum_voltage", "V", 10.0,
@@ -222,5 +273,5 @@ BENCH = (
     ),
 )
 
-TABLE: tuple[Parameter, ...] = (*WIRE, *ENVIRONMENT, *COMPOSITE, *BENCH, *EFFECT_TABLE)
+TABLE: tuple[Parameter, ...] = (*WIRE, *ENVIRONMENT, *COMPOSITE, *LOAD, *BENCH, *EFFECT_TABLE)
 BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}

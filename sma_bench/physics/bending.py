@@ -20,7 +20,7 @@ class Beam:
         thickness, modulus: h_c [m] and E_c [Pa] of the matrix.
         layer_thickness, layer_modulus: h [m] and E [Pa] of the active layer.
         offset: a [m], wires to centre line.
-        wire_section: A [m2], cross-section of one wire.
+        wire_section: A [m2], cross-section of the wires of one channel.
     """
 
     length: float
@@ -43,13 +43,18 @@ class Beam:
             layer_thickness=parameters["composite.wire_layer_thickness"],
             layer_modulus=parameters["wire.martensite_modulus"],
             offset=parameters["composite.wire_offset"],
-            wire_section=wire_section(parameters),
+            wire_section=channel_section(parameters),
         )
 
 
 def wire_section(parameters: Parameters) -> float:
     """Cross-section [m2] of one wire."""
     return math.pi * float(parameters["wire.diameter"]) ** 2 / 4.0
+
+
+def channel_section(parameters: Parameters) -> float:
+    """Cross-section [m2] of the wires of one channel together."""
+    return wire_section(parameters) * float(parameters["wire.count"])
 
 
 def moment(force: float, beam: Beam) -> float:

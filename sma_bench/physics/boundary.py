@@ -1,4 +1,4 @@
-"""What the wires of each side pull against: a clamp, a held stress, or the bending composite."""
+"""What the wires of each side pull against: the load of the bench, or what an experiment holds."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.physics.bending import bending_coefficients
+from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import load_kind, require_plain_drive
+from sma_bench.physics.bending import bending_coefficients, channel_section
 
 SIDE_SIGNS = {"front": 1.0, "back": -1.0}  # of the deflection, contract section 4
 
@@ -27,12 +29,17 @@ class Boundary:
         load: Pa, sum of stresses at zero contraction.
         contraction: prescribed e, or None.
         lever: m, deflection per contraction, positive toward the front.
+        coupled: both sides pull on one slider: the front's sum of stresses less the back's is load
+            + stiffness e of the front, and what the one contracts stretches the other.
+        prestretch: strain of a side's wires at zero contraction.
     """
 
     stiffness: PerSide = 0.0
     load: PerSide = 0.0
     contraction: PerSide | None = None
     lever: PerSide = 0.0
+    coupled: bool = False
+    prestretch: PerSide = 0.0
 
     @classmethod
     def clamped(cls, contraction: PerSide = 0.0) -> Self:
@@ -57,11 +64,73 @@ class Boundary:
         )
 
     @classmethod
+    def force(cls, parameters: Parameters) -> Self:
+        """A weight, or a frame that holds `load.force`: A sum sigma_i = F."""
+        return cls.held_stress(parameters["load.force"] / channel_section(parameters))
+
+    @classmethod
+    def spring(cls, parameters: Parameters) -> Self:
+        """A spring, and a weight beside it: A sum sigma_i = F_0 + F + k l e."""
+        section = channel_section(parameters)
+        held = parameters["load.preload"] + parameters["load.force"]
+        stiffness = parameters["load.stiffness"] * wire_length(parameters)
+        return cls(stiffness=stiffness / section, load=held / section)
+
+    @classmethod
+    def antagonist(cls, parameters: Parameters) -> Self:
+        """Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
+
+        Mounted so that in the middle, at rest, each side pulls with `load.preload`; the slider's
+        own spring and force draw it to the back.
+        """
+        section, length = channel_section(parameters), wire_length(parameters)
+        wires = np.bincount(side_of_channels(parameters))
+        modulus = parameters["wire.martensite_modulus"]
+        pulled = parameters["load.preload"] / (section * wires * modulus)
+        return cls(
+            stiffness=parameters["load.stiffness"] * length / section,
+            load=parameters["load.force"] / section,
+            lever=(0.5 * length, -0.5 * length),
+            coupled=True,
+            prestretch=tuple(pulled.tolist()),
+        )
+
+    @classmethod
     def of(cls, parameters: Parameters) -> Self:
-        """The rig's own: one wire is clamped, several bend the composite."""
-        if len(parameters["bench.channels"]) == 1:
-            return cls.clamped()
-        return cls.bending(parameters)
+        """The rig's own load, `load.kind`: by default one wire is clamped, several bend a beam."""
+        kinds = {
+            "clamped": lambda _: cls.clamped(), "force": cls.force, "spring": cls.spring,
+            "antagonist": cls.antagonist, "beam": cls.bending,
+        }  # fmt: skip
+        return kinds[load_kind(parameters)](parameters)
+
+    def stretch_of_wires(self, parameters: Parameters) -> NDArray[np.float64]:
+        """(w,) prestretch of each wire."""
+        sides = per_side("prestretch", self.prestretch, len(side_names(parameters)))
+        return sides[side_of_channels(parameters)]
+
+
+def moves_tip(parameters: Parameters) -> bool:
+    """Whether the bench shows a deflection to both sides (`tip`), not one wire's elongation."""
+    return load_kind(parameters) in ("beam", "antagonist")
+
+
+def require_load(parameters: Parameters, what: str, kinds: tuple[str, ...]) -> None:
+    """Refuse a bench that `what` would answer wrongly.
+
+    Raises:
+        InputError: another load than of `kinds`, one wire on a beam, several on a wire's load, or
+            a drive that is not plain.
+    """
+    kind, channels = load_kind(parameters), len(parameters["bench.channels"])
+    if kind not in kinds:
+        raise InputError(f"{what}: load.kind is {kind}, expected {' or '.join(kinds)} so far")
+    if (channels > 1) != (kind == "beam"):
+        wanted = "two or more" if kind == "beam" else "one"
+        raise InputError(
+            f"{what}: load.kind {kind} with {channels} of bench.channels, expected {wanted} so far"
+        )
+    require_plain_drive(parameters, what)
 
 
 def side_names(parameters: Parameters) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ _WIRE_CONSTANTS = (  # reciprocals spare the core divisions
     "AUSTENITE_MODULUS", "MODULUS_CHANGE", "RECOVERABLE_STRAIN", "EXPANSION", "SIDE",
     "AUSTENITE_SPREAD", "MARTENSITE_SPREAD", "TAIL",  # of the ramps, which run from 0 to 1
     "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
+    "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which an antagonist is mounted
     "HEATED_OTHERWISE", "EVOLVES", "READ_OTHERWISE",  # marks of effects
 )  # fmt: skip
 _WIRE_STATE = (
@@ -30,8 +31,10 @@ _WIRE_SCRATCH = (  # temperature = START + LAG xi; OFFSET is strain beyond the c
     "DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET",
 )  # fmt: skip
 
-_SIDE_CONSTANTS = (  # sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED
-    "PRESCRIBED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD", "PULLS_OTHERWISE",
+_SIDE_CONSTANTS = (
+    # sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED; if COUPLED, the sum less that
+    # of the other side, which is stretched by e
+    "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD", "PULLS_OTHERWISE",
 )  # fmt: skip
 _SIDE_STATE = (  # BENDING is the contraction that bends the beam
     "CONTRACTION", "CONTRACTION_CHANGE", "BENDING",

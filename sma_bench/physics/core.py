@@ -8,6 +8,9 @@ A step of length dt at held voltages, for every wire i of every side s:
     xi_i    = the rule of phase.py at T_i, sigma_i
     sum sigma_i = load_s + K_s e_s,   or e_s prescribed                   (e: contraction)
 
+Two sides that pull on one slider are one equation: the sum of the front's stresses less that of the
+back's, e_back = -e_front.
+
 A wire's temperature is monotone within the step, so reversals fall on samples.
 
 Everything lies in two plain arrays (columns.py) that all functions share: `wires` (w,
@@ -29,6 +32,7 @@ from sma_bench.physics.columns import (
     CLOCK,
     CONTRACTION,
     CONTRACTION_CHANGE,
+    COUPLED,
     COUPLING,
     DECAY,
     EVOLVES,
@@ -119,6 +123,14 @@ def solve_wire(wires, i, contraction):
     return min(max(xi, 0.0), 1.0)
 
 
+@inlined
+def pull_sign(wires, sides, i, side):
+    """1 for a wire of the side, 0 for others, -1 for those that pull the same slider back."""
+    if wires[i, SIDE] == side:
+        return 1.0
+    return -sides[side, COUPLED]
+
+
 @borrowing
 def solve_jointly(wires, sides, side, contraction):
     """Newton on the fractions and the contraction of a side together; whether it converged."""
@@ -126,15 +138,16 @@ def solve_jointly(wires, sides, side, contraction):
         imbalance = -sides[side, LOAD] - sides[side, STIFFNESS] * contraction
         stiffness = sides[side, STIFFNESS]
         for i in range(wires.shape[0]):
-            if wires[i, SIDE] != side:
+            sign = pull_sign(wires, sides, i, side)
+            if sign == 0.0:
                 continue
             error, slope, coupling, stress, stress_slope, modulus = residual(
-                wires, i, contraction, wires[i, GUESS]
+                wires, i, sign * contraction, wires[i, GUESS]
             )
             if slope <= 0.0:
                 return False, contraction
             wires[i, STEP], wires[i, COUPLING] = error / slope, coupling / slope
-            imbalance += stress - stress_slope * wires[i, STEP]
+            imbalance += sign * (stress - stress_slope * wires[i, STEP])
             stiffness += modulus + stress_slope * wires[i, COUPLING]
         if stiffness <= 0.0:
             return False, contraction
@@ -142,9 +155,10 @@ def solve_jointly(wires, sides, side, contraction):
         contraction += change
         largest = abs(change)
         for i in range(wires.shape[0]):
-            if wires[i, SIDE] != side:
+            sign = pull_sign(wires, sides, i, side)
+            if sign == 0.0:
                 continue
-            step = wires[i, STEP] + wires[i, COUPLING] * change
+            step = wires[i, STEP] + wires[i, COUPLING] * sign * change
             wires[i, GUESS] = min(max(wires[i, GUESS] - step, 0.0), 1.0)
             largest = max(largest, abs(step))
         if largest < NEWTON_STEP:
@@ -158,13 +172,14 @@ def side_imbalance(wires, sides, side, contraction):
     imbalance = -sides[side, LOAD] - sides[side, STIFFNESS] * contraction
     total = sides[side, STIFFNESS]
     for i in range(wires.shape[0]):
-        if wires[i, SIDE] != side:
+        sign = pull_sign(wires, sides, i, side)
+        if sign == 0.0:
             continue
-        wires[i, GUESS] = solve_wire(wires, i, contraction)
+        wires[i, GUESS] = solve_wire(wires, i, sign * contraction)
         _, slope, coupling, stress, stress_slope, modulus = residual(
-            wires, i, contraction, wires[i, GUESS]
+            wires, i, sign * contraction, wires[i, GUESS]
         )
-        imbalance += stress
+        imbalance += sign * stress
         total += modulus
         if slope > 0.0:
             total += stress_slope * coupling / slope
@@ -238,7 +253,7 @@ def solve_side(wires, sides, side):
     converged, after = solve_jointly(wires, sides, side, guess)
     if not converged:
         for i in range(wires.shape[0]):
-            if wires[i, SIDE] == side:
+            if pull_sign(wires, sides, i, side) != 0.0:
                 wires[i, GUESS] = wires[i, FRACTION]
         after = solve_nested(wires, sides, side, before)
     sides[side, CONTRACTION] = after
@@ -252,6 +267,9 @@ def solve(wires, sides):
         guess = wires[i, FRACTION] + wires[i, CHANGE]
         wires[i, GUESS] = min(max(guess, 0.0), 1.0)
     for side in range(sides.shape[0]):
+        if side > 0 and sides[0, COUPLED] > 0.0:
+            sides[side, CONTRACTION] = -sides[0, CONTRACTION]
+            break
         change = solve_side(wires, sides, side)
         if sides[side, PULLS_OTHERWISE] > 0.0:
             for _ in range(REGIME_LIMIT):

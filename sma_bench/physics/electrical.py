@@ -13,14 +13,21 @@ _SLOPE = "effect.phase_dependent_resistance.temperature_coefficient"
 def current(
     parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
 ) -> NDArray[np.float64]:
-    """I = V/(R(xi, T) + R_s); with the effects off V/R, eq. (3).
+    """I = n V/(R(xi, T) + n R_s) through the n wires of a channel; with all effects off eq. (3).
+
+    A current source holds it whatever the resistance; of a duty it is the mean.
 
     Args:
-        voltage: V, as the driver reads it; temperature: K; fraction: of martensite; any shape.
+        voltage: V, as the driver reads it or is commanded (`heat.heating_voltage`); temperature: K;
+            fraction: of martensite; any shape.
     """
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
+    count = parameters["wire.count"]
     of_phase = 1.0 + parameters[_CHANGE] * (1.0 - xi)
     rise = kelvin - parameters["environment.ambient_temperature"]
     of_heat = np.maximum(1.0 + parameters[_SLOPE] * rise, LEAST)
     resistance = parameters["wire.resistance"] * of_phase * of_heat
-    return np.asarray(volts / (resistance + parameters["effect.supply_drop.resistance"]))
+    if parameters["bench.drive"] == "current":
+        return np.asarray(count * volts / parameters["wire.resistance"])
+    leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
+    return np.asarray(count * volts / (resistance + count * leads))

@@ -57,6 +57,28 @@ def heating_per_mass(
     return parameters["wire.specific_heat"] * temperature_rate(temperature, voltage, parameters)
 
 
+def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
+    """Volts whose square heats as the drive does: a duty's supply is on for a share of the time.
+
+    Args:
+        voltage: commanded V, any shape: of a duty the mean, duty times `bench.supply_voltage`; of a
+            current source the current times `wire.resistance / wire.count`.
+    """
+    volts = np.asarray(voltage, dtype=np.float64)
+    if parameters["bench.drive"] == "duty":
+        return np.sqrt(np.maximum(volts, 0.0) * parameters["bench.supply_voltage"])
+    return volts
+
+
+def heated_resistance(parameters: Parameters) -> float:
+    """V^2 over the heat of one wire [ohm], where the voltage is that before the leads."""
+    wire = float(parameters["wire.resistance"])
+    leads = float(parameters["wire.count"] * parameters["bench.lead_resistance"])
+    if leads == 0.0 or parameters["bench.drive"] == "current":
+        return wire
+    return (wire + leads) ** 2 / wire
+
+
 def heat_loss(parameters: Parameters) -> float:
     """h A_c [W/K]."""
     return float(
@@ -124,7 +146,8 @@ def energy_balance(
     mass, tau = parameters["wire.mass"], time_constant(parameters)
     loss = heat_loss(parameters)
     step = np.diff(time)[:, np.newaxis]
-    electrical = np.square(voltage[:-1]) / parameters["wire.resistance"] * step
+    volts = heating_voltage(voltage[:-1], parameters)
+    electrical = np.square(volts) / heated_resistance(parameters) * step
     stored = mass * parameters["wire.specific_heat"] * np.diff(temperature, axis=0)
     latent = -mass * latent_heat * np.diff(martensite_fraction, axis=0)
     rise = temperature[:-1] - parameters["environment.ambient_temperature"]

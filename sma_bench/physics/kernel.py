@@ -13,7 +13,7 @@ from sma_bench.parameters.effect_table import EFFECT_PREFIX, EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, phase, stress
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
-from sma_bench.physics.heat import time_constant
+from sma_bench.physics.heat import heated_resistance, heating_voltage, time_constant
 from sma_bench.physics.otherwise import see
 
 # --- The state of a bench between two samples, and the state it starts from.
@@ -88,7 +88,8 @@ def initial_state(
     if np.any((xi < 0.0) | (xi > 1.0)):
         raise InputError(f"initial state: martensite_fraction is {xi}, expected 0 to 1")
     contraction = _contraction(kelvin, xi, parameters, boundary)
-    sigma = stress.stress(kelvin, xi, contraction[side_of_channels(parameters)], parameters)
+    stretch = boundary.stretch_of_wires(parameters) - contraction[side_of_channels(parameters)]
+    sigma = stress.stress(kelvin, xi, -stretch, parameters)
     _require_possible(kelvin, xi, sigma, parameters)
     return State(kelvin, xi, sigma, contraction)
 
@@ -110,10 +111,14 @@ def _contraction(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bou
     if boundary.contraction is not None:
         return per_side("contraction", boundary.contraction, sides)
     side = side_of_channels(parameters)
-    pull = np.bincount(side, stress.stress(kelvin, xi, 0.0, parameters), sides)
+    prestretch = boundary.stretch_of_wires(parameters)
+    pull = np.bincount(side, stress.stress(kelvin, xi, -prestretch, parameters), sides)
     modulus = np.bincount(side, stress.modulus(xi, parameters), sides)
-    stiffness = modulus + per_side("stiffness", boundary.stiffness, sides)
-    return np.asarray((pull - per_side("load", boundary.load, sides)) / stiffness)
+    own, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
+    if boundary.coupled:
+        front = (pull[0] - pull[1] - load[0]) / (modulus.sum() + own[0])
+        return np.array([front, -front])
+    return np.asarray((pull - load) / (modulus + own))
 
 
 def _require_possible(kelvin: Array, xi: Array, sigma: Array, parameters: Parameters) -> None:
@@ -144,7 +149,7 @@ _WIRE_NUMBERS = (
 )
 
 
-def wire_rows(parameters: Parameters) -> Array:
+def wire_rows(parameters: Parameters, boundary: Boundary) -> Array:
     """(w, WIRE_COLUMNS) constants of every wire; states are 0."""
     wires = np.zeros((len(parameters["bench.channels"]), at.WIRE_COLUMNS))
     for column, number in {**_effects(parameters), **_wire(parameters)}.items():
@@ -153,6 +158,7 @@ def wire_rows(parameters: Parameters) -> Array:
     wires[:, at.SIDE] = side
     # Between unequal numbers of wires: what one side gives, the other gets.
     own = np.bincount(side)[side]
+    wires[:, at.PRESTRETCH] = boundary.stretch_of_wires(parameters)
     wires[:, at.ACROSS] *= (side.size - own) / np.maximum(own, side.size - own)
     return wires
 
@@ -162,12 +168,14 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     count = len(side_names(parameters))
     sides = np.zeros((count, at.SIDE_COLUMNS))
     sides[:, at.PRESCRIBED] = boundary.contraction is not None
+    sides[:, at.COUPLED] = boundary.coupled
     for column in (at.STIFFNESS, at.OWN_STIFFNESS):
         sides[:, column] = per_side("stiffness", boundary.stiffness, count)
     for column in (at.LOAD, at.OWN_LOAD):
         sides[:, column] = per_side("load", boundary.load, count)
     # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
-    bends = (sides[:, at.OWN_STIFFNESS] > 0.0) & (boundary.contraction is None)
+    elastic = boundary.contraction is None and not boundary.coupled
+    bends = (sides[:, at.OWN_STIFFNESS] > 0.0) & elastic
     for effect in EFFECTS.values():
         if effect.row == "side":
             for number, name in effect.column_names.items():
@@ -198,12 +206,15 @@ def _wire(parameters: Parameters) -> Mapping[int, float]:
     shift = f"{EFFECT_PREFIX}stress_dependent_transition."
     return {
         at.AMBIENT: parameters["environment.ambient_temperature"],
-        at.HEATING: 1.0 / (wire["resistance"] * loss),
+        at.HEATING: 1.0 / (heated_resistance(parameters) * loss),
+        at.CURRENT_DRIVEN: float(parameters["bench.drive"] == "current"),
         at.TIME_CONSTANT: time_constant(parameters),
         at.LATENT_RISE: parameters["effect.latent_heat.heat"] / wire["specific_heat"],
         at.CAPACITY: wire["mass"] * wire["specific_heat"],
         at.LOSS: loss,
         at.RESISTANCE: wire["resistance"],
+        at.WIRE_NAMES["SUPPLY_RESISTANCE"]: parameters["wire.count"]
+        * (parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]),
         at.AUSTENITE_FINISH: a_f,
         at.AUSTENITE_FINISH_FRESH: a_f,
         at.AUSTENITE_SLOPE: 1.0 / (a_f - a_s),
@@ -240,7 +251,7 @@ class Kernel:
         self.parameters = parameters
         self.boundary = boundary or Boundary.of(parameters)
         self.wires = len(parameters["bench.channels"])
-        self.rows = wire_rows(parameters), side_rows(parameters, self.boundary)
+        self.rows = wire_rows(parameters, self.boundary), side_rows(parameters, self.boundary)
 
     def memory(self, initial: State | None) -> tuple[Array, Array]:
         """Fresh rows of the kernel: constants of this bench, state of `initial`."""
@@ -264,7 +275,7 @@ class Kernel:
             for i in range(len(wires)):
                 wires[i, [at.READING, at.SEEN]] = see(wires, i)
         # Of effects that may be off by now:
-        wires[:, at.OFFSET] = 0.0
+        wires[:, at.OFFSET] = wires[:, at.PRESTRETCH]
         sides[sides[:, at.ENGAGEMENT] == 0.0, at.PASSIVE_BENDING] = 0.0
         if self.boundary.contraction is not None:
             given = per_side("contraction", self.boundary.contraction, len(sides))
@@ -275,7 +286,7 @@ class Kernel:
         """Advance `memory` in place; history (4, n, w) and strain (2, n, s) as of core.run."""
         history = np.empty((4, time.size, self.wires))
         strain = np.empty((2, time.size, len(memory[1])))
-        RUN(time, voltage, *memory, history, strain)
+        RUN(time, heating_voltage(voltage, self.parameters), *memory, history, strain)
         return history, strain
 
     def state(self, memory: tuple[Array, Array]) -> State:

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind, require_plain_drive
 from sma_bench.physics import phase, stress
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
 from sma_bench.physics.heat import heat_loss, steady_temperature
@@ -59,6 +60,7 @@ class SideModel:
         Raises:
             InputError: no wire on that side, or ends that do not give.
         """
+        _require_one_side(parameters)
         names = side_names(parameters)
         if side not in names:
             raise InputError(f"no wire on the {side}, expected {' or '.join(names)}")
@@ -220,6 +222,7 @@ class OperatingPoint:
         Raises:
             InputError: as `initial_state`, or a temperature that no voltage holds.
         """
+        _require_one_side(parameters)
         boundary = boundary or Boundary.of(parameters)
         state = initial_state(
             parameters,
@@ -252,6 +255,7 @@ class OperatingPoint:
         Raises:
             InputError: wrong shape, or a temperature below ambient.
         """
+        _require_one_side(parameters)
         boundary = boundary or Boundary.of(parameters)
         wires = len(parameters["bench.channels"])
         kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
@@ -304,6 +308,12 @@ class OperatingPoint:
         return cls.of_state(
             parameters, np.where(driven, kelvin, ambient), np.where(driven, xi, 1.0), branch
         )
+
+
+def _require_one_side(parameters: Parameters) -> None:
+    if load_kind(parameters) == "antagonist":
+        raise InputError("operating point: load.kind is antagonist, expected another one so far")
+    require_plain_drive(parameters, "operating point")
 
 
 def maximum_deflection(parameters: Parameters, side: str = "front") -> float:

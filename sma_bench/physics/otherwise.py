@@ -68,7 +68,7 @@ def heat_balance(wires, i, voltage, step):
 @borrowing
 def set_strain(wires, i):
     """Strain of wire i beyond the contract's, for the step to come."""
-    wires[i, at.OFFSET] = added_strain(wires, i)
+    wires[i, at.OFFSET] = wires[i, at.PRESTRETCH] + added_strain(wires, i)
 
 
 @borrowing
@@ -118,7 +118,8 @@ def change_regime(wires, sides, side):
     """After a solution: take another regime where it contradicts this one; whether it did."""
     changed = False
     for i in range(wires.shape[0]):
-        if wires[i, at.SIDE] == side and passes_most(wires, i):
+        mine = wires[i, at.SIDE] == side or sides[side, at.COUPLED] > 0.0
+        if mine and passes_most(wires, i):
             changed = True
     if changed or sides[side, at.PRESCRIBED] > 0.0:
         return changed

@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length
 from sma_bench.physics import columns as at
-from sma_bench.physics.bending import wire_section
+from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary, per_side, side_names
 from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.physics.effects.ambient_drift import air as air_temperature
@@ -73,9 +74,14 @@ class Simulation:
         )
 
     @cached_property
+    def elongation(self) -> Array:
+        """(n, s) m, of each side's wires from the clamped length; contraction is negative."""
+        return -wire_length(self.parameters) * self.bending
+
+    @cached_property
     def force(self) -> Array:
-        """(n, w) N, tension positive, eq. (13)."""
-        return self.stress * wire_section(self.parameters)
+        """(n, w) N of each channel, tension positive, eq. (13)."""
+        return self.stress * channel_section(self.parameters)
 
     def energy_balance(self) -> EnergyBalance:
         """Energies of every step and wire, eq. (1).
@@ -117,7 +123,7 @@ def simulate(
         voltage: (n, w) V, one column a channel; voltage[k] is held from time[k] to time[k+1].
             One wire may come as (n,).
         initial: state at time[0], at rest when not given; `Simulation.final` continues a run.
-        boundary: the rig's own when not given: one wire is clamped, several bend the composite.
+        boundary: the rig's own load when not given.
 
     Raises:
         InputError: wrong shape, time that does not increase, a number that is not finite.
@@ -150,7 +156,7 @@ class Bench:
         self._memory = self._kernel.memory(initial)
         self._state = self._kernel.state(self._memory)
         self._levers = _levers(parameters, self._kernel.boundary)
-        self._section = wire_section(parameters)
+        self._section = channel_section(parameters)
 
     def advance(self, voltage: ArrayLike, dt: float) -> State:
         """Hold `voltage` (w,) V for `dt` s; the state after it.
@@ -207,8 +213,13 @@ class Bench:
 
     @property
     def force(self) -> Array:
-        """(w,) N, tension positive."""
+        """(w,) N of each channel, tension positive."""
         return self._state.stress * self._section
+
+    @property
+    def elongation(self) -> Array:
+        """(s,) m, of each side's wires from the clamped length; contraction is negative."""
+        return -wire_length(self.parameters) * self._state.bending
 
     @property
     def contraction(self) -> Array:
@@ -288,14 +299,15 @@ class TemperatureDriven:
         """At rest, or in the state `initial`; effects on the heating are left out."""
         heating = [e for e in EFFECTS.values() if e.stage in ("electrical", "thermal")]
         without = [p for effect in heating for p in effect.parameters]
-        self._parameters = parameters.replace({p.name: p.default for p in without})
+        given = {"bench.drive": "voltage", "bench.lead_resistance": 0.0}
+        self._parameters = parameters.replace({**given, **{p.name: p.default for p in without}})
         self._kernel = Kernel(self._parameters, None)
         wires = self._kernel.rows[0]
         wires[:, at.TIME_CONSTANT], wires[:, at.HEATING] = _NO_TIME, 1.0
         self._memory = self._kernel.memory(initial)
         self._ambient = float(parameters["environment.ambient_temperature"])
         self._levers = per_side("lever", self._kernel.boundary.lever, len(side_names(parameters)))
-        self._section = wire_section(parameters)
+        self._section = channel_section(parameters)
 
     def run(self, time: ArrayLike, temperature: ArrayLike) -> tuple[Array, Array]:
         """Pass through temperatures; what the sensors of the mechanics read on the way.

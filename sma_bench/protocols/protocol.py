@@ -9,11 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.parameters import Parameters
+
 Array = NDArray[np.float64]
 
 # A command clock sums periods such as 0.05 s; the rounding of that sum must not delay a step by
 # one whole period.
 _TIME_ROUNDING = 1e-6
+PAPER_FORCE = 1.0  # N, E6 (section III.B.1)
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,25 @@ class Segment:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Named sequence of segments for `channels`; `rest` before its start and after its end."""
+    """Named sequence of segments for `channels`; `rest` before its start and after its end.
+
+    `load` is the load.kind of a bench whose own is not given.
+    """
 
     name: str
     channels: tuple[str, ...]
     segments: tuple[Segment, ...]
     description: str = ""
     rest: float = 0.0
+    load: str = ""
+
+    def bench(self, parameters: Parameters) -> Parameters:
+        """The bench that runs it: one whose load nobody gave holds what the protocol asks for,
+        `load.force`, or the paper's 1 N."""
+        if not self.load or parameters["load.kind"] or len(parameters["bench.channels"]) > 1:
+            return parameters
+        force = parameters["load.force"] or PAPER_FORCE
+        return parameters.replace({"load.kind": self.load, "load.force": force})
 
     @cached_property
     def _edges(self) -> Array:

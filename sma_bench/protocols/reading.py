@@ -3,6 +3,7 @@
     name: triangle            # optional, else the file's name
     description: ...          # optional
     repeat: 2                 # optional, of the whole
+    load: force               # optional: what a bench without load.kind holds meanwhile
     steps:
       - {kind: triangle, name: heat, drive: front, peak: 6.0, rise: 30.0, fall: 30.0}
       - {kind: rest, duration: 60.0}
@@ -20,6 +21,7 @@ from typing import Any
 from sma_bench.border import read_yaml
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import LOAD_KINDS
 from sma_bench.protocols.protocol import Protocol, Segment
 from sma_bench.protocols.steps import KINDS, Line, Scale, StepKind
 from sma_bench.share import share_directory
@@ -115,8 +117,16 @@ def parse_levels(
         channels=quantity.targets(parameters)[0],
         segments=tuple(_numbered(once, times)),
         description=_text(document, "description", where),
+        load=_load(document, where),
         rest=quantity.rest(parameters),
     )
+
+
+def _load(document: Any, where: str) -> str:
+    load = _text(document, "load", where)
+    if load and load not in LOAD_KINDS:
+        raise InputError(f"{where}: load is {load!r}, expected {', '.join(LOAD_KINDS)}")
+    return load
 
 
 def _folder(quantity: Quantity) -> Path:
@@ -250,7 +260,7 @@ VOLTAGE = Quantity(
     what="protocol",
     folder="protocols",
     unit="V",
-    keys=PROTOCOL_KEYS,
+    keys=(*PROTOCOL_KEYS, "load"),
     targets=bench_channels,
     rest=lambda _: 0.0,
     require=_require_within_limits,

@@ -13,7 +13,9 @@ from sma_bench.control.closed_loop import Loop, run_temperature
 from sma_bench.hardware.instruments import Instrument
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Boundary, Simulation, simulate
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects import active_effects
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.protocols import load_protocol
@@ -106,12 +108,12 @@ def signals_of(simulation: Simulation) -> list[Signal]:
             Signal(f"{channel}.current", "A", time, simulation.current[:, k]),
             Signal(f"{channel}.temperature", "K", time, simulation.temperature_reading[:, k]),
         ]
-    if len(channels) > 1:
+    if moves_tip(simulation.parameters):
         return [*signals, Signal("deflection", "m", time, simulation.deflection_reading)]
     return [
         *signals,
-        Signal("elongation", "m", time, np.zeros_like(time)),
-        Signal("force", "N", time, simulation.force[:, 0]),
+        Signal("elongation", "m", time, simulation.elongation[:, 0]),
+        Signal("force", "N", time, simulation.force.sum(axis=1)),
     ]
 
 
@@ -120,7 +122,8 @@ def read_signals(
 ) -> list[Signal]:
     """The same signals as the simulator node's instruments would read them.
 
-    A deflection is half the difference of two distances; an elongation is clamped.
+    A deflection is half the difference of two distances; an elongation that never changes is
+    clamped.
     """
     settings = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
     seeds = iter(np.random.SeedSequence(seed).spawn(2 * len(signals)))
@@ -134,7 +137,8 @@ def read_signals(
     for signal in in_turn(signals, report, lambda s: f"reading {s.name}"):
         quantity, values = signal.name.rpartition(".")[2], np.asarray(signal.values)
         if quantity == "elongation":
-            found.append(signal)
+            moves = np.ptp(values) > 0.0
+            found.append(replace(signal, values=read("range", values)) if moves else signal)
         elif quantity == "deflection":
             away = settings["sensor.range_standoff"]
             front, back = read("range", away - values), read("range", away + values)
@@ -167,8 +171,15 @@ def protocol_record(name: str, parameters: Parameters, seed: int = 1) -> Record:
     run = _run(parameters, lambda t: protocol.voltages(t - REST), duration)
     sensors = Sensors(seed)
     signals = _electrical(run, sensors, duration)
-    if len(parameters["bench.channels"]) > 1:
+    if moves_tip(parameters):
         signals += _deflection(run, sensors, duration)
+    elif load_kind(parameters) != "clamped":
+        time = clock("mechanics", duration)
+        elongation, force = _at(run, time, run.elongation[:, 0]), _at(run, time, run.force[:, 0])
+        signals += [
+            Signal("elongation", "m", time, sensors.read("range", elongation)),
+            Signal("force", "N", time, sensors.read("force", force)),
+        ]
     rig = "composite rig" if len(parameters["bench.channels"]) > 1 else "wire rig"
     return _record(f"synthetic {name} on the simulated {rig}", signals)
 

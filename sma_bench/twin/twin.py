@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
-from sma_bench.physics.boundary import side_names
+from sma_bench.physics.boundary import require_load, side_names
 from sma_bench.twin.comparison import Comparison
 from sma_bench.twin.drive import Drive
 from sma_bench.twin.free_run import FreeRun
@@ -69,6 +69,7 @@ class Twin:
         on_residual: Callable[[Residual], None],
     ) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output."""
+        require_load(parameters, "twin", ("clamped", "beam"))
         self._parameters = parameters
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]

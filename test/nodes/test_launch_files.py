@@ -15,14 +15,16 @@ from std_msgs.msg import String
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
-from sma_bench.nodes.bench_plan import COMPOSITE, WIRE, plan_bench
+from sma_bench.nodes.bench_plan import ANTAGONIST, COMPOSITE, SPRING, WEIGHT, WIRE, plan_bench
 from sma_bench.nodes.discovery import PROFILE, RANGE, USERS_VARIABLES
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.protocols import load_protocol
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGS = {"wire_bench": WIRE, "composite_bench": COMPOSITE}
+LOADS = {"weight_bench": WEIGHT, "spring_bench": SPRING, "antagonist_bench": ANTAGONIST}
 BENCHES = {name: ROOT / "launch" / f"{name}.launch.py" for name in RIGS}
 REST = ["experiment", "recorder", "identification"]
 CAMERA = ["synthetic_camera", "ir_camera"]
@@ -48,12 +50,21 @@ def values(rig, **changed):
     return {name: a.default for name, a in rig.arguments.items()} | changed
 
 
-def test_both_rigs_and_the_replay_have_a_launch_file():
-    names = sorted(path.name for path in (ROOT / "launch").glob("*.py"))
-    assert names == ["composite_bench.launch.py", "replay.launch.py", "wire_bench.launch.py"]
+def test_every_rig_and_the_replay_have_a_launch_file():
+    names = {path.name for path in (ROOT / "launch").glob("*.py")}
+    assert names == {f"{name}.launch.py" for name in (*RIGS, *LOADS, "replay")}
 
 
-@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
+@pytest.mark.parametrize("name", LOADS)
+def test_the_launch_file_of_a_load_simulates_its_rig(name, monkeypatch):
+    actions = built(ROOT / "launch" / f"{name}.launch.py", monkeypatch)
+    assert executables(actions) == ["simulator", *REST]
+    rig = str(ROOT / "config" / LOADS[name].file)
+    assert node(actions, "simulator").parameters[0] == rig
+    assert name.startswith({"force": "weight"}.get(kind := load_kind(read_parameters(rig)), kind))
+
+
+@pytest.mark.parametrize("rig", [*RIGS.values(), *LOADS.values()], ids=[*RIGS, *LOADS])
 def test_a_rig_names_an_existing_file_and_a_protocol_that_fits_it(rig):
     parameters = read_parameters(ROOT / "config" / rig.file)
     assert rig.arguments["params"].default == str(ROOT / "config" / rig.file)

@@ -56,6 +56,27 @@ def test_a_clamped_wire_pulls_when_it_transforms_and_keeps_its_length():
     assert force[-1] > 5.0
 
 
+def test_a_wire_against_a_spring_shortens_as_its_force_grows():
+    spring = WIRE.replace(
+        {"load.kind": "spring", "load.stiffness": 1000.0, "load.preload": 5.0}
+    )
+    readings = run(VirtualBench(spring, PERFECT), (6.0,), 3.0)["mechanics"]
+    elongation, force = np.array([r.values for r in readings]).T
+    assert force == pytest.approx(5.0 - 1000.0 * elongation, rel=1e-6)
+    assert np.ptp(elongation) > 1e-3
+
+
+def test_two_wires_on_a_slider_move_a_tip():
+    pair = WIRE.replace({
+        "bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back"),
+        "load.kind": "antagonist", "load.preload": 5.0,
+    })  # fmt: skip
+    readings = run(VirtualBench(pair, PERFECT), (6.0, 0.0), 3.0)["mechanics"]
+    front, back = np.array([r.values for r in readings]).T
+    assert front + back == pytest.approx(np.full(front.size, 0.2))
+    assert 0.5 * (back[-1] - front[-1]) > 5e-4
+
+
 def test_range_sensors_see_the_tip_from_both_sides():
     readings = run(VirtualBench(COMPOSITE, PERFECT), (0.0, 0.0, 5.0, 5.0), 3.0)["mechanics"]
     front, back = np.array([r.values for r in readings]).T

@@ -200,3 +200,17 @@ def test_a_file_may_carry_its_own_name_and_repeat(tmp_path):
     protocol = load_protocol(path, WIRE)
     assert (protocol.name, protocol.duration) == ("cycle", 4.0)
     assert protocol.step_at(3.5) == "hot 2 of 2 2 of 2"
+
+
+def test_isobaric_hangs_a_wire_under_the_papers_force_unless_the_bench_has_a_load():
+    protocol = load_protocol("isobaric", Parameters.defaults())
+    assert (held := protocol.bench(Parameters.defaults()))["load.kind"] == "force"
+    assert held["load.force"] == 1.0
+    heavier = protocol.bench(Parameters.defaults().replace({"load.force": 7.0}))
+    assert heavier["load.force"] == 7.0 and heavier["load.kind"] == "force"
+    for bench in (Parameters.defaults().replace({"load.kind": "clamped"}), COMPOSITE):
+        assert protocol.bench(bench) is bench
+    triangle = load_protocol("triangle", Parameters.defaults())
+    assert triangle.bench(Parameters.defaults())["load.kind"] == ""
+    with pytest.raises(InputError, match="load is 'rope', expected clamped, force"):
+        parse_protocol({"steps": [{"kind": "rest", "duration": 1.0}], "load": "rope"}, COMPOSITE)

@@ -33,6 +33,9 @@ EFFECT = Effect(
 
 @borrowing
 def power(wires, i, voltage, resistance):
-    """Heat in wire i [W] when the driver reads `voltage`."""
+    """Heat in wire i [W] when the driver reads `voltage`; a current source holds voltage / R."""
+    if wires[i, at.CURRENT_DRIVEN] > 0.0:
+        current = voltage / wires[i, at.RESISTANCE]
+        return current * current * resistance
     current = voltage / (resistance + wires[i, at.SUPPLY_RESISTANCE])
     return current * current * resistance

@@ -1,0 +1,14 @@
+"""Antagonist rig: two wires on one slider: simulated, in one namespace.
+
+ros2 launch sma_bench antagonist_bench.launch.py speed:=10.0
+"""
+
+from launch import LaunchDescription
+
+from sma_bench.nodes.bench_launch import bench_launch
+from sma_bench.nodes.bench_plan import ANTAGONIST
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The nodes, each with the rig's parameters."""
+    return bench_launch(ANTAGONIST)
