@@ -4,8 +4,8 @@ in a node until it is compiled: a bench that has just been installed answers at 
 
 import fcntl
 import hashlib
+import json
 import os
-import pickle
 import subprocess
 import sys
 import tempfile
@@ -115,7 +115,8 @@ class Meanwhile:
         name = self.function.__module__, self.function.__name__
         with suppress(OSError):
             subprocess.run(
-                [sys.executable, "-P", "-m", __name__], input=pickle.dumps((*name, signature)),
+                [sys.executable, "-P", "-m", __name__],
+                input=json.dumps([*name, *map(_described, signature)]), text=True,
                 env=tied_to_this_process(), start_new_session=True, check=False,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip
@@ -160,12 +161,26 @@ def _on_disk(function: Any, signature: tuple[Any, ...]) -> bool:
     return False
 
 
+def _described(kind: Any) -> list[Any]:
+    """A type of numba in words: its name, and of an array its dimensions, layout and mutability."""
+    if isinstance(kind, numba.types.Array):
+        return [str(kind.dtype), kind.ndim, kind.layout, not kind.mutable]
+    return [str(kind)]
+
+
+def _type_of(described: list[Any]) -> Any:
+    name, *array = described
+    kind = getattr(numba.types, name)
+    return numba.types.Array(kind, *array) if array else kind
+
+
 def _compile_here() -> None:
     """The other process: what its standard input names is compiled, and kept on the disk."""
     end_with_parent()
     os.nice(5)
-    module, name, signature = pickle.load(sys.stdin.buffer)
+    module, name, *described = json.load(sys.stdin)
     function = getattr(import_module(module), name)
+    signature = tuple(map(_type_of, described))
     folder = _cache_folder(_room(Path(function.py_func.__code__.co_filename).resolve()))
     if folder is None:
         return  # nothing could be kept
