@@ -145,12 +145,12 @@ class _State:
         self.z = self._best_nuisances()
         self.linearise()
 
-    def linearise(self) -> None:
+    def linearise(self, central: bool = True) -> None:
         """Derivatives at the present place."""
         self.base = self.given
         if self.base is None:
             self.base = self.problem.derivatives(
-                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline)
+                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline), central
             )
         self.slopes = self._slopes()
 
@@ -179,7 +179,7 @@ class _State:
         fresh = True
         for _ in range(most):
             if not fresh and far:
-                self.linearise()
+                self.linearise(central=False)
             elif not fresh:
                 self.slopes = self._slopes()
             now = self._descend(cost, low, high)

@@ -51,7 +51,7 @@ def test_foreign_records_give_back_the_truth_within_the_stated_errors(foreign, s
     numbers = [number for number in found.numbers if number.name not in SHAPES]
     assert len(numbers) == 19
     z = {n.name: (n.value - truth[n.name]) / n.std for n in numbers}
-    assert max(map(abs, z.values())) < 3.5, z
+    assert max(map(abs, z.values())) < 3.0, z
     fit = found.fit
     # One factor carries what is known of both.
     true = [
@@ -172,14 +172,6 @@ def record_of(truth, noise=2e-5, rho=0.0, seed=0, drift=0.0):
     return Record("made here", 0, signals)
 
 
-NARROW = pytest.mark.xfail(
-    strict=True,
-    reason="known defect: in the narrow valley of beta against C_A and C_M, under voltages without "
-    "noise, the fit ends several stated errors from the truth",
-)
-
-
-@NARROW
 def test_front_and_back_may_differ():
     truth = bench(**{BACK: 5.6e9})
     known = bench().replace({}, {FRONT: 1e9, BACK: 1e9})
@@ -190,7 +182,6 @@ def test_front_and_back_may_differ():
     assert back.value - front.value > 5.0 * front.std
 
 
-@NARROW
 def test_bending_coefficients_that_nobody_gave_start_from_the_geometry():
     truth = bench(**{ALPHA: 0.9, FRONT: 2.8e9, BACK: 3.0e9})
     known = bench(**{ALPHA: 0.0, FRONT: 0.0, BACK: 0.0})

@@ -90,7 +90,7 @@ def _scipy(ours: Fit, start: np.ndarray) -> tuple[np.ndarray, float]:
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         predicted = problem.predict(unknowns.parameters(x))
-        rows = problem.whiten(problem.derivatives(unknowns, x, predicted))
+        rows = problem.whiten(problem.derivatives(unknowns, x, predicted, range(len(x))))
         z = _eliminated(problem, rows)
         return np.vstack([problem.white_nuisances @ z - rows, -z, np.eye(len(x))])
 
