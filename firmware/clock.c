@@ -1,4 +1,5 @@
-/* Timer1: the millisecond, the time stamps, and who may feed the watchdog. */
+/* The two interrupts that time everything: each millisecond (Timer1), each PWM period (Timer0);
+ * the time stamps, and who may feed the watchdog. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/wdt.h>
@@ -29,7 +30,15 @@ void loop_lives(void)
     loop_lived = 1;
 }
 
-/* The watchdog is fed here and only when both lived: this interrupt and the main loop. */
+ISR(TIMER0_OVF_vect)
+{
+    const uint16_t *duty = safety_duties();
+    if (duty)
+        outputs_follow(duty);
+}
+
+/* The watchdog is fed here and only when all lived: this interrupt, the main loop, and (which
+ * safety_tick knows) the outputs' interrupt. */
 ISR(TIMER1_COMPA_vect)
 {
     time_us += TICK_US;
@@ -59,14 +68,4 @@ uint32_t clock_us(void)
         us = clock_us_in_interrupt();
     }
     return us;
-}
-
-uint16_t entropy(void)
-{
-    uint16_t counts;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
-    {
-        counts = TCNT1;
-    }
-    return counts;
 }

@@ -4,7 +4,7 @@
 #define CONFIG_H
 
 #define FIRMWARE_NAME "sma-uno"
-#define PROTOCOL_VERSION 1
+#define PROTOCOL_VERSION 2
 #ifndef BUILD_HASH
 #define BUILD_HASH "ide" /* the Makefile gives a hash of the sources */
 #endif
@@ -15,7 +15,7 @@
 #define CHANNELS 4         /* front_1, front_2, back_1, back_2 */
 #define BOARDS 2           /* front, back: two channels and one current sensor each */
 
-/* Limits. The host reads them in the handshake. */
+/* Limits, ceilings of what the host may set for its rig (command C) and reads in the handshake. */
 #ifndef MAX_COMMAND_MV
 #define MAX_COMMAND_MV 10000
 #endif
@@ -30,6 +30,24 @@
 #endif
 #ifndef PEAK_LIMIT_MA
 #define PEAK_LIMIT_MA 12000 /* both wires switched on at 12 V: 8.9 A */
+#endif
+#ifndef LEAST_MOHM
+#define LEAST_MOHM 1000 /* of any wire, a floor: what draws more than this explains is no wire */
+#endif
+#ifndef HOT_MV
+#define HOT_MV 8000 /* of a wire, root of the mean square over HOT_MS */
+#endif
+#ifndef HOT_MS
+#define HOT_MS 2000
+#endif
+#ifndef EXTRA_MA
+#define EXTRA_MA 80 /* of a board beyond what its outputs explain: noise of a tared mean */
+#endif
+#ifndef OFF_LIMIT_MA
+#define OFF_LIMIT_MA 500 /* of a board with its outputs off: an ACS712 may be 0.4 A off */
+#endif
+#ifndef RELAY_MS
+#define RELAY_MS 30 /* from the coil's current to a contact that bounces no more */
 #endif
 #ifndef ON_TIME_DUTY_Q16
 #define ON_TIME_DUTY_Q16 6554 /* 0.10 counts as on: 3.8 V from 12 V */
@@ -52,10 +70,11 @@
 #define BACK_MV_PER_A 100
 #endif
 #ifndef SUPPLY_DIVIDER
-#define SUPPLY_DIVIDER 4 /* 30 kohm over 10 kohm: 20 V full scale */
+#define SUPPLY_DIVIDER 4 /* 3 kohm over 1 kohm: 20 V full scale */
 #endif
 
-#define REFERENCE_MV 5000 /* AVcc */
+#define REFERENCE_MV 5000 /* AVcc, which USB makes 4.75 to 5.1 V: measured with the next one */
+#define BANDGAP_MV 1100   /* the chip's own; 1.0 to 1.2 V, so calibrate the supply's reading */
 #define ADC_STEPS 1024UL
 #define ADC_MIDDLE 512U /* an ACS71x at 0 A gives half its supply, which is the reference */
 

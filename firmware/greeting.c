@@ -2,15 +2,18 @@
 
 #include "answers.h"
 #include "hal.h"
+#include "safety.h"
 
 #define LINES 3
 
 static uint8_t due; /* lines still to be sent, a bit each */
 static uint16_t nonce;
+static bool tell_nonce;
 
-void greeting_start(uint16_t arming_nonce)
+void greeting_start(uint16_t arming_nonce, bool asked)
 {
     nonce = arming_nonce;
+    tell_nonce = asked;
     due = (1 << LINES) - 1;
 }
 
@@ -20,23 +23,28 @@ static void name_line(void)
     add_text(PSTR(" name=" FIRMWARE_NAME " build=" BUILD_HASH));
     add_named(PSTR(" protocol="), PROTOCOL_VERSION);
     add_named(PSTR(" reset="), reset_flags());
-    add_named(PSTR(" nonce="), nonce);
+    add_named(PSTR(" before="), cause_before());
+    if (tell_nonce)
+        add_named(PSTR(" nonce="), nonce);
 }
 
 static void limit_line(void)
 {
     begin_message('L');
     add_named(PSTR(" channels="), CHANNELS);
-    add_named(PSTR(" max_mv="), MAX_COMMAND_MV);
+    add_named(PSTR(" max_mv="), safety_limits()->max_mv);
     add_named(PSTR(" timeout_ms="), COMMAND_TIMEOUT_MS);
     add_named(PSTR(" duty="), DUTY_LIMIT_Q16);
-    add_named(PSTR(" mean_ma="), MEAN_LIMIT_MA);
-    add_named(PSTR(" peak_ma="), PEAK_LIMIT_MA);
+    add_named(PSTR(" mean_ma="), safety_limits()->mean_ma);
+    add_named(PSTR(" peak_ma="), safety_limits()->peak_ma);
+    add_named(PSTR(" least_mohm="), safety_limits()->least_mohm);
 }
 
 static void more_limits_line(void)
 {
     begin_message('M');
+    add_named(PSTR(" hot_mv="), safety_limits()->hot_mv);
+    add_named(PSTR(" hot_ms="), safety_limits()->hot_ms);
     add_named(PSTR(" on_duty="), ON_TIME_DUTY_Q16);
     add_named(PSTR(" on_s="), ON_TIME_LIMIT_S);
     add_named(PSTR(" supply_min_mv="), SUPPLY_MIN_MV);

@@ -2,9 +2,10 @@
 #ifndef GREETING_H
 #define GREETING_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
-void greeting_start(uint16_t arming_nonce);
+void greeting_start(uint16_t arming_nonce, bool asked); /* a start tells no nonce */
 void greet(void); /* in each turn of the loop: sends what is due and has room */
 
 #endif

@@ -19,7 +19,10 @@
 #endif
 
 /* Inputs of the converter; the boards' currents come first. */
-enum input { FRONT_CURRENT, BACK_CURRENT, SUPPLY, FRONT_RANGE, BACK_RANGE, INPUTS };
+enum input { FRONT_CURRENT, BACK_CURRENT, SUPPLY, FRONT_RANGE, BACK_RANGE, INPUTS, BANDGAP };
+
+/* Boards whose outputs are on, a bit each, or UNSURE close to an edge. */
+#define UNSURE 0xFF
 
 /* Readings of one telemetry window, which ended at time_us. */
 struct frame {
@@ -37,9 +40,21 @@ struct serial_counts {
 /* From interrupts, or with them off. */
 void outputs_off(void); /* at once */
 void outputs_prepare(void);
+uint8_t outputs_register(uint8_t channel); /* what is applied, in 1/256, read back */
+bool outputs_make(uint8_t channel, uint16_t duty); /* it is what that duty may make in a period */
+void outputs_gather(uint8_t boards); /* a bit each: pulses long enough for the converter */
+void relay_close(void);
+void relay_open(void);
 
 uint32_t clock_us(void);
 uint16_t entropy(void);
+
+uint16_t sampling_reference(void); /* 0.1 mV of AVcc */
+void sampling_follow(void); /* in each turn of the loop */
+uint16_t sampling_supply(void); /* without load, 1/64 of a step */
+uint16_t sampling_supply_of_window(void); /* since it was asked for last */
+uint16_t sampling_drop(uint8_t board); /* by a board that is on, 1/64 of a step */
+void sampling_learn_drops(void); /* anew: somebody may have changed the wires */
 
 void sampling_set_period(uint16_t milliseconds); /* 0: no telemetry */
 const struct frame *sampling_take(void); /* NULL: no window is complete */
@@ -55,5 +70,8 @@ struct serial_counts serial_counts(void);
 
 uint8_t reset_flags(void); /* MCUSR's bits */
 uint16_t stack_never_used(void);
+uint16_t start_entropy(void); /* of memory at power-on and the number of starts */
+void remember_cause(uint8_t cause); /* across a reset */
+uint8_t cause_before(void); /* that a reset ended; 0 for none or unknown */
 
 #endif

@@ -4,7 +4,10 @@
 
 #include <stdint.h>
 
+void start_init(void);
 void pwm_init(void);
+void outputs_follow(const uint16_t *duty); /* each PWM period */
+uint8_t outputs_at_sample(void); /* boards that are on when a conversion started now samples */
 void serial_init(void);
 void clock_init(void);
 void sampling_init(void);

@@ -28,6 +28,8 @@ enum reason {
     BAD_RATE = 10,
     IS_STOPPED = 11,
     IS_ARMED = 12,
+    CURRENT_FLOWS = 13,
+    BEYOND_LIMITS = 14,
 };
 
 struct command {

@@ -17,7 +17,40 @@ static const uint8_t turns[SLOTS] = {FRONT_CURRENT, BACK_CURRENT, SUPPLY, FRONT_
 static const uint8_t pins[INPUTS] = {
     [FRONT_CURRENT] = 0, [BACK_CURRENT] = 1, [SUPPLY] = 4, [FRONT_RANGE] = 2, [BACK_RANGE] = 3};
 
+/* The chip's own 1.1 V is slow to settle after a change of input, and says once and for all what
+ * AVcc is: now and then a few conversions of it, of which the last count. */
+#define BANDGAP_PIN 14
+#define BURST 9 /* odd: conversions then meet other phases of the pulses */
+#define BURST_COUNTED 4
+#define ROUNDS 128
+#define BANDGAP_SHIFT 8 /* as many counted ones are its mean */
+#define DROP_SHIFT 5
+#define DROP_READINGS 8 /* make one that is known */
+#define TRIES 255 /* beside a board that is nearly always on, another is never alone */
+/* Readings for the main loop, which has the time to work with them; the oldest are lost. */
+#define NOTED 16 /* a power of two */
+#define KIND_SHIFT 12
+#define OF_BANDGAP 4 /* else of the supply, with the boards that were on */
+
 static uint8_t slot;
+static uint8_t running; /* input of the present conversion */
+static uint8_t burst, rounds;
+static uint8_t lit; /* boards that are on when it samples */
+static volatile uint16_t noted[NOTED];
+static volatile uint8_t noted_in;
+static uint8_t noted_out;
+static volatile uint16_t entropy_pool;
+
+/* In 1/1024 step, of the main loop alone. */
+static int32_t bandgap_mean;
+static uint16_t reference = REFERENCE_MV * 10U;
+static int32_t supply_mean; /* without load */
+static int32_t drops[BOARDS]; /* by a board that is on */
+static uint8_t learned[BOARDS]; /* readings of it */
+static uint8_t loaded; /* readings with any board on, up to TRIES */
+static uint32_t supply_sum; /* since it was asked for last, in 1/32 step */
+static uint16_t supply_count;
+
 static struct frame frames[2];
 static struct frame *growing = &frames[0];
 static bool is_ready; /* the one that is not growing holds a whole window */
@@ -28,13 +61,107 @@ static uint16_t elapsed_ms;
 
 static void start_conversion(void)
 {
-    ADMUX = (uint8_t)(_BV(REFS0) | pins[turns[slot]]);
+    ADMUX = (uint8_t)(_BV(REFS0) | (running == BANDGAP ? BANDGAP_PIN : pins[running]));
     ADCSRA |= _BV(ADSC);
+    if (running == SUPPLY)
+        lit = outputs_at_sample();
+}
+
+static uint8_t next_input(void)
+{
+    if (burst) {
+        burst--;
+        return BANDGAP;
+    }
+    slot = (slot + 1) % SLOTS;
+    if (!slot && ++rounds >= ROUNDS) {
+        rounds = 0;
+        burst = BURST;
+    }
+    return turns[slot];
+}
+
+static void note(uint16_t reading, uint8_t kind)
+{
+    noted[noted_in % NOTED] = reading | (uint16_t)kind << KIND_SHIFT;
+    noted_in++;
+}
+
+/* The first readings weigh more: a mean of few is better than the nominal value. */
+static void take_bandgap(int32_t reading)
+{
+    static uint8_t counted;
+    uint8_t shift = BANDGAP_SHIFT;
+    if (counted < 64)
+        shift = ++counted <= 1 ? 0 : counted < 8 ? 2 : counted < 32 ? 4 : 6;
+    bandgap_mean += (reading - bandgap_mean) >> shift;
+    uint32_t found = BANDGAP_MV * 10UL * ADC_STEPS * 64 / ((uint32_t)(bandgap_mean >> 4) | 1);
+    /* Out of the data sheet's range it says nothing. */
+    if (found > REFERENCE_MV * 8UL && found < REFERENCE_MV * 12UL)
+        reference = (uint16_t)found;
+}
+
+/* As a mean at first, which forgets later. */
+static uint8_t drop_shift(uint8_t board)
+{
+    uint8_t count = learned[board];
+    if (count == DROP_READINGS)
+        return DROP_SHIFT;
+    learned[board]++;
+    return count < 1 ? 0 : count < 2 ? 1 : count < 4 ? 2 : 3;
+}
+
+/* What a load takes from the supply it takes in pulses: readings are brought to no load, and the
+ * drop by each board's pulse is kept. */
+static void take_supply(int32_t reading, uint8_t boards)
+{
+    for (uint8_t board = 0; board < BOARDS; board++) {
+        if (boards == 1 << board) {
+            int32_t change = supply_mean - reading - drops[board];
+            drops[board] += change >> drop_shift(board);
+            if (drops[board] < 0)
+                drops[board] = 0;
+        }
+        if (boards & 1 << board)
+            reading += drops[board];
+    }
+    if (boards && loaded < TRIES)
+        loaded++;
+    supply_mean += supply_mean ? (reading - supply_mean) >> DROP_SHIFT : reading;
+    supply_sum += (uint32_t)reading >> 5;
+    supply_count++;
+}
+
+void sampling_follow(void)
+{
+    if ((uint8_t)(noted_in - noted_out) > NOTED / 2)
+        noted_out = noted_in - NOTED / 2;
+    while (noted_out != noted_in) {
+        uint16_t entry = noted[noted_out++ % NOTED];
+        int32_t reading = (int32_t)(entry & (ADC_STEPS - 1)) << 10;
+        if (entry >> KIND_SHIFT == OF_BANDGAP)
+            take_bandgap(reading);
+        else
+            take_supply(reading, (uint8_t)(entry >> KIND_SHIFT));
+    }
+    uint8_t unknown = 0;
+    for (uint8_t board = 0; board < BOARDS; board++)
+        if (learned[board] < DROP_READINGS && loaded < TRIES)
+            unknown |= (uint8_t)(1 << board);
+    outputs_gather(unknown);
+}
+
+void sampling_learn_drops(void)
+{
+    for (uint8_t board = 0; board < BOARDS; board++)
+        learned[board] = 0;
+    loaded = 0;
 }
 
 void sampling_init(void)
 {
     DIDR0 = 0x3F;
+    running = turns[slot];
     ADCSRA = _BV(ADEN) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
     start_conversion();
 }
@@ -42,15 +169,59 @@ void sampling_init(void)
 ISR(ADC_vect)
 {
     uint16_t reading = ADC;
-    uint8_t input = turns[slot];
-    slot = (slot + 1) % SLOTS;
+    uint8_t input = running, was_lit = lit;
+    running = next_input();
     start_conversion();
+    entropy_pool = (uint16_t)((entropy_pool << 1 | entropy_pool >> 15) + reading);
+    if (input == BANDGAP) {
+        if (burst < BURST_COUNTED)
+            note(reading, OF_BANDGAP);
+        return;
+    }
     growing->sum[input] += reading;
     growing->count[input]++;
     if (input < BOARDS)
         safety_current(input, reading);
-    else if (input == SUPPLY)
+    if (input == SUPPLY) {
         safety_supply(reading);
+        if (was_lit != UNSURE)
+            note(reading, was_lit);
+    }
+}
+
+/* The converter's noise, and the moment at which it is asked. */
+uint16_t entropy(void)
+{
+    uint16_t pool;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        pool = entropy_pool ^ TCNT1;
+    }
+    return pool;
+}
+
+uint16_t sampling_reference(void)
+{
+    return reference;
+}
+
+uint16_t sampling_supply(void)
+{
+    return (uint16_t)(supply_mean >> 4);
+}
+
+/* In a short window there may be no sure reading; then the mean over several. */
+uint16_t sampling_supply_of_window(void)
+{
+    uint16_t q6 = supply_count ? (uint16_t)(2 * supply_sum / supply_count) : sampling_supply();
+    supply_sum = 0;
+    supply_count = 0;
+    return q6;
+}
+
+uint16_t sampling_drop(uint8_t board)
+{
+    return (uint16_t)(drops[board] >> 4);
 }
 
 static struct frame *other(void)

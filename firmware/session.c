@@ -15,10 +15,13 @@
 
 static struct line line;
 static uint16_t nonce;
+static bool has_nonce; /* somebody asked for it since the start */
 static uint16_t session;
 static uint16_t sequence; /* of the last accepted voltage command */
 static uint16_t command_mv[CHANNELS];
 static uint32_t refreshed_us;
+static uint16_t unloaded, loaded[BOARDS]; /* mV of the supply, without load and in a pulse */
+static uint16_t limited_at; /* reference for which the supply's limits are worked out */
 static uint16_t rejected;
 
 /* --- commands --------------------------------------------------------------------------------- */
@@ -32,24 +35,24 @@ static void renew_nonce(void)
         nonce++;
 }
 
-static struct safety safety_copy(void)
+static uint8_t state_now(void)
 {
-    struct safety copy;
+    uint8_t state;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        copy = *safety_now();
+        state = safety_now()->state;
     }
-    return copy;
+    return state;
 }
 
-static uint16_t supply_mv(void)
+static bool supply_is_good(void)
 {
-    uint16_t supply;
+    bool good;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        supply = safety_supply_is_good() ? safety_supply_mv() : 0;
+        good = safety_supply_is_good();
     }
-    return supply;
+    return good;
 }
 
 static uint8_t hello(const uint16_t *field)
@@ -60,17 +63,18 @@ static uint8_t hello(const uint16_t *field)
         safety_disarm();
     }
     renew_nonce();
-    greeting_start(nonce);
+    has_nonce = true;
+    greeting_start(nonce, true);
     return ACCEPTED;
 }
 
 static uint8_t arm(const uint16_t *field)
 {
     bool armed;
-    uint8_t state = safety_copy().state;
+    uint8_t state = state_now();
     if (state != IDLE)
         return state == STOPPED ? IS_STOPPED : IS_ARMED;
-    if (field[0] != nonce)
+    if (!has_nonce || field[0] != nonce)
         return WRONG_SESSION;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
@@ -78,6 +82,7 @@ static uint8_t arm(const uint16_t *field)
     }
     if (!armed)
         return NO_SUPPLY;
+    sampling_learn_drops();
     session = nonce;
     renew_nonce();
     sequence = 0;
@@ -87,37 +92,51 @@ static uint8_t arm(const uint16_t *field)
     return ACCEPTED;
 }
 
-static uint8_t duties_of(const uint16_t *millivolts, uint16_t *duty)
+/* Duties of volts at the supply that was measured last, and what they let flow at most. A duty
+ * beyond its limit is OVER_DUTY, but filled in too. */
+static uint8_t work_out(const uint16_t *millivolts, struct drive *drive)
 {
-    uint16_t supply = supply_mv();
-    if (!supply)
-        return NO_SUPPLY;
-    for (uint8_t channel = 0; channel < CHANNELS; channel++) {
-        if (millivolts[channel] > MAX_COMMAND_MV)
-            return OVER_VOLTAGE;
-        duty[channel] = duty_of(millivolts[channel], supply);
-        if (duty[channel] > DUTY_LIMIT_Q16)
-            return OVER_DUTY;
+    uint8_t reason = ACCEPTED;
+    drive->square = (uint16_t)((uint32_t)(unloaded >> 6) * (unloaded >> 6));
+    for (uint8_t board = 0; board < BOARDS; board++) {
+        uint32_t duties = 0;
+        for (uint8_t channel = 2 * board; channel < 2 * board + 2; channel++) {
+            drive->duty[channel] = duty_of(millivolts[channel], loaded[board]);
+            if (drive->duty[channel] > DUTY_LIMIT_Q16)
+                reason = OVER_DUTY;
+            duties += drive->duty[channel];
+        }
+        drive->explained[board] = safety_explained(board, unloaded, duties);
     }
-    return ACCEPTED;
+    return reason;
+}
+
+static uint8_t check(const uint16_t *millivolts, struct drive *drive)
+{
+    if (!supply_is_good())
+        return NO_SUPPLY;
+    for (uint8_t channel = 0; channel < CHANNELS; channel++)
+        if (millivolts[channel] > safety_limits()->max_mv)
+            return OVER_VOLTAGE;
+    return work_out(millivolts, drive);
 }
 
 static uint8_t drive(const uint16_t *field)
 {
-    uint16_t duty[CHANNELS];
+    struct drive asked;
     bool driven;
-    if (safety_copy().state != ARMED)
+    if (state_now() != ARMED)
         return NOT_ARMED;
     if (field[0] != session)
         return WRONG_SESSION;
     if ((int16_t)(field[1] - sequence) <= 0)
         return OLD_SEQUENCE;
-    uint8_t reason = duties_of(field + 2, duty);
+    uint8_t reason = check(field + 2, &asked);
     if (reason != ACCEPTED)
         return reason;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        driven = safety_drive(duty, true);
+        driven = safety_drive(&asked, true);
     }
     if (!driven)
         return NOT_ARMED;
@@ -127,22 +146,40 @@ static uint8_t drive(const uint16_t *field)
     return ACCEPTED;
 }
 
+/* The supply, and its limits in 1/32 steps of what USB makes of the reference. */
+static void follow_reference(void)
+{
+    uint16_t reference = sampling_reference();
+    unloaded = supply_mv(sampling_supply(), reference);
+    for (uint8_t board = 0; board < BOARDS; board++)
+        loaded[board] = unloaded - supply_mv(sampling_drop(board), reference);
+    if (reference == limited_at)
+        return;
+    limited_at = reference;
+    /* Volatile: no compiler may put these divisions where interrupts are off. */
+    volatile uint16_t low = (uint16_t)((uint32_t)SUPPLY_MIN_MV * 10 / SUPPLY_DIVIDER * 32768 / reference);
+    volatile uint16_t high = (uint16_t)((uint32_t)SUPPLY_MAX_MV * 10 / SUPPLY_DIVIDER * 32768 / reference);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        safety_supply_range(low, high);
+    }
+}
+
 /* Same volts, new supply. A duty beyond the limit goes through: the interrupt stops and says so. */
 static void follow_supply(void)
 {
-    uint16_t duty[CHANNELS];
+    struct drive again;
     uint32_t now = clock_us();
     if (now - refreshed_us < REFRESH_US)
         return;
     refreshed_us = now;
-    uint16_t supply = supply_mv();
-    if (!supply || safety_copy().state != ARMED)
+    follow_reference();
+    if (!supply_is_good() || state_now() != ARMED)
         return;
-    for (uint8_t channel = 0; channel < CHANNELS; channel++)
-        duty[channel] = duty_of(command_mv[channel], supply);
+    work_out(command_mv, &again);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        safety_drive(duty, false);
+        safety_drive(&again, false);
     }
 }
 
@@ -159,13 +196,29 @@ static uint8_t disarm(const uint16_t *field)
 
 static uint8_t reset(const uint16_t *field)
 {
+    bool forgotten;
     (void)field;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        safety_reset();
+        forgotten = safety_reset();
     }
+    if (!forgotten)
+        return CURRENT_FLOWS;
     renew_nonce();
+    has_nonce = true;
     answer('K', 'R', nonce);
+    return ACCEPTED;
+}
+
+/* The interrupts read what follows from the limits only while armed. */
+static uint8_t set_limits(const uint16_t *field)
+{
+    const struct limits asked = {field[0], field[1], field[2], field[3], field[4], field[5]};
+    if (state_now() == ARMED)
+        return IS_ARMED;
+    if (!safety_limit(&asked))
+        return BEYOND_LIMITS;
+    answer('K', 'C', 0);
     return ACCEPTED;
 }
 
@@ -213,6 +266,7 @@ static uint8_t status(const uint16_t *field)
     add_named(PSTR(" dropped="), counts.dropped);
     add_named(PSTR(" lost="), sampling_lost());
     add_named(PSTR(" stack="), stack_never_used());
+    add_named(PSTR(" reference_mv="), sampling_reference() / 10);
     send_message();
     return ACCEPTED;
 }
@@ -226,6 +280,7 @@ static const struct {
     {'?', 0, true, hello},  {'S', 0, true, status},        {'A', 1, false, arm},
     {'V', 6, false, drive}, {'D', 0, true, disarm},        {'R', 0, false, reset},
     {'T', 1, true, text},   {'B', 1, false, binary_frames}, {'P', 1, false, ping},
+    {'C', 6, false, set_limits},
 };
 
 static uint8_t run(const struct command *command)
@@ -266,8 +321,11 @@ void session_init(void)
     rejected = 0;
     session = 0;
     sequence = 0;
-    renew_nonce();
-    greeting_start(nonce);
+    limited_at = 0;
+    has_nonce = false;
+    nonce = start_entropy();
+    follow_reference();
+    greeting_start(0, false);
     sampling_set_period(1000 / BOOT_RATE);
 }
 
@@ -291,6 +349,7 @@ static bool listen(void)
 bool session_run(void)
 {
     bool busy = listen();
+    sampling_follow();
     follow_supply();
     greet();
     return report(sequence) || busy;

@@ -11,6 +11,12 @@ static uint16_t mean_q6(const struct frame *frame, uint8_t input)
     return count ? (uint16_t)(((frame->sum[input] << 6) + count / 2) / count) : 0;
 }
 
+uint16_t supply_mv(uint16_t q6, uint16_t reference)
+{
+    uint16_t at_pin = (uint16_t)(((uint32_t)q6 * reference) >> 16); /* 0.1 mV */
+    return (uint16_t)((at_pin * (SUPPLY_DIVIDER * 6554UL)) >> 16); /* a division takes 40 us */
+}
+
 static int16_t milliamperes(uint16_t q6, uint16_t mv_per_a)
 {
     int32_t from_zero = (int32_t)q6 - (int32_t)(ADC_MIDDLE << 6);
@@ -18,25 +24,38 @@ static int16_t milliamperes(uint16_t q6, uint16_t mv_per_a)
 }
 
 /* 0.1 mV at a pin. */
-static uint16_t tenths_of_mv(uint16_t q6)
+static uint16_t tenths_of_mv(uint16_t q6, uint16_t reference)
 {
-    return (uint16_t)(((uint32_t)q6 * (REFERENCE_MV * 10UL)) >> 16);
+    return (uint16_t)(((uint32_t)q6 * reference) >> 16);
 }
 
 struct telemetry {
     uint16_t supply_mv;
+    uint16_t drop_mv[BOARDS];
     int16_t current_ma[BOARDS];
     uint16_t range[2];
+    uint16_t duty[CHANNELS];
 };
 
-static void convert(const struct frame *frame, struct telemetry *telemetry)
+/* Whole, if the output is what was set; else as read back. */
+static uint16_t applied(uint8_t channel, uint16_t set)
 {
-    telemetry->supply_mv = (uint16_t)(
-        ((uint32_t)mean_q6(frame, SUPPLY) * ((uint32_t)REFERENCE_MV * SUPPLY_DIVIDER)) >> 16);
+    return outputs_make(channel, set) ? set : (uint16_t)(outputs_register(channel) << 8);
+}
+
+static void convert(const struct frame *frame, const struct safety *safety,
+                    struct telemetry *telemetry)
+{
+    uint16_t reference = sampling_reference();
+    telemetry->supply_mv = supply_mv(sampling_supply_of_window(), reference);
+    for (uint8_t board = 0; board < BOARDS; board++)
+        telemetry->drop_mv[board] = supply_mv(sampling_drop(board), reference);
+    for (uint8_t channel = 0; channel < CHANNELS; channel++)
+        telemetry->duty[channel] = applied(channel, safety->duty[channel]);
     telemetry->current_ma[0] = milliamperes(mean_q6(frame, FRONT_CURRENT), FRONT_MV_PER_A);
     telemetry->current_ma[1] = milliamperes(mean_q6(frame, BACK_CURRENT), BACK_MV_PER_A);
-    telemetry->range[0] = tenths_of_mv(mean_q6(frame, FRONT_RANGE));
-    telemetry->range[1] = tenths_of_mv(mean_q6(frame, BACK_RANGE));
+    telemetry->range[0] = tenths_of_mv(mean_q6(frame, FRONT_RANGE), reference);
+    telemetry->range[1] = tenths_of_mv(mean_q6(frame, BACK_RANGE), reference);
 }
 
 static void write_text(const struct frame *frame, const struct telemetry *telemetry,
@@ -45,9 +64,11 @@ static void write_text(const struct frame *frame, const struct telemetry *teleme
     begin_message('T');
     add(frame->sequence);
     add(frame->time_us);
-    add(safety->state);
+    add(safety->flows ? STILL_FLOWING : safety->state);
     add(safety->cause);
     add(telemetry->supply_mv);
+    add(telemetry->drop_mv[0]);
+    add(telemetry->drop_mv[1]);
     for (uint8_t board = 0; board < BOARDS; board++) {
         put_byte(&out, ' ');
         put_signed(&out, telemetry->current_ma[board]);
@@ -55,7 +76,7 @@ static void write_text(const struct frame *frame, const struct telemetry *teleme
     add(telemetry->range[0]);
     add(telemetry->range[1]);
     for (uint8_t channel = 0; channel < CHANNELS; channel++)
-        add(safety->duty[channel]);
+        add(telemetry->duty[channel]);
     add(sequence);
 }
 
@@ -65,15 +86,17 @@ static void write_binary(const struct frame *frame, const struct telemetry *tele
     begin_message('B');
     put_u16(&out, frame->sequence);
     put_u32(&out, frame->time_us);
-    put_byte(&out, safety->state);
+    put_byte(&out, safety->flows ? STILL_FLOWING : safety->state);
     put_byte(&out, safety->cause);
     put_u16(&out, telemetry->supply_mv);
+    put_u16(&out, telemetry->drop_mv[0]);
+    put_u16(&out, telemetry->drop_mv[1]);
     for (uint8_t board = 0; board < BOARDS; board++)
         put_u16(&out, (uint16_t)telemetry->current_ma[board]);
     put_u16(&out, telemetry->range[0]);
     put_u16(&out, telemetry->range[1]);
     for (uint8_t channel = 0; channel < CHANNELS; channel++)
-        put_u16(&out, safety->duty[channel]);
+        put_u16(&out, telemetry->duty[channel]);
     put_u16(&out, sequence);
 }
 
@@ -91,7 +114,7 @@ bool report(uint16_t sequence)
     {
         safety = *safety_now();
     }
-    convert(&frame, &telemetry);
+    convert(&frame, &safety, &telemetry);
     if (answers_are_binary())
         write_binary(&frame, &telemetry, &safety, sequence);
     else

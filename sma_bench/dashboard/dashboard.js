@@ -1,7 +1,7 @@
 // Keeps the page alive: updates in, the stop out, and never an old number shown as a live one.
 
 import { Plot } from "./plot.js";
-import { element, inOrder, showDiagnosis, showAgain, showMeters, showNodes, showProtocol, showStop } from "./panels.js";
+import { element, inOrder, showDiagnosis, showAgain, showMeters, showNodes, showPlug, showProtocol, showStop } from "./panels.js";
 
 const SILENT = 1.5; // s without an update or a reading
 const RETRY = 1000; // ms
@@ -101,6 +101,7 @@ function show() {
   showProtocol(page.panels, page.now);
   showMeters(page.signals, page.panels, page.now);
   showNodes(page.panels, page.now);
+  showPlug(page.panels);
   showDiagnosis(page.panels);
   showAgain(page.panels);
   byId("no-signals").hidden = page.signals.length > 0;

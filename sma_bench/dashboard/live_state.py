@@ -44,6 +44,7 @@ QUANTITIES = {
 }
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
 
+FLOWING = "still flowing"
 NO_VOLTAGE = 0.05
 """V below which a measured voltage is 0: noise and steps of the converters, 10 mV"""
 # Anybody may make topics and names without end.
@@ -110,6 +111,12 @@ class LiveState:
                 "place": place, "volts": QUANTITIES["voltage"].shown(volts),
                 "seconds": round(now - self._stopped[place], 1),
             }  # fmt: skip
+
+    def flowing(self) -> list[str]:
+        """Nodes whose newest state says that current flows though every output is off."""
+        with self._lock:
+            states = self._panels.get("states", {})
+            return sorted(node for node, state in states.items() if state.startswith(FLOWING))
 
     def show(self, panel: str, content: Any) -> None:
         """Set what a panel shows: plain values that JSON has."""

@@ -73,7 +73,7 @@ export function showNodes(panels, now) {
   const there = panels.there || [];
   const rows = Object.entries(panels.states || {}).map(([node, state]) => {
     const gone = !there.includes(node);
-    const bad = gone || /^(stopped|aborted|not connected|failed)/.test(state);
+    const bad = gone || /^(stopped|still flowing|aborted|not connected|failed)/.test(state);
     return [node, gone ? `gone (last: ${state})` : state, bad ? "error" : ""];
   });
   for (const [name, { level, message, heard }] of Object.entries(panels.diagnostics || {})) {
@@ -117,6 +117,20 @@ export function showDiagnosis(panels) {
   const head = element("p");
   head.append(element("strong", found.verdict));
   get("diagnosis-content").replaceChildren(head, ...bars, ...found.lines.map((line) => element("p", line, "quiet")));
+}
+
+// Nothing here can end it: louder than all else, above the stop, until the node says otherwise.
+export function showPlug(panels) {
+  const flowing = Object.entries(panels.states || {}).filter(([, state]) => state.startsWith("still flowing"));
+  const box = get("plug");
+  if (box.dataset.said !== JSON.stringify(flowing)) {
+    box.dataset.said = JSON.stringify(flowing);
+    box.replaceChildren(element("strong", "PULL THE PLUG"),
+      ...flowing.map(([node, state]) => element("p", `${node}: ${state}`)));
+  }
+  box.hidden = !flowing.length;
+  document.title = document.title.replace(/^PULL THE PLUG - /, "");
+  if (flowing.length) document.title = `PULL THE PLUG - ${document.title}`;
 }
 
 // After a stop that was confirmed: a voltage is news to everybody who saw that.

@@ -92,7 +92,8 @@ async def stop(bench: Bench) -> dict[str, Any]:
     whose commander is not asked by one.
 
     Returns:
-        `stopped`: True only where every live wire was read at 0 V and stayed there; `said`: one
+        `stopped`: True only where every live wire was read at 0 V and stayed there, and no node
+        says that current still flows; `said`: one
         sentence; `seconds` until 0 V (None: never); `voltages` (V) by wire; `answers` of the nodes.
     """
     begin = commanded = time.monotonic()
@@ -117,12 +118,18 @@ async def stop(bench: Bench) -> dict[str, Any]:
     if seconds is not None:
         bench.state.stop_confirmed(wires.volts)
     return {
-        "stopped": seconds is not None,
-        "said": _sentence(wires, bool(futures)),
+        "stopped": seconds is not None and not bench.state.flowing(),
+        "said": _plug(bench.state.flowing()) or _sentence(wires, bool(futures)),
         "seconds": seconds and round(seconds, 4),
         "voltages": {p: round(v, 3) for p, v in wires.volts.items() if math.isfinite(v)},
         "answers": [_answer(node, future, answered) for node, future in sorted(futures.items())],
     }
+
+
+def _plug(nodes: list[str]) -> str:
+    if not nodes:
+        return ""
+    return f"PULL THE PLUG: current still flows with every output off, says {', '.join(nodes)}."
 
 
 def _sentence(wires: Wires, asked: bool) -> str:

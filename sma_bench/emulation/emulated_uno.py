@@ -9,8 +9,8 @@ from enum import IntEnum
 from pathlib import Path
 
 CHANNELS = 4
-START_UP = 0.875e-3
-"""s from power-up until the firmware's clock runs: it paints its memory first"""
+START_UP = 2.21e-3
+"""s from power-up until the firmware's clock runs: it looks at all of its memory first"""
 _CHUNK = 4096
 _FOUR = ctypes.c_double * CHANNELS
 _TWO = ctypes.c_double * 2
@@ -104,7 +104,7 @@ class EmulatedUno:
         electrics.supply_limit = math.inf
         electrics.resistance[:] = [2.7] * CHANNELS
         electrics.volts_per_ampere[:] = [0.1, 0.1]
-        electrics.clipping = math.inf
+        electrics.clipping = 25.0  # where its output meets its own supply, at 100 mV/A
         electrics.filter_time = 0.5e-3
         electrics.range_voltage[:] = [1.5, 1.5]
         electrics.noise = 2e-3
@@ -113,7 +113,6 @@ class EmulatedUno:
         electrics.reference = 5.0
         electrics.bandgap = 1.1
         electrics.relay_time = 10e-3
-        electrics.relay_is = Relay.WELDED  # closed by hand
 
     @property
     def time(self) -> float:

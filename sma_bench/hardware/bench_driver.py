@@ -6,20 +6,28 @@ while it is enabled and fresh commands come.
 """
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
 from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.device_identity import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits
-from sma_bench.hardware.self_test import Finding, Link, self_test
+from sma_bench.hardware.self_test import NEEDED, Finding, Link, self_test
 from sma_bench.hardware.serial_messages import TIMEOUT_CAUSE, State
 
 REFRESH = 0.02
 """s between commands to the device, whose own timeout is ten times that"""
 
 _LEAST_TIMEOUTS = 3.0
+_PER_BOARD = 2
+_MARGIN = 1.2
+_HOTTER = 1.1
+_LEAST_HOT_TIME = 0.05
+# A, of the peak above the mean.
+_LEAST_STEP = 0.1
 
 
 class BenchDriver:
@@ -32,8 +40,14 @@ class BenchDriver:
         guard: Guard,
         channels: Sequence[str],
         limits: Limits,
+        waiver: str = "",
+        pause: Callable[[float], None] = time.sleep,
     ) -> None:
+        """`waiver`: why nobody needs a self-test before enabling; "" to demand one."""
         self._link = link
+        self._waiver = waiver
+        self._pause = pause
+        self._tested = -1
         self._sensors = sensors
         self._guard = guard
         self._channels = channels
@@ -50,7 +64,9 @@ class BenchDriver:
 
     @property
     def state(self) -> str:
-        """`idle`, `enabled`, `stopped: why` or `not connected: why`."""
+        """`idle`, `enabled`, `stopped: why`, `not connected: why` or `still flowing: ...`."""
+        if flowing := self.flowing:
+            return f"still flowing: pull the plug ({flowing})"
         if self._interlock.tripped:
             return f"stopped: {self._interlock.reason}"
         if self.enabled:
@@ -59,6 +75,22 @@ class BenchDriver:
         fault = _device_fault(status)
         # What a former host left: the device remembers why it stopped.
         return f"stopped: {fault}" if fault and status.connected else fault or "idle"
+
+    @property
+    def flowing(self) -> str:
+        """The current that nothing here can switch off, "" for none."""
+        status = self._link.status
+        if not status.connected:
+            return ""
+        by_device = status.cause_text if status.state == State.STILL_FLOWING else ""
+        return self._guard.flowing or by_device
+
+    @property
+    def tested(self) -> str:
+        """Whether a self-test allows to enable."""
+        if self._waiver:
+            return f"waived: {self._waiver}"
+        return "passed" if self._tested == self._link.status.connections else "due"
 
     @property
     def supply(self) -> float:
@@ -92,13 +124,19 @@ class BenchDriver:
         obstacle = self._obstacle(now)
         if obstacle:
             raise LinkError(obstacle)
+        if self.tested == "due":
+            self._demand_a_self_test()
         self.gate.clear()
+        status = self._link.status
+        if status.device:
+            self._link.limit(device_limits(self._limits, status.device, self.supply))
         self._link.arm()
         self.enabled = True
 
     def stop(self, reason: str) -> None:
         """Outputs off, at once and until a reset."""
         self.enabled = False
+        self._tested = -1
         self._link.stop()
         self.gate.clear()
         self._interlock.trip(reason)
@@ -111,6 +149,8 @@ class BenchDriver:
         """
         if self.enabled:
             raise LinkError("enabled: stop first")
+        if self.flowing:
+            raise LinkError(self.state)
         self._link.reset()
         self._interlock.reset()
         self._guard.recorder("")
@@ -124,7 +164,15 @@ class BenchDriver:
         """
         if self.enabled:
             raise LinkError("enabled: stop first")
-        return self_test(self._link, self.newest, self.supply, self._sensors.range_sensors)
+        self._tested = -1
+        findings = self_test(self._link, self.newest, self.supply, self._sensors, self._pause)
+        if not _failed(findings):
+            self._tested = self._link.status.connections
+        return findings
+
+    def _demand_a_self_test(self) -> None:
+        if failed := _failed(self.self_test()):
+            raise LinkError(f"self-test: {'; '.join(map(str, failed))}")
 
     # --- what happens -------------------------------------------------------------------------
 
@@ -141,6 +189,7 @@ class BenchDriver:
             amperes = [taken.powers[k].current for k in wires]
             reason = watch.power(volts, amperes, taken.time, self._limits.model)
             self._guard.found(f"wires {wires}", reason)
+        self._guard.boards(taken.board_currents, taken.board_volts, now, self._limits)
         return taken
 
     def temperature(self, channel: str, kelvin: float, stamp: float, now: float) -> None:
@@ -155,6 +204,9 @@ class BenchDriver:
         """Check everything, then keep the device supplied; the reason when it stops here."""
         if not self.enabled:
             self._guard.commanded(self._zero)
+            if self._guard.flowing and not self._interlock.tripped:
+                self.stop(self._guard.flowing)
+                return self._guard.flowing
             return ""
         reason = self._fault(now)
         if reason:
@@ -186,6 +238,8 @@ class BenchDriver:
         return _device_fault(status) or _another_host(status) or self._guard.fault(now)
 
     def _obstacle(self, now: float) -> str:
+        if self.flowing:
+            return self.state
         if self._interlock.tripped:
             return f"{self.state}; reset first"
         status = self._link.status
@@ -203,10 +257,38 @@ class BenchDriver:
         return self._guard.fault(now)
 
 
+def device_limits(limits: Limits, device: DeviceIdentity, supply: float) -> list[int]:
+    """What the device is to allow this rig: the numbers of its command C.
+
+    Its own limits are ceilings. The heat that it allows is what holds a wire of the model a tenth
+    in volts above its highest temperature, forgotten as fast as that wire cools.
+    """
+    model = limits.model
+    least = max(device.least_resistance, model.least_resistance)
+    rise = max(limits.maximum_temperature - model.ambient, 1.0)
+    hot = _HOTTER * math.sqrt(rise * model.heat_loss * model.resistance)
+    mean = min(device.maximum_mean_current, _PER_BOARD * _MARGIN * limits.maximum_current)
+    peak = min(device.maximum_peak_current, _PER_BOARD * _MARGIN * supply / least)
+    peak = max(peak, mean + _LEAST_STEP)
+    values = (
+        min(device.maximum_voltage, _MARGIN * limits.maximum_voltage),
+        mean,
+        peak,
+        least,
+        min(device.hot_voltage, hot),
+        min(device.hot_time, max(model.heat_capacity / model.heat_loss, _LEAST_HOT_TIME)),
+    )
+    return [round(1e3 * value) for value in values]
+
+
+def _failed(findings: Sequence[Finding]) -> list[Finding]:
+    return [finding for finding in findings if finding.check in NEEDED and not finding.passed]
+
+
 def _device_fault(status: LinkStatus) -> str:
     if not status.connected:
         return _not_connected(status)
-    if status.state == State.STOPPED:
+    if status.stopped:
         why = f" ({status.silence})" if status.cause == TIMEOUT_CAUSE and status.silence else ""
         return f"{status.cause_text}, found by the device{why}"
     return ""

@@ -14,7 +14,7 @@ from sma_bench.hardware.power_channels import (
     channel_powers,
     commanded_millivolts,
 )
-from sma_bench.hardware.serial_messages import CHANNELS
+from sma_bench.hardware.serial_messages import CHANNELS, Telemetry
 
 SIDES = ("front", "back")
 _PER_SIDE = CHANNELS // len(SIDES)
@@ -33,6 +33,10 @@ class BenchReading:
     powers: tuple[ChannelPower, ...]
     distances: tuple[float, float]
     deflection: float
+    board_currents: tuple[float, float] = (0.0, 0.0)
+    """A, mean through all wires of the front, the back board"""
+    board_volts: tuple[float, float] = (0.0, 0.0)
+    """V, mean over time and summed over the wires of a board: current times resistance"""
 
 
 def device_channels(sides: Sequence[str]) -> tuple[int, ...]:
@@ -97,7 +101,21 @@ class BenchSensors:
             tuple(powers[channel] for channel in self._channels),
             (front, back),
             self._deflection(front, back),
+            self.board_currents(telemetry),
+            self._board_volts(telemetry),
         )
+
+    def board_currents(self, telemetry: Telemetry) -> tuple[float, float]:
+        """A, mean through each board, calibrated."""
+        front, back = (
+            sensor.apply(current)
+            for sensor, current in zip(self._power.current, telemetry.current, strict=True)
+        )
+        return front, back
+
+    def _board_volts(self, telemetry: Telemetry) -> tuple[float, float]:
+        supply, duty = self.supply(telemetry.supply), telemetry.duty
+        return supply * sum(duty[:_PER_SIDE]), supply * sum(duty[_PER_SIDE:])
 
     def supply(self, measured: float) -> float:
         """The supply's voltage (V) behind the device's reading of it."""

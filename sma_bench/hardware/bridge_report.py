@@ -50,6 +50,7 @@ def driver_values(driver: BenchDriver, now: float) -> dict[str, str]:
     gate = driver.gate
     return {
         "state": driver.state,
+        "self_test": driver.tested,
         "supply_volts": f"{driver.supply:.2f}",
         "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
         "applied": " ".join(f"{volt:.2f}" for volt in driver.applied),

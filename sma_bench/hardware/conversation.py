@@ -25,7 +25,7 @@ ANSWER_TIMEOUT = 0.5
 Answers = list[Message]
 
 # What changes who drives is always asked for, and answered one at a time.
-_ALWAYS_ASKED = "ADR"
+_ALWAYS_ASKED = "ACDR"
 _NOT_OUR_SESSION = REASONS.index("wrong nonce or session")
 
 

@@ -4,7 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.serial_messages import CHANNELS, PROTOCOL_VERSION, Named, resets
+from sma_bench.hardware.serial_messages import (
+    CAUSES,
+    CHANNELS,
+    PROTOCOL_VERSION,
+    Named,
+    name_of,
+    resets,
+)
 
 HANDSHAKE_LINES = frozenset("HLM")
 
@@ -16,7 +23,6 @@ class DeviceIdentity:
     name: str
     build: str
     reset: str
-    nonce: int
     maximum_voltage: float
     command_timeout: float
     maximum_duty: float
@@ -24,6 +30,10 @@ class DeviceIdentity:
     maximum_peak_current: float
     maximum_on_time: float
     supply_range: tuple[float, float]
+    least_resistance: float
+    hot_voltage: float
+    """root mean square of a wire's volts over about `hot_time`"""
+    hot_time: float
 
     @classmethod
     def from_lines(cls, lines: Mapping[str, Named]) -> "DeviceIdentity":
@@ -47,8 +57,7 @@ class DeviceIdentity:
         return cls(
             name=said["name"],
             build=said["build"],
-            reset=resets(int(said["reset"])),
-            nonce=int(said["nonce"]),
+            reset=_start(int(said["reset"]), int(said["before"])),
             maximum_voltage=1e-3 * int(said["max_mv"]),
             command_timeout=1e-3 * int(said["timeout_ms"]),
             maximum_duty=int(said["duty"]) / 65536.0,
@@ -56,7 +65,15 @@ class DeviceIdentity:
             maximum_peak_current=1e-3 * int(said["peak_ma"]),
             maximum_on_time=float(int(said["on_s"])),
             supply_range=(1e-3 * int(said["supply_min_mv"]), 1e-3 * int(said["supply_max_mv"])),
+            least_resistance=1e-3 * int(said["least_mohm"]),
+            hot_voltage=1e-3 * int(said["hot_mv"]),
+            hot_time=1e-3 * int(said["hot_ms"]),
         )
+
+
+def _start(flags: int, cause: int) -> str:
+    stopped = f", after: {name_of(CAUSES, cause)}" if cause else ""
+    return resets(flags) + stopped
 
 
 def _demand(said: dict[str, str], key: str, expected: int) -> None:

@@ -40,6 +40,11 @@ _RIDGE = 1e-6
 # less than the second.
 _OPEN, _SURELY = 0.5, 0.7
 _LEAST_NOISE = 0.02  # W
+# A; an uncalibrated ACS712 may be 0.4 A off, a calibrated one is not.
+_OFF_CURRENT = 0.3
+# s; a window may hold what flowed before an output's last step.
+_FLOWING_FOR = 0.15
+_EXCEEDING_FOR = 0.06
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,11 @@ class WireModel:
             resistance_tolerance=parameters["bench.resistance_tolerance"],
             temperature_tolerance=parameters["bench.temperature_tolerance"],
         )
+
+    @property
+    def least_resistance(self) -> float:
+        """ohm that the wire may have, cold, hot or worn."""
+        return self.resistance * max(1.0 - self.resistance_tolerance, 0.05)
 
     def heated(self, temperature: float, volt: float, elapsed: float) -> float:
         """Temperature (K) after `elapsed` s at `volt` V, from `temperature` K."""
@@ -115,6 +125,34 @@ class Lasting:
         self._readings += 1
         lasting = now - self._since >= self._patience and self._readings >= _LEAST_READINGS
         return deviation if lasting else ""
+
+
+class BoardWatch:
+    """One board's current against what its outputs can put through its wires."""
+
+    def __init__(self, side: str) -> None:
+        self._side = side
+        self._flows, self._exceeds = Lasting(_FLOWING_FOR), Lasting(_EXCEEDING_FOR)
+        self.flowing = ""
+        """what flows though every output is off, "" for nothing"""
+
+    def current(self, ampere: float, volts: float, now: float, model: WireModel) -> str:
+        """Disagreement of a mean current (A) with the mean of the wires' volts, or ""."""
+        off = volts == 0.0
+        flows = (
+            f"{ampere:.2f} A through the {self._side} board with its outputs off"
+            if off and abs(ampere) > _OFF_CURRENT
+            else ""
+        )
+        most = _CURRENT_FLOOR + volts / model.least_resistance
+        exceeds = (
+            f"short circuit: the {self._side} board carries {ampere:.2f} A, its outputs explain "
+            f"at most {most:.2f} A"
+            if not off and ampere > most
+            else ""
+        )
+        self.flowing = self._flows.note(flows, now)
+        return self._exceeds.note(exceeds, now) or self.flowing
 
 
 class WireWatch:

@@ -47,6 +47,16 @@ class LinkStatus:
     _last: Telemetry | None = field(default=None, repr=False)
 
     @property
+    def newest(self) -> Telemetry | None:
+        """The last frame of this connection."""
+        return self._last
+
+    @property
+    def stopped(self) -> bool:
+        """True where the device wants a reset first."""
+        return self.state in (State.STOPPED, State.STILL_FLOWING)
+
+    @property
     def cause_text(self) -> str:
         """Why the device stopped, in words; "" when it did not."""
         return name_of(CAUSES, self.cause)

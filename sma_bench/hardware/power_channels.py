@@ -1,5 +1,7 @@
 """Volts and amperes of each wire from what the device measures: one supply, two boards, duties.
 
+The supply is the one without load, less what a pulse of the wire's own board takes from it.
+
 A wire switched on for the share d of the time has the heat of the direct voltage sqrt(d) U, and
 carries, in that sense, the current I/sqrt(d), where I is its mean current: V/I is the resistance
 and V^2/R the power, as for direct voltage.
@@ -40,13 +42,17 @@ def channel_powers(
 
     Two driven wires of a board share its current like their duties: equal resistances.
     """
+    gain = calibration.supply.gain
     supply = calibration.supply.apply(telemetry.supply)
     means = [
         sensor.apply(current)
         for sensor, current in zip(calibration.current, telemetry.current, strict=True)
     ]
     return tuple(
-        ChannelPower(math.sqrt(duty) * supply, _current(telemetry.duty, channel, means))
+        ChannelPower(
+            math.sqrt(duty) * (supply - gain * telemetry.drop[channel // _PER_BOARD]),
+            _current(telemetry.duty, channel, means),
+        )
         for channel, duty in enumerate(telemetry.duty)
     )
 
@@ -57,7 +63,7 @@ def _current(duties: tuple[float, ...], channel: int, means: list[float]) -> flo
     total = sum(duties[board * _PER_BOARD : (board + 1) * _PER_BOARD])
     if duty == 0.0:
         # Not driven: nothing that a sensor common to both wires could tell apart.
-        return 0.0 if total > 0.0 else means[board] / _PER_BOARD
+        return 0.0 if total > 0.0 else means[board]
     if duty < _LEAST_DUTY:
         return math.nan
     return means[board] * duty / total / math.sqrt(duty)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from sma_bench.hardware.expectation import WireModel, WireWatch
+from sma_bench.hardware.expectation import BoardWatch, WireModel, WireWatch
 from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
@@ -246,6 +246,7 @@ class Guard:
         }
         self._measured = {channel: Freshness(channel, timeout) for channel in channels}
         self._wires = {channel: WireWatch(channel, timeout) for channel in channels}
+        self._boards = tuple(BoardWatch(side) for side in ("front", "back"))
         self._readings: dict[str, str] = {}
         self._recording = ""
 
@@ -296,6 +297,20 @@ class Guard:
             or (wire.heat(limits.model) if unseen else "")
             or disagreement
         )
+
+    def boards(
+        self, amperes: Sequence[float], volts: Sequence[float], now: float, limits: Limits
+    ) -> None:
+        """Note the boards' mean currents (A) and their wires' mean volts."""
+        for number, (board, ampere, volt) in enumerate(
+            zip(self._boards, amperes, volts, strict=True)
+        ):
+            self._readings[f"board {number}"] = board.current(ampere, volt, now, limits.model)
+
+    @property
+    def flowing(self) -> str:
+        """What flows though every output is off, "" for nothing."""
+        return "; ".join(board.flowing for board in self._boards if board.flowing)
 
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""

@@ -6,14 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sma_bench.hardware.bench_sensors import BenchReading
+from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import LinkStatus
-from sma_bench.hardware.serial_messages import State
 
 _MOST_CURRENT_AT_REST = 0.15
 _MOST_CLOCK_UNCERTAINTY = 2e-3
 _STOP_WITHIN = 0.3
+# s; the relay closes within 30 ms, the mean of the current needs as long.
+_CLOSED_FOR = 0.12
+NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
+"""checks without which nobody enables"""
 
 
 class Link(Protocol):
@@ -25,6 +28,9 @@ class Link(Protocol):
 
     def arm(self) -> None:
         """Have the device accept voltages; LinkError when it will not."""
+
+    def limit(self, numbers: Sequence[int]) -> None:
+        """Set the device's limits; LinkError when it refuses them."""
 
     def drive(self, millivolts: Sequence[int]) -> int:
         """Send a command; LinkError when it cannot be."""
@@ -52,7 +58,7 @@ def self_test(
     link: Link,
     newest: BenchReading | None,
     supply: float,
-    range_sensors: tuple[str, ...],
+    sensors: BenchSensors,
     pause: Callable[[float], None] = time.sleep,
 ) -> list[Finding]:
     """Every check, in under a second; ends with the device stopped and reset, outputs at 0 V.
@@ -60,7 +66,6 @@ def self_test(
     Args:
         newest: last reading, None before the first.
         supply: supply in V, calibrated.
-        range_sensors: the mounted ones ("front", "back").
     """
     status = link.status
     if not status.connected or newest is None:
@@ -68,7 +73,8 @@ def self_test(
         return [Finding("connection", False, text)]
     return [
         *_link_findings(status),
-        *_sensor_findings(status, newest, supply, range_sensors),
+        *_sensor_findings(status, newest, supply, sensors.range_sensors),
+        _relay_finding(link, sensors, pause),
         _stop_finding(link, pause),
     ]
 
@@ -92,7 +98,7 @@ def _sensor_findings(
         low, high = status.device.supply_range
         text = f"{supply:.2f} V, expected {low:g} to {high:g} V"
         yield Finding("supply", low <= supply <= high, text)
-    most = max(abs(power.current) for power in newest.powers)
+    most = max(abs(current) for current in newest.board_currents)
     text = f"at most {most:.2f} A at rest, expected under {_MOST_CURRENT_AT_REST:g} A"
     yield Finding("currents", most < _MOST_CURRENT_AT_REST, text)
     for side, distance in zip(("front", "back"), newest.distances, strict=True):
@@ -100,14 +106,32 @@ def _sensor_findings(
             yield Finding(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
 
 
+def _relay_finding(
+    link: Link, sensors: BenchSensors, pause: Callable[[float], None]
+) -> Finding:
+    """With the relay closed and nothing driven, a switch that is stuck or inverted conducts."""
+    try:
+        link.arm()
+    except LinkError as error:
+        return Finding("relay", False, str(error))
+    pause(_CLOSED_FOR)
+    status = link.status
+    if status.stopped:
+        return Finding("relay", False, f"closed, nothing driven: {status.cause_text}")
+    currents = sensors.board_currents(status.newest) if status.newest else (0.0,)
+    most = max(abs(current) for current in currents)
+    text = f"closed, nothing driven: at most {most:.2f} A"
+    return Finding("relay", most < _MOST_CURRENT_AT_REST, text)
+
+
 def _stop_finding(link: Link, pause: Callable[[float], None]) -> Finding:
     """The emergency stop must be heard, and be forgotten on request only."""
     link.stop()
     waited = 0.0
-    while link.status.state != State.STOPPED and waited < _STOP_WITHIN:
+    while not link.status.stopped and waited < _STOP_WITHIN:
         pause(0.005)
         waited += 0.005
-    if link.status.state != State.STOPPED:
+    if not link.status.stopped:
         return Finding("stop", False, f"the device does not stop within {_STOP_WITHIN:g} s")
     try:
         link.reset()

@@ -130,6 +130,8 @@ class SerialLink:
         conversation = self._connected()
         conversation.unasked = self._status.unasked = ""
         greeting = conversation.ask_named("?", "H")["H"]
+        if "nonce" not in greeting.values:
+            raise LinkError("the device has just restarted")
         session = conversation.ask_for_consent("A", int(greeting.values["nonce"]))
         self._status.last_refusal = self._status.silence = ""
         with self._driving:
@@ -137,6 +139,14 @@ class SerialLink:
             # Spoken for from now on, at 0 V.
             self._said.clear()
             self._volts, self._drove = (0,) * CHANNELS, self._now()
+
+    def limit(self, numbers: Sequence[int]) -> None:
+        """Set the device's limits for this rig: mV, mA mean, mA peak, mohm, mV and ms of heat.
+
+        Raises:
+            LinkError: not connected, armed, beyond the device's own limits, no answer.
+        """
+        self._connected().ask_for_consent("C", *numbers)
 
     def drive(self, millivolts: Sequence[int]) -> int:
         """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
@@ -312,16 +322,16 @@ class SerialLink:
         return self._status.last_refusal if now - self._refused < 2.0 * timeout else ""
 
     def _take(self, telemetry: Telemetry, now: float) -> None:
-        if telemetry.state > State.STOPPED:
+        if telemetry.state > max(State):
             raise LinkError(f"the device is in state {telemetry.state}, which nobody knows here")
         if self._status.restarted(telemetry, round(1e6 / self._options.rate)):
             raise LinkError("the device restarted by itself")
         with self._changed:
-            stopped_already = self._status.state == State.STOPPED
+            stopped_already = self._status.stopped
             if telemetry.cause == TIMEOUT_CAUSE and not stopped_already:
                 self._status.silence = self._why_silent(now)
             self._status.note(telemetry)
-        if self._status.state == State.STOPPED and not stopped_already:
+        if self._status.stopped and not stopped_already:
             self._session = None
             self._on_event(f"the device stopped: {self._status.cause_text}")
         self._time_command(telemetry.echo, now)
@@ -354,12 +364,13 @@ class SerialLink:
             self._status.clock_uncertainty = self._device_clock.uncertainty
 
     def _lose(self, problem: str) -> None:
-        if self._session is not None:
-            self.stop()
         with self._changed:
             news = self._status.connected or problem != self._status.problem
             self._status.connected, self._status.problem = False, problem
             self._changed.notify_all()
+        # After the reason is known: the driver's next command must not be told "not armed" instead.
+        if self._session is not None:
+            self.stop()
         if news:
             self._on_event(f"not connected: {problem}")
 

@@ -5,25 +5,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 CHANNELS = 4
 STOP = b"!"
 
 _LEAST_DUTY = 1.0 / 65536.0
-_BINARY = struct.Struct("<HIBBHhhHHHHHHH")
+_BINARY = struct.Struct("<HIBBHHHhhHHHHHHH")
 _HIGHEST_SEQUENCE = 0xFFFF
 
 CAUSES = (
     "", "stop byte", "command timeout", "over-current of the front board",
     "over-current of the back board", "duty above its limit", "on for longer than allowed",
     "supply out of range", "main loop hung", "converter dead",
+    "current with all outputs off", "more current than the outputs explain",
+    "more heat than allowed", "output interrupt lost", "an output differs from what was set",
 )
 TIMEOUT_CAUSE = CAUSES.index("command timeout")
 REASONS = (
     "accepted", "wrong checksum", "bad format", "line too long", "not armed",
     "wrong nonce or session", "old sequence number", "above the voltage limit",
     "above the duty limit", "supply out of range or just started", "rate not possible",
-    "stopped: reset first", "armed already",
+    "stopped: reset first", "armed already", "current flows though every output is off",
+    "beyond the device's own limits",
 )
 RESETS = ((1, "power-on"), (2, "reset pin"), (4, "brown-out"), (8, "watchdog"))
 
@@ -38,6 +41,8 @@ class State(IntEnum):
     IDLE = 0
     ARMED = 1
     STOPPED = 2
+    STILL_FLOWING = 3
+    """stopped, and current flows though every output is off"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +54,17 @@ class Telemetry:
     state: int
     cause: int
     supply: float
-    """V"""
+    """V without load"""
     current: tuple[float, float]
     """A, mean through the front and the back board"""
     range_voltage: tuple[float, float]
     """V at the front and the back triangulation sensor"""
     duty: tuple[float, float, float, float]
-    """share of the time that each channel is switched on"""
+    """share of the time that each channel is switched on, read back from the output"""
     echo: int
     """sequence number of the last accepted command"""
+    drop: tuple[float, float] = (0.0, 0.0)
+    """V that a pulse of the front, the back board takes from the supply"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +146,13 @@ def decode(body: bytes) -> Message:
 
 
 def _telemetry(fields: tuple[int, ...]) -> Telemetry:
-    sequence, time_us, state, cause, supply, front, back, near, far, a, b, c, d, echo = fields
+    sequence, time_us, state, cause, supply, *others = fields
+    *drop, front, back, near, far, a, b, c, d, echo = others
     return Telemetry(
         sequence, time_us, state, cause, 1e-3 * supply, (1e-3 * front, 1e-3 * back),
         (1e-4 * near, 1e-4 * far),
         (a * _LEAST_DUTY, b * _LEAST_DUTY, c * _LEAST_DUTY, d * _LEAST_DUTY), echo,
+        (1e-3 * drop[0], 1e-3 * drop[1]),
     )
 
 

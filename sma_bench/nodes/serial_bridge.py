@@ -90,7 +90,10 @@ class SerialBridge(ManagedNode):
             self._channels, self.settings["feedback"], self.settings["feedback_timeout"]
         )
         limits = Limits.from_parameters(self.parameters)
-        self._driver = BenchDriver(self._link, self._sensors, guard, self._channels, limits)
+        self._driver = BenchDriver(
+            self._link, self._sensors, guard, self._channels, limits,
+            self.settings["self_test_waived"],
+        )  # fmt: skip
 
     def configure(self) -> None:
         """Connect, again and again if need be."""
@@ -249,6 +252,8 @@ class SerialBridge(ManagedNode):
     def health(self) -> list[DiagnosticStatus]:
         """State, link and timing of the bench."""
         status, state = self._link.status, self._driver.state
+        if self._driver.flowing:
+            self.get_logger().fatal(state)
         values = {
             **driver_values(self._driver, time.monotonic()),
             **tally_values(self._tally, _REPORT),

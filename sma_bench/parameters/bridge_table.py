@@ -74,6 +74,11 @@ SERIAL_BRIDGE = (
         "choice: five time constants of the wire", 0.05, 60.0,
     ),
     Parameter(
+        "self_test_waived", "", "",
+        "Why outputs may be enabled without a self-test; empty to demand one, which enabling runs.",
+        "choice: a self-test", kind="string",
+    ),
+    Parameter(
         "range.sensors", "", _SIDES,
         "Mounted triangulation sensors of a composite rig.", "choice", kind="strings",
     ),

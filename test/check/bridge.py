@@ -62,7 +62,7 @@ class Heard:
         """ROS stamps in ns, and the board's currents in mA at outputs that are off."""
         messages = [deserialize_message(raw, BatteryState) for raw in self.power]
         stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
-        return np.array(stamps), np.rint([2e3 * m.current for m in messages]).astype(int)
+        return np.array(stamps), np.rint([1e3 * m.current for m in messages]).astype(int)
 
     def diagnostics(self, message: DiagnosticArray) -> None:
         """The bridge's counts."""

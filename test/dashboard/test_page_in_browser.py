@@ -84,6 +84,28 @@ def test_it_shows_signals_limits_progress_nodes_and_the_diagnosis_as_text(browse
         assert shown.complaints == []
 
 
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, bench, url, size):
+    told = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
+    with opened(browser, url, size) as shown:
+        shown.until(SETTLED)
+        assert shown.page.evaluate("document.getElementById('plug').hidden")
+        bench.state.merge("states", {"serial_bridge": told})
+        shown.until("!document.getElementById('plug').hidden")
+        said = shown.text("#plug")
+        assert "PULL THE PLUG" in said and told in said
+        font = """[...document.querySelectorAll('body *')].map(
+            (shown) => parseFloat(getComputedStyle(shown).fontSize))"""
+        sizes = shown.page.evaluate(font)
+        loudest = "parseFloat(getComputedStyle(document.querySelector('#plug strong')).fontSize)"
+        assert sizes.count(max(sizes)) == 1 and shown.page.evaluate(loudest) == max(sizes)
+        assert shown.page.evaluate("document.title").startswith("PULL THE PLUG")
+        assert shown.too_wide == [] and shown.faint == [] and shown.complaints == []
+        bench.state.merge("states", {"serial_bridge": "stopped: current with all outputs off"})
+        shown.until("document.getElementById('plug').hidden")
+        assert not shown.page.evaluate("document.title").startswith("PULL")
+
+
 @pytest.mark.parametrize("how", ["Escape", "Enter", "Space", "click"])
 def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, bench, url, how):
     with opened(browser, url) as shown:

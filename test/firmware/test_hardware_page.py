@@ -13,7 +13,7 @@ ANALOG = {
     "FRONT_RANGE": "front range", "BACK_RANGE": "back range",
 }
 # Arduino's names of the port pins that an Uno brings out.
-DIGITAL = {"PD6": "D6", "PD5": "D5", "PB3": "D11", "PD3": "D3"}
+DIGITAL = {"PD6": "D6", "PD5": "D5", "PB3": "D11", "PD3": "D3", "PD4": "D4"}
 
 
 def firmware(name: str) -> str:
@@ -27,7 +27,7 @@ def documented_pins() -> dict[str, str]:
 def coded_pins() -> dict[str, str]:
     """From the comments at the output masks, whose pins the emulated runs prove, and the inputs."""
     pins = {}
-    for mask, comment in re.findall(r"#define [DB]_PINS (.+?)/\* (.+?) \*/", firmware("pwm.c")):
+    for mask, comment in re.findall(r"#define \w+_PINS (.+?)/\* (.+?) \*/", firmware("pwm.c")):
         ports = re.findall(r"_BV\((P\w\d)\)", mask)
         pins |= {DIGITAL[p]: c for p, c in zip(ports, comment.split(", "), strict=True)}
     inputs = re.findall(r"\[([A-Z_]+)\] = (\d)", firmware("sampling.c"))
@@ -35,7 +35,7 @@ def coded_pins() -> dict[str, str]:
 
 
 def test_pins_are_those_of_the_firmware() -> None:
-    assert len(coded_pins()) == 9
+    assert len(coded_pins()) == 10
     assert documented_pins() == coded_pins()
 
 
@@ -56,5 +56,5 @@ def test_the_drawing_has_the_pin(pin: str) -> None:
 def test_limits_are_those_of_the_firmware() -> None:
     coded = dict(re.findall(r"#define (\w+) (\d+)", firmware("config.h")))
     documented = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", PAGE, re.MULTILINE))
-    assert len(documented) == 8
+    assert len(documented) == 14
     assert {name: coded[name] for name in documented} == documented

@@ -23,7 +23,7 @@ class VirtualHost:
         self.messages: list[Message] = []
         self.splitter = Splitter()
         self.raw = b""
-        self._session = 0
+        self.session = 0
         self._sequence = 0
 
     def run(self, seconds: float) -> list[Message]:
@@ -55,15 +55,17 @@ class VirtualHost:
         answers = self.say(letter)
         return next(m.values for m in answers if isinstance(m, Named) and m.letter == kind)
 
-    def arm(self) -> None:
-        """Handshake and arming."""
-        self._session = self.consent("A", int(self.named("?", "H")["nonce"]))
+    def arm(self, limits: tuple[int, ...] = ()) -> None:
+        """Handshake, limits of the rig, and arming."""
+        if limits:
+            self.consent("C", *limits)
+        self.session = self.consent("A", int(self.named("?", "H")["nonce"]))
         self._sequence = 0
 
     def command_line(self, *millivolts: int) -> bytes:
         """The next voltage command."""
         self._sequence += 1
-        return line(command("V", self._session, self._sequence, *millivolts))
+        return line(command("V", self.session, self._sequence, *millivolts))
 
     def drive(self, *millivolts: int) -> None:
         """Send a voltage command; no time passes."""

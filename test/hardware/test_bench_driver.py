@@ -16,7 +16,7 @@ from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
 
 SETTINGS = {parameter.name: parameter.default for parameter in SERIAL_BRIDGE}
 DEVICE = DeviceIdentity(
-    "sma-uno", "0", "power-on", 1, 10.0, 0.2, 0.9, 6.5, 12.0, 900.0, (6.0, 15.0)
+    "sma-uno", "0", "power-on", 10.0, 0.2, 0.9, 6.5, 12.0, 900.0, (6.0, 15.0), 1.0, 8.0, 2.0
 )
 SUPPLY = 12.0
 RESISTANCE = 2.6987
@@ -26,13 +26,22 @@ class FakeLink:
     """Does as it is told and remembers it."""
 
     def __init__(self):
-        self.status = LinkStatus(connected=True, device=DEVICE)
+        self.status = LinkStatus(connected=True, device=DEVICE, connections=1)
         self.sent = []
         self.armed = False
         self.deaf = False
+        self.limits = []
+        self.stuck = False
+
+    def limit(self, numbers):
+        self.limits = list(numbers)
 
     def arm(self):
         self.armed = True
+        self.status.state = State.ARMED
+        if self.stuck:
+            self.stop()
+            self.status.cause = CAUSES.index("current with all outputs off")
 
     def drive(self, millivolts):
         if not self.armed:
@@ -53,19 +62,20 @@ class FakeLink:
 class Bench:
     """A driver of one wire; `pass_time` lets readings come that agree with the last command."""
 
-    def __init__(self, **contract):
+    def __init__(self, waiver="", **contract):
         self.link = FakeLink()
         self.now = 100.0
         parameters = Parameters({f"bench.{name}": value for name, value in contract.items()})
         guard = Guard(["wire"], ["power", "temperature"], 1.0)
         self.driver = BenchDriver(
             self.link, BenchSensors(["front"], SETTINGS), guard, ["wire"],
-            Limits.from_parameters(parameters),
+            Limits.from_parameters(parameters), waiver=waiver,
+            pause=lambda _: None,
         )
 
-    def read(self, volt=0.0, ampere=None, kelvin=300.0):
+    def read(self, volt=0.0, ampere=None, kelvin=300.0, leak=0.0):
         duty = (volt / SUPPLY) ** 2
-        mean = duty**0.5 * (volt / RESISTANCE if ampere is None else ampere)
+        mean = leak + duty**0.5 * (volt / RESISTANCE if ampere is None else ampere)
         telemetry = Telemetry(
             0, 0, 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5), (duty, 0.0, 0.0, 0.0), 0
         )
@@ -113,7 +123,7 @@ def test_nothing_is_driven_before_somebody_enables(bench):
 def test_enabling_leaves_the_outputs_at_zero_until_a_command(bench):
     bench.driver.enable(bench.now)
     bench.pass_time(0.1)
-    assert {tuple(s) for s in bench.link.sent} == {(0, 0, 0, 0)}
+    assert {tuple(s) for s in bench.link.sent if s != "stop"} == {(0, 0, 0, 0)}
     with pytest.raises(LinkError, match="enabled already"):
         bench.driver.enable(bench.now)
 
@@ -199,6 +209,7 @@ def test_a_failed_recorder_stops_the_drive_and_a_reset_forgets_it(driving):
     with pytest.raises(LinkError, match="stopped: recording failed"):
         driving.driver.enable(driving.now)
     driving.driver.reset()
+    driving.pass_time(0.05)
     driving.driver.enable(driving.now)
     assert driving.pass_time(0.1, command=3.0) == ""
 
@@ -222,9 +233,61 @@ def test_self_test_needs_a_bench_that_is_not_driven_and_finds_a_stop_that_fails(
     assert bench.driver.state == "idle"
     bench.link.deaf = True
     assert not bench.driver.self_test()[-1].passed
+    with pytest.raises(LinkError, match="self-test: stop: FAILED"):
+        bench.driver.enable(bench.now)
+    bench.link.deaf = False
     bench.driver.enable(bench.now)
     with pytest.raises(LinkError, match="enabled: stop first"):
         bench.driver.self_test()
+
+
+def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(bench):
+    assert bench.driver.tested == "due"
+    bench.link.stuck = True
+    with pytest.raises(LinkError, match="relay: FAILED, .*current with all outputs off"):
+        bench.driver.enable(bench.now)
+    bench.link.stuck = False
+    bench.driver.enable(bench.now)
+    assert bench.driver.tested == "passed"
+    bench.driver.stop("a fault")
+    assert bench.driver.tested == "due"
+    waiving = Bench(waiver="no relay here").driver
+    assert waiving.tested == "waived: no relay here"
+
+
+def test_the_device_gets_the_rigs_limits_within_its_own(bench):
+    bench.driver.enable(bench.now)
+    volts, mean, peak, least, hot, cooling = bench.link.limits
+    assert (volts, mean, peak) == (10000, 6500, 12000)
+    assert least == pytest.approx(1e3 * 0.7 * RESISTANCE, abs=1)
+    assert 7400 < hot <= 8000 and 150 < cooling < 250
+    small = Bench(maximum_current=1.0, maximum_temperature=330.0, maximum_voltage=5.0)
+    small.pass_time(0.1)
+    small.driver.enable(small.now)
+    assert small.link.limits[0] == 6000 and small.link.limits[1] == 2400
+    assert small.link.limits[4] < 4500
+
+
+def test_current_with_all_outputs_off_stops_and_shouts_until_it_ends(bench):
+    assert "0.50 A through the front board with its outputs off" in bench.pass_time(0.5, leak=0.5)
+    assert bench.driver.state.startswith("still flowing: pull the plug (0.50 A")
+    assert bench.link.sent[-1] == "stop"
+    bench.pass_time(0.3)
+    assert bench.driver.state.startswith("stopped: 0.50 A through the front board")
+
+
+def test_a_device_that_says_current_still_flows_is_shouted_for(bench):
+    bench.link.status.state = State.STILL_FLOWING
+    bench.link.status.cause = CAUSES.index("current with all outputs off")
+    assert bench.driver.state == "still flowing: pull the plug (current with all outputs off)"
+    for request in (lambda: bench.driver.enable(bench.now), bench.driver.reset):
+        with pytest.raises(LinkError, match="still flowing: pull the plug"):
+            request()
+
+
+def test_more_current_than_the_outputs_explain_is_a_short_circuit_at_once(driving):
+    reason = driving.pass_time(0.2, command=3.0, leak=0.4)
+    assert "short circuit: the front board carries 0.6" in reason
 
 
 def test_channels_are_the_sides_outputs_in_their_order():

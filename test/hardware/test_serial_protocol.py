@@ -23,8 +23,10 @@ from sma_bench.hardware.serial_messages import (
 )
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "serial_protocol.md"
-TEXT = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
-FRAME = bytes.fromhex("42 3900 10fb3000 01 00 e32e 9aff 0000 9a3a 8e3a 1c0b 0000 0000 ffff 0100")
+TEXT = b"T 57 3210000 1 0 12003 432 0 -102 0 15002 14990 2844 0 0 65535 1"
+FRAME = bytes.fromhex(
+    "42 3900 10fb3000 01 00 e32e b001 0000 9aff 0000 9a3a 8e3a 1c0b 0000 0000 ffff 0100"
+)
 
 
 def test_checksum_has_the_published_check_value() -> None:
@@ -48,6 +50,7 @@ def test_text_and_binary_telemetry_say_the_same() -> None:
         sequence=57, time_us=3210000, state=1, cause=0, supply=pytest.approx(12.003),
         current=pytest.approx((-0.102, 0.0)), range_voltage=pytest.approx((1.5002, 1.499)),
         duty=pytest.approx((2844 / 65536, 0.0, 0.0, 65535 / 65536)), echo=1,
+        drop=pytest.approx((0.432, 0.0)),
     )
     assert decode(TEXT) == expected
     assert decode(FRAME) == expected
@@ -68,11 +71,11 @@ def test_answers_are_decoded(body: bytes, message: object) -> None:
 
 @pytest.mark.parametrize(
     "body",
-    [b"", b"Z 1", b"T 1 2 3", b"T" + b" 1" * 13, b"K A", b"K A x", b"P 1 2", b"S rejected", b"\xff",
-     b"T 65536 0 0 0 0 0 0 0 0 0 0 0 0 0", FRAME[:-1]],
+    [b"", b"Z 1", b"T 1 2 3", b"T" + b" 1" * 15, b"K A", b"K A x", b"P 1 2", b"S rejected", b"\xff",
+     b"T 65536 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0", FRAME[:-1]],
 )
 def test_what_is_not_a_message_is_refused(body: bytes) -> None:
-    with pytest.raises(ProtocolError, match="not of protocol 1"):
+    with pytest.raises(ProtocolError, match="not of protocol 2"):
         decode(body)
 
 
@@ -142,9 +145,10 @@ def test_endless_line_is_dropped() -> None:
 
 
 HANDSHAKE = {
-    "H": "name=sma-uno build=61A52BFF protocol=1 reset=9 nonce=13841 later=x",
-    "L": "channels=4 max_mv=10000 timeout_ms=200 duty=58982 mean_ma=6500 peak_ma=12000",
-    "M": "on_duty=6554 on_s=900 supply_min_mv=6000 supply_max_mv=15000",
+    "H": "name=sma-uno build=61A52BFF protocol=2 reset=9 before=2 nonce=13841 later=x",
+    "L": "channels=4 max_mv=10000 timeout_ms=200 duty=58982 mean_ma=6500 peak_ma=12000 "
+    "least_mohm=1000",
+    "M": "hot_mv=8000 hot_ms=2000 on_duty=6554 on_s=900 supply_min_mv=6000 supply_max_mv=15000",
 }
 
 
@@ -163,13 +167,14 @@ def test_handshake_gives_limits_in_si_units() -> None:
     assert device.command_timeout == pytest.approx(0.2)
     assert device.maximum_duty == pytest.approx(0.9, abs=1e-4)
     assert device.supply_range == pytest.approx((6.0, 15.0))
-    assert device.reset == "power-on, watchdog"
+    assert device.reset == "power-on, watchdog, after: command timeout"
+    assert device.hot_voltage == pytest.approx(8.0)
 
 
 @pytest.mark.parametrize(
     ("changed", "complaint"),
     [
-        ({"protocol": "2"}, "the device has protocol 2, expected 1"),
+        ({"protocol": "1"}, "the device has protocol 1, expected 2"),
         ({"channels": "6"}, "the device has channels 6, expected 4"),
         ({"max_mv": "ten"}, "invalid literal"),
     ],

@@ -55,6 +55,8 @@ class BridgedRig:
         """K that the camera is wrong by; None without a camera"""
         self.kelvin: float | None = None
         """what the camera sees instead of the wire"""
+        self.refusal = ""
+        """what a fault was answered"""
         self.said = b""
         """all bytes from the host"""
         self._tap(hardware)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from emulated_rig import BridgedRig
 
+from sma_bench.emulation.emulated_uno import Relay, Switch
 from sma_bench.hardware.serial_framing import line
 
 STOP = ord("!")
@@ -157,6 +158,74 @@ def _second_host(rig: BridgedRig) -> float:
     return rig.hardware.do(lambda: rig.hardware.uno.write(b"\n" + says))
 
 
+def _shorted_switch(rig: BridgedRig) -> float:
+    """Of a second wire on the board, which is not driven."""
+
+    def short() -> None:
+        rig.hardware.uno.electrics.resistance[1] = 2.7
+        rig.hardware.uno.electrics.switch_is[1] = Switch.STUCK_ON
+
+    return rig.hardware.do(short)
+
+
+def _break(rig: BridgedRig, kind: Switch) -> float:
+    """A switch, while the relay is open and nothing is enabled."""
+    rig.ask("stop")
+    assert rig.ask("reset").success
+    rig.for_a_while(0.2)
+
+    def do() -> None:
+        rig.hardware.uno.electrics.switch_is[0] = kind
+
+    return rig.hardware.do(do)
+
+
+def _enable_with(kind: Switch) -> Callable[[BridgedRig], float]:
+    def make(rig: BridgedRig) -> float:
+        _break(rig, kind)
+        rig.voltage = (0.0,)
+        moment = _now(rig)
+        answer = rig.ask("enable")
+        assert not answer.success
+        rig.refusal = answer.message
+        return moment
+
+    return make
+
+
+def _refusal(rig: BridgedRig) -> str:
+    return rig.refusal
+
+
+def _stuck_behind_a_welded_relay(rig: BridgedRig) -> float:
+    """Nothing can end it but the plug, which is pulled when the bridge says so."""
+    electrics = rig.hardware.uno.electrics
+    rig.find("enable")
+    electrics.relay_is = Relay.WELDED
+    moment = _break(rig, Switch.STUCK_ON)
+    rig.until(lambda: rig.state.startswith("still flowing"))
+    rig.refusal = rig.state
+    for service in ("enable", "reset"):
+        answer = rig.ask(service)
+        assert not answer.success and answer.message.startswith("still flowing"), answer.message
+    electrics.relay_is = Relay.HELD_OPEN
+    return moment
+
+
+_TIMSK0, _TIMSK1 = 0x6E, 0x6F
+
+
+def _poke(register: int) -> Callable[[BridgedRig], float]:
+    """The timer's interrupts are off, and nobody did it."""
+    return lambda rig: rig.hardware.do(lambda: rig.hardware.uno.poke(register, 0))
+
+
+def _too_much_heat(rig: BridgedRig) -> float:
+    rig.kelvin = float(rig.hardware.plant.bench.temperature[0])  # from now on
+    rig.voltage = (8.5,)
+    return _now(rig)
+
+
 def _silence(rig: BridgedRig) -> float:
     rig.voltage = None
     return _now(rig)
@@ -191,11 +260,11 @@ def _value(key: str) -> Callable[[BridgedRig], str]:
 
 FAULTS = (
     Fault("host_killed", "host process killed (-9)", "device: command timeout 0.2 s", 0.25,
-          "reset pin", _signal(signal.SIGKILL), told=_after_restart, quick=True),
+          "after: command timeout", _signal(signal.SIGKILL), told=_after_restart, quick=True),
     Fault("host_hung", "bridge hangs (SIGSTOP)", "device: command timeout 0.2 s", 0.25,
           "command timeout", _signal(signal.SIGSTOP), told=_after_waking, quick=True),
     Fault("host_ended", "bridge ended (SIGTERM)", "bridge: stop byte at its end", 0.25,
-          "reset pin", _signal(signal.SIGTERM), told=_after_restart),
+          "after: stop byte", _signal(signal.SIGTERM), told=_after_restart),
     Fault("cable_pulled", "serial cable pulled", "device: command timeout 0.2 s", 0.25,
           "not connected", lambda rig: rig.hardware.do(rig.hardware.port.unplug)),
     Fault("commander_silent", "commanding node dies", "bridge: bench.command_timeout 0.5 s", 0.7,
@@ -220,12 +289,36 @@ FAULTS = (
     Fault("firmware_dead", "firmware hangs, interrupts off", "device: watchdog 64 ms", 0.08,
           "the device restarted", lambda rig: rig.hardware.do(
               lambda: rig.hardware.uno.hang(interrupts=False))),
-    Fault("short_circuit", "wire short-circuited", "device: peak current, in each conversion",
-          0.005, "over-current", _electrics(resistance=(0.3,)), volts=6.0,
-          quick=True),
+    Fault("short_circuit", "wire short-circuited at 6 V",
+          "device: each current, and its mean against the duties through the least resistance",
+          0.02, "found by the device", _electrics(resistance=(0.3,)), volts=6.0, quick=True),
+    Fault("clipped_short", "wire short-circuited at 1 V, where a sensor that clips hides it",
+          "device: mean current against the duties through the least resistance", 0.1,
+          "more current than the outputs explain", _electrics(resistance=(0.05,)), volts=1.0),
+    Fault("switch_shorted", "another wire's switch shorts",
+          "device: mean current against the duties through the least resistance", 0.05,
+          "more current than the outputs explain", _shorted_switch, quick=True),
+    Fault("switch_stuck", "switch stuck on before enabling",
+          "bridge: self-test; device: current with all outputs off", 0.6, "relay: FAILED",
+          _enable_with(Switch.STUCK_ON), told=_refusal, reaction="refused, relay open"),
+    Fault("switch_inverted", "driver inverted, on while its pin is low",
+          "bridge: self-test; device: current with all outputs off", 0.6, "relay: FAILED",
+          _enable_with(Switch.INVERTED), told=_refusal, reaction="refused, relay open"),
+    Fault("relay_welded", "switch stuck on behind a welded relay",
+          "bridge and device: current with all outputs off", 2.0,
+          "still flowing: pull the plug", _stuck_behind_a_welded_relay, told=_refusal,
+          reaction="says so in state, log and diagnostics until somebody pulls the plug"),
+    Fault("outputs_frozen", "interrupt of the outputs lost", "device: 5 ms without it", 0.02,
+          "output interrupt lost", _poke(_TIMSK0), quick=True),
+    Fault("clock_frozen", "interrupt of the millisecond lost", "device: watchdog 64 ms", 0.08,
+          "the device restarted", _poke(_TIMSK1)),
+    Fault("heat_limit", "more heat than the rig may have, and a camera that does not see it",
+          "device: mean square of a wire's volts, over its cooling time", 1.2,
+          "more heat than allowed", _too_much_heat, volts=6.0,
+          settings={"bench__maximum_current": 4.0}),
     Fault("over_current", "wire draws more than bench.maximum_current",
           "bridge: current of each reading", 0.25, "over-current: wire", _electrics(
-              resistance=(0.9,))),
+              resistance=(2.0,)), volts=6.5),
     Fault("wire_broken", "wire breaks", "bridge: current against the model for 1 s", 1.4,
           "disagreement: wire carries", _electrics(resistance=(math.inf,))),
     Fault("over_temperature", "wire hotter than bench.maximum_temperature",

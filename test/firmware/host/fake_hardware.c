@@ -15,7 +15,9 @@ static uint32_t now_us;
 static uint16_t entropy_value;
 static uint16_t outputs[CHANNELS];
 static uint16_t readings[INPUTS];
-static bool converting;
+static bool converting, pulsing, relay_is_closed;
+static uint32_t supply_mean;
+static uint8_t remembered;
 
 static uint8_t queue[QUEUE_SIZE];
 static uint8_t queued;
@@ -36,6 +38,71 @@ void outputs_off(void)
 
 void outputs_prepare(void)
 {
+}
+
+uint8_t outputs_register(uint8_t channel)
+{
+    return (uint8_t)(outputs[channel] >> 8);
+}
+
+bool outputs_make(uint8_t channel, uint16_t duty)
+{
+    uint8_t set = (uint8_t)(duty >> 8);
+    return outputs[channel] >> 8 == set || outputs[channel] >> 8 == set + 1;
+}
+
+void sampling_learn_drops(void)
+{
+}
+
+void relay_close(void)
+{
+    relay_is_closed = true;
+}
+
+void relay_open(void)
+{
+    relay_is_closed = false;
+}
+
+uint16_t sampling_reference(void)
+{
+    return REFERENCE_MV * 10;
+}
+
+uint16_t sampling_supply(void)
+{
+    return (uint16_t)(supply_mean >> 4);
+}
+
+uint16_t sampling_supply_of_window(void)
+{
+    return sampling_supply();
+}
+
+void sampling_follow(void)
+{
+}
+
+uint16_t sampling_drop(uint8_t board)
+{
+    (void)board;
+    return 0;
+}
+
+uint16_t start_entropy(void)
+{
+    return entropy_value;
+}
+
+void remember_cause(uint8_t cause)
+{
+    remembered = cause;
+}
+
+uint8_t cause_before(void)
+{
+    return 0;
 }
 
 uint32_t clock_us(void)
@@ -125,7 +192,8 @@ void fake_start(uint16_t value)
     now_us = 0;
     entropy_value = value;
     memcpy(readings, quiet, sizeof readings);
-    converting = true;
+    converting = pulsing = true;
+    supply_mean = (uint32_t)quiet[SUPPLY] << 10;
     queued = 0;
     sent_length = 0;
     is_ready = false;
@@ -155,6 +223,7 @@ static void convert_twice(void)
     for (uint8_t turn = 0; converting && turn < 2; turn++) {
         safety_current(0, readings[FRONT_CURRENT]);
         safety_current(1, readings[BACK_CURRENT]);
+        supply_mean += ((uint32_t)readings[SUPPLY] << 10) / 32 - supply_mean / 32;
         safety_supply(readings[SUPPLY]);
     }
 }
@@ -182,7 +251,7 @@ static void pass_millisecond(bool loop_lives)
     safety_tick();
     convert_twice();
     close_window();
-    const uint16_t *duty = safety_duties();
+    const uint16_t *duty = pulsing ? safety_duties() : NULL;
     if (duty)
         memcpy(outputs, duty, sizeof outputs);
 }
@@ -227,6 +296,26 @@ void fake_set_current(uint8_t board, uint16_t reading)
 void fake_set_converter(bool runs)
 {
     converting = runs;
+}
+
+void fake_lose_pwm_interrupt(void)
+{
+    pulsing = false;
+}
+
+void fake_set_output(uint8_t channel, uint16_t duty)
+{
+    outputs[channel] = duty;
+}
+
+bool fake_relay(void)
+{
+    return relay_is_closed;
+}
+
+uint8_t fake_remembered_cause(void)
+{
+    return remembered;
 }
 
 uint16_t fake_output(uint8_t channel)

@@ -11,6 +11,8 @@ void fake_start(uint16_t entropy);
 void fake_receive(const uint8_t *bytes, uint32_t length); /* as the serial interrupt would */
 void fake_run_ms(uint32_t milliseconds);
 void fake_hang_ms(uint32_t milliseconds); /* interrupts live, the main loop does not */
+void fake_lose_pwm_interrupt(void);
+void fake_set_output(uint8_t channel, uint16_t duty); /* a register changes by itself */
 uint32_t fake_take_sent(uint8_t *bytes, uint32_t size);
 void fake_forget_sent(void);
 
@@ -20,6 +22,8 @@ void fake_set_converter(bool runs);
 
 uint16_t fake_output(uint8_t channel); /* duty in 1/65536 at the pin */
 bool fake_any_output(void);
+bool fake_relay(void); /* closed */
+uint8_t fake_remembered_cause(void);
 uint32_t fake_time_us(void);
 uint16_t fake_nonce(void); /* that the messages sent announced last */
 

@@ -46,6 +46,7 @@ static void demand_sane(void)
     demand(safety->state <= STOPPED, "no such state");
     demand((safety->state == STOPPED) == (safety->cause != NO_CAUSE), "stopped without a cause");
     demand(!fake_any_output() || safety->state == ARMED, "driven while not armed");
+    demand(fake_relay() == (safety->state == ARMED), "relay closed while not armed");
     for (uint8_t channel = 0; channel < CHANNELS; channel++)
         demand(fake_output(channel) <= DUTY_LIMIT_Q16, "driven above the duty limit");
 }
@@ -81,7 +82,7 @@ static void attack_armed(const uint8_t *bytes, uint32_t length)
     say(body);
     snprintf(body, sizeof body, "V %u 1 5000 1 0 2500", nonce);
     say(body);
-    fake_run_ms(1);
+    fake_run_ms(RELAY_MS + 1);
     demand(fake_any_output(), "a valid command was not obeyed");
     fake_receive(bytes, length);
     fake_run_ms(1);
@@ -143,7 +144,7 @@ static uint32_t some_number(bool armed)
 
 static uint32_t some_line(char *text, bool armed)
 {
-    static const char names[] = "?SAVDRTBPVVVX*\r!";
+    static const char names[] = "?SAVDRTBPCVVX*\r!";
     char body[LONGEST];
     int length = snprintf(body, sizeof body, "%c", names[below(sizeof names - 1)]);
     for (uint32_t field = below(8); field; field--)

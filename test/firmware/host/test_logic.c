@@ -63,7 +63,7 @@ static void start_driving(void)
     fake_start(1);
     arm();
     say(volts(1, 6000, 0, 0, 3000));
-    fake_run_ms(2);
+    fake_run_ms(RELAY_MS + 2);
     CHECK(fake_output(0) > 16000 && fake_output(0) < 16700); /* a quarter */
     CHECK(!fake_output(1) && !fake_output(2) && fake_output(3));
 }
@@ -312,7 +312,7 @@ static void handshake_and_disarm_switch_off(void)
     CHECK(!fake_any_output() && safety_now()->state == IDLE);
     arm();
     say(volts(1, 6000, 0, 0, 0));
-    fake_run_ms(1);
+    fake_run_ms(RELAY_MS + 1);
     CHECK(fake_any_output());
     CHECK(answers("D", "K D"));
     fake_run_ms(1);
@@ -339,7 +339,7 @@ static void telemetry_rates_are_checked(void)
 static void silence_stops_after_the_timeout(void)
 {
     start_driving();
-    fake_run_ms(COMMAND_TIMEOUT_MS - 5);
+    fake_run_ms(COMMAND_TIMEOUT_MS - RELAY_MS - 7);
     CHECK(fake_any_output());
     fake_run_ms(10);
     CHECK(is_off_for(COMMAND_TIMEOUT));
@@ -418,6 +418,8 @@ static void current_the_wrong_way_stops_too(void)
 static void a_mean_above_its_limit_stops(void)
 {
     start_driving();
+    say(volts(2, 9500, 9500, 0, 0));
+    fake_run_ms(100);
     fake_set_current(0, 512 + 145); /* 7.1 A, below the peak */
     fake_run_ms(5);
     CHECK(fake_any_output());
@@ -493,6 +495,154 @@ static void stuck_converter_stops(void)
     CHECK(is_off_for(NO_SAMPLES));
 }
 
+static void no_nonce_is_told_before_it_is_asked_for(void)
+{
+    char body[40];
+    fake_start(1);
+    CHECK(!fake_nonce());
+    snprintf(body, sizeof body, "A %u", 1u); /* what the start's number would be */
+    CHECK(answers(body, "N A 5"));
+    say("?");
+    fake_run_ms(1);
+    CHECK(fake_nonce());
+}
+
+static void limits_are_set_within_the_ceilings_and_not_while_armed(void)
+{
+    fake_start(1);
+    CHECK(answers("C 5000 2000 9000 1900 6000 200", "K C 0"));
+    CHECK(answers("C 10001 2000 9000 1900 6000 200", "N C 14"));
+    CHECK(answers("C 5000 6501 9000 1900 6000 200", "N C 14"));
+    CHECK(answers("C 5000 2000 12001 1900 6000 200", "N C 14"));
+    CHECK(answers("C 5000 2000 2000 1900 6000 200", "N C 14"));
+    CHECK(answers("C 5000 2000 9000 999 6000 200", "N C 14"));
+    CHECK(answers("C 5000 2000 9000 1900 8001 200", "N C 14"));
+    CHECK(answers("C 5000 2000 9000 1900 6000 2001", "N C 14"));
+    CHECK(answers("C 5000 2000 9000 1900 6000 39", "N C 14"));
+    CHECK(safety_limits()->max_mv == 5000 && safety_limits()->hot_ms == 200);
+    arm();
+    CHECK(answers("C 6000 2000 9000 1900 6000 200", "N C 12"));
+    CHECK(answers(volts(1, 5001, 0, 0, 0), "N V 7"));
+    CHECK(!answers(volts(1, 5000, 0, 0, 0), "N V"));
+}
+
+static void the_relay_is_closed_while_armed_only_and_before_anything_is_driven(void)
+{
+    fake_start(1);
+    CHECK(!fake_relay());
+    arm();
+    CHECK(fake_relay());
+    say(volts(1, 6000, 0, 0, 0));
+    fake_run_ms(RELAY_MS - 2);
+    CHECK(!fake_any_output());
+    fake_run_ms(4);
+    CHECK(fake_any_output());
+    fake_receive((const uint8_t *)"!", 1);
+    CHECK(!fake_relay());
+}
+
+static void a_switch_that_does_not_open_stops_and_goes_on_shouting(void)
+{
+    fake_start(1);
+    fake_set_current(0, 512 + 91); /* 4.44 A */
+    fake_run_ms(150);
+    CHECK(is_off_for(OFF_CURRENT) && safety_now()->flows == 1);
+    CHECK(answers("R", "N R 13"));
+    fake_set_current(0, 512);
+    fake_run_ms(150);
+    CHECK(is_off_for(OFF_CURRENT) && !safety_now()->flows);
+    CHECK(answers("R", "K R"));
+    CHECK(safety_now()->state == IDLE);
+}
+
+static void a_sensors_offset_is_no_current(void)
+{
+    fake_start(1);
+    fake_set_current(0, 512 + 8); /* 0.4 A, 40 mV */
+    fake_run_ms(300);
+    CHECK(safety_now()->state == IDLE);
+    arm();
+    for (unsigned sequence = 1; sequence < 10; sequence++) {
+        say(volts(sequence, 500, 0, 0, 0));
+        fake_run_ms(100);
+    }
+    CHECK(safety_now()->state == ARMED);
+}
+
+static void current_behind_a_closed_relay_with_nothing_driven_stops(void)
+{
+    fake_start(1);
+    arm();
+    fake_set_current(1, 512 + 91);
+    fake_run_ms(20);
+    CHECK(is_off_for(OFF_CURRENT));
+    CHECK(fake_remembered_cause() == OFF_CURRENT);
+}
+
+static void current_beyond_what_the_duties_explain_stops(void)
+{
+    fake_start(1);
+    CHECK(answers("C 10000 6500 12000 1900 8000 2000", "K C 0"));
+    arm();
+    say(volts(1, 1000, 0, 0, 0));
+    fake_run_ms(100);
+    CHECK(fake_any_output());
+    fake_set_current(0, 512 + 4); /* 0.2 A: a dead short that the sensor clips */
+    fake_run_ms(60);
+    CHECK(is_off_for(UNEXPLAINED_CURRENT));
+}
+
+static void a_current_that_follows_a_step_down_is_explained(void)
+{
+    start_driving();
+    say(volts(2, 9000, 0, 0, 0));
+    fake_set_current(0, 512 + 51); /* 2.5 A */
+    fake_run_ms(150);
+    say(volts(3, 0, 0, 0, 0));
+    fake_set_current(0, 512);
+    fake_run_ms(150);
+    CHECK(safety_now()->state == ARMED);
+}
+
+static void heat_beyond_its_limit_stops_and_short_pulses_do_not(void)
+{
+    fake_start(1);
+    CHECK(answers("C 10000 6500 12000 1900 6000 200", "K C 0"));
+    arm();
+    unsigned sequence = 1;
+    for (int pulse = 0; pulse < 10; pulse++) {
+        say(volts(sequence++, pulse % 4 ? 0 : 8000, 0, 0, 0));
+        fake_run_ms(80);
+    }
+    CHECK(safety_now()->state == ARMED);
+    say(volts(sequence++, 8000, 0, 0, 0));
+    fake_run_ms(150);
+    say(volts(sequence++, 8000, 0, 0, 0));
+    fake_run_ms(150);
+    CHECK(is_off_for(HEAT_LIMIT));
+}
+
+static void a_lost_output_interrupt_stops(void)
+{
+    start_driving();
+    fake_lose_pwm_interrupt();
+    fake_run_ms(8);
+    CHECK(is_off_for(PWM_STALLED));
+    CHECK(!safety_tick());
+}
+
+static void an_output_that_is_not_as_set_stops(void)
+{
+    start_driving();
+    fake_lose_pwm_interrupt(); /* which would set it right each millisecond */
+    for (int ms = 0; ms < 40 && safety_now()->state == ARMED; ms++) {
+        safety_duties();
+        fake_set_output(1, 30000);
+        fake_run_ms(1);
+    }
+    CHECK(is_off_for(OUTPUT_DIFFERS));
+}
+
 /* --- running them ----------------------------------------------------------------------------- */
 
 #define TEST(function) {#function, function}
@@ -534,6 +684,17 @@ static const struct {
     TEST(on_for_too_long_stops_even_with_short_dips),
     TEST(hung_loop_stops_before_the_watchdog),
     TEST(stuck_converter_stops),
+    TEST(no_nonce_is_told_before_it_is_asked_for),
+    TEST(limits_are_set_within_the_ceilings_and_not_while_armed),
+    TEST(the_relay_is_closed_while_armed_only_and_before_anything_is_driven),
+    TEST(a_switch_that_does_not_open_stops_and_goes_on_shouting),
+    TEST(a_sensors_offset_is_no_current),
+    TEST(current_behind_a_closed_relay_with_nothing_driven_stops),
+    TEST(current_beyond_what_the_duties_explain_stops),
+    TEST(a_current_that_follows_a_step_down_is_explained),
+    TEST(heat_beyond_its_limit_stops_and_short_pulses_do_not),
+    TEST(a_lost_output_interrupt_stops),
+    TEST(an_output_that_is_not_as_set_stops),
 };
 
 int main(int count, char **arguments)
