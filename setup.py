@@ -1,6 +1,7 @@
 """Builds sma_bench for `colcon build` and `pip install .`; package.xml names and versions it."""
 
 import os
+from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -25,6 +26,30 @@ NODES = [
 ]
 
 
+# Of `setup.py install` and `develop`, which colcon runs: setuptools' own searches the metadata of
+# everything installed first, and a Ctrl-C during that is a traceback.
+SCRIPT = f"""\
+import os
+import signal
+
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, lambda *_: os._exit(0))
+if __name__ == "__main__":
+    from {PACKAGE}.nodes.start import script
+
+    script(%(name)r)
+"""
+
+
+def use_own_script():
+    """Another setuptools may have it elsewhere: its own then serves, a little later."""
+    for module in ("setuptools._scripts", "setuptools.command.easy_install"):
+        try:
+            import_module(module).ScriptWriter.template = SCRIPT
+        except (ImportError, AttributeError):
+            continue
+
+
 def shared_files(*folders):
     """Data files that keep their folders below share/<package>."""
     for folder in folders:
@@ -34,6 +59,7 @@ def shared_files(*folders):
                 yield os.path.join("share", PACKAGE, directory), files
 
 
+use_own_script()
 setup(
     name=PACKAGE,
     version=MANIFEST.findtext("version"),

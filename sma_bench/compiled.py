@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from sma_bench.lifeline import end_with_parent, tied_to_this_process
+from sma_bench.lifeline import tied_to_this_process
 
 try:
     import numba
@@ -115,9 +115,9 @@ class Meanwhile:
         name = self.function.__module__, self.function.__name__
         with suppress(OSError):
             subprocess.run(
-                [sys.executable, "-P", "-m", __name__],
+                [sys.executable, "-P", "-c", _OTHER_PROCESS], check=False,
                 input=json.dumps([*name, *map(_described, signature)]), text=True,
-                env=tied_to_this_process(), start_new_session=True, check=False,
+                env=tied_to_this_process(), start_new_session=True,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip
         self.function.compile(signature)
@@ -174,9 +174,15 @@ def _type_of(described: list[Any]) -> Any:
     return numba.types.Array(kind, *array) if array else kind
 
 
-def _compile_here() -> None:
+# Tied before numba is imported, which takes a second in which the node may end.
+_OTHER_PROCESS = (
+    "from sma_bench.lifeline import end_with_parent; end_with_parent(); "
+    "from sma_bench.compiled import compile_here; compile_here()"
+)
+
+
+def compile_here() -> None:
     """The other process: what its standard input names is compiled, and kept on the disk."""
-    end_with_parent()
     os.nice(5)
     module, name, *described = json.load(sys.stdin)
     function = getattr(import_module(module), name)
@@ -251,7 +257,3 @@ def _cached_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         numba.config.CACHE_DIR = before
-
-
-if __name__ == "__main__":
-    _compile_here()

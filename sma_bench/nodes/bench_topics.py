@@ -6,13 +6,18 @@ time, building messages would cost more than the physics.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 
 from sma_bench.nodes.base import MEASURED
-from sma_bench.nodes.virtual_bench import NANOSECONDS, Reading
+
+if TYPE_CHECKING:  # brings the model and its compiler, which a bridge does without
+    from sma_bench.nodes.virtual_bench import Reading
+
+NANOSECONDS = 1_000_000_000
 
 NAN = float("nan")
 # Triangulation sensor of the composite rig: assumed to see 20 to 300 mm.
@@ -76,7 +81,7 @@ class BenchTopics:
             "mechanics": _range_sender(node) if composite else _load_frame_sender(node),
         }
 
-    def publish(self, reading: Reading, epoch: int) -> None:
+    def publish(self, reading: "Reading", epoch: int) -> None:
         """Send a reading; `epoch` ns is the ROS time of its time 0."""
         self._send[reading.kind](reading.values, epoch + reading.time)
         self._counts[reading.kind] += 1

@@ -15,11 +15,11 @@ from importlib import import_module
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node until its end; the exit status."""
+    for number in ending_signals():
+        signal.signal(number, lambda *_: os._exit(0))
     given = sys.argv[1:] if argv is None else argv
     if not {"-h", "--help"} & set(given):
         print(f"starting {name}", flush=True)  # its libraries take a second, or many
-    for number in ending_signals():
-        signal.signal(number, lambda *_: os._exit(0))
     status: int = import_module(f"sma_bench.nodes.{name}").main(argv)
     for number in ending_signals():  # once more is no use, and would only make noise
         signal.signal(number, signal.SIG_IGN)
@@ -31,6 +31,15 @@ def ending_signals() -> list[signal.Signals]:
     asked = [signal.SIGINT, signal.SIGTERM]
     unheard = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
     return asked if unheard else [*asked, signal.SIGHUP]
+
+
+def script(name: str) -> None:
+    """What an executable of colcon's installation runs, which ends in silence at a signal."""
+    if name == "sma-bench":
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        sys.exit(import_module("sma_bench.cli").main())
+    _run(name)
 
 
 def __getattr__(name: str) -> Callable[[], None]:

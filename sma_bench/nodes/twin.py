@@ -68,7 +68,11 @@ class TwinNode(BenchNode):
         self._twin.power(wire, _stamp(message), message.voltage, message.current)
 
     def _on_temperature(self, wire: int, message: Temperature) -> None:
-        self._twin.temperature(wire, _stamp(message), message.temperature + CELSIUS_ZERO)
+        variance = message.variance if math.isfinite(message.variance) else 0.0
+        self._twin.temperature(
+            wire, _stamp(message), message.temperature + CELSIUS_ZERO,
+            math.sqrt(max(variance, 0.0)),
+        )  # fmt: skip
 
     def _on_joint(self, message: JointState) -> None:
         if self._joint not in message.name:

@@ -7,9 +7,11 @@ Format: https://mcap.dev/spec.
 
 import fcntl
 import mmap
+import os
 import re
 import struct
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -233,7 +235,8 @@ def scan_mcap(path: Path, harvest: Harvest) -> None:
         return
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as buffer:
         scan.compiled = is_compiled(size)
-        scan.growing = _is_locked(file)
+        if buffer[-len(MAGIC):] != MAGIC:
+            scan.growing = _is_locked(file) or _is_being_written(path)
         scan.read_summary(buffer)
         start = len(MAGIC)
         if buffer[:start] != MAGIC:
@@ -256,6 +259,21 @@ def _is_locked(file: BinaryIO) -> bool:
         return True
     except OSError:  # a file system without locks
         return False
+    return False
+
+
+def _is_being_written(path: Path) -> bool:
+    """Whether a process that may be asked has the file open to write, `ros2 bag record` for one;
+    Linux only."""
+    wanted = str(path.resolve())
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError, StopIteration, IndexError, ValueError):  # gone, or not ours to see
+            if os.readlink(link) != wanted:
+                continue
+            info = (link.parents[1] / "fdinfo" / link.name).read_text().splitlines()
+            flags = next(line.split()[1] for line in info if line.startswith("flags:"))
+            if int(flags, 8) & os.O_ACCMODE != os.O_RDONLY:
+                return True
     return False
 
 

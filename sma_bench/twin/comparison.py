@@ -52,7 +52,7 @@ class Comparison:
         self._side = side_of_channels(parameters)
         self._ambient = float(parameters["environment.ambient_temperature"])
         self._start, self._closed = run.time, 0
-        self._sums: dict[tuple[int, int], Array] = defaultdict(lambda: np.zeros(3))
+        self._sums: dict[tuple[int, int], Array] = defaultdict(lambda: np.zeros(4))
         self._mechanics: dict[int, list[tuple[Array, Array]]] = defaultdict(list)
         self._led = TemperatureDriven(parameters, run.state)
         # The same a little warmer on one side and cooler on the other: what a camera's unknown
@@ -63,15 +63,18 @@ class Comparison:
         self._sign = np.where(self._side == 0, 1.0, -1.0)
         self._correction = np.zeros(wires)
         self._differences: deque[Array] = deque(maxlen=2 * _AHEAD + 1)
+        self._doubts: deque[Array] = deque(maxlen=2 * _AHEAD + 1)
 
     def current(self, wire: int, time: Array, value: Array, predicted: Array) -> None:
         """Samples (n,) of a current [A]."""
-        self._samples(self.currents[wire], wire, time, value, predicted)
+        self._samples(self.currents[wire], wire, time, value, predicted, np.zeros(len(time)))
 
-    def temperature(self, wire: int, time: Array, value: Array, predicted: Array) -> None:
-        """Samples (n,) of a temperature [K]."""
+    def temperature(
+        self, wire: int, time: Array, value: Array, predicted: Array, std: Array
+    ) -> None:
+        """Samples (n,) of a temperature [K], and their own standard deviations."""
         own = self.temperatures[wire]
-        self._samples(own, len(self.currents) + wire, time, value, predicted)
+        self._samples(own, len(self.currents) + wire, time, value, predicted, std)
 
     def mechanics(self, time: Array, value: Array, predicted: Array) -> None:
         """Samples (n,) of the deflection [m], or of the force [N]."""
@@ -86,7 +89,8 @@ class Comparison:
             signal.samples(value, value - predicted)
 
     def _samples(
-        self, signal: SignalBins, key: int, time: Array, value: Array, predicted: Array
+        self, signal: SignalBins, key: int, time: Array, value: Array, predicted: Array,
+        std: Array,
     ) -> None:
         numbers, residual = self._numbers(time), value - predicted
         for number in np.unique(numbers).tolist():
@@ -95,7 +99,9 @@ class Comparison:
             if number < self._closed:
                 self.late += count
             else:
-                self._sums[number, key] += residual[here].sum(), count, predicted[here].sum()
+                self._sums[number, key] += (
+                    residual[here].sum(), count, predicted[here].sum(), std[here].sum()
+                )
         signal.samples(value, residual)
 
     def _numbers(self, time: Array) -> NDArray[np.int64]:
@@ -122,25 +128,28 @@ class Comparison:
         change = np.abs(reading[-1] - reading[0])
         moments = change / BIN * self._moment(run)
         wires = len(self.currents)
-        difference = np.full(wires, np.nan)
+        difference, doubt = np.full(wires, np.nan), np.zeros(wires)
         for k in range(wires):
             side = int(self._side[k])
             if (found := self._taken(number, k)) is not None:
-                residual, count, predicted = found
+                residual, count, predicted, _ = found
                 self.currents[k].add(Bin(stop, residual, count, 0.0, predicted, side))
             if (found := self._taken(number, wires + k)) is not None:
-                residual, count, predicted = found
+                residual, count, predicted, doubt[k] = found
                 difference[k] = residual
                 rise = predicted - self._ambient
-                own = Bin(stop, residual, count, float(moments[k]), rise, side)
-                self.temperatures[k].add(own)
+                # Of pixels, emissivity and background: much the same in every picture.
+                off = float(np.hypot(moments[k], doubt[k]))
+                self.temperatures[k].add(Bin(stop, residual, count, off, rise, side))
         self._differences.append(difference)
+        self._doubts.append(doubt)
 
-    def _taken(self, number: int, key: int) -> tuple[float, int, float] | None:
+    def _taken(self, number: int, key: int) -> tuple[float, int, float, float] | None:
         sums = self._sums.pop((number, key), None)
         if sums is None:
             return None
-        return float(sums[0] / sums[1]), int(sums[1]), float(sums[2] / sums[1])
+        residual, predicted, std = (float(sums[k] / sums[1]) for k in (0, 2, 3))
+        return residual, int(sums[1]), predicted, std
 
     @staticmethod
     def _moment(run: FreeRun) -> float:
@@ -161,7 +170,7 @@ class Comparison:
         rough = np.nan_to_num(np.abs(own - after))
         led = np.insert(self._mechanics_of(self._led, time, kelvin), 0, self._last_led)
         self._last_led = float(led[-1])
-        doubt = self._sign * np.hypot(self._doubt, rough)
+        doubt = self._sign * np.sqrt(self._doubt**2 + rough**2 + self._doubts[-1 - _AHEAD] ** 2)
         warmer = self._mechanics_of(self._warmer, time, kelvin + doubt)
         free = course.mechanics[rows]
         samples = self._mechanics.pop(number, [])

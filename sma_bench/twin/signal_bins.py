@@ -5,17 +5,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular, toeplitz
 
 from sma_bench.estimation.noise_model import Noise, estimate_noise, resolution, white_noise_level
 
 Array = NDArray[np.float64]
 
 BIN = 0.2  # s, as the diagnosis has it
-_MEMORY = 300  # bins from which noise is learned
+MEMORY = 350  # bins from which noise is learned, and which are judged by it
+_SLOW = 30.0  # s that noise must be known for; a drift slower than that is not seen in less
 _SAMPLES = 400  # samples from which the scatter of neighbours is taken
 _FEWEST_SAMPLES = 20
 # Of a sample: no bench is simulated, and no voltage known, to less.
 _LEAST = {"current": 2e-3, "temperature": 0.02, "deflection": 5e-6, "force": 5e-3}
+# Standard deviations; `./bench check twin_alarms` shows how often noise is as surprising.
+SURPRISING = 5.5
+STAYS = 0.75  # of the threshold: a gap is over below that
 _MOST_WHITE = 2.0  # of the scatter of neighbours: a residual that scatters more is a gap
 
 
@@ -42,7 +47,8 @@ class Reading:
 
     Attributes:
         energy: mean square of the whitened residual, 1 for noise.
-        surprise: standard deviations by which the energy or the level is beyond that of noise.
+        surprise: standard deviations by which the energy or the level is beyond that of the noise
+            before the window.
         gap: root mean square of the residual over the noise of a sample; per side, NaN where the
             signal was not on that side.
         noise: of the sensor, as learned; scatter: of a sample.
@@ -70,7 +76,8 @@ class SignalBins:
         self.quantity, self.wire = quantity, wire
         self._values: deque[float] = deque(maxlen=_SAMPLES)
         self._residuals: deque[float] = deque(maxlen=_SAMPLES)
-        self._bins: deque[Bin] = deque(maxlen=_MEMORY)
+        self._bins: deque[Bin] = deque(maxlen=MEMORY)
+        self._learned: Noise | None = None
 
     def samples(self, value: Array, residual: Array) -> None:
         """Measured values (n,), and measured less predicted."""
@@ -84,6 +91,7 @@ class SignalBins:
     def clear(self) -> None:
         """Forget the bins; the samples' noise stays."""
         self._bins.clear()
+        self._learned = None
 
     @property
     def bins(self) -> int:
@@ -105,12 +113,15 @@ class SignalBins:
         white = white_noise_level(np.array(self._residuals))
         return float(max(white, steps, _LEAST[self.quantity]))
 
-    def read(self, allowed: float, sides: int, fewest: int, window: float) -> Reading | None:
+    def read(
+        self, allowed: float, sides: int, fewest: int, window: float, threshold: float = np.inf
+    ) -> Reading | None:
         """What the bins of the last `window` s say, None while there are too few.
 
         Args:
             allowed: slow drift that the sensor may have, in the signal's unit.
             sides: how many there are; fewest: bins that make a verdict.
+            threshold: a surprising gap beyond it is not learned as noise.
         """
         scatter = self.scatter
         if len(self._bins) < fewest or np.isnan(scatter):
@@ -121,8 +132,10 @@ class SignalBins:
         steady = np.hypot(scatter, allowed)
         # Bins in which the moment of a reading matters count as much as they tell.
         level = residual * steady / np.hypot(steady, off)
-        noise = self._noise(level, time, count, scatter, allowed)
         last = slice(min(int(np.searchsorted(time, time[-1] - window)), len(time) - fewest), None)
+        noise = self._learned
+        if noise is None or noise.usual != allowed:
+            noise = self._noise(level, time, count, last.start, scatter, allowed)
         tolerance = np.hypot(steady, off)
         squares = (residual / tolerance)[last] ** 2
         gap = np.full(sides, np.nan)
@@ -132,28 +145,46 @@ class SignalBins:
                 gap[k] = np.sqrt(squares[here].sum() / len(squares))
         power = float(cause @ cause)
         told = power > 0.1 * float(tolerance @ tolerance)
-        energy, surprise = _judge(noise, level[last])
+        energy, surprise = judge(noise, level[last])
+        size = float(np.sqrt(np.mean(squares)))
+        if self._learned is not None and size >= STAYS * threshold:
+            surprise = max(surprise, SURPRISING)  # once it has come, it is there until it goes
+        self._learned = noise if size >= threshold * STAYS and surprise >= SURPRISING else None
         return Reading(
             energy, surprise, gap, noise, scatter, residual[last], cause[last], tolerance[last],
             float(residual @ cause) / power if told else np.nan,
         )
 
     @staticmethod
-    def _noise(level: Array, time: Array, count: Array, scatter: float, allowed: float) -> Noise:
-        """Noise that the bins show, but no more than a sensor may have."""
+    def _noise(
+        level: Array, time: Array, count: Array, stop: int, scatter: float, allowed: float
+    ) -> Noise:
+        """Noise that the bins up to `stop` show, but no more than a sensor may have; as much while
+        they are too few to tell."""
         white = scatter / float(np.sqrt(np.median(count)))
-        period = round(float(np.median(np.diff(time))), 2)
-        found = estimate_noise([level], white, max(period, 0.01), allowed)
-        drift = min(found.drift, allowed)
+        period = max(round(float(np.median(np.diff(time))), 2), 0.01)
+        if stop < 2 or time[stop - 1] - time[0] < _SLOW:
+            return Noise(white, allowed, _SLOW, period, allowed)
+        found = estimate_noise([level[:stop]], white, period, allowed)
+        # As fast as it was seen to go, and as far as it may: nobody has seen that within a minute.
+        share = allowed / max(found.drift, 1e-3 * allowed)
         return Noise(
-            min(found.white, _MOST_WHITE * white), drift, found.time, found.period, allowed
-        )
+            min(found.white, _MOST_WHITE * white), allowed, max(share**2 * found.time, period),
+            period, allowed,
+        )  # fmt: skip
 
 
-def _judge(noise: Noise, level: Array) -> tuple[float, float]:
+def judge(noise: Noise, level: Array) -> tuple[float, float]:
     """Energy of the whitened level (n,), and how surprising it is as noise."""
-    white, ones = noise.whiten(level), noise.whiten(np.ones(len(level)))
+    # Exact from the first bin on, unlike the recursion that whitens long records.
+    lags = np.arange(len(level)) * (noise.period / noise.time)
+    covariance = toeplitz(noise.drift**2 * np.exp(-lags))
+    covariance[np.diag_indices_from(covariance)] += noise.white**2
+    both = np.column_stack([level, np.ones(len(level))])
+    white, ones = solve_triangular(cholesky(covariance, lower=True), both, lower=True).T
     energy = float(np.mean(white**2))
-    from_energy = (energy - 1.0) * float(np.sqrt(0.5 * len(level)))
+    # Wilson and Hilferty's cube root: the tail of chi squared is not that of a Gaussian.
+    spread = 2.0 / (9.0 * len(level))
+    from_energy = (float(np.cbrt(energy)) - 1.0 + spread) / float(np.sqrt(spread))
     from_level = abs(float(ones @ white)) / float(np.sqrt(ones @ ones))
     return energy, max(from_energy, from_level)

@@ -96,7 +96,7 @@ class Twin:
         self._comparison: Comparison | None = None
         self._waited_since: float | None = None
         self._kelvin: dict[int, tuple[float, float]] = {}
-        self._pending: dict[tuple[str, int], deque[tuple[float, int, float, float]]] = {}
+        self._pending: dict[tuple[str, int], deque[tuple[float, int, float, float, float]]] = {}
         self._next_due: dict[tuple[str, int], float] = {}
         self._unjudged = 0
         self._judge.forget()
@@ -111,14 +111,14 @@ class Twin:
         if math.isfinite(ampere) and math.isfinite(volt):
             self._queue(CURRENT, wire, time, stamp, ampere, volt)
 
-    def temperature(self, wire: int, stamp: int, kelvin: float) -> None:
-        """A reading of a wire's temperature [K]."""
+    def temperature(self, wire: int, stamp: int, kelvin: float, std: float = 0.0) -> None:
+        """A reading of a wire's temperature, and its own standard deviation [K], 0 if not known."""
         time = self._time(stamp)
         if not math.isfinite(kelvin):
             self._ignored += 1
             return
         self._kelvin[wire] = time, kelvin
-        self._queue(TEMPERATURE, wire, time, stamp, kelvin)
+        self._queue(TEMPERATURE, wire, time, stamp, kelvin, std=std)
 
     def mechanics(self, stamp: int, value: float, elongation: float = 0.0) -> None:
         """A deflection [m], or the force [N] of a wire elongated by so much [m]."""
@@ -165,12 +165,13 @@ class Twin:
         return (self._origin or 0) + round(time * NANOSECONDS)
 
     def _queue(
-        self, kind: str, wire: int, time: float, stamp: int, value: float, factor: float = 1.0
+        self, kind: str, wire: int, time: float, stamp: int, value: float, factor: float = 1.0,
+        std: float = 0.0,
     ) -> None:
         key = kind, wire
         if key not in self._pending:
             self._pending[key] = deque(maxlen=_QUEUE)
-        self._pending[key].append((time, stamp, value, factor))
+        self._pending[key].append((time, stamp, value, factor, std))
 
     def advance(self) -> None:
         """Run the model as far as the voltages are known, compare, and judge every second."""
@@ -221,12 +222,12 @@ class Twin:
                     waiting.clear()
                 continue
             taken = [waiting.popleft() for _ in range(count)]
-            time, value, factor = np.array([(at, v, f) for at, _, v, f in taken]).T
+            time, value, factor, std = np.array([(at, v, f, d) for at, _, v, f, d in taken]).T
             predicted = np.interp(time, run.course.time, _column(run, kind, wire)) * factor
             if kind == CURRENT:
                 comparison.current(wire, time, value, predicted)
             elif kind == TEMPERATURE:
-                comparison.temperature(wire, time, value, predicted)
+                comparison.temperature(wire, time, value, predicted, std)
             else:
                 comparison.mechanics(time, value, predicted)
             residual = (value - predicted).tolist()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.twin.comparison import Comparison
-from sma_bench.twin.signal_bins import Reading
+from sma_bench.twin.signal_bins import STAYS, SURPRISING, Reading
 
 Array = NDArray[np.float64]
 
@@ -20,9 +20,7 @@ ELECTRICAL, THERMAL, MECHANICAL, SENSOR = STAGES = (
 )
 MEASURED_STAGES = STAGES[:3]
 LEARNING, QUIET, GAP, GREW = "learning", "quiet", "gap", "grew"
-_SURPRISING = 3.0  # standard deviations
 _ACQUAINTANCE = 60  # verdicts, one a second
-_STAYS = 0.75  # of the threshold: a gap is over below that
 _GROWN = 1.5  # times what was known
 _ALIKE = 0.5  # of the larger side
 _MUCH = 2.0  # times, as in diagnose/chain.py
@@ -82,26 +80,27 @@ class Judge:
         if not judged:
             return Verdict(LEARNING, "learning the noise", measured=tuple(measured))
         named = {s.stage: s.counted for s in judged}
+        seen = {s.stage: s.gap for s in judged}  # surprising or not
         named |= _sensor(comparison, settings, named, len(self._sides))
         self._latest = named
         gaps, grown = [], []
         for stage, counted in named.items():
             size = float(counted.max())
-            least = settings.threshold * (_STAYS if stage in self._open else 1.0)
+            least = settings.threshold * (STAYS if stage in self._open else 1.0)
             self._open = self._open | {stage} if size >= least else self._open - {stage}
-            self._get_to_know(stage, size, settings.threshold)
+            self._get_to_know(stage, size, seen.get(stage, 0.0) >= settings.threshold)
             if stage in self._open:
                 gaps.append(stage)
                 if size > max(least, _GROWN * self._known[stage]):
                     grown.append(stage)
         return self._verdict(gaps, grown, measured, comparison)
 
-    def _get_to_know(self, stage: str, size: float, threshold: float) -> None:
+    def _get_to_know(self, stage: str, size: float, seen: bool) -> None:
         """A gap that was there from the first verdict on is known at its largest of a minute."""
         if stage not in self._known:
             first = stage != SENSOR  # which shows only once the mechanics contradict it
             self._known[stage] = size if first else 0.0
-            self._unknown[stage] = _ACQUAINTANCE if first and size >= threshold else 0
+            self._unknown[stage] = _ACQUAINTANCE if first and seen else 0
         elif self._unknown.get(stage, 0) > 0:
             self._known[stage] = max(self._known[stage], size)
             self._unknown[stage] -= 1
@@ -160,7 +159,8 @@ def stage_states(comparison: Comparison, rules: Rules, sides: int) -> list[Stage
 
     def read(signals: Sequence) -> list[Reading | None]:
         return [
-            s.read(rules.allowed[s.quantity], sides, rules.fewest, rules.window) for s in signals
+            s.read(rules.allowed[s.quantity], sides, rules.fewest, rules.window, rules.threshold)
+            for s in signals
         ]
 
     currents, temperatures = read(comparison.currents), read(comparison.temperatures)
@@ -183,7 +183,7 @@ def stage_states(comparison: Comparison, rules: Rules, sides: int) -> list[Stage
 
 
 def _counted(reading: Reading | None) -> Array | None:
-    if reading is None or reading.surprise < _SURPRISING:
+    if reading is None or reading.surprise < SURPRISING:
         return None
     return np.nan_to_num(reading.gap)
 
@@ -227,7 +227,8 @@ def _sensor(
         return {}
     wrong = min(named[THERMAL].max(), named[MECHANICAL].max()) >= rules.threshold
     free = comparison.free.read(
-        rules.allowed[comparison.free.quantity], sides, rules.fewest, rules.window
+        rules.allowed[comparison.free.quantity], sides, rules.fewest, rules.window,
+        rules.threshold,
     )
     if not wrong or free is None or np.nanmax(free.gap) >= rules.threshold:
         return {}

@@ -3,14 +3,18 @@
 import json
 import resource
 import signal
+from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
+from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED
+from sma_bench.nodes.recorder import Recorder
 from sma_bench.records import read_record
 
 BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -97,6 +101,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     # Fast DDS's shared memory are files too, larger than this disk.
     environment = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     states = bench.latched("recorder/state", String)
+    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
     node = start_with(bench, environment, small_disk, tmp_path / "bag")
     bench.until(publisher.get_subscription_count)
     published = 0
@@ -111,7 +116,28 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     assert "cannot be written: File too large" in lines[-1]
     assert "Traceback" not in node.output
     bench.until(lambda: json.loads(states[-1].data)["state"] == "failed")
+    bench.until(lambda: diagnostics[-1].status[0].level == DiagnosticStatus.ERROR)
+    assert "cannot be written: File too large" in diagnostics[-1].status[0].message
     assert len(read_record(tmp_path / "bag")["voltage_command"].time) > 100
+
+
+@pytest.mark.parametrize(
+    ("free", "failure", "level", "message"),
+    [
+        ((1 << 30) - 1, None, DiagnosticStatus.WARN, "recording; the disk is nearly full"),
+        (1 << 30, None, DiagnosticStatus.OK, "recording"),
+        (0, InputError("bag: the disk is full"), DiagnosticStatus.ERROR, "bag: the disk is full"),
+    ],
+)
+def test_the_diagnostics_tell_of_a_disk_that_fills(monkeypatch, free, failure, level, message):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    recorder = SimpleNamespace(
+        _output="bag", _said="recording", _messages={"/bench/wire/power": 3}, failure=failure,
+        status=lambda *said: said,
+    )
+    [(_, found, words, values)] = Recorder.health(recorder)
+    assert (found, words) == (level, message)
+    assert values["free_bytes"] == free and values["messages"] == 3
 
 
 def start_with(bench, environment, preexec, output):

@@ -347,3 +347,14 @@ def test_a_bag_that_is_still_being_recorded_is_no_dead_writers(tmp_path):
         assert not [text for severity, text in said if severity != "info"]
     assert "recorded" not in str(read_record(bag).findings)
 
+
+def test_a_bag_that_another_program_writes_is_no_dead_writers_until_it_closes_it(tmp_path):
+    bag = tmp_path / "bag"
+    write_record(bag, [ramp_signal()])
+    file = next(bag.glob("*.mcap"))
+    with file.open("r+b") as other:  # as `ros2 bag record` does, without a lock
+        other.truncate(file.stat().st_size - 8)
+        said = {f.text for f in read_record(bag).findings}
+        assert "is still being recorded: what was written until now is read" in said
+    assert "is still being recorded" not in str(read_record(bag).findings)
+

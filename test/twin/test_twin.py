@@ -1,6 +1,8 @@
 """The twin beside a synthetic bench: what it says of effects, of none, and of bad streams."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,9 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin import Twin
 from sma_bench.twin.twin import CURRENT, NANOSECONDS, TEMPERATURE
 from sma_bench.twin.verdict import GAP, GREW, LEARNING, QUIET
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
+import twin_alarms  # noqa: E402
 
 SIMULATOR = {p.name: p.default for p in NODE_TABLES["simulator"]} | {
     "rate.power": 50.0, "rate.mechanics": 50.0, "rate.temperature": 40.0,
@@ -293,3 +298,32 @@ def test_wires_without_temperatures_leave_the_stage_open():
     assert verdict.message.startswith(
         "gap grew: thermal or mechanical stage (wires without temperatures)"
     )
+
+
+def test_a_reading_that_says_how_far_it_may_be_off_is_taken_at_its_word():
+    """A camera sees no cold wire: its reading is the background, give or take 1.6 K."""
+
+    def off(kind, time, values):
+        return [v + 1.05 for v in values] if kind == "temperature" and time > 8.0 else values
+
+    stream = Stream(BENCH, BENCH, drive=lambda _: (0.0, 0.0), spoil=off)
+    hear = stream.twin.temperature
+    stream.twin.temperature = lambda *reading: hear(*reading, 1.64)
+    assert stream.run(25.0).state == QUIET
+    assert stream.states() == {LEARNING, QUIET}
+    stream = Stream(BENCH, BENCH, drive=lambda _: (0.0, 0.0), spoil=off)
+    assert stream.run(20.0).state == GREW
+
+
+def test_noise_as_large_as_a_sensor_may_have_is_no_gap_and_a_step_beyond_it_is_soon():
+    """Two days of a drifting thermometer, as `./bench check twin_alarms` draws weeks of it."""
+    random = np.random.default_rng(7)
+    share = 2.0 / 7.0
+    allowed = twin_alarms.ALLOWED
+    for time in (30.0, 200.0):
+        *_, rate = twin_alarms.alarms(random, share, 0.5 * allowed, time)
+        assert rate == 0.0
+    largest = list(twin_alarms.excursions(twin_alarms.residuals(random, 50_000, allowed, 30.0)))
+    assert largest and max(largest) < twin_alarms.SURPRISING
+    delay = twin_alarms.delays(random, 2.0, 0.5 * allowed, 30.0, trials=5)
+    assert (delay < 10.0).all()

@@ -1,0 +1,154 @@
+"""How often the twin calls noise a gap, and how late it sees a real one: bins drawn, no nodes.
+
+A sensor's residual is white noise and a slow drift (Ornstein and Uhlenbeck) as large as the twin
+grants it, by its `allowed.*`, or half of that; every signal of a composite bench drifts by itself.
+A verdict a second, as on the bench. The table counts excursions that would be alarms at several
+limits of surprise, for a bench and a week; so rare ones as at the twin's own limit follow from how
+fast the counts fall (an exponential tail of those beyond the last limit that 20 exceed). Delays of
+real steps beside.
+
+    ./bench check twin_alarms [--weeks 2] [--seed 1]
+"""
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.twin.signal_bins import BIN, MEMORY, SURPRISING, Bin, SignalBins
+
+Array = NDArray[np.float64]
+
+SETTINGS = {p.name: p.default for p in NODE_TABLES["twin"]}
+WINDOW, FEWEST = SETTINGS["window"], round(SETTINGS["learning"] / BIN)
+THRESHOLD, ALLOWED = SETTINGS["threshold"], SETTINGS["allowed.temperature"]
+SCATTER, COUNT = 0.1, 8  # K of a sample, and samples a bin: a camera of 40 Hz
+SIGNALS = 9  # of a composite bench: four currents, four temperatures, the deflection
+WEEK = 7 * 24 * 3600.0
+EVERY = 5  # bins between two verdicts
+LIMITS = (3.0, 4.0, 5.0)
+ENOUGH = 20
+TIMES = (3.0, 30.0, 200.0)  # s, of the drift
+SLOW = 30.0  # s: a faster one of full size is more than the twin grants, and shown only
+STEPS = (0.75, 1.5, 2.0, 3.0, 5.0)  # K
+TRIALS = 40
+
+
+def residuals(random: np.random.Generator, bins: int, drift: float, time: float) -> Array:
+    """(bins,) K of a sensor that drifts with a standard deviation `drift` K, correlated for
+    `time` s."""
+    phi = math.exp(-BIN / time)
+    driven = random.standard_normal(bins) * drift * math.sqrt(1.0 - phi**2)
+    driven[0] = random.standard_normal() * drift
+    white = random.standard_normal(bins) * SCATTER / math.sqrt(COUNT)
+    return np.asarray(lfilter([1.0], [1.0, -phi], driven) + white)
+
+
+def excursions(residual: Array) -> Iterator[float]:
+    """Largest surprise of each time that the gap was beyond the threshold, by the twin's code."""
+    width = round(WINDOW / BIN)
+    tolerance = math.hypot(SCATTER, ALLOWED)
+    sums = np.cumsum(np.insert((residual / tolerance) ** 2, 0, 0.0))
+    ends = np.arange(width, len(residual) + 1, EVERY)
+    gaps = np.sqrt((sums[ends] - sums[ends - width]) / width)
+    largest, known, signal = 0.0, 0, signal_of(residual[:0])
+    for end in ends[gaps >= THRESHOLD].tolist():
+        if end > known + EVERY:
+            if largest:
+                yield largest
+            largest, known = 0.0, max(end - MEMORY, 0)
+            signal.clear()
+        add(signal, residual, known, end)
+        known = end
+        said = signal.read(ALLOWED, 1, FEWEST, WINDOW)
+        largest = max(largest, said.surprise if said else 0.0)
+    if largest:
+        yield largest
+
+
+def signal_of(residual: Array) -> SignalBins:
+    signal = SignalBins("temperature", 0)
+    scatter = np.tile([SCATTER, -SCATTER], 200) / math.sqrt(16.0 / 6.0)
+    signal.samples(np.linspace(0.0, 1.0, 400), scatter)
+    add(signal, residual, 0, len(residual))
+    return signal
+
+
+def add(signal: SignalBins, residual: Array, start: int, stop: int) -> None:
+    for k in range(start, stop):
+        signal.add(Bin(BIN * (k + 1), float(residual[k]), COUNT, 0.0, 1.0, 0))
+
+
+def delays(
+    random: np.random.Generator, step: float, drift: float, time: float, trials: int = TRIALS
+) -> Array:
+    """(trials,) s from a step of the residual to the first verdict that names it, inf for none
+    within a minute."""
+    found = []
+    for _ in range(trials):
+        at = MEMORY
+        residual = residuals(random, at + round(60.0 / BIN), drift, time)
+        residual[at:] += step
+        signal = signal_of(residual[:at])
+        delay = math.inf
+        for end in range(at, len(residual), EVERY):
+            add(signal, residual, end, end + EVERY)
+            said = signal.read(ALLOWED, 1, FEWEST, WINDOW, THRESHOLD)
+            if said and said.gap[0] >= THRESHOLD and said.surprise >= SURPRISING:
+                delay = (end + EVERY - at) * BIN
+                break
+        found.append(delay)
+    return np.array(found)
+
+
+def alarms(random: np.random.Generator, weeks: float, drift: float, time: float) -> list[float]:
+    """Excursions a bench and week, beyond each of LIMITS, and beyond the twin's own limit."""
+    largest = np.array(list(excursions(residuals(random, round(weeks * WEEK / BIN), drift, time))))
+    counts = [int((largest >= limit).sum()) for limit in LIMITS]
+    tail = 0.0
+    for limit, count in zip(LIMITS, counts, strict=True):
+        if count >= ENOUGH:
+            excess = float(np.mean(largest[largest >= limit] - limit))
+            tail = count * math.exp(-(SURPRISING - limit) / excess)
+    tail = max(tail, float((largest >= SURPRISING).sum()))
+    return [SIGNALS * count / weeks for count in (*counts, tail)]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 where no drift that the twin grants gives more than one alarm a week."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--weeks", type=float, default=2.0, help="of every kind of drift")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(argv)
+    random = np.random.default_rng(options.seed)
+    print(f"alarms a week of a bench with {SIGNALS} signals, {options.weeks:g} weeks each of one")
+    print("drift [allowed]  time [s]  " +
+          "  ".join(f"limit {limit:g}" for limit in (*LIMITS, SURPRISING)))
+    worst = 0.0
+    for share in (0.5, 1.0):
+        for time in TIMES:
+            found = alarms(random, options.weeks, share * ALLOWED, time)
+            if share < 1.0 or time >= SLOW:
+                worst = max(worst, found[-1])
+            print(f"{share:15g}  {time:8g}  " + "  ".join(f"{r:7.3g}" for r in found),
+                  flush=True)
+    print(f"\nseconds until a step is named, median of {TRIALS} (share that is within a minute)")
+    print("drift [allowed]  " + "  ".join(f"{step:9g} K" for step in STEPS))
+    for share in (0.0, 0.1, 0.5, 1.0):
+        cells = []
+        for step in STEPS:
+            delay = delays(random, step, share * ALLOWED, 30.0)
+            named = np.isfinite(delay)
+            median = f"{np.median(delay[named]):.0f} s" if named.any() else "-"
+            cells.append(f"{median:>5} {100 * named.mean():3.0f} %")
+        print(f"{share:15g}  " + "  ".join(f"{cell:>11}" for cell in cells), flush=True)
+    return int(worst > 1.0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
