@@ -73,7 +73,11 @@ class Identification:
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from."""
         told = [e for e in self.experiments if name in e.estimates]
-        same = [e for e in told if e.estimates[name] == self.estimates[name]]
+        taken = self.estimates[name]
+        same = [
+            e for e in told
+            if (e.estimates[name].value, e.estimates[name].n) == (taken.value, taken.n)
+        ]
         return (same or told)[-1].name
 
     @property

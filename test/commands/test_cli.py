@@ -184,7 +184,7 @@ def test_a_number_is_said_to_be_from_the_experiment_whose_value_it_is(measured_d
     name = "wire.austenite_start_temperature"
     by_tangents, jointly = (e.estimates[name] for e in result.experiments)
     assert by_tangents.value != jointly.value
-    assert result.estimates[name] == jointly and result.origin(name) == "E9"
+    assert result.estimates[name].value == jointly.value and result.origin(name) == "E9"
 
 
 def test_a_truncated_bag_is_read_up_to_the_damage_and_says_so(tmp_path, capsys, shared_data):

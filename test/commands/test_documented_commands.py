@@ -30,6 +30,7 @@ LAUNCH_ARGUMENTS = {
     "replay.launch.py": replay_plan.ARGUMENTS,
 }
 PLACEHOLDERS = {"NODE": "simulator"}
+NAMED_ONLY = {"call", "import", "info", "run"}  # within a sentence, without what they take
 
 
 def commands(page: Path) -> list[str]:
@@ -62,8 +63,8 @@ def check_command(words: list[str]) -> str:
     if name in DEVELOPER:
         script = ROOT / "test" / name / f"{(rest or [name])[0]}.py"
         return "" if name == "test" or script.is_file() else f"no {script}"
-    if words == ["call"]:
-        return ""  # named within a sentence
+    if len(words) == 1 and name in NAMED_ONLY:
+        return ""
     if name not in COMMANDS:
         return f"no command {name}"
     if name == "run":
@@ -97,6 +98,8 @@ def check_ros(words: list[str]) -> str:
     if not is_protocol(settings.get("protocol", protocol_names()[0])):
         return f"no protocol {settings['protocol']}"
     if words[:2] == ["run", "sma_bench"]:
+        if words[2] == "sma-bench":
+            return "" if words[3:] == ["--help"] else check_command(words[3:])
         return "" if words[2] in NODE_TABLES else f"no node {words[2]}"
     if words[:2] == ["launch", "sma_bench"]:
         launch = ROOT / "launch" / words[2]

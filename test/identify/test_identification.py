@@ -48,8 +48,10 @@ def test_staircase_and_ramps_in_two_bags_give_the_whole_of_table_one(staircase, 
 
 def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     document = identify([staircase(), ramp()], DEFAULTS).to_json()
-    assert set(document) == {"parameters", "experiments", "warnings"}
-    assert set(document["parameters"][R]) == {"value", "std", "unit", "method", "n"}
+    assert set(document) == {"parameters", "experiments", "warnings", "correlation"}
+    assert set(document["parameters"][R]) == {
+        "value", "std", "unit", "method", "n", "statistical", "systematic", "informed",
+    }
     assert document["parameters"][R]["unit"] == "ohm"
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 

@@ -70,7 +70,7 @@ def test_resistance_that_changes_with_the_phase_is_noticed_as_a_bend(staircase, 
 def test_coefficient_that_rises_with_temperature_is_noticed(staircase, wire, bend):
     found = result(staircase(wire(bend=bend)))
     (warning,) = about(found, H, ["not a straight line", "rises"])
-    assert found.estimates[H].value > 410.0
+    assert found.estimates[H].value > 405.0  # joined with the 403 that was known
     assert found.estimates[H].std > 5.0
     assert about(found, R, ["straight"]) == []
 

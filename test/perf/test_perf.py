@@ -103,7 +103,7 @@ def test_an_unknown_section_is_one_line():
         [sys.executable, str(PERF), "speed"], capture_output=True, text=True, check=False
     )
     assert process.returncode == 2
-    assert "no section speed, expected one of simulation, reading" in process.stderr
+    assert "no section speed, expected one of simulation, solver, reading" in process.stderr
     assert "nodes" in SECTIONS
 
 

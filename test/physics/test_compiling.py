@@ -45,7 +45,7 @@ FRESH = """
 import time
 import numpy as np
 from sma_bench import compiled
-from sma_bench.diagnose import noise
+from sma_bench.estimation import noise_model as noise
 
 told = []
 compiled.run_plain_meanwhile(told.append)

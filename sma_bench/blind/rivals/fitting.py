@@ -1,4 +1,4 @@
-"""Bounded least squares with a few simulations: scipy's, on finite differences."""
+"""Bounded least squares with a few simulations: Levenberg and Marquardt on finite differences."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from sma_bench.blind.rivals.observed import Observed
 from sma_bench.parameters import Parameters
@@ -18,6 +17,7 @@ Array = npt.NDArray[np.float64]
 _STEP = 0.05  # of a finite difference, in scales
 _ROUNDS = 5
 _ENOUGH = 1e-4  # relative gain below which a fit is done
+_DAMPING, _CALMER, _BOLDER, _TRIALS = 1e-4, 10.0, 0.1, 5
 _BACK, _FRONT = "composite.stress_per_deflection_back", "composite.stress_per_deflection_front"
 
 # The numbers of the baseline that may be off. The area acts only together with h, the mass only
@@ -143,30 +143,20 @@ def fit(
         observed: records; start: where the knobs stand at first.
         slow: knobs that are fitted too, with their slope at the start, which is kept.
     """
-    slope = slow or Slope((), np.zeros((len(whitened(observed, start)), 0)))
-    every = (*knobs, *slope.knobs)
-    if not every:
-        here = whitened(observed, start)
-        return Fit(start, float(here @ here), every)
-
-    def residuals(steps: Array) -> Array:
-        return whitened(observed, moved(start, every, steps))
-
-    def slopes(steps: Array) -> Array:
-        if not knobs:
-            return slope.columns
-        there = moved(start, every, steps)
-        fast = jacobian(observed, there, knobs, whitened(observed, there))
-        return np.hstack([fast, slope.columns])
-
-    ends = np.array([knob.limits for knob in every])
-    begin, scale = np.array([(start[knob.names[0]], knob.scale) for knob in every]).T
-    low, high = (ends.T - begin) / scale
-    found = least_squares(
-        residuals, np.zeros(len(every)), slopes, (low, high), ftol=_ENOUGH, xtol=_ENOUGH,
-        gtol=_ENOUGH, max_nfev=2 * rounds,
-    )
-    return Fit(moved(start, every, found.x), 2.0 * float(found.cost), every)
+    parameters, here = start, whitened(observed, start)
+    square, slope = float(here @ here), slow or Slope((), np.zeros((len(here), 0)))
+    every, damping = (*knobs, *slope.knobs), _DAMPING
+    for _ in range(rounds):
+        fast = jacobian(observed, parameters, knobs, here) if knobs else slope.columns[:, :0]
+        columns = np.hstack([fast, slope.columns])
+        found = _step(observed, parameters, every, columns, here, damping)
+        if found is None:
+            break
+        parameters, here, damping = found
+        gain, square = 1.0 - float(here @ here) / square, float(here @ here)
+        if gain < _ENOUGH:
+            break
+    return Fit(parameters, square, every)
 
 
 def slope_at(
@@ -174,3 +164,24 @@ def slope_at(
 ) -> Slope:
     """Slope of some knobs at a point whose residuals are `here`."""
     return Slope(tuple(knobs), jacobian(observed, parameters, knobs, here))
+
+
+def _step(
+    observed: Sequence[Observed],
+    parameters: Parameters,
+    knobs: Sequence[Knob],
+    slope: Array,
+    here: Array,
+    damping: float,
+) -> tuple[Parameters, Array, float] | None:
+    """The least damped step that makes the residuals smaller, these, and the damping to begin
+    the next one with (Marquardt's rule); None if no step does."""
+    normal, gradient = slope.T @ slope, slope.T @ here
+    scale = np.diag(np.diag(normal) + 1e-9 * np.trace(normal) + 1e-12)
+    for _ in range(_TRIALS):
+        trial = moved(parameters, knobs, -np.linalg.solve(normal + damping * scale, gradient))
+        there = whitened(observed, trial)
+        if float(there @ there) < float(here @ here):
+            return trial, there, damping * _BOLDER
+        damping *= _CALMER
+    return None
