@@ -13,8 +13,8 @@
 #define B_PINS _BV(PB3)                         /* back_1 */
 #define COIL_PINS _BV(PD4)                      /* relay coil */
 
-/* Counts of 4 us from a conversion's start to its sample: two of the converter's clocks and its
- * next edge; the compare values are dithered by one. */
+/* Counts of 4 us from a conversion's start, known to two, to its sample: 1.5 of the converter's
+ * clocks; the compare values are dithered by one. */
 #define SAMPLE_FIRST 3
 #define SAMPLE_LAST 6
 #define DITHER 1
@@ -90,11 +90,14 @@ bool outputs_make(uint8_t channel, uint16_t duty)
 }
 
 /* A pulse lasts from its compare match to the end of the period. */
-static uint8_t board_at_sample(uint8_t board)
+static uint8_t board_at_sample(uint8_t board, uint8_t ago)
 {
     if (!is_connected(board))
         return 0;
     uint8_t now = board ? TCNT2 : TCNT0;
+    if (now < ago) /* it began in the period before */
+        return UNSURE;
+    now -= ago;
     uint8_t first = *compare_registers[2 * board], last = *compare_registers[2 * board + 1];
     if (now > 255 - SAMPLE_LAST)
         return UNSURE;
@@ -110,9 +113,9 @@ static uint8_t board_at_sample(uint8_t board)
     return now + SAMPLE_FIRST > last + DITHER ? 1 : UNSURE;
 }
 
-uint8_t outputs_at_sample(void)
+uint8_t outputs_at_sample(uint8_t ago)
 {
-    uint8_t front = board_at_sample(0), back = board_at_sample(1);
+    uint8_t front = board_at_sample(0, ago), back = board_at_sample(1, ago);
     return front == UNSURE || back == UNSURE ? UNSURE : (uint8_t)(front | back << 1);
 }
 

@@ -1,4 +1,5 @@
-/* The converter runs on its own clock, not the PWM's: its averages see every phase of a period. */
+/* The converter runs freely: no interrupt that comes late, least of all one of the PWM, chooses when
+ * it samples, and its averages see every phase of a PWM period alike. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <stddef.h>
@@ -10,7 +11,12 @@
 
 #define SLOTS 8 /* a power of two */
 
-/* Every fourth conversion of a board: 7/16 of a PWM period on, so 16 phases in turn. */
+/* Counts of 4 us from a conversion's end to the next one's; the first takes 25 clocks, not 13. */
+#define CONVERSION 26
+#define FIRST_CONVERSION 50
+#define TOO_LATE 24 /* then it is not known any more which conversion's reading it is */
+
+/* Every fourth conversion of a board: 13/32 of a PWM period on, so 32 phases in turn. */
 static const uint8_t turns[SLOTS] = {FRONT_CURRENT, BACK_CURRENT, SUPPLY, FRONT_RANGE,
                                      FRONT_CURRENT, BACK_CURRENT, SUPPLY, BACK_RANGE};
 /* Analog pin of each input: A0, A1 the boards, A4 the supply, A2, A3 the triangulation sensors. */
@@ -20,7 +26,7 @@ static const uint8_t pins[INPUTS] = {
 /* The chip's own 1.1 V is slow to settle after a change of input, and says once and for all what
  * AVcc is: now and then a few conversions of it, of which the last count. */
 #define BANDGAP_PIN 14
-#define BURST 9 /* odd: conversions then meet other phases of the pulses */
+#define BURST 9 /* odd: conversions then meet 32 other phases of the pulses */
 #define BURST_COUNTED 4
 #define ROUNDS 128
 #define BANDGAP_SHIFT 8 /* as many counted ones are its mean */
@@ -34,6 +40,8 @@ static const uint8_t pins[INPUTS] = {
 
 static uint8_t slot;
 static uint8_t running; /* input of the present conversion */
+static uint8_t following; /* of the next one: the converter takes it while one runs */
+static uint8_t ended; /* count of Timer0 at the end of the last one, or up to two before */
 static uint8_t burst, rounds;
 static uint8_t lit; /* boards that are on when it samples */
 static volatile uint16_t noted[NOTED];
@@ -59,12 +67,21 @@ static uint16_t lost;
 static uint16_t period_ms;
 static uint16_t elapsed_ms;
 
-static void start_conversion(void)
+static void choose(uint8_t input)
 {
-    ADMUX = (uint8_t)(_BV(REFS0) | (running == BANDGAP ? BANDGAP_PIN : pins[running]));
-    ADCSRA |= _BV(ADSC);
-    if (running == SUPPLY)
-        lit = outputs_at_sample();
+    following = input;
+    ADMUX = (uint8_t)(_BV(REFS0) | (input == BANDGAP ? BANDGAP_PIN : pins[input]));
+}
+
+static void start_converter(void)
+{
+    ADCSRA = 0;
+    running = turns[slot];
+    lit = UNSURE;
+    choose(running);
+    ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADATE) | _BV(ADIF) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) |
+             _BV(ADPS0);
+    ended = (uint8_t)(TCNT0 + FIRST_CONVERSION - CONVERSION);
 }
 
 static uint8_t next_input(void)
@@ -87,6 +104,12 @@ static void note(uint16_t reading, uint8_t kind)
     noted_in++;
 }
 
+/* Rounded: a mean that forgets slowly would stay an eighth of a step low. */
+static int32_t share(int32_t change, uint8_t shift)
+{
+    return (change + (1L << shift >> 1)) >> shift;
+}
+
 /* The first readings weigh more: a mean of few is better than the nominal value. */
 static void take_bandgap(int32_t reading)
 {
@@ -94,8 +117,8 @@ static void take_bandgap(int32_t reading)
     uint8_t shift = BANDGAP_SHIFT;
     if (counted < 64)
         shift = ++counted <= 1 ? 0 : counted < 8 ? 2 : counted < 32 ? 4 : 6;
-    bandgap_mean += (reading - bandgap_mean) >> shift;
-    uint32_t found = BANDGAP_MV * 10UL * ADC_STEPS * 64 / ((uint32_t)(bandgap_mean >> 4) | 1);
+    bandgap_mean += share(reading - bandgap_mean, shift);
+    uint32_t found = BANDGAP_MV * 10UL * ADC_STEPS * 64 / ((uint32_t)share(bandgap_mean, 4) | 1);
     /* Out of the data sheet's range it says nothing. */
     if (found > REFERENCE_MV * 8UL && found < REFERENCE_MV * 12UL)
         reference = (uint16_t)found;
@@ -118,7 +141,7 @@ static void take_supply(int32_t reading, uint8_t boards)
     for (uint8_t board = 0; board < BOARDS; board++) {
         if (boards == 1 << board) {
             int32_t change = supply_mean - reading - drops[board];
-            drops[board] += change >> drop_shift(board);
+            drops[board] += share(change, drop_shift(board));
             if (drops[board] < 0)
                 drops[board] = 0;
         }
@@ -127,8 +150,8 @@ static void take_supply(int32_t reading, uint8_t boards)
     }
     if (boards && loaded < TRIES)
         loaded++;
-    supply_mean += supply_mean ? (reading - supply_mean) >> DROP_SHIFT : reading;
-    supply_sum += (uint32_t)reading >> 5;
+    supply_mean += supply_mean ? share(reading - supply_mean, DROP_SHIFT) : reading;
+    supply_sum += (uint32_t)share(reading, 5);
     supply_count++;
 }
 
@@ -161,17 +184,24 @@ void sampling_learn_drops(void)
 void sampling_init(void)
 {
     DIDR0 = 0x3F;
-    running = turns[slot];
-    ADCSRA = _BV(ADEN) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
-    start_conversion();
+    ADCSRB = 0;
+    start_converter();
 }
 
 ISR(ADC_vect)
 {
     uint16_t reading = ADC;
     uint8_t input = running, was_lit = lit;
-    running = next_input();
-    start_conversion();
+    ended += CONVERSION;
+    uint8_t late = (uint8_t)(TCNT0 - ended);
+    if (late >= TOO_LATE) {
+        start_converter();
+        return;
+    }
+    running = following;
+    choose(next_input());
+    if (running == SUPPLY)
+        lit = outputs_at_sample(late);
     entropy_pool = (uint16_t)((entropy_pool << 1 | entropy_pool >> 15) + reading);
     if (input == BANDGAP) {
         if (burst < BURST_COUNTED)

@@ -18,14 +18,17 @@
 enum { CHANNELS = 4, BOARDS = 2, QUEUE = 1 << 20 };
 enum { SOUND, STUCK_ON, INVERTED };   /* a switch */
 enum { FOLLOWS, WELDED, HELD_OPEN };  /* the relay's contact */
-enum { SUPPLY_PIN = 4, BANDGAP = 7 }; /* inputs of the converter; an Uno has no pin for 7 */
+enum { SUPPLY_PIN = 4, BANDGAP = 7, INPUTS = 8 }; /* inputs of the converter; an Uno has no pin for 7 */
 
 #define FREQUENCY 16000000.0
 #define NOMINAL 5.0        /* V of the reference, at which sensors have their nominal gain */
 #define BYTE_CYCLES 352    /* simavr's byte is 11 bits at 500 kbaud */
 #define STARTED 160000     /* cycles; the start-up has interrupts off */
 #define TRAP 0x7000        /* of the flash, beyond the program: a jump to itself */
-#define SAMPLE_CYCLES 256  /* from the start of a conversion to its sample: two converter clocks */
+#define CONVERTER_CLOCK 128 /* cycles */
+#define SAMPLE_CYCLES (3 * CONVERTER_CLOCK / 2) /* from the start of a conversion */
+#define CONVERSION_CYCLES (13 * CONVERTER_CLOCK)
+#define FIRST_EXTRA 13 /* clocks that the first one takes longer, with the wait for one */
 #define BANDGAP_MUX 14
 #define RAM_FIRST 0x100
 #define MCUSR 0x54
@@ -77,7 +80,10 @@ struct uno {
     uint8_t on[CHANNELS];      /* switches */
     uint8_t coil_is_on, contact_is_closed;
     uint8_t uart_is_full, in_bootloader;
+    void *converter;         /* simavr's */
     int asked;               /* input of the running conversion */
+    avr_cycle_count_t begun; /* when that did */
+    uint32_t converted;      /* what it is going to give, in simavr's mV */
     double current[BOARDS];  /* A, now */
     double filtered[BOARDS]; /* A as the sensor gives it, behind the low pass */
     double sagging;          /* V, now */
@@ -213,33 +219,50 @@ static double pin_voltage(struct uno *uno, int pin)
     return pin == BANDGAP ? e->bandgap : 0.0;
 }
 
+/* simavr counts from an instruction, the chip's converter by its own clock. */
+static void end_conversion_at(avr_t *avr, void *converter, avr_cycle_count_t end)
+{
+    avr_cycle_timer_slot_p timer = avr->cycle_timers.timer;
+    while (timer && timer->param != converter)
+        timer = timer->next;
+    if (timer)
+        avr_cycle_timer_register(avr, end - avr->cycle, timer->timer, converter);
+}
+
 static avr_cycle_count_t on_sample(avr_t *avr, avr_cycle_count_t when, void *param)
 {
     struct uno *uno = param;
-    (void)avr;
     (void)when;
+    end_conversion_at(avr, uno->converter, uno->begun + CONVERSION_CYCLES);
     settle(uno);
     double volt = pin_voltage(uno, uno->asked) + uno->electrics.noise * gaussian(uno);
     double code = nearbyint(volt / uno->electrics.reference * 1024.0);
     code = fmin(fmax(code, 0.0), 1023.0);
     /* simavr takes whole millivolts and makes floor(1023 mV / 5000 mV) of them. */
-    avr_raise_irq(uno->adc + ADC_IRQ_ADC0 + uno->asked, (uint32_t)ceil(code * 5000.0 / 1023.0));
+    uno->converted = (uint32_t)ceil(code * 5000.0 / 1023.0);
     return 0;
 }
 
+/* In free running one conversion begins as another ends, whose result is then in the register:
+ * simavr would convert when it is read, and the input that is chosen by then. */
 static void on_conversion(struct avr_irq_t *irq, uint32_t value, void *param)
 {
     struct uno *uno = param;
+    avr_cycle_count_t now = uno->avr->cycle;
     union {
         avr_adc_mux_t mux;
         uint32_t v;
     } asked = {.v = value};
+    int is_first = ((avr_adc_t *)uno->converter)->first;
     (void)irq;
+    for (int input = 0; input < INPUTS; input++)
+        avr_raise_irq(uno->adc + ADC_IRQ_ADC0 + input, uno->converted);
     if (asked.mux.kind != ADC_MUX_SINGLE)
         return;
     uno->asked = asked.mux.src;
+    uno->begun = (now / CONVERTER_CLOCK + is_first * FIRST_EXTRA) * CONVERTER_CLOCK;
     avr_cycle_timer_cancel(uno->avr, on_sample, uno);
-    avr_cycle_timer_register(uno->avr, SAMPLE_CYCLES, on_sample, uno);
+    avr_cycle_timer_register(uno->avr, uno->begun + SAMPLE_CYCLES - now, on_sample, uno);
 }
 
 /* --- serial ----------------------------------------------------------------------------------- */
@@ -321,12 +344,14 @@ static void wire_up(struct uno *uno)
 }
 
 /* simavr's own 1.1 V knows no noise: the bandgap becomes an input without a pin. */
-static void connect_bandgap(avr_t *avr)
+static void connect_bandgap(struct uno *uno)
 {
-    for (avr_io_t *port = avr->io_port; port; port = port->next)
-        if (!strcmp(port->kind, "adc"))
-            ((avr_adc_t *)port)->muxmode[BANDGAP_MUX] =
-                (avr_adc_mux_t){.kind = ADC_MUX_SINGLE, .src = BANDGAP};
+    avr_io_t *port = uno->avr->io_port;
+    while (strcmp(port->kind, "adc"))
+        port = port->next;
+    uno->converter = port;
+    ((avr_adc_t *)port)->muxmode[BANDGAP_MUX] =
+        (avr_adc_mux_t){.kind = ADC_MUX_SINGLE, .src = BANDGAP};
 }
 
 /* What memory holds after power-on is nobody's choice. */
@@ -354,7 +379,7 @@ struct uno *uno_new(const char *elf_path, uint64_t seed)
     avr_extint_set_strict_lvl_trig(uno->avr, EXTINT_IRQ_OUT_INT1, 0);
     uno->random = seed * 0x9E3779B97F4A7C15u + 1;
     forget_memory(uno);
-    connect_bandgap(uno->avr);
+    connect_bandgap(uno);
     wire_up(uno);
     return uno;
 }

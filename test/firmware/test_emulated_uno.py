@@ -137,7 +137,7 @@ def test_measured_voltage_over_current_is_the_wires_resistance(host: VirtualHost
     host.arm()
     host.hold(0.1, 3000, 0, 0, 5000)
     start = len(host.telemetry)
-    host.hold(2.0, 3000, 0, 0, 5000)  # short pulses beat with the converter
+    host.hold(2.0, 3000, 0, 0, 5000)
     powers = [channel_powers(frame, PowerCalibration()) for frame in host.telemetry[start:]]
     for channel, resistance in ((0, 2.6), (3, 2.9)):
         voltage = sum(p[channel].voltage for p in powers)
@@ -199,7 +199,7 @@ def test_readings_scatter_as_the_page_says(host: VirtualHost, volt: int) -> None
     assert row is not None
     measured, off = scatter(host, volt)
     assert measured == pytest.approx(float(row[1]) / 100.0, rel=0.15)
-    assert off == pytest.approx(float(row[2]) / 100.0, abs=5e-3)
+    assert off == pytest.approx(float(row[2]) / 100.0, abs=2.5e-3)
 
 
 def test_volts_stay_when_the_supply_sags(driving: VirtualHost) -> None:
@@ -371,16 +371,18 @@ def test_the_usb_voltage_and_the_source_change_no_resistance(
     host.arm()
     host.hold(1.0, 5000, 0, 0, 0)
     start, energy, begun = len(host.telemetry), host.uno.electrics.square_time[0], host.uno.time
-    host.hold(2.0, 5000, 0, 0, 0)
+    host.hold(4.0, 5000, 0, 0, 0)
     frames = host.telemetry[start:]
     powers = [channel_powers(frame, PowerCalibration())[0] for frame in frames]
     voltage = sum(p.voltage for p in powers) / len(powers)
     current = sum(p.current for p in powers) / len(powers)
     applied = ((host.uno.electrics.square_time[0] - energy) / (host.uno.time - begun)) ** 0.5
-    assert voltage / current == pytest.approx(2.7, rel=0.005)
-    assert applied == pytest.approx(5.0, rel=0.005)
-    assert statistics.fmean(f.supply for f in frames) == pytest.approx(12.0, rel=0.002)
-    assert int(host.named("S", "S")["reference_mv"]) == pytest.approx(1e3 * reference, abs=8)
+    # A converter that follows the pulses' beat is off by 1 %, means that round down by 0.06 %.
+    assert voltage / current == pytest.approx(2.7, rel=0.002)
+    assert voltage == pytest.approx(applied, rel=4e-4)
+    assert applied == pytest.approx(5.0, rel=2e-3)
+    assert statistics.fmean(f.supply for f in frames) == pytest.approx(12.0, rel=3e-4)
+    assert int(host.named("S", "S")["reference_mv"]) == pytest.approx(1e3 * reference, abs=2)
 
 
 def test_lost_supply_stops(driving: VirtualHost) -> None:
