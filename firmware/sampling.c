@@ -176,8 +176,10 @@ void sampling_follow(void)
 
 void sampling_learn_drops(void)
 {
-    for (uint8_t board = 0; board < BOARDS; board++)
+    for (uint8_t board = 0; board < BOARDS; board++) {
         learned[board] = 0;
+        drops[board] = 0; /* of a short circuit it would forbid every volt for good */
+    }
     loaded = 0;
 }
 

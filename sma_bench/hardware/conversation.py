@@ -73,7 +73,7 @@ class Conversation:
         """
         with self._writing:
             if not self._open:
-                raise LinkError("not connected")
+                raise LinkError("the port is closed")
             try:
                 self._port.write(data)
             except OSError as error:

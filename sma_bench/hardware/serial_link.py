@@ -166,7 +166,11 @@ class SerialLink:
         if self._session is None:
             raise LinkError("not armed")
         sequence = (self._sequence + 1) % _NUMBERS
-        self._connected().say("V", self._session, sequence, *self._volts)
+        conversation = self._connected()
+        try:
+            conversation.say("V", self._session, sequence, *self._volts)
+        except LinkError as error:  # the writer may know before the link's thread does
+            raise LinkError(f"not connected: {error}") from None
         self._sequence = sequence
         self._said.append(self._now())
         self._unheard = self._unheard or (sequence, self._now())

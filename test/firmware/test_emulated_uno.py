@@ -80,7 +80,8 @@ def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host: VirtualHos
     assert host.splitter.damaged == damaged
     counters = host.named("S", "S")
     assert counters["dropped"] == counters["lost"] == counters["overruns"] == "0"
-    assert int(counters["stack"]) > 450
+    # A quarter of the memory is untouched after the most that it has to do at a time.
+    assert int(counters["stack"]) > 512
 
 
 def test_interrupts_are_never_off_for_as_long_as_two_bytes_take(driving: VirtualHost) -> None:
@@ -265,7 +266,7 @@ def test_short_circuit_is_off_at_any_voltage_though_the_sensor_clips(
         host.drive(millivolts, 0, 0, 0)
         host.run(0.02)
     assert last_cause(host) in ("over-current of the front board", UNEXPLAINED)
-    assert host.uno.electrics.on_time[0] - before < 5e-3
+    assert host.uno.electrics.on_time[0] - before < 1e-3
 
 
 @pytest.mark.parametrize("kind", [Switch.STUCK_ON, Switch.INVERTED])
@@ -383,6 +384,21 @@ def test_the_usb_voltage_and_the_source_change_no_resistance(
     assert applied == pytest.approx(5.0, rel=2e-3)
     assert statistics.fmean(f.supply for f in frames) == pytest.approx(12.0, rel=3e-4)
     assert int(host.named("S", "S")["reference_mv"]) == pytest.approx(1e3 * reference, abs=2)
+
+
+def test_what_a_weak_supply_could_not_carry_is_forgotten_when_armed_anew(host: VirtualHost) -> None:
+    host.uno.electrics.supply_limit = 2.0  # 3 V left in a pulse: no duty makes 5 V of it
+    host.uno.electrics.resistance[0] = 1.5
+    host.arm()
+    host.hold(1.0, 1000, 0, 0, 0)
+    host.consent("D")
+    host.uno.electrics.resistance[0] = 10.0
+    host.arm()
+    host.hold(0.5, 5000, 0, 0, 0)
+    assert host.telemetry[-1].state == State.ARMED
+    assert channel_powers(host.telemetry[-1], PowerCalibration())[0].voltage == pytest.approx(
+        5.0, rel=0.01
+    )
 
 
 def test_lost_supply_stops(driving: VirtualHost) -> None:

@@ -7,16 +7,11 @@ import pytest
 from host_firmware import run_program
 
 HERE = Path(__file__).resolve().parent
-NAMES = re.findall(r"^    TEST\((\w+)\),$", (HERE / "host" / "test_logic.c").read_text(), re.M)
+NAMES = re.findall(r"^TEST\((\w+)\)$", (HERE / "host" / "test_logic.c").read_text(), re.M)
 
 
 def test_every_logic_test_is_run(logic_tests: Path) -> None:
-    functions = re.findall(
-        r"^static void (\w+)\(void\)$", (HERE / "host" / "test_logic.c").read_text(), re.M
-    )
-    helpers = {"arm", "start_driving"}
-    assert run_program(logic_tests, "--list").stdout.split() == NAMES
-    assert set(functions) - helpers == set(NAMES)
+    assert len(NAMES) > 40 and run_program(logic_tests, "--list").stdout.split() == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)

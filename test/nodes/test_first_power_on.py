@@ -181,7 +181,11 @@ class PowerOn:
                 )
             )
 
-        self.until(as_written, lambda: f"{self.power[-3:]}, expected {expected}")
+        self.until(
+            as_written,
+            lambda: f"{[(m.voltage, m.current) for m in self.power[-3:]]}, expected {expected}; "
+            f"{[s.data for s in self.states]}",
+        )
 
     def until(self, condition: Callable[[], object], why: Callable[[], str] = str) -> None:
         """Wait; the publisher and the camera go on meanwhile."""

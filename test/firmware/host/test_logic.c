@@ -16,6 +16,22 @@
         }                                                                   \
     } while (0)
 
+/* Defines a test, which puts itself into the list before main runs. */
+#define TEST(function)                                                      \
+    static void function(void);                                             \
+    static struct test listed_##function = {#function, function, NULL};     \
+    __attribute__((constructor)) static void list_##function(void)          \
+    {                                                                       \
+        *list_end = &listed_##function;                                     \
+        list_end = &listed_##function.next;                                 \
+    }                                                                       \
+    static void function(void)
+
+static struct test {
+    const char *name;
+    void (*run)(void);
+    struct test *next;
+} *tests, **list_end = &tests;
 static uint16_t open_session;
 
 /* --- helpers ---------------------------------------------------------------------------------- */
@@ -39,15 +55,20 @@ static bool answers(const char *body, const char *expected)
     return strstr(sent, expected) != NULL;
 }
 
+static const char *arming(unsigned nonce)
+{
+    static char body[40];
+    snprintf(body, sizeof body, "A %u", nonce);
+    return body;
+}
+
 static void arm(void)
 {
-    char body[40];
     fake_forget_sent();
     say("?");
     fake_run_ms(1);
     open_session = fake_nonce();
-    snprintf(body, sizeof body, "A %u", open_session);
-    CHECK(answers(body, "K A"));
+    CHECK(answers(arming(open_session), "K A"));
     CHECK(safety_now()->state == ARMED);
 }
 
@@ -84,12 +105,12 @@ static uint8_t parsed(const char *text, struct command *command)
 
 /* --- protocol --------------------------------------------------------------------------------- */
 
-static void crc_has_the_published_check_value(void)
+TEST(crc_has_the_published_check_value)
 {
     CHECK(crc16((const uint8_t *)"123456789", 9) == 0x29B1);
 }
 
-static void well_formed_lines_are_understood(void)
+TEST(well_formed_lines_are_understood)
 {
     struct command c;
     CHECK(parsed("?", &c) == ACCEPTED && c.name == '?' && !c.sealed && c.count == 0);
@@ -98,7 +119,7 @@ static void well_formed_lines_are_understood(void)
     CHECK(parsed("V 65535 1 2 3 4 5", &c) == ACCEPTED && c.field[0] == 65535 && c.count == 6);
 }
 
-static void malformed_lines_are_refused(void)
+TEST(malformed_lines_are_refused)
 {
     static const char *const lines[] = {"V  1", "V 1 ", "V -1", "V 01", "V 65536", "V 4294967297",
                                         "V 1.5", "V 1e3", "V\t1", " V", "V nan", "V 1 2 3 4 5 6 7",
@@ -108,7 +129,7 @@ static void malformed_lines_are_refused(void)
         CHECK(parsed(lines[i], &c) == BAD_FORMAT);
 }
 
-static void checksums_are_upper_case(void)
+TEST(checksums_are_upper_case)
 {
     struct command c;
     char line[20], lower[20];
@@ -119,7 +140,7 @@ static void checksums_are_upper_case(void)
     CHECK(parsed(lower, &c) == BAD_CHECKSUM);
 }
 
-static void every_single_bit_error_is_noticed(void)
+TEST(every_single_bit_error_is_noticed)
 {
     struct command c;
     const char *body = "V 4711 12 2500 0 0 9999";
@@ -133,7 +154,7 @@ static void every_single_bit_error_is_noticed(void)
     }
 }
 
-static void overlong_lines_are_refused_whole(void)
+TEST(overlong_lines_are_refused_whole)
 {
     fake_start(1);
     arm();
@@ -144,7 +165,7 @@ static void overlong_lines_are_refused_whole(void)
     CHECK(safety_now()->state == ARMED);
 }
 
-static void frames_have_no_zero_inside_and_decode_to_the_body(void)
+TEST(frames_have_no_zero_inside_and_decode_to_the_body)
 {
     for (int length = 0; length < 130; length++) {
         for (int zero_every = 1; zero_every < 7; zero_every++) {
@@ -172,7 +193,7 @@ static void frames_have_no_zero_inside_and_decode_to_the_body(void)
     }
 }
 
-static void messages_that_do_not_fit_are_not_sealed(void)
+TEST(messages_that_do_not_fit_are_not_sealed)
 {
     struct message m;
     for (int length = MESSAGE_MAX - 8; length < MESSAGE_MAX + 20; length++) {
@@ -187,7 +208,7 @@ static void messages_that_do_not_fit_are_not_sealed(void)
     }
 }
 
-static void numbers_are_written_in_full(void)
+TEST(numbers_are_written_in_full)
 {
     static const uint32_t values[] = {0, 9, 10, 99, 65535, 1000000000, 4294967295};
     for (size_t i = 0; i < sizeof values / sizeof *values; i++) {
@@ -204,7 +225,7 @@ static void numbers_are_written_in_full(void)
     CHECK(m.length == 6 && !memcmp(m.bytes, "-32768", 6));
 }
 
-static void duty_is_the_square_of_the_voltage_ratio(void)
+TEST(duty_is_the_square_of_the_voltage_ratio)
 {
     CHECK(duty_of(0, 12000) == 0);
     CHECK(duty_of(0, 0) == 0);
@@ -219,7 +240,7 @@ static void duty_is_the_square_of_the_voltage_ratio(void)
 
 /* --- session ---------------------------------------------------------------------------------- */
 
-static void nothing_is_driven_before_arming(void)
+TEST(nothing_is_driven_before_arming)
 {
     fake_start(1);
     CHECK(answers("V 0 1 5000 5000 5000 5000", "N V 4"));
@@ -229,7 +250,7 @@ static void nothing_is_driven_before_arming(void)
     CHECK(safety_now()->state == IDLE);
 }
 
-static void arming_alone_drives_nothing(void)
+TEST(arming_alone_drives_nothing)
 {
     fake_start(1);
     arm();
@@ -237,7 +258,7 @@ static void arming_alone_drives_nothing(void)
     CHECK(!fake_any_output());
 }
 
-static void a_person_may_ask_but_not_drive_without_checksum(void)
+TEST(a_person_may_ask_but_not_drive_without_checksum)
 {
     uint8_t sent[4096];
     fake_start(1);
@@ -252,16 +273,16 @@ static void a_person_may_ask_but_not_drive_without_checksum(void)
     CHECK(!fake_any_output());
 }
 
-static void replayed_bytes_drive_nothing(void)
+TEST(replayed_bytes_drive_nothing)
 {
-    char arming[40], driving[64];
+    char driving[64];
     start_driving();
-    snprintf(arming, sizeof arming, "A %u", open_session);
+    unsigned nonce = open_session;
     strcpy(driving, volts(2, 9000, 0, 0, 0));
     say(driving);
     CHECK(answers(driving, "N V 6"));
     CHECK(answers("D", "K D"));
-    CHECK(answers(arming, "N A 5"));
+    CHECK(answers(arming(nonce), "N A 5"));
     CHECK(answers(driving, "N V 4"));
     arm(); /* anew: the old session's commands stay dead */
     CHECK(answers(driving, "N V 5"));
@@ -269,7 +290,7 @@ static void replayed_bytes_drive_nothing(void)
     CHECK(!fake_any_output());
 }
 
-static void sequence_may_wrap_but_not_go_back(void)
+TEST(sequence_may_wrap_but_not_go_back)
 {
     start_driving();
     CHECK(!answers(volts(32000, 1, 1, 1, 1), "N V"));
@@ -279,7 +300,7 @@ static void sequence_may_wrap_but_not_go_back(void)
     CHECK(answers(volts(5, 1, 1, 1, 1), "N V 6"));
 }
 
-static void commands_out_of_limits_change_nothing(void)
+TEST(commands_out_of_limits_change_nothing)
 {
     start_driving();
     uint16_t before = fake_output(0);
@@ -293,7 +314,7 @@ static void commands_out_of_limits_change_nothing(void)
     CHECK(safety_now()->state == ARMED && fake_output(0) > before);
 }
 
-static void duty_follows_the_supply(void)
+TEST(duty_follows_the_supply)
 {
     start_driving();
     fake_set_supply(512); /* 10 V */
@@ -304,7 +325,7 @@ static void duty_follows_the_supply(void)
     CHECK(abs((int)fake_output(0) - (int)(0.36 * 65536)) < 100);
 }
 
-static void handshake_and_disarm_switch_off(void)
+TEST(handshake_and_disarm_switch_off)
 {
     start_driving();
     say("?");
@@ -319,7 +340,7 @@ static void handshake_and_disarm_switch_off(void)
     CHECK(!fake_any_output() && safety_now()->state == IDLE);
 }
 
-static void telemetry_rates_are_checked(void)
+TEST(telemetry_rates_are_checked)
 {
     fake_start(1);
     CHECK(answers("T 100", "K T 100"));
@@ -336,7 +357,7 @@ static void telemetry_rates_are_checked(void)
 
 /* --- safety ----------------------------------------------------------------------------------- */
 
-static void silence_stops_after_the_timeout(void)
+TEST(silence_stops_after_the_timeout)
 {
     start_driving();
     fake_run_ms(COMMAND_TIMEOUT_MS - RELAY_MS - 7);
@@ -345,7 +366,7 @@ static void silence_stops_after_the_timeout(void)
     CHECK(is_off_for(COMMAND_TIMEOUT));
 }
 
-static void commands_keep_it_driving(void)
+TEST(commands_keep_it_driving)
 {
     start_driving();
     for (unsigned turn = 2; turn < 100; turn++) {
@@ -355,7 +376,7 @@ static void commands_keep_it_driving(void)
     CHECK(fake_any_output() && safety_now()->state == ARMED);
 }
 
-static void refused_commands_do_not_hold_off_the_timeout(void)
+TEST(refused_commands_do_not_hold_off_the_timeout)
 {
     start_driving();
     for (int turn = 0; turn < 30; turn++) {
@@ -365,14 +386,14 @@ static void refused_commands_do_not_hold_off_the_timeout(void)
     CHECK(is_off_for(COMMAND_TIMEOUT));
 }
 
-static void stop_byte_stops_in_the_middle_of_a_line(void)
+TEST(stop_byte_stops_in_the_middle_of_a_line)
 {
     start_driving();
     fake_receive((const uint8_t *)"V 1 2!", 6);
     CHECK(is_off_for(STOP_BYTE_SEEN));
 }
 
-static void stop_stays_until_reset_and_arming(void)
+TEST(stop_stays_until_reset_and_arming)
 {
     start_driving();
     fake_receive((const uint8_t *)"!", 1);
@@ -380,16 +401,14 @@ static void stop_stays_until_reset_and_arming(void)
     say("?");
     fake_run_ms(500);
     CHECK(is_off_for(STOP_BYTE_SEEN));
-    char body[40];
-    snprintf(body, sizeof body, "A %u", fake_nonce());
-    CHECK(answers(body, "N A 11"));
+    CHECK(answers(arming(fake_nonce()), "N A 11"));
     CHECK(answers("R", "K R"));
     CHECK(safety_now()->state == IDLE && safety_now()->cause == NO_CAUSE);
     CHECK(answers(volts(3, 1000, 0, 0, 0), "N V 4"));
     arm();
 }
 
-static void first_cause_is_kept(void)
+TEST(first_cause_is_kept)
 {
     start_driving();
     fake_set_current(1, 1023);
@@ -399,7 +418,7 @@ static void first_cause_is_kept(void)
     CHECK(is_off_for(BACK_OVER_CURRENT));
 }
 
-static void one_reading_above_the_peak_stops(void)
+TEST(one_reading_above_the_peak_stops)
 {
     start_driving();
     fake_set_current(0, 512 + PEAK_LIMIT_MA * FRONT_MV_PER_A / 5000UL * 1024 / 1000 + 2);
@@ -407,7 +426,7 @@ static void one_reading_above_the_peak_stops(void)
     CHECK(is_off_for(FRONT_OVER_CURRENT));
 }
 
-static void current_the_wrong_way_stops_too(void)
+TEST(current_the_wrong_way_stops_too)
 {
     start_driving();
     fake_set_current(1, 20);
@@ -415,7 +434,7 @@ static void current_the_wrong_way_stops_too(void)
     CHECK(is_off_for(BACK_OVER_CURRENT));
 }
 
-static void a_mean_above_its_limit_stops(void)
+TEST(a_mean_above_its_limit_stops)
 {
     start_driving();
     say(volts(2, 9500, 9500, 0, 0));
@@ -427,7 +446,7 @@ static void a_mean_above_its_limit_stops(void)
     CHECK(is_off_for(FRONT_OVER_CURRENT));
 }
 
-static void current_while_idle_stops_too(void)
+TEST(current_while_idle_stops_too)
 {
     fake_start(1);
     fake_set_current(0, 1000);
@@ -438,7 +457,7 @@ static void current_while_idle_stops_too(void)
     CHECK(is_off_for(FRONT_OVER_CURRENT));
 }
 
-static void lost_supply_stops(void)
+TEST(lost_supply_stops)
 {
     start_driving();
     fake_set_supply(0);
@@ -447,12 +466,10 @@ static void lost_supply_stops(void)
     say("R");
     say("?");
     fake_run_ms(1);
-    char body[40];
-    snprintf(body, sizeof body, "A %u", fake_nonce());
-    CHECK(answers(body, "N A 9"));
+    CHECK(answers(arming(fake_nonce()), "N A 9"));
 }
 
-static void sagging_supply_stops_at_the_duty_limit(void)
+TEST(sagging_supply_stops_at_the_duty_limit)
 {
     start_driving();
     say(volts(2, 9900, 0, 0, 0));
@@ -462,7 +479,7 @@ static void sagging_supply_stops_at_the_duty_limit(void)
     CHECK(is_off_for(DUTY_LIMIT));
 }
 
-static void on_for_too_long_stops_even_with_short_dips(void)
+TEST(on_for_too_long_stops_even_with_short_dips)
 {
     start_driving();
     unsigned sequence = 2;
@@ -479,7 +496,7 @@ static void on_for_too_long_stops_even_with_short_dips(void)
     CHECK(seconds > ON_TIME_LIMIT_S && seconds < 1.03 * ON_TIME_LIMIT_S);
 }
 
-static void hung_loop_stops_before_the_watchdog(void)
+TEST(hung_loop_stops_before_the_watchdog)
 {
     start_driving();
     fake_hang_ms(35);
@@ -487,7 +504,7 @@ static void hung_loop_stops_before_the_watchdog(void)
     CHECK(!safety_tick());
 }
 
-static void stuck_converter_stops(void)
+TEST(stuck_converter_stops)
 {
     start_driving();
     fake_set_converter(false);
@@ -495,19 +512,17 @@ static void stuck_converter_stops(void)
     CHECK(is_off_for(NO_SAMPLES));
 }
 
-static void no_nonce_is_told_before_it_is_asked_for(void)
+TEST(no_nonce_is_told_before_it_is_asked_for)
 {
-    char body[40];
     fake_start(1);
     CHECK(!fake_nonce());
-    snprintf(body, sizeof body, "A %u", 1u); /* what the start's number would be */
-    CHECK(answers(body, "N A 5"));
+    CHECK(answers(arming(1), "N A 5")); /* what the start's number would be */
     say("?");
     fake_run_ms(1);
     CHECK(fake_nonce());
 }
 
-static void limits_are_set_within_the_ceilings_and_not_while_armed(void)
+TEST(limits_are_set_within_the_ceilings_and_not_while_armed)
 {
     fake_start(1);
     CHECK(answers("C 5000 2000 9000 1900 6000 200", "K C 0"));
@@ -526,7 +541,7 @@ static void limits_are_set_within_the_ceilings_and_not_while_armed(void)
     CHECK(!answers(volts(1, 5000, 0, 0, 0), "N V"));
 }
 
-static void the_relay_is_closed_while_armed_only_and_before_anything_is_driven(void)
+TEST(the_relay_is_closed_while_armed_only_and_before_anything_is_driven)
 {
     fake_start(1);
     CHECK(!fake_relay());
@@ -541,7 +556,7 @@ static void the_relay_is_closed_while_armed_only_and_before_anything_is_driven(v
     CHECK(!fake_relay());
 }
 
-static void a_switch_that_does_not_open_stops_and_goes_on_shouting(void)
+TEST(a_switch_that_does_not_open_stops_and_goes_on_shouting)
 {
     fake_start(1);
     fake_set_current(0, 512 + 91); /* 4.44 A */
@@ -555,7 +570,7 @@ static void a_switch_that_does_not_open_stops_and_goes_on_shouting(void)
     CHECK(safety_now()->state == IDLE);
 }
 
-static void a_sensors_offset_is_no_current(void)
+TEST(a_sensors_offset_is_no_current)
 {
     fake_start(1);
     fake_set_current(0, 512 + 8); /* 0.4 A, 40 mV */
@@ -569,7 +584,7 @@ static void a_sensors_offset_is_no_current(void)
     CHECK(safety_now()->state == ARMED);
 }
 
-static void current_behind_a_closed_relay_with_nothing_driven_stops(void)
+TEST(current_behind_a_closed_relay_with_nothing_driven_stops)
 {
     fake_start(1);
     arm();
@@ -579,7 +594,7 @@ static void current_behind_a_closed_relay_with_nothing_driven_stops(void)
     CHECK(fake_remembered_cause() == OFF_CURRENT);
 }
 
-static void current_beyond_what_the_duties_explain_stops(void)
+TEST(current_beyond_what_the_duties_explain_stops)
 {
     fake_start(1);
     CHECK(answers("C 10000 6500 12000 1900 8000 2000", "K C 0"));
@@ -592,7 +607,7 @@ static void current_beyond_what_the_duties_explain_stops(void)
     CHECK(is_off_for(UNEXPLAINED_CURRENT));
 }
 
-static void a_current_that_follows_a_step_down_is_explained(void)
+TEST(a_current_that_follows_a_step_down_is_explained)
 {
     start_driving();
     say(volts(2, 9000, 0, 0, 0));
@@ -604,7 +619,7 @@ static void a_current_that_follows_a_step_down_is_explained(void)
     CHECK(safety_now()->state == ARMED);
 }
 
-static void heat_beyond_its_limit_stops_and_short_pulses_do_not(void)
+TEST(heat_beyond_its_limit_stops_and_short_pulses_do_not)
 {
     fake_start(1);
     CHECK(answers("C 10000 6500 12000 1900 6000 200", "K C 0"));
@@ -622,7 +637,7 @@ static void heat_beyond_its_limit_stops_and_short_pulses_do_not(void)
     CHECK(is_off_for(HEAT_LIMIT));
 }
 
-static void a_lost_output_interrupt_stops(void)
+TEST(a_lost_output_interrupt_stops)
 {
     start_driving();
     fake_lose_pwm_interrupt();
@@ -631,7 +646,7 @@ static void a_lost_output_interrupt_stops(void)
     CHECK(!safety_tick());
 }
 
-static void an_output_that_is_not_as_set_stops(void)
+TEST(an_output_that_is_not_as_set_stops)
 {
     start_driving();
     fake_lose_pwm_interrupt(); /* which would set it right each millisecond */
@@ -643,67 +658,13 @@ static void an_output_that_is_not_as_set_stops(void)
     CHECK(is_off_for(OUTPUT_DIFFERS));
 }
 
-/* --- running them ----------------------------------------------------------------------------- */
-
-#define TEST(function) {#function, function}
-static const struct {
-    const char *name;
-    void (*run)(void);
-} tests[] = {
-    TEST(crc_has_the_published_check_value),
-    TEST(well_formed_lines_are_understood),
-    TEST(malformed_lines_are_refused),
-    TEST(checksums_are_upper_case),
-    TEST(every_single_bit_error_is_noticed),
-    TEST(overlong_lines_are_refused_whole),
-    TEST(frames_have_no_zero_inside_and_decode_to_the_body),
-    TEST(messages_that_do_not_fit_are_not_sealed),
-    TEST(numbers_are_written_in_full),
-    TEST(duty_is_the_square_of_the_voltage_ratio),
-    TEST(nothing_is_driven_before_arming),
-    TEST(arming_alone_drives_nothing),
-    TEST(a_person_may_ask_but_not_drive_without_checksum),
-    TEST(replayed_bytes_drive_nothing),
-    TEST(sequence_may_wrap_but_not_go_back),
-    TEST(commands_out_of_limits_change_nothing),
-    TEST(duty_follows_the_supply),
-    TEST(handshake_and_disarm_switch_off),
-    TEST(telemetry_rates_are_checked),
-    TEST(silence_stops_after_the_timeout),
-    TEST(commands_keep_it_driving),
-    TEST(refused_commands_do_not_hold_off_the_timeout),
-    TEST(stop_byte_stops_in_the_middle_of_a_line),
-    TEST(stop_stays_until_reset_and_arming),
-    TEST(first_cause_is_kept),
-    TEST(one_reading_above_the_peak_stops),
-    TEST(current_the_wrong_way_stops_too),
-    TEST(a_mean_above_its_limit_stops),
-    TEST(current_while_idle_stops_too),
-    TEST(lost_supply_stops),
-    TEST(sagging_supply_stops_at_the_duty_limit),
-    TEST(on_for_too_long_stops_even_with_short_dips),
-    TEST(hung_loop_stops_before_the_watchdog),
-    TEST(stuck_converter_stops),
-    TEST(no_nonce_is_told_before_it_is_asked_for),
-    TEST(limits_are_set_within_the_ceilings_and_not_while_armed),
-    TEST(the_relay_is_closed_while_armed_only_and_before_anything_is_driven),
-    TEST(a_switch_that_does_not_open_stops_and_goes_on_shouting),
-    TEST(a_sensors_offset_is_no_current),
-    TEST(current_behind_a_closed_relay_with_nothing_driven_stops),
-    TEST(current_beyond_what_the_duties_explain_stops),
-    TEST(a_current_that_follows_a_step_down_is_explained),
-    TEST(heat_beyond_its_limit_stops_and_short_pulses_do_not),
-    TEST(a_lost_output_interrupt_stops),
-    TEST(an_output_that_is_not_as_set_stops),
-};
-
 int main(int count, char **arguments)
 {
-    for (size_t i = 0; i < sizeof tests / sizeof *tests; i++) {
+    for (struct test *test = tests; test; test = test->next) {
         if (count == 2 && !strcmp(arguments[1], "--list"))
-            puts(tests[i].name);
-        else if (count == 1 || !strcmp(arguments[1], tests[i].name))
-            tests[i].run();
+            puts(test->name);
+        else if (count == 1 || !strcmp(arguments[1], test->name))
+            test->run();
     }
     return 0;
 }
