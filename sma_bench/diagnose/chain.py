@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
+from sma_bench.physics.heat import heat_loss, heated_resistance
 from sma_bench.physics.simulate import Simulation
 
 Array = NDArray[np.float64]
@@ -107,9 +108,8 @@ def _with_play(course: Array, play: float) -> Array:
 
 def _driven_by(temperature: Array, obs: Observation, parameters: Parameters) -> Simulation:
     """The model made to pass through temperatures (n, w) K, ambient at least."""
-    loss = parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
     excess = np.maximum(temperature - parameters["environment.ambient_temperature"], 0.0)
-    volts = np.sqrt(excess * loss * parameters["wire.resistance"])
+    volts = np.sqrt(excess * heat_loss(parameters) * heated_resistance(parameters))
     ahead = np.vstack([volts[1:], volts[-1:]])  # what is held until the next time is reached then
     return obs.simulate(parameters.replace(_LIGHT), ahead)
 

@@ -266,7 +266,7 @@ def device_limits(limits: Limits, device: DeviceIdentity, supply: float) -> list
     model = limits.model
     least = max(device.least_resistance, model.least_resistance)
     rise = max(limits.maximum_temperature - model.ambient, 1.0)
-    hot = _HOTTER * math.sqrt(rise * model.heat_loss * model.resistance)
+    hot = _HOTTER * math.sqrt(rise * model.heat_loss * model.heated)
     mean = min(device.maximum_mean_current, _PER_BOARD * _MARGIN * limits.maximum_current)
     peak = min(device.maximum_peak_current, _PER_BOARD * _MARGIN * supply / least)
     peak = max(peak, mean + _LEAST_STEP)

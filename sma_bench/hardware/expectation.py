@@ -63,6 +63,8 @@ class WireModel:
     """share of the expected current"""
     temperature_tolerance: float
     """K"""
+    leads: float = 0.0
+    """ohm, between where the voltage is measured and the wire"""
 
     @classmethod
     def from_parameters(cls, parameters: Parameters) -> "WireModel":
@@ -78,29 +80,40 @@ class WireModel:
             voltage_tolerance=parameters["bench.voltage_tolerance"],
             resistance_tolerance=parameters["bench.resistance_tolerance"],
             temperature_tolerance=parameters["bench.temperature_tolerance"],
+            leads=parameters["bench.lead_resistance"],
         )
 
     @property
-    def least_resistance(self) -> float:
-        """ohm that the wire may have, cold, hot or worn."""
-        return self.resistance * max(1.0 - self.resistance_tolerance, 0.05)
+    def circuit(self) -> float:
+        """V/I, ohm: the wire with its leads."""
+        return self.resistance + self.leads
 
-    def heated(self, temperature: float, volt: float, elapsed: float) -> float:
+    @property
+    def heated(self) -> float:
+        """V^2 over the heat of the wire, ohm."""
+        return self.circuit**2 / self.resistance
+
+    @property
+    def least_resistance(self) -> float:
+        """ohm that the circuit may have, its wire cold, hot or worn."""
+        return self.circuit * max(1.0 - self.resistance_tolerance, 0.05)
+
+    def warmed(self, temperature: float, volt: float, elapsed: float) -> float:
         """Temperature (K) after `elapsed` s at `volt` V, from `temperature` K."""
-        steady = self.ambient + volt**2 / self.resistance / self.heat_loss
+        steady = self.ambient + volt**2 / self.heated / self.heat_loss
         decay = math.exp(-elapsed * self.heat_loss / self.heat_capacity)
         return steady + (temperature - steady) * decay
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat a wire of `resistance` at least as what was measured; NaN is not measured.
+        """V that heat the wire at least as what was measured; NaN is not measured.
 
         A current without a voltage heats too: a switch that does not open.
         """
-        powers = [volt**2 / self.resistance, volt * ampere]
+        powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]
         if not volt >= _LEAST_VOLTAGE and abs(ampere) > _CURRENT_FLOOR:
             powers.append(ampere**2 * self.resistance)
         highest = max((power for power in powers if not math.isnan(power)), default=0.0)
-        return math.sqrt(highest * self.resistance)
+        return math.sqrt(highest * self.heated)
 
     def allowed_deviation(self, volt: float) -> float:
         """V by which a commanded voltage and its reading may differ: less at small ones."""
@@ -231,9 +244,9 @@ class WireWatch:
             self._modelled, self._hottest, elapsed = model.ambient, model.maximum_temperature, 0.0
         heating = model.heating_voltage(volt, ampere)
         expected = heating if math.isnan(volt) else volt
-        self._modelled = model.heated(self._modelled, expected, elapsed)
+        self._modelled = model.warmed(self._modelled, expected, elapsed)
         # Nobody knows when, since the last reading, the voltage changed.
-        self._hottest = model.heated(self._hottest, max(heating, self._heating), elapsed)
+        self._hottest = model.warmed(self._hottest, max(heating, self._heating), elapsed)
         self._heating, self._powered = heating, stamp
 
     def _not_followed(self, volt: float, model: WireModel) -> str:
@@ -251,7 +264,7 @@ class WireWatch:
         )
 
     def _not_conducted(self, volt: float, ampere: float, model: WireModel) -> str:
-        expected = volt / model.resistance
+        expected = volt / model.circuit
         allowed = _CURRENT_FLOOR + model.resistance_tolerance * expected
         # A current that is not measured (NaN) disagrees with nothing.
         if volt < _LEAST_VOLTAGE or not abs(ampere - expected) > allowed:
@@ -319,8 +332,8 @@ class SharedWatch:
         left = max(self._power_squares - float(conductance @ self._products), 0.0)
         noise = max(left / self._pairs, _LEAST_NOISE**2) * _OVERLAP
         for k, channel in enumerate(self._channels):
-            share = conductance[k] * model.resistance
-            std = math.sqrt(noise * inverse[k, k]) * model.resistance
+            share = conductance[k] * model.circuit
+            std = math.sqrt(noise * inverse[k, k]) * model.circuit
             told_apart = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
             if told_apart and share < _OPEN and share + 3.0 * std < _SURELY:
                 return (

@@ -49,7 +49,7 @@ class ExpectedWarmth:
     def _advance(self, time: float) -> None:
         elapsed = time - self._time
         if elapsed > 0.0:
-            self._kelvin = self._model.heated(self._kelvin, self._volts, elapsed)
+            self._kelvin = self._model.warmed(self._kelvin, self._volts, elapsed)
         self._time = time
 
 

@@ -148,7 +148,8 @@ def identify(
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
-    require_load(parameters, "identify", ("clamped", "force", "beam"))
+    understood = ("bench.lead_resistance", "wire.count")
+    require_load(parameters, "identify", ("clamped", "force", "beam"), understood)
     run = Run(parameters, wanted, asked=experiments is not None)
     bags = [r for r in records if isinstance(r, Record)]
     run.notes.extend(f for record in bags for f in record.findings)

@@ -21,7 +21,7 @@ from sma_bench.estimation.unknowns import PRODUCTS, SHAPES, Unknowns, unknowns_o
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Correlation, Estimate, Experiment
 from sma_bench.identify.thermal.resistance import PARAMETER as RESISTANCE
-from sma_bench.identify.thermal.resistance import SCALE_STD
+from sma_bench.identify.thermal.resistance import SCALE_STD, lead_std
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, silent
@@ -90,7 +90,7 @@ def fit_experiment(
     method = f"simulation fitted to {', '.join(quantities)}"
     told = [number for number in result.numbers if _is_told(number)]
     return Experiment(
-        name, title, {n.name: _estimate(n, method, result.samples) for n in told},
+        name, title, {n.name: _estimate(n, method, result.samples, parameters) for n in told},
         findings(result), curves(result), "; ".join(one.path for one in observations),
         details(result), correlation_of(result, [n.name for n in told]),
     )
@@ -127,10 +127,13 @@ def _is_told(number: Number) -> bool:
     return number.name not in SHAPES or number.value != BY_NAME[number.name].default
 
 
-def _estimate(number: Number, method: str, n: int) -> Estimate:
+def _estimate(number: Number, method: str, n: int, parameters: Parameters) -> Estimate:
     informed = number.informed >= _UNINFORMED
     words = method if informed else f"{method}: mostly the prior, the records add little"
-    systematic = SCALE_STD * number.value if number.name == RESISTANCE else 0.0
+    systematic = 0.0
+    if number.name == RESISTANCE:
+        leads = parameters["wire.count"] * lead_std(parameters)
+        systematic = math.hypot(SCALE_STD * number.value, leads)
     # What nobody measured better is not known better: sensors' scales are in what was known, too.
     std = min(math.hypot(number.std, systematic), number.prior_std)
     return Estimate(

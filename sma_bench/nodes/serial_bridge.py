@@ -74,7 +74,7 @@ class SerialBridge(ManagedNode):
         self._let_go = False
         # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
         self._to_ros = 0
-        require_plain_drive(self.parameters, "serial_bridge")
+        require_plain_drive(self.parameters, "serial_bridge", ("bench.lead_resistance",))
         self._channels = self.parameters["bench.channels"]
         self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
         self._build()

@@ -115,8 +115,10 @@ def moves_tip(parameters: Parameters) -> bool:
     return load_kind(parameters) in ("beam", "antagonist")
 
 
-def require_load(parameters: Parameters, what: str, kinds: tuple[str, ...]) -> None:
-    """Refuse a bench that `what` would answer wrongly.
+def require_load(
+    parameters: Parameters, what: str, kinds: tuple[str, ...], understood: tuple[str, ...] = ()
+) -> None:
+    """Refuse a bench that `what` would answer wrongly; `understood` as `require_plain_drive`.
 
     Raises:
         InputError: another load than of `kinds`, one wire on a beam, several on a wire's load, or
@@ -130,7 +132,7 @@ def require_load(parameters: Parameters, what: str, kinds: tuple[str, ...]) -> N
         raise InputError(
             f"{what}: load.kind {kind} with {channels} of bench.channels, expected {wanted} so far"
         )
-    require_plain_drive(parameters, what)
+    require_plain_drive(parameters, what, understood)
 
 
 def side_names(parameters: Parameters) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ def temperature_rate(
 
     Args:
         temperature: T [K], any shape.
-        voltage: V [V], broadcast against it.
+        voltage: V [V] before the leads, broadcast against it.
         martensite_rate: dxi/dt [1/s].
         latent_heat: heat of transformation [J/kg], positive.
     """
@@ -29,7 +29,7 @@ def temperature_rate(
     convected = heat_loss(parameters) * (
         np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
     )
-    heating = np.square(voltage) / parameters["wire.resistance"]
+    heating = np.square(voltage) / heated_resistance(parameters)
     latent = parameters["wire.mass"] * latent_heat * np.asarray(martensite_rate, float)
     return np.asarray((heating - convected + latent) / heat_capacity)
 
@@ -46,7 +46,7 @@ def heat_transfer_coefficient(
     rise = np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
     return np.asarray(
         np.square(voltage)
-        / (parameters["wire.resistance"] * parameters["wire.surface_area"] * rise)
+        / (heated_resistance(parameters) * parameters["wire.surface_area"] * rise)
     )
 
 
@@ -94,7 +94,7 @@ def time_constant(parameters: Parameters) -> float:
 
 def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
     """T [K] that a held voltage [V] leads to, eq. (4) solved for T."""
-    rise = np.square(voltage) / (parameters["wire.resistance"] * heat_loss(parameters))
+    rise = np.square(voltage) / (heated_resistance(parameters) * heat_loss(parameters))
     return np.asarray(parameters["environment.ambient_temperature"] + rise)
 
 

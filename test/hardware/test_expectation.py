@@ -18,12 +18,12 @@ def watch(commanded=3.0):
     return made
 
 
-def powered(wire, volt, ampere, seconds, start=0.0):
+def powered(wire, volt, ampere, seconds, start=0.0, model=MODEL):
     """Reason after readings of `seconds`, ten ms apart."""
     reason = ""
     for k in range(round(seconds / PERIOD) + 1):
         now = start + k * PERIOD
-        reason = wire.power(volt, ampere, now, now, MODEL)
+        reason = wire.power(volt, ampere, now, now, model)
     return reason
 
 
@@ -87,9 +87,21 @@ def test_below_a_volt_the_current_says_nothing():
 
 def test_the_model_heats_as_equation_1():
     steady = MODEL.ambient + 9.0 / MODEL.resistance / MODEL.heat_loss
-    assert MODEL.heated(MODEL.ambient, 3.0, 100.0) == pytest.approx(steady)
-    early = MODEL.heated(MODEL.ambient, 3.0, 1e-3) - MODEL.ambient
+    assert MODEL.warmed(MODEL.ambient, 3.0, 100.0) == pytest.approx(steady)
+    early = MODEL.warmed(MODEL.ambient, 3.0, 1e-3) - MODEL.ambient
     assert early == pytest.approx(1e-3 * 9.0 / MODEL.resistance / MODEL.heat_capacity, rel=0.01)
+
+
+def test_leads_carry_the_current_and_take_their_share_of_the_volts():
+    model = WireModel.from_parameters(
+        Parameters.defaults().replace({"bench.lead_resistance": MODEL.resistance})
+    )
+    volt, ampere = 6.0, 6.0 / (2.0 * MODEL.resistance)
+    rise = (0.5 * volt) ** 2 / MODEL.resistance / MODEL.heat_loss
+    assert model.warmed(MODEL.ambient, volt, 100.0) == pytest.approx(MODEL.ambient + rise)
+    assert model.heating_voltage(volt, ampere) == pytest.approx(volt)
+    assert "disagreement" in powered(watch(volt), volt, ampere, 1.1)
+    assert powered(watch(volt), volt, ampere, 1.1, model=model) == ""
 
 
 def heat_after(readings, wire=None):

@@ -1,5 +1,7 @@
 """E1 and E2 on synthetic staircases: right numbers, and wrong models noticed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 
 R, H, T0 = "wire.resistance", "wire.heat_transfer_coefficient", "environment.ambient_temperature"
+CP = "wire.specific_heat"
 PARAMETERS = Parameters.defaults()
 
 
@@ -139,3 +142,51 @@ def test_current_that_ignores_the_voltage_is_an_error(staircase):
     record["wire.current"].values[:] = 0.1
     with pytest.raises(InputError, match="expected it to follow the voltage"):
         result(record, experiments=["E1"])
+
+
+def behind_leads(record, leads, count):
+    """The same wires, `count` in parallel, as a voltmeter before their leads (ohm) sees them."""
+    scale = {"wire.voltage": 1.0 + count * leads / 2.75, "wire.current": count}
+    signals = {
+        name: replace(signal, values=signal.values * scale.get(name, 1.0))
+        for name, signal in record.signals.items()
+    }
+    return replace(record, signals=signals)
+
+
+@pytest.mark.parametrize(("leads", "count"), [(0.1, 1), (0.0, 2), (0.3, 2)])
+def test_leads_and_parallel_wires_are_taken_off_what_is_identified(staircase, ramp, leads, count):
+    records = [behind_leads(one, leads, count) for one in (staircase(seed=5), ramp(seed=5))]
+    stated = PARAMETERS.replace(
+        {"bench.lead_resistance": leads, "wire.count": count}, {"bench.lead_resistance": 0.002}
+    )
+    found = identify(records, stated, ["E1", "E2", "E3"]).estimates
+    for name, truth in ((R, 2.75), (H, 410.0), (CP, 350.0)):
+        assert abs(found[name].value - truth) < 2.5 * found[name].std
+        assert found[name].std < 0.02 * truth
+    assert found[R].systematic >= count * 0.002
+    unaware = identify(records, PARAMETERS, ["E1"]).estimates[R]
+    assert unaware.value == pytest.approx(2.75 / count + leads, rel=2e-3)
+
+
+def test_the_uncertainty_of_leads_is_in_what_is_identified(staircase):
+    record = behind_leads(staircase(seed=5), 0.1, 1)
+    exact, vague = (
+        identify(
+            [record],
+            PARAMETERS.replace({"bench.lead_resistance": 0.1}, {"bench.lead_resistance": std}),
+            ["E1", "E2"],
+        )
+        for std in (0.0, 0.02)
+    )
+    assert vague.estimates[R].std == pytest.approx(np.hypot(exact.estimates[R].std, 0.02), rel=1e-3)
+    # h = S^2/R of them, S known and R = S - leads.
+    expected = 410.0 * 0.02 / 2.75
+    assert vague.estimates[H].std == pytest.approx(
+        np.hypot(exact.estimates[H].std, expected), rel=0.1
+    )
+
+
+def test_leads_of_more_than_was_measured_are_refused(staircase):
+    with pytest.raises(InputError, match="expected more than bench.lead_resistance, 5 ohm"):
+        identify([staircase()], PARAMETERS.replace({"bench.lead_resistance": 5.0}), ["E1"])

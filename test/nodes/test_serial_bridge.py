@@ -183,7 +183,6 @@ def test_settings_that_cannot_be_end_the_node_with_one_line(bench, parameters, r
     assert reason in node.output and "Traceback" not in node.output
 
 
-@pytest.mark.xfail(reason="the fault that it waits for does not come by itself: known")
 def test_a_lifecycle_manager_enables_and_stops_and_losing_active_is_zero_volts(bench, uno):
     with emulated_bench(Parameters.defaults(), uno) as hardware:
         states = bench.latched("serial_bridge/state", String)
@@ -211,9 +210,20 @@ def test_a_lifecycle_manager_enables_and_stops_and_losing_active_is_zero_volts(b
         assert states[-1].data == "stopped: deactivated on request"
         bench.until(lambda: move("activate"))  # its own word is no fault to be reset
         bench.until(driven)
-        # No command any more: the bridge stops by itself, and is active no longer.
-        bench.until(lambda: moves[-1].goal_state.label == "inactive" and power[-1].voltage < 0.1)
-        assert states[-1].data.startswith("stopped: ") and not move("activate")
+
+        def connect(ohm):
+            hardware.do(lambda: hardware.uno.electrics.resistance.__setitem__(0, ohm))
+
+        connect(math.inf)  # a wire that breaks: the bridge stops by itself, and is active no longer
+
+        def stopped():
+            driven()
+            return moves[-1].goal_state.label == "inactive" and power[-1].voltage < 0.1
+
+        bench.until(stopped)
+        assert states[-1].data.startswith("stopped: disagreement: wire carries ")
+        assert not move("activate")
+        connect(2.6987)
         assert bench.trigger("serial_bridge/reset").success
         bench.until(lambda: bench.trigger("serial_bridge/enable").success)
         bench.until(lambda: moves[-1].goal_state.label == "active")

@@ -18,7 +18,7 @@ from sma_bench.identify.thermal.heat_transfer import (
     coefficient,
     identify_heat_transfer,
 )
-from sma_bench.identify.thermal.resistance import identify_resistance
+from sma_bench.identify.thermal.resistance import CHANNEL, heated, identify_resistance
 from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.records import Record
 
@@ -64,10 +64,14 @@ def run_resistance(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
         return
     for record, staircase in _staircases(run, drives, "E1", "current"):
         try:
-            run.experiments.append(identify_resistance(record, staircase))
+            run.experiments.append(identify_resistance(record, staircase, run.given))
         except InputError as error:
             run.fail("E1", str(error))
     run.join("E1")
+
+
+def _heated(run: Run) -> Estimate:
+    return heated(run.known(RESISTANCE), run.given, RESISTANCE in run.estimates)
 
 
 def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
@@ -75,14 +79,14 @@ def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     if "E2" not in run.wanted:
         return
     offsets = {
-        e.source: -e.details["intercept"].value / e.estimates[RESISTANCE].value
+        e.source: -e.details["intercept"].value / e.details[CHANNEL].value
         for e in run.of("E1")
     }
     for record, staircase in _staircases(run, drives, "E2", "temperature"):
         offset = offsets.get(staircase.source(record), 0.0)
         try:
             experiment = identify_heat_transfer(
-                record, staircase, run.given, run.known(RESISTANCE), offset
+                record, staircase, run.given, _heated(run), offset
             )
         except InputError as error:
             run.fail("E2", str(error))
@@ -92,7 +96,7 @@ def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     if found:
         # The gains are independent of each other; the coefficients share one resistance.
         gain = combine([e.details[GAIN] for e in found])
-        run.estimates[COEFFICIENT] = coefficient(gain, run.known(RESISTANCE), run.given)
+        run.estimates[COEFFICIENT] = coefficient(gain, _heated(run), run.given)
         run.estimates[AMBIENT] = combine([e.estimates[AMBIENT] for e in found])
 
 
@@ -114,7 +118,7 @@ def run_specific_heat(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     measured = bool(gains) or COEFFICIENT in run.given.given
     default = Estimate(run.given[COEFFICIENT], run.given.std(COEFFICIENT), "", "default", 0)
     heat_loss = HeatLoss(
-        run.known(RESISTANCE),
+        _heated(run),
         run.known(COEFFICIENT) if measured else default,
         combine(gains) if gains else None,
         known=measured,

@@ -82,7 +82,7 @@ def identify_heat_transfer(
         record: holds `<channel>.voltage` in V and `<channel>.temperature` in K.
         staircase: the plateaus.
         parameters: wire.surface_area and, to compare with, environment.ambient_temperature.
-        resistance: R with its error, from E1 or from the parameters.
+        resistance: V^2 over the heat of a wire, with its error: R, where there are no leads.
         current_offset: A, what the current sensor reads at zero (from E1); used where no plateau
             at 0 V shows it.
         settle, average: s, what is skipped and what is averaged of each plateau.
@@ -112,7 +112,8 @@ def identify_heat_transfer(
         ambient_std = math.hypot(ambient_std, float(moved.beta[0]) - ambient)
         remarks.append(_moving_finding(points, moving))
     heating = _heating(
-        record, channel, points, bounds, resistance, current_offset, staircase.tolerance
+        record, channel, points, bounds, resistance, parameters, current_offset,
+        staircase.tolerance,
     )
     spread, finding = _bend(points, heating, gain)
     if finding is not None:
@@ -177,14 +178,14 @@ def _heating(
     points: _Points,
     bounds: Array,
     resistance: Estimate,
+    parameters: Parameters,
     current_offset: float,
     tolerance: float,
 ) -> _Heating:
-    """V^2, or R times the electrical power where there is a current, so that R may vary."""
+    """V^2, or R times a wire's power where there is a current, so that R may vary."""
     if not has_samples(record, f"{channel}.current"):
         return _Heating(points.square, np.zeros((len(bounds), len(bounds))), "squared voltage")
     current = means(*samples(record, f"{channel}.current"), bounds, f"{channel}.current")
-    scale = resistance.value * points.voltage.value
     undriven = np.abs(points.voltage.value) < tolerance
     if undriven.any():
         # Better than the line's intercept, which is off where the line is not straight.
@@ -192,8 +193,13 @@ def _heating(
         common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
     else:
         common = float(np.median(current.noise))
+    volts, amperes = points.voltage.value, current.value - current_offset
+    leads = parameters["bench.lead_resistance"]
+    per_wire = resistance.value / parameters["wire.count"]
+    scale = per_wire * (volts - 2.0 * leads * amperes)
     covariance = np.diag((scale * current.noise) ** 2) + np.outer(scale, scale) * common**2
-    return _Heating(scale * (current.value - current_offset), covariance, "electrical power")
+    power = per_wire * (volts - leads * amperes) * amperes
+    return _Heating(power, covariance, "electrical power")
 
 
 def _bend(points: _Points, heating: _Heating, gain: float) -> tuple[float, Finding | None]:

@@ -1,7 +1,7 @@
 """E1, resistance: a straight line of voltage over current through the plateaus (eq. 3, Fig. 2)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,10 +11,14 @@ from sma_bench.identify.estimate import Array, Estimate, Experiment, Mask
 from sma_bench.identify.plateaus import AVERAGE, SETTLE, Means, means, same_level
 from sma_bench.identify.signals import Staircase
 from sma_bench.identify.straight_line import LinearFit, fit_linear
+from sma_bench.parameters import Parameters
+from sma_bench.physics.heat import heated_resistance
 from sma_bench.records import Record
 from sma_bench.records.record import samples
 
 PARAMETER = "wire.resistance"
+LEADS = "bench.lead_resistance"
+CHANNEL = "channel"
 # Assumed, not measured: no record shows the gain errors of its own two sensors. Half a step of a
 # 10-bit converter at full scale, taken as uniform, is the least that a calibration leaves.
 SCALE_STD = 0.5 / (1023.0 * math.sqrt(12.0))
@@ -53,10 +57,14 @@ class _Points:
 def identify_resistance(
     record: Record,
     staircase: Staircase,
+    parameters: Parameters,
     settle: float = SETTLE,
     average: float = AVERAGE,
 ) -> Experiment:
     """Resistance of one wire from a voltage staircase, each direction by itself.
+
+    The slope is that of the whole channel: its wires in parallel, behind their leads. `details`
+    holds it as it is; the leads of `bench.lead_resistance` are taken off the estimate.
 
     The line has an intercept, so an offset of the current sensor does no harm. Gain errors of the
     two sensors go straight into the resistance and no line can show them: `SCALE_STD` stands for
@@ -67,10 +75,11 @@ def identify_resistance(
     Args:
         record: holds `<channel>.voltage` in V and `<channel>.current` in A.
         staircase: the plateaus.
+        parameters: wire.count and bench.lead_resistance.
         settle, average: s, what is skipped and what is averaged of each plateau.
 
     Raises:
-        InputError: no current, or too few samples on a plateau.
+        InputError: no current, too few samples on a plateau, or leads of more than was measured.
     """
     bounds, findings = staircase.windows(settle, average)
     channel = staircase.channel
@@ -86,6 +95,7 @@ def identify_resistance(
     up = np.array([p.direction == "up" for p in staircase.plateaus])
     points = _Points(v, i, up, same_level(v.value, staircase.tolerance))
     estimate, details, remarks = _estimate(points, len(bounds))
+    details[CHANNEL] = estimate
     curves = {
         "voltage": v.value,
         "current": i.value,
@@ -95,8 +105,54 @@ def identify_resistance(
         / estimate.value,
     }
     return Experiment(
-        "E1", "Resistance", {PARAMETER: estimate}, (*findings, *remarks), curves,
-        staircase.source(record), details,
+        "E1", "Resistance", {PARAMETER: _of_one_wire(estimate, parameters, record)},
+        (*findings, *remarks), curves, staircase.source(record), details,
+    )
+
+
+def lead_std(parameters: Parameters) -> float:
+    """Standard deviation of the leads' resistance in ohm; no leads are known exactly."""
+    known = parameters[LEADS] > 0.0 or LEADS in parameters.given
+    return parameters.std(LEADS) if known else 0.0
+
+
+def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Estimate:
+    """V^2 over the heat of one wire, V before the leads (`physics.heat.heated_resistance`).
+
+    Args:
+        resistance: of one wire.
+        measured: it came from E1, with the same leads taken off: one error for both.
+    """
+    wire, count = resistance.value, parameters["wire.count"]
+    value = heated_resistance(parameters.replace({PARAMETER: wire}))
+    if value == wire:
+        return resistance
+    leads, error = count * parameters[LEADS], count * lead_std(parameters)
+    ratio = (wire + leads) / wire
+    own = math.sqrt(max(resistance.std**2 - error**2, 0.0)) if measured else resistance.std
+    std = math.hypot(
+        own * (1.0 - (leads / wire) ** 2), error * (ratio**2 if measured else 2.0 * ratio)
+    )
+    return replace(resistance, value=value, std=std)
+
+
+def _of_one_wire(channel: Estimate, parameters: Parameters, record: Record) -> Estimate:
+    count, leads = parameters["wire.count"], parameters[LEADS]
+    if count == 1 and leads == 0.0:
+        return channel
+    if channel.value <= leads:
+        raise InputError(
+            f"{record.path}: {channel.value:.4g} ohm between the voltmeter's leads, expected more "
+            f"than bench.lead_resistance, {leads:g} ohm"
+        )
+    error = lead_std(parameters)
+    words = f"{channel.method}, less {leads:g} ohm of leads" if leads else channel.method
+    return replace(
+        channel,
+        value=count * (channel.value - leads),
+        std=count * math.hypot(channel.std, error),
+        systematic=count * math.hypot(channel.systematic, error),
+        method=f"{words}, {count} wires in parallel" if count > 1 else words,
     )
 
 

@@ -36,7 +36,7 @@ _UNKNOWN = 1.0
 
 @dataclass(frozen=True)
 class HeatLoss:
-    """What E1 and E2, or the parameters, know of R and h.
+    """What E1 and E2, or the parameters, know of R (as it heats: with the leads in it) and h.
 
     `gain` 1/(R h A_c) in K/V^2 comes from E2 and is independent of R; without it h stands alone.
     `known` is False where h is nobody's measurement, then the ramps themselves must tell it.
