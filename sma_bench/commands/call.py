@@ -6,7 +6,14 @@ from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json
 from sma_bench.commands.parameter_options import named_value
-from sma_bench.commands.terminal import add_json_option, progress, say, write_json
+from sma_bench.commands.terminal import (
+    add_json_option,
+    add_ros_option,
+    progress,
+    ros_arguments,
+    say,
+    write_json,
+)
 from sma_bench.errors import InputError
 
 _LARGEST_ANSWER = 64 * MEGABYTE
@@ -32,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long the answer may take (default 600)",
     )
     add_json_option(parser, "the answer")
+    add_ros_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,16 +51,14 @@ def run(args: argparse.Namespace) -> int:
         if not _NAME.fullmatch(name):
             raise InputError(f"call: {name!r} is no ROS name, expected letters, digits, _ and /")
     settings = dict(named_value(text) for text in args.settings)
-    answer = _call("/" + args.namespace.strip("/"), node, service, settings, args.patience)
+    answer = _call(args, node, service, settings)
     if args.json:
         write_json(args.json, {"service": f"{node}/{service}", "answer": _parsed(answer)})
     say(answer.rstrip() or "done")
     return 0
 
 
-def _call(
-    namespace: str, node: str, service: str, settings: dict[str, Any], patience: float
-) -> str:
+def _call(args: argparse.Namespace, node: str, service: str, settings: dict[str, Any]) -> str:
     try:
         from sma_bench.nodes.bench_client import BenchClient
         from sma_bench.tasks.jobs import told_share
@@ -64,12 +70,13 @@ def _call(
             if found := told_share(client.state(node)):
                 report(*found)
 
-        with BenchClient(namespace, meanwhile=look) as client:
+        namespace = "/" + args.namespace.strip("/")
+        with BenchClient(namespace, look, ros_arguments(args)) as client:
             client.follow(node)
             client.find(f"{node}/{service}", _PRESENCE)
             if settings:
                 client.set_parameters(node, settings)
-            return client.trigger(f"{node}/{service}", patience)
+            return client.trigger(f"{node}/{service}", args.patience)
 
 
 def _parsed(answer: str) -> Any:

@@ -7,6 +7,7 @@ import signal
 import sys
 from typing import Any
 
+from sma_bench.commands.terminal import add_ros_option, ros_arguments
 from sma_bench.errors import InputError
 
 _PORT = 8642
@@ -25,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port", type=int, default=_PORT, help=f"default {_PORT}; 0 for any that is free"
     )
+    add_ros_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,8 +68,10 @@ async def _serve(args: argparse.Namespace) -> int:
         loop.add_signal_handler(number, finish)
     namespace = "/" + args.namespace.strip("/")
     with listening_node(
-        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error)
+        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error),
+        ros_arguments(args),
     ) as node:
+        namespace = node.get_namespace()  # ROS's arguments may name another
         server = DashboardServer(node, namespace, args.host, args.port)
         if not is_loopback(args.host):
             print("sma-bench: note: others on the network who learn this address can see and stop "

@@ -272,6 +272,20 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
+def add_ros_option(parser: argparse.ArgumentParser) -> None:
+    """Add --ros-args, which takes all that follows; `ros_arguments` reads it."""
+    parser.add_argument(
+        "--ros-args", metavar="ARGUMENT", nargs=argparse.REMAINDER, default=[],
+        help="all that follows is for ROS, e.g. -p "
+        "qos_overrides./diagnostics.subscription.reliability:=best_effort",
+    )
+
+
+def ros_arguments(args: argparse.Namespace) -> list[str]:
+    """What rclpy.init takes."""
+    return ["--ros-args", *args.ros_args] if args.ros_args else []
+
+
 _results: list[TextIO] = []
 
 

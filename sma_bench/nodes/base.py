@@ -65,51 +65,14 @@ _RANGES = {"double": FloatingPointRange, "integer": IntegerRange}
 _RANGE_FIELDS = {"double": "floating_point_range", "integer": "integer_range"}
 
 
-class BenchNode(Node):
-    """Node with the contract's parameters (`parameters`) and its own ones (`settings`).
+class OverridableNode(Node):
+    """Node whose publishers and subscriptions take their QoS from parameters, where given."""
 
-    Both are validated as a whole whenever one changes; a change that cannot be is refused with
-    the reason.
-    """
-
-    frozen = False
-    """True where nothing may change while the node runs."""
-    fixed: frozenset[str] = frozenset()
-    """Names that may not change while the node runs, where others may."""
-    with_uncertainty = False
-    """True where the node has use for the `uncertainty.` parameters."""
     _ros_is_ready = False
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
         self._ros_is_ready = True
-        # Another clock in the middle of a run would spoil every stamp.
-        self.set_descriptor("use_sim_time", ParameterDescriptor(
-            name="use_sim_time", type=ParameterType.PARAMETER_BOOL, read_only=True,
-            description="Time is that of /clock.",
-        ))  # fmt: skip
-        self.failure: InputError | None = None
-        self._claims = [claimed(self.get_fully_qualified_name())]
-        if self.get_parameter("use_sim_time").value:
-            backward = JumpThreshold(
-                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
-            )
-            self._jumps = self.get_clock().create_jump_callback(
-                backward, post_callback=lambda jump: self.on_time_went_back(
-                    f"simulated time went back by {-jump.delta.nanoseconds / 1e9:.3f} s: another "
-                    "publisher of /clock, or a new simulation"
-                ),
-            )  # fmt: skip
-        self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
-        self._contract = {parameter.name: parameter for parameter in self._contract_table()}
-        for parameter in (*self._contract.values(), *self._own.values()):
-            self._declare(parameter)
-        self._load({})
-        self.add_on_set_parameters_callback(self._check_change)
-        self.add_post_set_parameters_callback(lambda _: self._load({}))
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DIAGNOSE_EVERY, self.diagnose, clock=steady)
 
     def create_publisher(
         self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
@@ -149,6 +112,51 @@ class BenchNode(Node):
         except (RuntimeError, AssertionError, ParameterException) as error:
             words = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"QoS of {topic}: {words}") from None
+
+
+class BenchNode(OverridableNode):
+    """Node with the contract's parameters (`parameters`) and its own ones (`settings`).
+
+    Both are validated as a whole whenever one changes; a change that cannot be is refused with
+    the reason.
+    """
+
+    frozen = False
+    """True where nothing may change while the node runs."""
+    fixed: frozenset[str] = frozenset()
+    """Names that may not change while the node runs, where others may."""
+    with_uncertainty = False
+    """True where the node has use for the `uncertainty.` parameters."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        # Another clock in the middle of a run would spoil every stamp.
+        self.set_descriptor("use_sim_time", ParameterDescriptor(
+            name="use_sim_time", type=ParameterType.PARAMETER_BOOL, read_only=True,
+            description="Time is that of /clock.",
+        ))  # fmt: skip
+        self.failure: InputError | None = None
+        self._claims = [claimed(self.get_fully_qualified_name())]
+        if self.get_parameter("use_sim_time").value:
+            backward = JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+            )
+            self._jumps = self.get_clock().create_jump_callback(
+                backward, post_callback=lambda jump: self.on_time_went_back(
+                    f"simulated time went back by {-jump.delta.nanoseconds / 1e9:.3f} s: another "
+                    "publisher of /clock, or a new simulation"
+                ),
+            )  # fmt: skip
+        self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
+        self._contract = {parameter.name: parameter for parameter in self._contract_table()}
+        for parameter in (*self._contract.values(), *self._own.values()):
+            self._declare(parameter)
+        self._load({})
+        self.add_on_set_parameters_callback(self._check_change)
+        self.add_post_set_parameters_callback(lambda _: self._load({}))
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DIAGNOSE_EVERY, self.diagnose, clock=steady)
 
     def fail(self, error: InputError) -> None:
         """End the node after this callback, with the error's line and status 2.
@@ -279,6 +287,19 @@ class BenchNode(Node):
         return SetParametersResult(successful=True)
 
 
+def start_ros(arguments: Sequence[str]) -> None:
+    """Begin this process's ROS context; signals stay ours.
+
+    Raises:
+        InputError: ROS refuses an argument.
+    """
+    choose_discovery()
+    try:
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except (rcl.RCLError, rcl.UnknownROSArgsError) as error:
+        raise InputError(str(error)) from None
+
+
 def run_node(
     name: str,
     factory: Callable[[], BenchNode],
@@ -301,9 +322,8 @@ def run_node(
     with _Signals() as signals:
         try:
             check_arguments(name, arguments)
-            choose_discovery()
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        except (InputError, rcl.RCLError, rcl.UnknownROSArgsError) as error:
+            start_ros(arguments)
+        except InputError as error:
             return _refuse(name, error)
         node: BenchNode | None = None
         try:

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import rclpy
@@ -10,13 +10,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED
-from sma_bench.nodes.discovery import choose_discovery
+from sma_bench.nodes.base import LATCHED, OverridableNode, start_ros
 from sma_bench.nodes.recorder_state import recorder_state
 
 _SPIN = 0.05
@@ -29,11 +27,13 @@ class BenchClient:
     `meanwhile` is called about 20 times a second while waiting and may raise to end the wait.
     """
 
-    def __init__(self, namespace: str, meanwhile: Callable[[], None] = lambda: None) -> None:
-        choose_discovery()
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("bench_client", namespace=namespace)
-        self._namespace = namespace.rstrip("/")
+    def __init__(
+        self, namespace: str, meanwhile: Callable[[], None] = lambda: None,
+        ros_arguments: Sequence[str] = (),
+    ) -> None:
+        start_ros(ros_arguments)
+        self._node = OverridableNode("bench_client", namespace=namespace)
+        self._namespace = self._node.get_namespace().rstrip("/")
         self._meanwhile = meanwhile
         self._states: dict[str, str] = {}
         self.simulated_seconds = 0.0

@@ -6,7 +6,7 @@ and go.
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
@@ -18,9 +18,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray, String
@@ -38,9 +36,8 @@ from sma_bench.dashboard.live_state import (
     shown_limits,
 )
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED, OneThreadExecutor
+from sma_bench.nodes.base import LATCHED, OneThreadExecutor, OverridableNode, start_ros
 from sma_bench.nodes.commander import COMMAND, signature, voltage_command
-from sma_bench.nodes.discovery import choose_discovery
 from sma_bench.nodes.recorder_state import recorder_state
 from sma_bench.records.contract import place_of
 
@@ -64,7 +61,7 @@ _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMB
 _MOST_TOPICS, _MOST_NODES, _MOST_CHANNELS = 500, 100, 64
 
 
-class DashboardNode(Node):
+class DashboardNode(OverridableNode):
     """Everything of one bench into a LiveState; `send_stop` and `send_zero` from any thread."""
 
     def __init__(self, namespace: str, state: LiveState) -> None:
@@ -250,20 +247,20 @@ class DashboardNode(Node):
 
 @contextmanager
 def listening_node(
-    namespace: str, state: LiveState, on_failure: Callable[[Exception], None]
+    namespace: str, state: LiveState, on_failure: Callable[[Exception], None],
+    ros_arguments: Sequence[str] = (),
 ) -> Iterator[DashboardNode]:
     """A node that listens in a thread of its own; `on_failure` is called there if it dies.
 
     Raises:
-        InputError: no such namespace can be.
+        InputError: no such namespace can be, or ROS refuses its arguments.
     """
     try:
         validate_namespace(namespace)
     except InvalidNamespaceException as error:
         reason = str(error).splitlines()[0].removesuffix(":")
         raise InputError(f"dashboard: namespace {namespace!r}: {reason}") from None
-    choose_discovery()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(ros_arguments)
     node = DashboardNode(namespace, state)
     ended = threading.Event()
     thread = threading.Thread(target=_spin, args=(node, ended, on_failure), name="dashboard")

@@ -105,7 +105,8 @@ class Recorder(ManagedNode):
         self._publish_state("failed" if self.failure else "closed")
         self.diagnose()
         # Listeners would otherwise miss how it ended.
-        self._state.wait_for_all_acked(Duration(seconds=_LAST_WORD))
+        for publisher in (self._state, self._diagnostics):
+            publisher.wait_for_all_acked(Duration(seconds=_LAST_WORD))
 
     def on_time_went_back(self, reason: str) -> None:
         """What would be written from now on could not be told from what is written already."""

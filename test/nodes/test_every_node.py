@@ -11,10 +11,13 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension  # noqa: E402
 
+from sma_bench.dashboard.live_state import LiveState  # noqa: E402
 from sma_bench.errors import InputError  # noqa: E402
 from sma_bench.nodes.arguments import check_arguments  # noqa: E402
 from sma_bench.nodes.base import BenchNode, OneThreadExecutor  # noqa: E402
+from sma_bench.nodes.bench_client import BenchClient  # noqa: E402
 from sma_bench.nodes.commander import layout_fault, voltage_command  # noqa: E402
+from sma_bench.nodes.dashboard import listening_node  # noqa: E402
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 # Made by rclpy before a node's parameters can be.
@@ -47,6 +50,14 @@ def make(ros_domain, tmp_path, monkeypatch):
     rclpy.try_shutdown()
 
 
+def assert_overridable(node):
+    for kind, endpoints in (("publisher", node.publishers), ("subscription", node.subscriptions)):
+        for endpoint in endpoints:
+            topic = getattr(endpoint, "topic_name", None) or endpoint.topic
+            overridden = node.has_parameter(f"qos_overrides.{topic}.{kind}.reliability")
+            assert overridden == (topic not in ROS_OWN), f"{kind} of {topic}"
+
+
 @pytest.mark.parametrize("name", NODE_TABLES)
 def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(make, name, request):
     if name == NEEDS_FIRMWARE:
@@ -54,11 +65,7 @@ def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(m
         request.getfixturevalue("firmware_image")
     rig = ["--params-file", str(COMPOSITE)] if name == "deflection_controller" else []
     node = make(name, *rig)
-    for kind, endpoints in (("publisher", node.publishers), ("subscription", node.subscriptions)):
-        for endpoint in endpoints:
-            topic = getattr(endpoint, "topic_name", None) or endpoint.topic
-            overridden = node.has_parameter(f"qos_overrides.{topic}.{kind}.reliability")
-            assert overridden == (topic not in ROS_OWN), f"{kind} of {topic}"
+    assert_overridable(node)
     result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
     assert not result.successful and "read-only" in result.reason
     heard = []
@@ -72,6 +79,27 @@ def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(m
     assert heard[0].status and all(s.name.startswith(f"/bench/{name}: ") for s in heard[0].status)
     assert heard[0].header.stamp.sec > 0
     executor.shutdown()
+
+
+def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden(ros_domain):
+    best_effort = [
+        "--ros-args", "-p", "qos_overrides./bench/experiment/state.subscription.reliability:="
+        "best_effort",
+    ]
+    with BenchClient("/bench", ros_arguments=best_effort) as client:
+        client.follow("experiment")
+        assert_overridable(client._node)
+        (state,) = [s for s in client._node.subscriptions if s.topic_name.endswith("/state")]
+        assert state.qos_profile.reliability.name == "BEST_EFFORT"
+    with listening_node("/bench", LiveState(), pytest.fail, best_effort) as node:
+        node._take("/bench/experiment/state", ["experiment", "state"], ["std_msgs/msg/String"])
+        assert_overridable(node)
+        (state,) = [s for s in node.subscriptions if s.topic_name.endswith("/state")]
+        assert state.qos_profile.reliability.name == "BEST_EFFORT"
+    with pytest.raises(InputError, match="-p nothing"), BenchClient(
+        "/bench", ros_arguments=["--ros-args", "-p", "nothing"]
+    ):
+        pass
 
 
 def test_an_override_of_one_topic_is_that_topics_alone(make):

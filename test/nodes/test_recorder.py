@@ -103,7 +103,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     states = bench.latched("recorder/state", String)
     diagnostics = bench.listen("/diagnostics", DiagnosticArray)
     node = start_with(bench, environment, small_disk, tmp_path / "bag")
-    bench.until(publisher.get_subscription_count)
+    bench.until(lambda: publisher.get_subscription_count() and diagnostics)  # it is heard
     published = 0
     while node.process.poll() is None:
         for _ in range(20):
