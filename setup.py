@@ -1,6 +1,8 @@
 """Builds sma_bench for `colcon build` and `pip install .`; package.xml names and versions it."""
 
 import os
+import subprocess
+from functools import partialmethod
 from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
@@ -34,6 +36,7 @@ import signal
 
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda *_: os._exit(0))
+signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # one that came before is heard now
 if __name__ == "__main__":
     from {PACKAGE}.nodes.start import script
 
@@ -41,13 +44,33 @@ if __name__ == "__main__":
 """
 
 
+# The interpreter's own start answers a Ctrl-C with a traceback, before a line of ours: it waits.
+WAITING = ["/usr/bin/env", "-S", "--block-signal=INT"]
+
+
 def use_own_script():
     """Another setuptools may have it elsewhere: its own then serves, a little later."""
     for module in ("setuptools._scripts", "setuptools.command.easy_install"):
         try:
-            import_module(module).ScriptWriter.template = SCRIPT
+            writer = import_module(module).ScriptWriter
         except (ImportError, AttributeError):
             continue
+        if writer.template != SCRIPT:
+            writer.template = SCRIPT
+            if can_wait():
+                spec = writer.command_spec_class
+                spec.as_header = partialmethod(waiting_header, spec.as_header)
+
+
+def waiting_header(spec, header):
+    """setuptools' own first line, behind the waiting."""
+    return f"#!{' '.join(WAITING)} {header(spec).removeprefix('#!')}"
+
+
+def can_wait():
+    """Whether `env` is that of GNU, 8.31 or newer."""
+    said = subprocess.run([WAITING[0], WAITING[2], "true"], check=False, capture_output=True)
+    return said.returncode == 0
 
 
 def shared_files(*folders):

@@ -138,37 +138,32 @@ def estimate_noise(
         usual, wanders: of `Noise`. A sensor that wanders slowly by many times that is not
             noisy, it is faulty, and what it seems to do may be the bench's doing.
     """
-    shapes = _shapes(period)
+    shapes, (drifts, times), whitening = _shapes(period)
     powers = np.zeros(len(shapes))
     for residual in residuals:
-        _add_powers(np.ascontiguousarray(residual), *_recursions(shapes), powers)
+        _add_powers(np.ascontiguousarray(residual), *whitening, powers)
     total = sum(len(r) for r in residuals)
     scales = np.maximum(np.sqrt(powers / total), 0.9 * white)
-    bulk = np.array([sum(shape.log_scale(len(r)) for r in residuals) for shape in shapes])
+    _, _, inverse, first = whitening
+    bulk = (len(residuals) - total) * np.log(inverse) - len(residuals) * np.log(first)
     likelihood = -0.5 * powers / scales**2 - total * np.log(scales) - bulk
-    drifts = scales * np.array([shape.drift for shape in shapes])
-    times = np.array([shape.time for shape in shapes])
-    likelihood += _log_prior(drifts, times, usual, wanders)
+    likelihood += _log_prior(scales * drifts, times, usual, wanders)
     best = int(np.argmax(likelihood))
     scale, shape = float(scales[best]), shapes[best]
     return Noise(scale, shape.drift * scale, shape.time, period, usual, wanders)
 
 
 @cache
-def _shapes(period: float) -> tuple[Noise, ...]:
-    """Noises of white level 1 that are tried."""
+def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]:
+    """Noises of white level 1 that are tried; drift and time of each; and what whitens with it:
+    phi, theta, 1/innovation and the first sample's factor."""
     drifting = (
         Noise(1.0, float(ratio), float(tau), period) for ratio in _RATIOS[1:] for tau in _TIMES
     )
-    return Noise(1.0, 0.0, float(_TIMES[0]), period), *drifting
-
-
-@cache
-def _recursions(shapes: tuple[Noise, ...]) -> tuple[Array, Array, Array, Array]:
-    """phi, theta, 1/innovation and the first sample's factor of each."""
-    rows = [(*shape.arma, shape.total) for shape in shapes]
-    phi, theta, innovation, total = np.array(rows).T
-    return phi.copy(), theta.copy(), 1.0 / innovation, 1.0 / total
+    shapes = (Noise(1.0, 0.0, float(_TIMES[0]), period), *drifting)
+    phi, theta, innovation, total = np.array([(*s.arma, s.total) for s in shapes]).T
+    whitening = phi.copy(), theta.copy(), 1.0 / innovation, 1.0 / total
+    return shapes, np.array([(s.drift, s.time) for s in shapes]).T, whitening
 
 
 @compiled

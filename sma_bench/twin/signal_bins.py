@@ -1,11 +1,12 @@
 """Residuals of one signal in bins of time, and how far they may be off without a gap."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular, toeplitz
+from scipy.stats import chi2
 
 from sma_bench.estimation.noise_model import Noise, estimate_noise, resolution, white_noise_level
 
@@ -14,6 +15,8 @@ Array = NDArray[np.float64]
 BIN = 0.2  # s, as the diagnosis has it
 MEMORY = 350  # bins from which noise is learned, and which are judged by it
 _SLOW = 30.0  # s that noise must be known for; a drift slower than that is not seen in less
+_FAST = 3.0  # s; no faster one is granted unseen
+_CHANCE = 0.01
 _SAMPLES = 400  # samples from which the scatter of neighbours is taken
 _FEWEST_SAMPLES = 20
 # Of a sample: no bench is simulated, and no voltage known, to less.
@@ -78,11 +81,13 @@ class SignalBins:
         self._residuals: deque[float] = deque(maxlen=_SAMPLES)
         self._bins: deque[Bin] = deque(maxlen=MEMORY)
         self._learned: Noise | None = None
+        self._scatter: float | None = None  # None where samples came since
 
     def samples(self, value: Array, residual: Array) -> None:
         """Measured values (n,), and measured less predicted."""
         self._values.extend(value.tolist())
         self._residuals.extend(residual.tolist())
+        self._scatter = None
 
     def add(self, one: Bin) -> None:
         """The next bin."""
@@ -109,9 +114,11 @@ class SignalBins:
         there are enough."""
         if len(self._values) < _FEWEST_SAMPLES:
             return np.nan
-        steps = resolution(np.array(self._values)) / np.sqrt(12.0)
-        white = white_noise_level(np.array(self._residuals))
-        return float(max(white, steps, _LEAST[self.quantity]))
+        if self._scatter is None:
+            steps = resolution(np.array(self._values)) / np.sqrt(12.0)
+            white = white_noise_level(np.array(self._residuals))
+            self._scatter = float(max(white, steps, _LEAST[self.quantity]))
+        return self._scatter
 
     def read(
         self, allowed: float, sides: int, fewest: int, window: float, threshold: float = np.inf
@@ -163,28 +170,39 @@ class SignalBins:
         they are too few to tell."""
         white = scatter / float(np.sqrt(np.median(count)))
         period = max(round(float(np.median(np.diff(time))), 2), 0.01)
-        if stop < 2 or time[stop - 1] - time[0] < _SLOW:
-            return Noise(white, allowed, _SLOW, period, allowed)
+        if stop < 2:
+            return Noise(white, allowed, _FAST, period, allowed)
         found = estimate_noise([level[:stop]], white, period, allowed)
         # As fast as it was seen to go, and as far as it may: nobody has seen that within a minute.
         share = allowed / max(found.drift, 1e-3 * allowed)
+        seen = max(share**2 * found.time, period)
+        # So few bins may have shown a slower one by chance.
+        surely = seen * float(chi2.ppf(_CHANCE, stop)) / stop
         return Noise(
-            min(found.white, _MOST_WHITE * white), allowed, max(share**2 * found.time, period),
+            min(found.white, _MOST_WHITE * white), allowed, min(seen, max(surely, _FAST)),
             period, allowed,
         )  # fmt: skip
 
 
 def judge(noise: Noise, level: Array) -> tuple[float, float]:
     """Energy of the whitened level (n,), and how surprising it is as noise."""
-    # Exact from the first bin on, unlike the recursion that whitens long records.
-    lags = np.arange(len(level)) * (noise.period / noise.time)
-    covariance = toeplitz(noise.drift**2 * np.exp(-lags))
-    covariance[np.diag_indices_from(covariance)] += noise.white**2
-    both = np.column_stack([level, np.ones(len(level))])
-    white, ones = solve_triangular(cholesky(covariance, lower=True), both, lower=True).T
+    white, ones = _whitened(noise, level)
     energy = float(np.mean(white**2))
     # Wilson and Hilferty's cube root: the tail of chi squared is not that of a Gaussian.
     spread = 2.0 / (9.0 * len(level))
     from_energy = (float(np.cbrt(energy)) - 1.0 + spread) / float(np.sqrt(spread))
+    # That a drift goes to and fro about zero, half a minute does not show.
+    if noise.time < _SLOW:
+        white, ones = _whitened(replace(noise, time=_SLOW), level)
     from_level = abs(float(ones @ white)) / float(np.sqrt(ones @ ones))
     return energy, max(from_energy, from_level)
+
+
+def _whitened(noise: Noise, level: Array) -> Array:
+    """The level (n,) and ones, each with the noise as unit variance; exact from the first bin on,
+    unlike the recursion that whitens long records."""
+    lags = np.arange(len(level)) * (noise.period / noise.time)
+    covariance = toeplitz(noise.drift**2 * np.exp(-lags))
+    covariance[np.diag_indices_from(covariance)] += noise.white**2
+    both = np.column_stack([level, np.ones(len(level))])
+    return np.asarray(solve_triangular(cholesky(covariance, lower=True), both, lower=True).T)

@@ -90,6 +90,17 @@ def test_a_node_is_measured(tmp_path, ros_domain):
 
 
 @pytest.mark.slow
+def test_a_node_of_a_fresh_install_speaks_and_publishes_in_seconds_of_the_processor(
+    tmp_path, ros_domain
+):
+    pytest.importorskip("rclpy")
+    document, _ = run(tmp_path, "first-start")
+    found = measures(document, "first-start")["simulator"]
+    assert 0.0 < found["fresh install: first word"] <= 1.0
+    assert found["fresh install: first front_1/power"] <= 10.0
+
+
+@pytest.mark.slow
 def test_the_twin_is_measured(tmp_path, ros_domain):
     pytest.importorskip("rclpy")
     document, _ = run(tmp_path, "twin")
