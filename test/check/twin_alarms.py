@@ -163,7 +163,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                   + f"  {bound:14.2f}", flush=True)
     print(f"\nof {STARTS} starts of a signal, those with an alarm in the first minute")
     for time in TIMES:
-        print(f"{1.0:15g}  {time:8g}  {alarms_at_starts(random, STARTS, ALLOWED, time):9d}", flush=True)
+        found_at = alarms_at_starts(random, STARTS, ALLOWED, time)
+        print(f"{1.0:15g}  {time:8g}  {found_at:9d}", flush=True)
     print(f"\nseconds until a step is named, median of {TRIALS} (share that is within a minute)")
     print("drift [allowed]  " + "  ".join(f"{step:9g} K" for step in STEPS))
     for share in (0.0, 0.1, 0.5, 1.0):
