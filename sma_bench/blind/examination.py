@@ -17,12 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.blind.answers import checked_answer
-from sma_bench.blind.case_files import SECOND, CaseSet, Kept, is_kept, keep, read_kept
+from sma_bench.blind.case_files import (
+    SECOND,
+    CaseSet,
+    Kept,
+    checked_answer,
+    is_kept,
+    keep,
+    read_kept,
+)
 from sma_bench.blind.cases import QUANTITIES
-from sma_bench.blind.drives import COMMAND_PERIOD
 from sma_bench.blind.reality import World, happen
-from sma_bench.blind.rigs import CHANNELS, rig_of
+from sma_bench.blind.rigs import CHANNELS, COMMAND_PERIOD, rig_of
 from sma_bench.blind.sensors import Sensors, measure
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
@@ -233,7 +239,7 @@ def examine(
     Args:
         cases: names below `folder`.
         answers: folder of the examinee.
-        report: told after each case.
+        report: called after each case.
 
     Raises:
         InputError: a case cannot be read or an answer not be written.
@@ -273,8 +279,7 @@ def ask_all(
 # --- The experiment that an ambiguous answer asks for, performed, and the diagnosis asked again.
 #
 # The lab runs the suggested protocol on the case's own bench, records it with the same
-# instruments,
-# and hands the second record over together with the first.
+# instruments, and hands the second record over together with the first.
 
 LONGEST = 900.0
 _START_NS = 1_750_000_000 * 10**9
@@ -306,7 +311,7 @@ def follow_up(
         kept: the first answers.
         examinee: who gave them.
         answers: folder of the examinee; second answers that are there stay.
-        report: told after each case.
+        report: called after each case.
     """
     asking = {k.case: k for k in kept if asks_for_more(k)}
     waiting = open_cases(list(asking), answers / SECOND)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sma_bench.blind.answers import (
+from sma_bench.blind.case_files import (
     NO_GAP,
     RECALIBRATION,
     STAGE_OF,
@@ -18,10 +18,15 @@ from sma_bench.blind.answers import (
     Candidate,
     Claim,
 )
-from sma_bench.blind.drives import Drive, Pulse
-from sma_bench.blind.rigs import CHANNELS
-from sma_bench.blind.simulated import simulated_reading
-from sma_bench.blind.stage import PER_WIRE, Stage
+from sma_bench.blind.rigs import (
+    CHANNELS,
+    PER_WIRE,
+    Drive,
+    Pulse,
+    Stage,
+    quantity_of,
+    simulated_reading,
+)
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics.simulate import simulate
 
@@ -221,7 +226,7 @@ class Judged:
         """
         if self.answer is None or self.answer.where is None:
             return False
-        return quantity(getattr(self.answer.where, key)) == quantity(self.label.where[key])
+        return quantity_of(getattr(self.answer.where, key)) == quantity_of(self.label.where[key])
 
     @property
     def resolved(self) -> bool:
@@ -264,17 +269,11 @@ def credible_set(answer: Answer, mass: float = SET_MASS) -> tuple[Candidate, ...
     return tuple(chosen)
 
 
-def quantity(signal: str) -> str:
-    """`temperature` of `front_1.temperature`."""
-    return signal.rpartition(".")[2]
-
-
 # --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
 #
 # The reality plays the drive; the model is simulated with the lab's parameters and with those of
-# the
-# answer; the root mean square of the differences before and after is the truth that a claim is
-# measured against.
+# the answer; the root mean square of the differences before and after is the truth that a claim
+# is measured against.
 
 UNSEEN = "unseen"
 _DURATION = 110.0
@@ -327,9 +326,7 @@ class UnseenRecord:
         """The true shrinkage by signal (`front_1.temperature`) and quantity (`temperature`)."""
         before, after = self.gaps(nominal), self.gaps(improved)
         return {
-            name: Shrunk(
-                before[name], after[name], self.stage.sensors.std(name.rpartition(".")[2])
-            )
+            name: Shrunk(before[name], after[name], self.stage.sensors.std(quantity_of(name)))
             for name in before
         }
 

@@ -1,4 +1,4 @@
-"""The truth about a case, as it is sealed."""
+"""Make a set of cases: bags, what the owners believe, and labels under seal."""
 
 import hashlib
 import json
@@ -14,11 +14,29 @@ from typing import Any
 import numpy as np
 
 from sma_bench import __version__
-from sma_bench.blind.answers import STAGE_OF
-from sma_bench.blind.case_files import CASES, LABELS, MANIFEST, seal
-from sma_bench.blind.cases import NONE, QUANTITIES, RECALIBRATION, Case, draw_cases, split_of
+from sma_bench.blind.case_files import CASES, LABELS, MANIFEST, STAGE_OF, seal
+from sma_bench.blind.cases import (
+    NONE,
+    OUTSIDE,
+    QUANTITIES,
+    RECALIBRATION,
+    Case,
+    draw_cases,
+    split_of,
+)
 from sma_bench.blind.reality import World
-from sma_bench.blind.rigs import CHANNELS, stage_of_parameter, true_values
+from sma_bench.blind.rigs import (
+    CHANNELS,
+    RECORDS,
+    Array,
+    Stage,
+    gaps,
+    largest,
+    quantity_of,
+    stage_of_parameter,
+    true_values,
+    where,
+)
 from sma_bench.blind.sensors import measure
 from sma_bench.blind.severity import (
     Separation,
@@ -29,8 +47,6 @@ from sma_bench.blind.severity import (
     separation,
     size,
 )
-from sma_bench.blind.stage import RECORDS, Array, Stage, gaps, largest, quantity_of, where
-from sma_bench.blind.symptoms import OUTSIDE
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.records.write import write_record
@@ -83,7 +99,7 @@ def make_label(
         "effects": list(case.card.effects),
         "stages": _stages(case),
         "signals": case.card.signals,
-        "noise": case.card.colour,
+        "noise": case.card.noise,
         "kinetics": case.card.mild_kinetics,
         "severity": severity if hides else 0.0,
         "severities": _severities(case, stage, sized, severity),
@@ -153,7 +169,7 @@ def _rounded_row(row: Mapping[str, Any]) -> dict[str, Any]:
     return {**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
 
 
-# --- Make a set of cases: bags, what the owners believe, and labels under seal.
+# --- A set in a new folder.
 
 NOMINAL = "nominal.yaml"
 LARGEST_SET = 9999
@@ -174,7 +190,7 @@ def make(
         seed: the same seed and n give the same bytes, whatever the number of jobs.
         n: number of cases.
         jobs: processes that share the work.
-        progress: told the number of finished cases.
+        progress: called with the number of finished cases.
 
     Returns:
         The manifest.

@@ -129,10 +129,9 @@ def _percentiles(resampled: Array) -> tuple[float, float]:
 
 # --- Every measure of the withheld-effect check: a number with its interval from judged cases.
 #
-# A case without an answer (a crash, no time, against the contract) counts against the answerer: it
-# detects nothing, alarms and is not right; it claims no shrinkage. DETECTABLE cases have a
-# measured
-# gap above twice the noise.
+# A case without an answer (a crash, no time, against the contract) counts against the answerer:
+# it detects nothing, alarms and is not right; it claims no shrinkage. DETECTABLE cases have a
+# measured gap above twice the noise.
 
 Cases = Sequence[Judged]
 Bound = float | tuple[float, float] | None

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.blind.answers import NO_EFFECT, PAIR_SIGN, STAGE_OF
 from sma_bench.blind.case_files import (
     EXAMINATION,
+    NO_EFFECT,
+    PAIR_SIGN,
     SECOND,
+    STAGE_OF,
     CaseSet,
     Examination,
     Kept,
@@ -124,7 +126,7 @@ def score(
     Args:
         cases: the set; labels: by case.
         papers: complete ones.
-        report: told the number of cases done.
+        report: called with the number of cases done.
     """
     judged: list[list[Judged]] = [[] for _ in papers]
     for done, name in enumerate(cases.names, 1):
@@ -340,6 +342,29 @@ def measure_row(measure: Measure, measured: Measured) -> tuple[str, ...]:
         interval(measure, measured), bound(measure, measure.floor), bound(measure, measure.aim),
         measure.met(measured),
     )  # fmt: skip
+
+
+# (title, header, rows)
+ResultTable = tuple[str, Sequence[str], list[tuple[str, ...]]]
+
+
+def tables(score: Score) -> list[ResultTable]:
+    """Measures (without a title), those besides, and groups of cases, of one examinee."""
+    rows = [measure_row(m, score.measured[m.name]) for m in (*TARGETS, *OTHERS)]
+    found: list[ResultTable] = [
+        ("", MEASURE_HEADER, rows[: len(TARGETS)]),
+        ("besides", MEASURE_HEADER[:4], [row[:4] for row in rows[len(TARGETS) :]]),
+    ]
+    for title, by_group in groups(score.cases).items():
+        names = list(next(iter(by_group.values()), {}))
+        lines = [
+            (group, str(row[names[0]].n),
+             *(f"{row[n].value:.2f} ({row[n].low:.2f} to {row[n].high:.2f})" for n in names))
+            for group, row in by_group.items()
+        ]  # fmt: skip
+        if lines:
+            found.append((title, ("", "cases", *names), lines))
+    return found
 
 
 def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:

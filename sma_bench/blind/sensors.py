@@ -15,9 +15,10 @@ from sma_bench.records import Signal
 
 Array = npt.NDArray[np.float64]
 
-# Colour -> (share of the variance that is correlated, its correlation time in s): lowest, highest.
+# Noise model -> lowest and highest (share of the variance that is correlated), and the same of its
+# correlation time in s.
 # "coloured" is a filtered or mains-ridden amplifier, "drift" one that warms up and wanders.
-COLOURS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
+NOISE_MODELS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "white": ((0.0, 0.0), (1.0, 1.0)),
     "coloured": ((0.4, 0.95), (0.1, 1.5)),
     "drift": ((0.08, 0.3), (8.0, 40.0)),
@@ -39,9 +40,9 @@ class Noise:
     correlation_time: float = 1.0
 
     @classmethod
-    def of_colour(cls, colour: str, std: float, rng: np.random.Generator) -> "Noise":
-        """Noise of a colour of COLOURS, its share and time drawn from the ranges given there."""
-        (least, most), (fastest, slowest) = COLOURS[colour]
+    def of_model(cls, noise_model: str, std: float, rng: np.random.Generator) -> "Noise":
+        """Noise of one of NOISE_MODELS, its share and time drawn from the ranges given there."""
+        (least, most), (fastest, slowest) = NOISE_MODELS[noise_model]
         time = float(np.exp(rng.uniform(np.log(fastest), np.log(slowest))))
         return cls(std, float(rng.uniform(least, most)), time)
 
@@ -83,8 +84,8 @@ class Noise:
 
 # --- The bench's instruments: an Arduino's 10-bit converters, an infrared camera, a range sensor.
 #
-# What happens (an Outcome of the reality) becomes readings, by the physics of the instruments, and
-# readings become signals, by sampling, noise and resolution.
+# What happens (an Outcome of the reality) becomes readings, by the physics of the instruments,
+# and readings become signals, by sampling, noise and resolution.
 
 QUANTITIES = ("voltage", "current", "temperature", "deflection")
 UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}

@@ -7,13 +7,33 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sma_bench.blind.answers import RECALIBRATION
-from sma_bench.blind.cases import NUISANCE_LIMIT, QUANTITIES, Case
-from sma_bench.blind.drives import COMMAND_PERIOD
+from sma_bench.blind.case_files import RECALIBRATION
+from sma_bench.blind.cases import (
+    EFFECTS,
+    NUISANCE_LIMIT,
+    OUTSIDE,
+    QUANTITIES,
+    Case,
+    Draw,
+    Move,
+    Symptom,
+    amount_for,
+    draw,
+)
 from sma_bench.blind.reality import BY_NAME
-from sma_bench.blind.rigs import BACK, FRONT, RECALIBRATED, stated_std
-from sma_bench.blind.stage import COARSE, RECORDS, Stage, gaps, largest, quantity_of
-from sma_bench.blind.symptoms import EFFECTS, OUTSIDE, Draw, Move, Symptom, amount_for, draw
+from sma_bench.blind.rigs import (
+    BACK,
+    COARSE,
+    COMMAND_PERIOD,
+    FRONT,
+    RECALIBRATED,
+    RECORDS,
+    Stage,
+    gaps,
+    largest,
+    quantity_of,
+    stated_std,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -146,7 +166,7 @@ def rounded(gap: Mapping[str, float]) -> dict[str, Any]:
 # parameters being refitted under their stated uncertainty each time. What no refit takes away, in
 # standard deviations, is the distance to that rival.
 
-# Squared distance above which two explanations are told apart: five standard deviations.
+# Squared distance above which two explanations are distinguishable: five standard deviations.
 DISTINCT = 25.0
 _WINDOW = 10  # samples of 20 ms to a mean: 5 Hz
 _STEP = 0.5  # stated standard deviations

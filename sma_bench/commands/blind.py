@@ -1,17 +1,34 @@
-"""sma-bench blind: the withheld-effect check; what examines and scores has files of its own."""
+"""sma-bench blind: the withheld-effect check."""
 
 import argparse
 import os
+import shlex
+import sys
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from sma_bench.commands import blind_run, blind_score
-from sma_bench.commands.blind_run import rivals
+from rich.console import Console
+from rich.markup import escape
+
 from sma_bench.commands.parser import command_parser, one_of
-from sma_bench.commands.terminal import add_json_option, progress, results_apart, write_json
+from sma_bench.commands.terminal import (
+    add_json_option,
+    output_console,
+    print_table,
+    progress,
+    results_apart,
+    write_json,
+)
+from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.progress import counted, in_turn
+
+if TYPE_CHECKING:
+    from sma_bench.blind.case_files import CaseSet
+    from sma_bench.blind.examination import Examinee
+    from sma_bench.blind.score import Labels, Paper, Score
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +91,250 @@ def make_cases(args: argparse.Namespace) -> int:
     return 0
 
 
+# --- run: put every case to the diagnosis, or to a naive rival.
+
+DIAGNOSIS = "diagnosis"
+_SMA_BENCH = (sys.executable, "-m", "sma_bench.cli")
+
+
+def examine_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("set", metavar="DIR", help="folder that blind make has written")
+    who = parser.add_mutually_exclusive_group()
+    who.add_argument(
+        "--rival", type=one_of(rivals), metavar="NAME",
+        help="a naive method instead of the diagnosis: rmse, score or bic",
+    )
+    who.add_argument(
+        "--program", metavar="COMMAND",
+        help="any other command line that takes the arguments of sma-bench diagnose",
+    )
+    parser.add_argument(
+        "--answers", metavar="DIR", help="folder for the answers (default: DIR/answers/<who>)"
+    )
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time")
+    parser.add_argument("--limit", type=int, metavar="N", help="stop after N more cases")
+    parser.add_argument(
+        "--time-limit", type=float, default=120.0, metavar="S",
+        help="a case fails that takes longer (default 120)",
+    )
+    parser.add_argument(
+        "--again", action="store_true", help="ask failed cases again; answers are always kept"
+    )
+    add_json_option(parser, "how far the set is")
+
+
+def examine_cases(args: argparse.Namespace) -> int:
+    """Ask what has no answer yet; 0 whatever the answers are."""
+    from sma_bench.blind.case_files import Examination, read_case_set, write_examination
+    from sma_bench.blind.examination import Examinee, open_cases
+
+    for option, value in (("jobs", args.jobs), ("limit", args.limit)):
+        if value is not None and value < 1:
+            raise InputError(f"--{option} is {value}, expected 1 or more")
+    if not args.time_limit > 0.0:
+        raise InputError(f"--time-limit is {args.time_limit:g} s, expected more than 0")
+    cases = read_case_set(args.set)
+    name, program = _who(args)
+    answers = Path(args.answers) if args.answers else cases.answers / name
+    write_examination(answers, Examination(name, program, args.time_limit, cases.sealed_sha256))
+    waiting = open_cases(cases.names, answers, args.again)[: args.limit]
+    failed = _ask(cases, Examinee(program, args.time_limit), waiting, answers, args.jobs)
+    left = len(open_cases(cases.names, answers))
+    if args.json:
+        write_json(args.json, {
+            "answers": str(answers), "cases": len(cases.names), "asked": len(waiting),
+            "failed": failed, "open": left,
+        })  # fmt: skip
+    print(
+        f"{answers}: {len(waiting)} of {len(cases.names)} cases asked, {failed} failed, "
+        f"{left} still open"
+    )
+    return 0
+
+
+def rivals() -> tuple[str, ...]:
+    """Names of the naive methods."""
+    from sma_bench.blind.rivals import RIVALS
+
+    return tuple(RIVALS)
+
+
+def _who(args: argparse.Namespace) -> tuple[str, tuple[str, ...]]:
+    """Name and command line of the examinee."""
+    if args.rival:
+        return args.rival, (*_SMA_BENCH, "blind", "rival", args.rival)
+    if args.program:
+        words = tuple(shlex.split(args.program))
+        if not words:
+            raise InputError("--program is empty, expected a command line")
+        return Path(words[0]).name, words
+    return DIAGNOSIS, (*_SMA_BENCH, "diagnose")
+
+
+def _ask(
+    cases: "CaseSet", examinee: "Examinee", waiting: list[str], answers: Path, jobs: int
+) -> int:
+    """Examine under a progress bar; the number of failed cases."""
+    from sma_bench.blind.examination import examine
+
+    failures = []
+    with progress(f"blind run, {answers.name}") as report:
+        count = counted(report, len(waiting), "case")
+
+        def after(done: int, line: str) -> None:
+            if line:
+                failures.append(line)
+                print_failure(line)
+            count(done)
+
+        examine(examinee, waiting, cases.folder, answers, jobs, after)
+    return len(failures)
+
+
+def print_failure(line: str) -> None:
+    """One line on standard error; above a bar where there is one."""
+    console = Console(highlight=False, stderr=True)
+    console.print(f"[yellow]failed[/] {escape(line)}", soft_wrap=True)
+
+
+# --- score: open the labels and print how good the answers were.
+
+def score_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("set", metavar="DIR", help="folder that blind make has written")
+    parser.add_argument(
+        "--answers", metavar="DIR", action="append", default=[],
+        help="folder of answers (repeatable; default: all that lie in DIR/answers)",
+    )
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="follow-ups at a time")
+    parser.add_argument(
+        "--no-follow-up", action="store_true",
+        help="do not perform the experiments that ambiguous answers ask for",
+    )
+    add_json_option(parser, "the result")
+    parser.add_argument("--page", metavar="DIR", help="write an HTML page with figures")
+    parser.add_argument(
+        "--markdown", metavar="FILE", help="write the result page that a repository keeps"
+    )
+
+
+def score_cases(args: argparse.Namespace) -> int:
+    """Judge all complete answers; the labels stay sealed while one is missing."""
+    from sma_bench.blind.case_files import read_case_set
+    from sma_bench.blind.score import handed_in, open_labels
+    from sma_bench.blind.score import score as judge
+
+    cases = read_case_set(args.set)
+    papers = handed_in(cases, [Path(folder) for folder in args.answers])
+    labels = open_labels(cases)
+    if not args.no_follow_up:
+        for paper in papers:
+            _follow_up(cases, labels, paper, args.jobs)
+    with progress("blind score") as report:
+        scores = judge(cases, papers, labels, counted(report, len(cases.names), "case"))
+    if args.json:
+        write_json(args.json, {
+            "set": {"seed": cases.seed, "split": cases.split, "n": len(cases.names),
+                    "sha256": cases.sealed_sha256},
+            "scores": {score.name: score.to_json() for score in scores},
+        })  # fmt: skip
+    _print_scores(cases, scores)
+    _write_pages(args, cases, papers, scores)
+    return 0
+
+
+def _write_pages(
+    args: argparse.Namespace, cases: "CaseSet", papers: "Sequence[Paper]",
+    scores: "Sequence[Score]",
+) -> None:
+    if not args.page and not args.markdown:
+        return
+    from sma_bench.blind.pages import write_markdown, write_page
+
+    if args.page:
+        print(f"page {write_page(args.page, cases, papers, scores)}")
+    if args.markdown:
+        print(f"result {write_markdown(args.markdown, cases, papers, scores)}")
+
+
+def _follow_up(cases: "CaseSet", labels: "Labels", paper: "Paper", jobs: int) -> None:
+    from sma_bench.blind.examination import Examinee, asks_for_more, follow_up
+
+    asking = sum(asks_for_more(kept) for kept in paper.kept)
+    if not asking:
+        return
+    examinee = Examinee(paper.examination.program, paper.examination.time_limit)
+    with progress(f"following up {paper.name}") as report:
+        count = counted(report, asking, "experiment")
+
+        def after(done: int, line: str) -> None:
+            if line:
+                print_failure(line)
+            count(done)
+
+        follow_up(cases, labels, paper.kept, examinee, paper.folder, jobs, after)
+
+
+_MET_STYLE = {"aim": "green", "floor": "yellow", "missed": "red", "": ""}
+
+
+def _print_scores(cases: "CaseSet", scores: "Sequence[Score]") -> None:
+    """All tables, as wide as they are where no terminal sets a width."""
+    from sma_bench.blind.measures import TARGETS
+    from sma_bench.blind.score import side_by_side, summary
+
+    console = output_console()
+    console.print(f"{len(cases.names)} cases, seed {cases.seed} ({cases.split})")
+    for one in scores:
+        _print_score(console, one)
+    if len(scores) > 1:
+        header = ("measure", *(one.name for one in scores))
+        rows = side_by_side(scores, TARGETS)
+        _print_table(console, "side by side: value (95 % interval)", header, rows)
+    for one in scores:
+        console.print(escape(summary(one)), soft_wrap=True)
+
+
+def _print_score(console: Console, one: "Score") -> None:
+    from sma_bench.blind.score import reliability, tables
+
+    for title, header, rows in tables(one):
+        styles = () if title else [_MET_STYLE[row[-1]] for row in rows]
+        _print_table(console, f"{one.name}: {title or 'measures'}", header, rows, styles)
+    bins = [
+        (f"{b.low:.1f} to {b.high:.1f}", str(b.n), f"{b.stated:.2f}",
+         f"{b.right:.2f} ({b.right_low:.2f} to {b.right_high:.2f})")
+        for b in reliability(one.cases)
+    ]  # fmt: skip
+    header = ("probability of the first choice", "cases", "stated", "right")
+    _print_table(console, f"{one.name}: reliability", header, bins)
+    _print_confusion(console, one)
+
+
+def _print_confusion(console: Console, one: "Score") -> None:
+    """Truth down, first choice across, by number; columns that nobody chose are left out."""
+    from sma_bench.blind.score import COLUMNS, confusion
+
+    matrix = confusion(one.cases)
+    used = [c for c in COLUMNS if any(row[c] for row in matrix.values())]
+    header = ("truth", *(str(k) for k in range(1, len(used) + 1)))
+    rows = [(name, *(str(row[c] or "·") for c in used)) for name, row in matrix.items()]
+    _print_table(console, f"{one.name}: truth against first choice", header, rows)
+    console.print("  " + ", ".join(f"{k} {name}" for k, name in enumerate(used, 1)))
+
+
+def _print_table(
+    console: Console,
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    styles: Sequence[str] = (),
+) -> None:
+    console.print()
+    print_table(console, header, rows, range(1, len(header)), title=title, styles=styles)
+
+
 # --- figures: for every effect the record with it and without it.
 
 def draw_figures_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,15 +348,15 @@ def draw_figures_arguments(parser: argparse.ArgumentParser) -> None:
 
 def draw_figures(args: argparse.Namespace) -> int:
     """Draw all effects; all of them appear, or nothing."""
-    from sma_bench.blind.figures import NAMES, write_page, write_symptom
     from sma_bench.blind.make import new_folder
+    from sma_bench.blind.pages import NAMES, write_symptom, write_symptoms_index
 
     with new_folder(args.out) as folder, progress("blind figures") as report:
         seen = [
             write_symptom(folder, name, args.seed)
             for name in in_turn(NAMES, report, lambda name: name)
         ]
-        write_page(folder, seen, args.seed)
+        write_symptoms_index(folder, seen, args.seed)
     if args.json:
         write_json(args.json, {"folder": args.out, "seed": args.seed, "effects": list(NAMES)})
     print(f"{args.out}: {len(seen)} figures and README.md")
@@ -146,11 +407,9 @@ COMMANDS = {
     ),
     "run": Command(
         "put every case to the diagnosis, or to a naive rival",
-        blind_run.add_arguments, blind_run.run,
+        examine_arguments, examine_cases,
     ),
-    "score": Command(
-        "open the labels and print every measure", blind_score.add_arguments, blind_score.run
-    ),
+    "score": Command("open the labels and print every measure", score_arguments, score_cases),
     "figures": Command(
         "for every effect: the record with it and without it", draw_figures_arguments, draw_figures
     ),

@@ -8,7 +8,7 @@ import importlib
 from collections.abc import Callable, Iterable
 
 from sma_bench.commands import blind
-from sma_bench.commands.blind_run import rivals
+from sma_bench.commands.blind import rivals
 from sma_bench.commands.diagnose import quantities
 from sma_bench.commands.identify import experiments
 from sma_bench.commands.parser import CommandParser, command_parser

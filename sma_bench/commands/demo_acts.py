@@ -194,9 +194,9 @@ def _report(
     """Figures 2 to 6 from the bags, fitted anew at the desk by the same code as the service."""
     from sma_bench.identify import identify
     from sma_bench.records import read_record
+    from sma_bench.report.experiment_figures import validation_picture
     from sma_bench.report.identification_report import experiment_section
     from sma_bench.report.page import Section, Table, write_report
-    from sma_bench.report.thermal_figures import validation_picture
 
     records = [read_record(out / "bags" / name) for name in fitted]
     result = identify(records, Parameters.defaults())

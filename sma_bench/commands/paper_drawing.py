@@ -20,6 +20,7 @@ from sma_bench.records.record import Record, has_samples
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.report.composite_figures import CompositeRun, composite_run
 from sma_bench.report.errata import paper_errata
+from sma_bench.report.experiment_figures import validation_picture
 from sma_bench.report.page import Picture
 from sma_bench.report.paper_page import (
     KINDS,
@@ -33,7 +34,6 @@ from sma_bench.report.paper_page import (
     identify_lab,
     table_rows,
 )
-from sma_bench.report.thermal_figures import validation_picture
 from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.paper_specimens import composite_rig, wire_rig
 

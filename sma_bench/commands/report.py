@@ -29,9 +29,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read everything, then write everything; 0 whatever the inputs say."""
-    from sma_bench.commands.report_inputs import counted, document, shown_input, summary_section
+    from sma_bench.report.collected_report import (
+        counted,
+        digest,
+        document,
+        parameter_section,
+        provenance_section,
+        shown_input,
+        summary_section,
+    )
     from sma_bench.report.page import write_report
-    from sma_bench.report.provenance import digest, parameter_section, provenance_section
 
     parameters = parameters_from_options(args)
     with progress("report") as report:

@@ -1,21 +1,26 @@
-"""Figures of a diagnosis: courses before and after, candidates, evidence, shrinkage."""
+"""Figures of a diagnosis: signals, where the gap lies, candidates, evidence, what is missing."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize, SymLogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate
-from sma_bench.diagnose.sizes import sample_noise
+from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, Cell, locate, sample_noise
 from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.simulate import Simulation
 from sma_bench.protocols import parse_protocol
 from sma_bench.report.diagnosis_words import at_noise
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, new_figure
+from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.page import Picture
 from sma_bench.results import scale_of
 
@@ -34,12 +39,12 @@ _AS_BAD = 20.0  # nats below recalibration, where bars are cut
 _PROTOCOL_STEP = 0.05  # s
 
 
-def course_pictures(result: Diagnosis) -> list[Picture]:
+def signal_pictures(result: Diagnosis) -> list[Picture]:
     """Measured against simulated, before and after: a picture a quantity of the held-out data."""
     pictures = []
     for quantity in result.shrinkage:
         obs = next(v for v in result.held_out if quantity in v.quantities)
-        pictures.append(_courses(result, obs, quantity))
+        pictures.append(_signals_over_time(result, obs, quantity))
     return pictures
 
 
@@ -155,7 +160,7 @@ def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Pictur
     return Picture("diagnosis_next_experiment", "The next experiment", caption, figure)
 
 
-def _courses(result: Diagnosis, obs: Observation, quantity: str) -> Picture:
+def _signals_over_time(result: Diagnosis, obs: Observation, quantity: str) -> Picture:
     unit, factor = scale_of(quantity)
     shown = _worst_of_sides(result, obs, quantity)
     figure = Figure(figsize=(7.2, 0.8 + 2.9 * len(shown)), layout="constrained")
@@ -163,13 +168,13 @@ def _courses(result: Diagnosis, obs: Observation, quantity: str) -> Picture:
         2 * len(shown), 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1.0) * len(shown)}
     )
     for k, (signal, old, new) in enumerate(shown):
-        course, error = axes[2 * k : 2 * k + 2]
-        course.plot(signal.time, factor * signal.value, color=MEASURED, lw=2.6, alpha=0.45,
+        signals, error = axes[2 * k : 2 * k + 2]
+        signals.plot(signal.time, factor * signal.value, color=MEASURED, lw=2.6, alpha=0.45,
                     label="measured")
-        course.plot(signal.time, factor * old, color=FAINT, lw=1.0, ls="--", label="as believed")
-        course.plot(signal.time, factor * new, color=MODEL, lw=1.0, label="improved")
-        course.set_ylabel(f"[{unit}]")
-        course.set_title(signal.name, loc="left", fontsize=9)
+        signals.plot(signal.time, factor * old, color=FAINT, lw=1.0, ls="--", label="as believed")
+        signals.plot(signal.time, factor * new, color=MODEL, lw=1.0, label="improved")
+        signals.set_ylabel(f"[{unit}]")
+        signals.set_title(signal.name, loc="left", fontsize=9)
         _error(error, result, (signal, factor * old, factor * new))
         error.set_ylabel(f"error [{unit}]")
     axes[0].legend(
@@ -232,3 +237,254 @@ def _stage_legend(ax: Axes, candidates: Sequence[Candidate]) -> None:
         ax.barh([0.0], [0.0], color=colour, label=label)
     if shown:
         ax.legend(fontsize=8, loc="lower right", title="stage", title_fontsize=8)
+
+
+# --- Heat maps of a diagnosis: the gap by signal, side and phase, and what each stage explains.
+
+PHASES = (INITIAL, DRIVE, REST)
+STAGES = ("electrical", "thermal", "transformation", "mechanical", "sensor")
+_LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
+_NATS = 3.0  # within which the colours of evidence are linear
+
+
+def gap_picture(result: Diagnosis) -> Picture:
+    """Root mean square over noise of each cell: before, what explains it, and what is left."""
+    problem = result.model.problem
+    maps = (
+        ("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
+        _explanation(result),
+        ("left by the\nbest model", locate(problem, result.model.left)),
+    )
+    rows = _rows(result)
+    figure = Figure(figsize=(7.8, 1.6 + 0.34 * len(rows)), layout="constrained")
+    axes = figure.subplots(1, len(maps), sharey=True)
+    for ax, (title, cells) in zip(axes, maps, strict=True):
+        numbers = {(_row(c), c.phase): c.gap for c in cells}
+        table = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
+        image = _draw(ax, table, LogNorm(_LOWEST, _HIGHEST), _HEAT)
+        ax.set_title(title, fontsize=8)
+        ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
+    axes[0].set_yticks(range(len(rows)), rows, fontsize=8)
+    figure.colorbar(image, ax=axes, label="rms over noise", fraction=0.04)
+    caption = (
+        "Each signal in each phase; the deflection is counted to the side driven last. 1 is the "
+        "noise of one sample, so that means of many samples may lie below it. Sensors' zeros, "
+        "clock delays and the moments of the jumps are taken off first and last; the middle is "
+        "between two simulations."
+    )
+    return Picture("diagnosis_where", "Where the gap lies", caption, figure)
+
+
+def stage_picture(result: Diagnosis) -> Picture:
+    """Evidence that the best effect of each stage earns, by quantity and phase."""
+    best = _best_of_stages(result)
+    quantities = tuple(dict.fromkeys(q for v in result.observations for q in v.quantities))
+    columns = [(q, p) for q in quantities for p in PHASES]
+    whole = _power(result, result.search.recalibrated)
+    table = np.array(
+        [
+            [0.5 * (whole.get(c, 0.0) - own.get(c, 0.0)) if c in whole else np.nan
+             for c in columns]
+            for own in (_power(result, fit) for _, fit in best.values())
+        ]
+    ).reshape(len(best), len(columns))
+    figure = Figure(figsize=(7.8, 1.4 + 0.4 * len(best)), layout="constrained")
+    axes = figure.subplots(1, len(quantities), sharey=True, squeeze=False)[0]
+    largest = max(float(np.nanmax(np.abs(table), initial=0.0)), 2.0 * _NATS)
+    norm = SymLogNorm(_NATS, vmin=-largest, vmax=largest)
+    for k, (ax, quantity) in enumerate(zip(axes, quantities, strict=True)):
+        image = _draw(ax, table[:, k * len(PHASES) : (k + 1) * len(PHASES)], norm, _EVIDENCE)
+        ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
+        ax.set_title(quantity, fontsize=9)
+    names = [f"{stage}: {name}" for stage, (name, _) in best.items()]
+    axes[0].set_yticks(range(len(best)), names, fontsize=8)
+    bar = figure.colorbar(image, ax=axes, label="nats over recalibration", fraction=0.04)
+    bar.set_ticks([-largest, -_NATS, 0.0, _NATS, largest])
+    bar.ax.set_yticklabels([_short(-largest), f"{-_NATS:g}", "0", f"{_NATS:g}", _short(largest)])
+    caption = (
+        "The effect with the most evidence at each stage of the chain, and where it earns it: "
+        "half the drop of the whitened squared error against recalibration, all with the noise "
+        "that the best model leaves. An effect of the wrong stage gains in one signal what it "
+        "loses in another, or little anywhere."
+    )
+    return Picture("diagnosis_stages", "What each stage explains", caption, figure)
+
+
+def _best_of_stages(result: Diagnosis) -> dict[str, tuple[str, Fit]]:
+    found = {}
+    for stage in STAGES:
+        name = next((n for n in result.search.ranked if EFFECTS[n].stage == stage), None)
+        if name is not None:
+            found[stage] = (name, result.search.singles[name])
+    return found
+
+
+def _power(result: Diagnosis, fitted: Fit) -> Mapping[tuple[str, str], float]:
+    """Whitened squared residual by quantity and phase."""
+    noise = result.model.problem.noise
+    found: dict[tuple[str, str], float] = {}
+    for block in fitted.problem.blocks:
+        white = noise[block.signal.name].whiten(fitted.left[block.rows]) ** 2
+        phases = block.observation.phase_of(block.signal.time)
+        for phase in PHASES:
+            key = (block.signal.quantity, phase)
+            here = phases == phase
+            if here.any():
+                found[key] = found.get(key, 0.0) + float(white[here].sum())
+    return found
+
+
+def _explanation(result: Diagnosis) -> tuple[str, list[Cell]]:
+    if result.decision.verdict == UNEXPLAINED:
+        cells = locate(result.model.problem, result.search.recalibrated.left)
+        return "what is missing: left\nby recalibration", cells
+    names = result.model.unknowns.effects
+    if not names:
+        return "what recalibration\nchanges", list(result.where)
+    verb = "does" if len(names) == 1 else "do"
+    return "what " + "\nand ".join(names) + f" {verb}", list(result.where)
+
+
+def _row(cell: Cell) -> str:
+    return f"{cell.signal}, {cell.side}" if cell.signal == "deflection" else cell.signal
+
+
+def _rows(result: Diagnosis) -> list[str]:
+    """Signals by quantity, in the order of the records; the deflection once a side."""
+    rows: dict[str, None] = {}
+    for quantity in dict.fromkeys(q for view in result.observations for q in view.quantities):
+        for view in result.observations:
+            for signal in view.signals:
+                if signal.quantity != quantity:
+                    continue
+                sides = view.sides if quantity == "deflection" else ("",)
+                rows |= dict.fromkeys(f"{signal.name}, {s}" if s else signal.name for s in sides)
+    return list(rows)
+
+
+class _Look(NamedTuple):
+    """Colour map, and from where to where on it black letters can be read."""
+
+    colours: str
+    readable: tuple[float, float]
+
+
+_HEAT = _Look("YlOrRd", (0.0, 0.65))
+_EVIDENCE = _Look("RdBu_r", (0.2, 0.8))
+
+
+def _draw(ax: Axes, table: Array, norm: Normalize, look: _Look) -> AxesImage:
+    shown = np.clip(table, norm.vmin, norm.vmax)
+    image = ax.imshow(shown, aspect="auto", cmap=look.colours, norm=norm)
+    for (row, column), value in np.ndenumerate(table):
+        if np.isfinite(value):
+            shade = float(norm(shown[row, column]))
+            dark = not look.readable[0] <= shade <= look.readable[1]
+            ax.text(column, row, _short(value), ha="center", va="center", fontsize=8,
+                    color="white" if dark else "black")
+    ax.spines[:].set_visible(False)
+    ax.tick_params(length=0)
+    return image
+
+
+def _short(value: float) -> str:
+    if abs(value) < 0.05:
+        return "0"
+    if abs(value) < 9.95:
+        return f"{value:.1f}"
+    return f"{value:.0f}" if abs(value) < 9999.5 else f"{value / 1e3:.0f}k"
+
+
+# --- The shape of what no effect explains: against time, simulated temperature and voltage.
+
+_MOST_SIGNALS = 3
+_WORTH_A_PICTURE = 0.05  # of all that is missing
+_COLOURS = dict(zip(PHASES, (FAINT, MODEL, MEASURED), strict=True))
+
+
+def missing_pictures(result: Diagnosis) -> list[Picture]:
+    """A picture for each signal that most of what is missing lies in."""
+    cells = locate(result.model.problem, result.search.recalibrated.left)
+    shares: dict[str, float] = {}
+    for cell in cells:
+        shares[cell.signal] = shares.get(cell.signal, 0.0) + cell.share
+    ranked = sorted(shares, key=lambda name: shares[name], reverse=True)
+    worth = [name for name in ranked if shares[name] > _WORTH_A_PICTURE]
+    return [_missing(result, name) for name in worth[:_MOST_SIGNALS]]
+
+
+def _missing(result: Diagnosis, name: str) -> Picture:
+    unit, factor = scale_of(name)
+    figure, (over_time, temperature, voltage) = new_figure(3, 8.0, shared=False)
+    model = result.search.recalibrated
+    shown = ""
+    response = free_form(result)
+    for block in model.problem.of_signal(name):
+        obs, time = block.observation, block.signal.time
+        left, smooth = model.left[block.rows], response[block.rows]
+        if not shown:
+            shown = obs.path
+            over_time.plot(time, factor * left, color=FAINT, lw=1.0, label="left by recalibration")
+            if smooth.any():
+                over_time.plot(time, factor * smooth, color=SECOND, lw=1.2,
+                            label="of it a smooth response of free form")
+        warm, volts = _causes(obs, block.signal, obs.simulate(model.parameters))
+        phases = obs.phase_of(time)
+        for phase, colour in _COLOURS.items():
+            here = phases == phase
+            for ax, x in ((temperature, warm), (voltage, volts)):
+                ax.plot(x[here], factor * left[here], ".", ms=2.5, color=colour)
+    for phase, colour in _COLOURS.items():
+        temperature.plot([], [], ".", ms=8, color=colour, label=phase)
+    legend_above(over_time)
+    legend_above(temperature)
+    over_time.set(xlabel="time [s]")
+    bends = name == "deflection"
+    temperature.set(
+        xlabel="simulated temperature, front less back [K]" if bends
+        else "simulated temperature of the wire [K]"
+    )
+    voltage.set(
+        xlabel="voltage, back counted negative [V]" if bends else "voltage of the wire [V]"
+    )
+    for ax in (over_time, temperature, voltage):
+        ax.set_ylabel(f"missing [{unit}]")
+    caption = (
+        f"What recalibration leaves of the {name}, sensors' zeros taken off: over time ({shown}), "
+        "over simulated temperature and over voltage (all records). A curve means a dependence, a "
+        "loop means memory, a spread over both means that its cause lies elsewhere."
+    )
+    title = f"What is missing in {name}"
+    return Picture(f"diagnosis_missing_{name.replace('.', '_')}", title, caption, figure)
+
+
+def _causes(obs: Observation, signal: BinnedSignal, simulation: Simulation) -> tuple[Array, Array]:
+    """Temperature and voltage (b,) that the term may depend on."""
+    at = np.clip(np.searchsorted(obs.grid, signal.time), 0, len(obs.grid) - 1)
+    temperature, voltage = simulation.temperature[at], obs.voltage[at]
+    if signal.quantity != "deflection":
+        return temperature[:, signal.wire], voltage[:, signal.wire]
+    front = np.array(obs.sides) == obs.sides[0]
+    return _difference(temperature, front), _difference(voltage, front)
+
+
+def _difference(values: Array, front: NDArray[np.bool_]) -> Array:
+    back = values[:, ~front].max(axis=1) if (~front).any() else np.zeros(len(values))
+    return np.asarray(values[:, front].max(axis=1) - back)
+
+
+# --- The response of free form, as far as the records separate it from wrong parameters.
+
+def free_form(result: Diagnosis) -> Array:
+    """The response of free form beyond recalibration, (n,) on the rows of the records.
+
+    The part that moved parameters, sensors' zeros and clocks would take up again is taken off:
+    with P the projection on their directions in whitened rows, (1 - P) of the response.
+    """
+    fitted = result.search.recalibrated
+    problem, response = fitted.problem, result.search.flexible.response
+    directions = np.hstack([fitted.derivatives, problem.nuisance_rows])
+    rows = problem.whiten(directions)
+    normal = rows.T @ rows + np.eye(rows.shape[1])
+    moved = np.linalg.solve(normal, rows.T @ problem.whiten(response))
+    return np.asarray(response - directions @ moved, dtype=np.float64)

@@ -10,13 +10,14 @@ from sma_bench.physics.effects import EFFECTS
 from sma_bench.progress import Report, silent
 from sma_bench.report.diagnosis_figures import (
     candidate_picture,
-    course_pictures,
     evidence_picture,
+    gap_picture,
+    missing_pictures,
     next_experiment_picture,
     shrinkage_picture,
+    signal_pictures,
+    stage_picture,
 )
-from sma_bench.report.diagnosis_maps import gap_picture, stage_picture
-from sma_bench.report.diagnosis_missing import missing_pictures
 from sma_bench.report.diagnosis_words import (
     estimates,
     headline,
@@ -36,7 +37,7 @@ _LEAST_SHOWN = 0.005
 def write_diagnosis_report(
     directory: str | Path, result: Diagnosis, report: Report = silent
 ) -> Path:
-    """Write the report's index.html and PNG figures; `report` is told which one comes.
+    """Write the report's index.html and PNG figures; `report` hears which one comes.
 
     Raises:
         InputError: the folder cannot be written.
@@ -58,7 +59,7 @@ def write_diagnosis_report(
 def _gap(result: Diagnosis) -> Section:
     return Section(
         "Is there a gap beyond the noise?", is_there_a_gap(result), tables=[_noise(result)],
-        pictures=course_pictures(result),
+        pictures=signal_pictures(result),
     )
 
 

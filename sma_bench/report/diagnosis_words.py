@@ -36,7 +36,7 @@ def headline(result: Diagnosis) -> str:
         return f"The gap is explained by {_and(result.decision.cause)}{sure}."
     if result.decision.verdict == "ambiguous":
         tied = ", ".join(f"{c.name} ({_percent(c.probability)})" for c in result.decision.credible)
-        return f"The records cannot tell these apart: {tied}."
+        return f"The records cannot separate these: {tied}."
     return {
         RECALIBRATION: f"The parameters are off; no effect is missing{sure}.",
         NO_GAP: f"There is no gap beyond the noise{sure}.",
@@ -71,7 +71,7 @@ def is_there_a_gap(result: Diagnosis) -> list[str]:
 def where_is_it(result: Diagnosis) -> list[str]:
     """The cell with the largest share, and the stage."""
     if result.decision.verdict == NO_GAP:
-        return ["There is no gap whose place could be told."]
+        return ["There is no gap, so it has no place."]
     if result.decision.verdict == UNEXPLAINED:
         missing = result.where[0]
         return [
@@ -96,8 +96,8 @@ def where_is_it(result: Diagnosis) -> list[str]:
             f"The chain breaks at this stage: {sure}. All signals are fitted together, so what an "
             "upstream signal explains is not counted again downstream."
         )
-    told = reading_of(result.chain)
-    return [*said, told] if told else said
+    reading = reading_of(result.chain)
+    return [*said, reading] if reading else said
 
 
 def which_effect(result: Diagnosis) -> list[str]:

@@ -9,7 +9,7 @@ from sma_bench.findings import Finding
 from sma_bench.identify import Identification
 from sma_bench.identify.estimate import Correlation, Experiment
 from sma_bench.progress import Report, silent
-from sma_bench.report.experiment_pictures import experiment_pictures
+from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.report.page import Picture, Section, Table, write_report
 
 _HEADER = (
@@ -26,7 +26,7 @@ _WORTH_A_MAP = 0.05
 def write_identification_report(
     directory: str | Path, result: Identification, report: Report = silent
 ) -> Path:
-    """Write the report's index.html and PNG figures; `report` is told which one comes.
+    """Write the report's index.html and PNG figures; `report` hears which one comes.
 
     Raises:
         InputError: the folder cannot be written.

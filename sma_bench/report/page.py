@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from sma_bench.border import csv_cell, printable, read_bytes, write_files
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
-from sma_bench.report.courses import courses_of, policy, script
+from sma_bench.report.drawing import curves_of, policy, script
 
 _SHORT, _LONG = 24, 48
 """letters of a table's cell"""
@@ -114,11 +114,11 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 {% endfor %}</tbody></table>
 {% endfor %}
 {% for picture in section.pictures %}
-<figure{% if picture.over_time %} class="courses"{% endif %}><div class="wide" tabindex="0"
+<figure{% if picture.over_time %} class="curves"{% endif %}><div class="wide" tabindex="0"
 ><img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}"></div>
 <figcaption><strong>{{ picture.title }}.</strong> {{ picture.caption }}</figcaption>
 {% if picture.over_time -%}
-<script type="application/json">{{ courses_of(picture.figure) | tojson }}</script>
+<script type="application/json">{{ curves_of(picture.figure) | tojson }}</script>
 {%- endif %}</figure>
 {% endfor %}
 {% endfor %}
@@ -206,7 +206,7 @@ def write_report(
         title, summary: head of the page.
         sections: in reading order.
         for_papers: write every figure as SVG too, and as CSV what is drawn and the named tables.
-        report: told before each figure is drawn.
+        report: called before each figure is drawn.
 
     Returns:
         Path of index.html.
@@ -227,7 +227,7 @@ def write_report(
     )
     page = environment.from_string(_TEMPLATE).render(
         title=title, summary=summary, sections=sections, width_of=_width,
-        courses_of=courses_of, policy=policy(),
+        curves_of=curves_of, policy=policy(),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
     if for_papers:

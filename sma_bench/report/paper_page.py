@@ -27,12 +27,6 @@ from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.record import Record
 from sma_bench.records.tensile import TensileRecord
-from sma_bench.report.alloy_figures import (
-    stress_temperature_picture,
-    tensile_picture,
-    thermal_expansion_picture,
-    upfr_picture,
-)
 from sma_bench.report.composite_figures import (
     CompositeRun,
     bench_picture,
@@ -41,14 +35,18 @@ from sma_bench.report.composite_figures import (
 )
 from sma_bench.report.drawing import FAINT
 from sma_bench.report.errata import Erratum, errata_picture, errata_sections
-from sma_bench.report.page import Picture, Section, Table
-from sma_bench.report.thermal_figures import (
+from sma_bench.report.experiment_figures import (
     dsc_overview_picture,
     heat_transfer_picture,
     ramp_picture,
     resistance_picture,
     slope_picture,
+    stress_temperature_picture,
+    tensile_picture,
+    thermal_expansion_picture,
+    upfr_picture,
 )
+from sma_bench.report.page import Picture, Section, Table
 
 # --- What the figures and tables of the paper are drawn from: records in, experiments out.
 
@@ -339,8 +337,8 @@ def _by_cycle(rows: Sequence[Row]) -> Table:
     for description in dict.fromkeys(row.printed.description for row in rows):
         mine = {row.printed.symbol: row for row in rows if row.printed.description == description}
         lines.append([description, "paper", *(_paper(mine[s].printed) for s in symbols)])
-        told = [" ± ".join(filter(None, _identified(mine[s]))) for s in symbols]
-        lines.append(["", f"identified, {_origin(mine[symbols[0]])}", *told])
+        cells = [" ± ".join(filter(None, _identified(mine[s]))) for s in symbols]
+        lines.append(["", f"identified, {_origin(mine[symbols[0]])}", *cells])
     header = ("", "", *(f"{symbol} [K]" for symbol in symbols))
     return Table(header, lines, frozenset(range(2, 2 + len(symbols))))
 

@@ -1,4 +1,4 @@
-"""Noise of every colour, and instruments with their resolution, lag, spot, clock and losses."""
+"""Every noise model, and instruments with their resolution, lag, spot, clock and losses."""
 
 from dataclasses import replace
 
@@ -8,7 +8,14 @@ import pytest
 from sma_bench.blind.cases import Card, draw_case
 from sma_bench.blind.reality import Outcome, World
 from sma_bench.blind.rigs import CHANNELS
-from sma_bench.blind.sensors import COLOURS, RADIANCE_EXPONENT, RESOLUTION, Noise, measure, readings
+from sma_bench.blind.sensors import (
+    NOISE_MODELS,
+    RADIANCE_EXPONENT,
+    RESOLUTION,
+    Noise,
+    measure,
+    readings,
+)
 
 PERIOD = 0.02
 CASE = draw_case(7, 0, Card("none", (), (), "all", "white"), "0001")
@@ -34,10 +41,10 @@ def world(**features):
     return World(CASE.truth, features)
 
 
-@pytest.mark.parametrize("colour", COLOURS)
-def test_noise_has_its_standard_deviation_and_correlation(colour):
+@pytest.mark.parametrize("noise_model", NOISE_MODELS)
+def test_noise_has_its_standard_deviation_and_correlation(noise_model):
     rng = np.random.default_rng(1)
-    noise = Noise.of_colour(colour, 0.25, rng)
+    noise = Noise.of_model(noise_model, 0.25, rng)
     records = np.array([noise.draw(6000, PERIOD, rng) for _ in range(60)])
     assert np.sqrt(np.mean(records**2)) == pytest.approx(0.25, rel=0.08)
     neighbours = np.mean(records[:, 1:] * records[:, :-1]) / 0.25**2

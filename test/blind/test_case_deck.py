@@ -5,13 +5,19 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from sma_bench.blind.answers import STAGE_OF
-from sma_bench.blind.cases import SHARES, deal, draw_cases, split_of
-from sma_bench.blind.drives import COMMAND_PERIOD, draw_drives, hottest
+from sma_bench.blind.case_files import STAGE_OF
+from sma_bench.blind.cases import EFFECTS, OUTSIDE, SHARES, deal, draw_cases, split_of
 from sma_bench.blind.reality import BY_NAME
-from sma_bench.blind.rigs import BELIEVED, WRONG_BY, draw_nominal, draw_truth
-from sma_bench.blind.stage import phases
-from sma_bench.blind.symptoms import EFFECTS, OUTSIDE
+from sma_bench.blind.rigs import (
+    BELIEVED,
+    COMMAND_PERIOD,
+    WRONG_BY,
+    draw_drives,
+    draw_nominal,
+    draw_truth,
+    hottest,
+    phases,
+)
 from sma_bench.physics.effects import EFFECTS as LIBRARY
 
 
@@ -55,8 +61,8 @@ def test_singles_are_balanced_over_effects_severities_and_signals():
 def test_noise_and_signals_are_dealt_alike_to_every_kind():
     for kind in SHARES:
         own = [card for card in cards() if card.kind == kind]
-        colours = Counter(card.colour for card in own)
-        assert max(colours.values()) - min(colours.values()) <= 1
+        noises = Counter(card.noise for card in own)
+        assert max(noises.values()) - min(noises.values()) <= 1
         assert sum(card.signals == "paper" for card in own) == pytest.approx(len(own) / 2, abs=1)
 
 

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from sma_bench.blind.case_files import unseal
-from sma_bench.blind.cases import NUISANCE_LIMIT, QUANTITIES, draw_cases
+from sma_bench.blind.cases import EFFECTS, NUISANCE_LIMIT, OUTSIDE, QUANTITIES, draw_cases
 from sma_bench.blind.make import digest, make
-from sma_bench.blind.stage import RECORDS, Stage
-from sma_bench.blind.symptoms import EFFECTS, OUTSIDE
+from sma_bench.blind.rigs import RECORDS, Stage
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters
@@ -105,7 +104,7 @@ def test_labels_tell_what_was_dealt_and_where_it_shows(labels):
     for label, case in zip(labels, draw_cases(SEED, N), strict=True):
         assert label["kind"] == case.card.kind
         assert tuple(label["effects"]) == case.card.effects
-        assert label["noise"] == case.card.colour
+        assert label["noise"] == case.card.noise
         assert label["nuisance_gap"] <= NUISANCE_LIMIT
         if label["kind"] == "none":
             assert label["severity"] == 0.0 and label["where"] is None

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sma_bench.blind.answers import NO_EFFECT, STAGE_OF, checked_answer
+from sma_bench.blind.case_files import NO_EFFECT, STAGE_OF, checked_answer
 from sma_bench.blind.judgement import Judged, Label, Shrunk
 from sma_bench.blind.measures import OTHERS, TARGETS
 

@@ -5,11 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import draw_cases
-from sma_bench.blind.rigs import BELIEVED, CHANNELS
+from sma_bench.blind.cases import EFFECTS, OUTSIDE, draw_cases
+from sma_bench.blind.rigs import BELIEVED, CHANNELS, RECORDS
 from sma_bench.blind.sensors import clocks
-from sma_bench.blind.stage import RECORDS
-from sma_bench.blind.symptoms import EFFECTS, OUTSIDE
 
 N, FOLDS, SHUFFLES, RIDGE = 360, 6, 99, 0.3
 CHANCE = 0.02
@@ -88,7 +86,7 @@ def stage_of(card):
 LABELS = {
     "kind": (lambda card: True, lambda card: card.kind),
     "anything": (lambda card: True, lambda card: str(card.kind == "none")),
-    "colour": (lambda card: True, lambda card: card.colour),
+    "noise": (lambda card: True, lambda card: card.noise),
     "severity": (
         lambda card: card.kind == "single" and card.targets[0] is not None,
         lambda card: str(card.targets[0] > 4.0),

@@ -2,7 +2,6 @@
 
 import ast
 import importlib.util
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -62,11 +61,8 @@ def test_same_world_does_the_same_to_the_bit() -> None:
     world = World(COMPOSITE, EVERYTHING)
     time, voltage = drive("nested", 20.0)
     first, second = happen(world, time, voltage), happen(world, time, voltage)
-    label = json.loads(json.dumps(world.to_label()))
-    third = happen(World.from_label(label), time, voltage)
     for name in ("temperature", "surface", "current", "stress", "deflection", "ambient"):
         assert np.array_equal(getattr(first, name), getattr(second, name))
-        assert np.array_equal(getattr(first, name), getattr(third, name))
 
 
 @pytest.mark.skipif(compiled.numba is None, reason="numba is not installed: it runs plain anyway")
@@ -86,14 +82,6 @@ def test_plain_python_does_the_same_as_compiled() -> None:
     expected = [outcome.deflection[-1], outcome.temperature[-1, 0]]
     np.testing.assert_allclose(plain, expected, rtol=1e-9)
     assert importlib.util.find_spec("numba") is not None
-
-
-def test_world_without_or_with_features_is_a_new_one() -> None:
-    world = World(COMPOSITE, {"slack": 0.001, "opposing": 0.5})
-    assert world.without("slack").features == {"opposing": 0.5}
-    assert world.replace(slack=0.002).feature("slack") == 0.002
-    assert world.feature("slack") == 0.001
-    assert world.feature("spot_fill") == 1.0
 
 
 @pytest.mark.parametrize(

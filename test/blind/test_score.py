@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from sma_bench.blind import examination as follow_up_module
-from sma_bench.blind.answers import NO_EFFECT, STAGE_OF, checked_answer
 from sma_bench.blind.case_files import (
+    NO_EFFECT,
     SECOND,
+    STAGE_OF,
     Examination,
+    checked_answer,
     keep,
     read_case_set,
     read_kept,

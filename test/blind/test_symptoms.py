@@ -5,12 +5,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import ALL, QUANTITIES, Card, draw_case
-from sma_bench.blind.figures import write_page, write_symptom
+from sma_bench.blind.cases import (
+    ALL,
+    EFFECTS,
+    OUTSIDE,
+    QUANTITIES,
+    Card,
+    amount_for,
+    draw,
+    draw_case,
+)
+from sma_bench.blind.pages import write_symptom
+from sma_bench.blind.pages import write_symptoms_index as write_page
 from sma_bench.blind.reality import BY_NAME, World
+from sma_bench.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of, where
 from sma_bench.blind.severity import Separation, measured, separation, size
-from sma_bench.blind.stage import COARSE, RECORDS, Stage, gaps, quantity_of, where
-from sma_bench.blind.symptoms import EFFECTS, OUTSIDE, amount_for, draw
 
 SYMPTOMS = {**EFFECTS, **OUTSIDE}
 PNG_LIMIT = 60_000

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from rich.console import Console
 
-from sma_bench.blind.answers import checked_answer
+from sma_bench.blind.case_files import checked_answer
 from sma_bench.cli import main
 from sma_bench.commands.demo_acts import (
     FITTED,

@@ -16,9 +16,8 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.records import Signal, open_record
 from sma_bench.records.write import write_record
-from sma_bench.report.courses import script, thinned
-from sma_bench.report.provenance import digest
-from sma_bench.report.record_section import record_section
+from sma_bench.report.collected_report import digest, record_section
+from sma_bench.report.drawing import script, thinned
 from sma_bench.results import read_result
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
@@ -117,7 +116,7 @@ def test_a_page_of_everything_stands_alone_and_is_escaped(tmp_path, bag, results
     params.write_text("/**:\n  ros__parameters:\n    wire:\n      resistance: 2.8\n")
     out = report(tmp_path, bag, *results, "--params", params, "--title", EVIL)
     page = Page(out / "index.html")
-    # The courses as data, and the one script that the page's own policy lets run.
+    # The curves as data, and the one script that the page's own policy lets run.
     scripts = [attributes for tag, attributes in page.tags if tag == "script"]
     assert scripts == [{"type": "application/json"}, {}]
     assert page.path.read_text().count("<script>") == 1

@@ -12,8 +12,7 @@ from sma_bench.diagnose.decision import Decision
 from sma_bench.diagnose.flexible import Flexible
 from sma_bench.diagnose.next_experiment import NextExperiment
 from sma_bench.errors import InputError
-from sma_bench.report.diagnosis_figures import next_experiment_picture
-from sma_bench.report.diagnosis_maps import PHASES
+from sma_bench.report.diagnosis_figures import PHASES, free_form, next_experiment_picture
 from sma_bench.report.diagnosis_report import write_diagnosis_report
 from sma_bench.report.diagnosis_words import (
     estimates,
@@ -26,7 +25,6 @@ from sma_bench.report.diagnosis_words import (
     which_effect,
     with_error,
 )
-from sma_bench.report.free_form import free_form
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -128,7 +126,7 @@ def test_every_other_verdict_has_its_words(planted_diagnosis, verdict):
     told = {
         "recalibration": "The parameters are off; no effect is missing",
         "no_gap": "There is no gap beyond the noise",
-        "ambiguous": "cannot tell these apart",
+        "ambiguous": "cannot separate these",
     }
     assert told[verdict] in headline(result)
     for words in (is_there_a_gap, where_is_it, which_effect, how_far, what_next):

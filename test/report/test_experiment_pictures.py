@@ -9,7 +9,7 @@ from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
 from sma_bench.identify.whole_model import identify_composite
 from sma_bench.parameters import Parameters
-from sma_bench.report.experiment_pictures import experiment_pictures
+from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.bench_records import protocol_record
 

@@ -96,13 +96,13 @@ INKED = """[...document.querySelectorAll('.view canvas')].map((canvas) => canvas
 
 
 def place(shown, share):
-    """Where on the page a share of the time axis of the first course is."""
+    """Where on the page a share of the time axis of the first figure is."""
     box = shown.page.evaluate("""() => {
         const canvas = document.querySelector('.view canvas');
         canvas.scrollIntoView({ block: 'center' });
         const { x, y, width } = canvas.getBoundingClientRect();
         return [x, y, width]; }""")
-    # As courses.js: 52 pixels for the numbers on the left, 8 on the right.
+    # As curves.js: 52 pixels for the numbers on the left, 8 on the right.
     return box[0] + 52 + share * (box[2] - 60), box[1] + 40
 
 
@@ -115,10 +115,10 @@ def time_shown(shown):
 def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages, size):
     with opened(browser, pages["record"].as_uri(), size) as shown:
         assert shown.page.evaluate(INKED) == [True, True]
-        courses = json.loads(shown.page.evaluate(
-            "document.querySelector('figure.courses script').textContent"))
-        assert [course["marks"] for course in courses] == [[1.0, 9.0]] * 2
-        assert [line["label"] for line in courses[0]["lines"]] == [
+        panels = json.loads(shown.page.evaluate(
+            "document.querySelector('figure.curves script').textContent"))
+        assert [panel["marks"] for panel in panels] == [[1.0, 9.0]] * 2
+        assert [line["label"] for line in panels[0]["lines"]] == [
             "front_1", "front_2", "back_1", "back_2",
         ]  # fmt: skip
         assert set(shown.page.evaluate(VALUES)) == {""}
@@ -149,7 +149,7 @@ def test_dragging_looks_closer_and_a_double_click_shows_all_again(browser, pages
 
 
 def test_without_the_script_and_on_paper_the_picture_stands_there(browser, pages):
-    seen = """[...document.querySelectorAll('figure.courses img, .view')]
+    seen = """[...document.querySelectorAll('figure.curves img, .view')]
         .map((e) => [e.tagName, e.getClientRects().length > 0])"""
     url = pages["record"].as_uri()
     with opened(browser, url) as shown:
@@ -157,7 +157,7 @@ def test_without_the_script_and_on_paper_the_picture_stands_there(browser, pages
         shown.page.emulate_media(media="print")
         assert shown.page.evaluate(seen) == [["DIV", False], ["IMG", True]]
     with opened(browser, url, java_script_enabled=False) as shown:
-        assert shown.page.locator("figure.courses img").is_visible()
+        assert shown.page.locator("figure.curves img").is_visible()
 
 
 def test_a_script_from_elsewhere_does_not_run(browser, pages, tmp_path):

@@ -186,7 +186,7 @@ class Strip(NamedTuple):
     relative_film: Array
 
 
-def strip(world: World) -> Strip:
+def strip_of(world: World) -> Strip:
     """The strips of a world."""
     p = world.parameters
     loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]

@@ -125,13 +125,13 @@ def ramp_table(smoothness: float) -> Array:
 # `memory` moves the target from the one to the other.
 #
 # Two more lines keep a class continuous whatever the stress does, as the product reads the
-# contract: where stress has moved the other ramp u back beyond its value u_r at the reversal,
-# y is at least min(1 - u/u_r, o); and where the reversal lies beyond the own ramp's end (M_s above
+# contract: where stress has moved the other ramp u back beyond its value u_r at the reversal, y
+# is at least min(1 - u/u_r, o); and where the reversal lies beyond the own ramp's end (M_s above
 # A_f), y is a line over 1 - u, the curve of the other direction traced back.
 #
-# Wires of one side that are driven very unequally can pull each other, one into martensite and one
-# into austenite; the contract's rule has several solutions then, and which one is found depends on
-# the step.
+# Wires of one side that are driven very unequally can pull each other, one into martensite and
+# one into austenite; the contract's rule has several solutions then, and which one is found
+# depends on the step.
 
 LOOPS = 16  # reversals that a class remembers
 SMALLEST_MOVE = 1e-9  # K, below which the temperature counts as held

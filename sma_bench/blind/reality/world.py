@@ -5,7 +5,6 @@ All departures off is the baseline. `Features` are what may happen, a `World` is
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -269,7 +268,7 @@ class World:
     Attributes:
         parameters: true numbers of the baseline; both sides have equally many wires, and the
             bending coefficients are given.
-        features: values by name (features.py); what is absent is off.
+        features: values by name of FEATURES; what is absent is off.
 
     Raises:
         InputError: an unknown feature, a value out of its range, or a rig that is no composite.
@@ -295,37 +294,13 @@ class World:
     def feature(self, name: str) -> float:
         """Value of a feature; its `off` where the world does not name it."""
         if name not in BY_NAME:
-            raise InputError(f"world: no feature {name}, expected one of features.py")
+            raise InputError(f"world: no feature {name}, expected one of FEATURES")
         return self.features.get(name, BY_NAME[name].off)
-
-    def replace(self, **features: float) -> "World":
-        """The same rig with some features changed."""
-        return World(self.parameters, {**self.features, **features})
-
-    def without(self, *names: str) -> "World":
-        """The same rig with some features off."""
-        return World(
-            self.parameters, {n: v for n, v in self.features.items() if n not in names}
-        )
-
-    def to_label(self) -> dict[str, dict[str, Any]]:
-        """Plain values that `from_label` reads, for JSON."""
-        given = sorted(self.parameters.given)
-        values = {name: self.parameters[name] for name in given}
-        return {
-            "parameters": {n: list(v) if isinstance(v, tuple) else v for n, v in values.items()},
-            "features": dict(sorted(self.features.items())),
-        }
-
-    @classmethod
-    def from_label(cls, label: Mapping[str, Mapping[str, Any]]) -> Self:
-        """The world that wrote a label."""
-        return cls(Parameters(label["parameters"]), dict(label["features"]))
 
 
 def _checked(name: str, value: float) -> float:
     if name not in BY_NAME:
-        raise InputError(f"world: no feature {name}, expected one of features.py")
+        raise InputError(f"world: no feature {name}, expected one of FEATURES")
     feature = BY_NAME[name]
     number = float(value)
     if not math.isfinite(number) or not feature.low <= number <= feature.high:

@@ -1,16 +1,16 @@
 // Figures over time: values under the pointer, and a closer look by dragging. Without this script,
 // and on paper, the picture stands there instead.
 "use strict";
-for (const source of document.querySelectorAll("figure.courses script")) {
-  const courses = JSON.parse(source.textContent);
+for (const source of document.querySelectorAll("figure.curves script")) {
+  const curves = JSON.parse(source.textContent);
   const figure = source.parentElement;
   const all = [
-    Math.min(...courses.flatMap((c) => c.lines.map((l) => l.x[0]))),
-    Math.max(...courses.flatMap((c) => c.lines.map((l) => l.x[l.x.length - 1]))),
+    Math.min(...curves.flatMap((c) => c.lines.map((l) => l.x[0]))),
+    Math.max(...curves.flatMap((c) => c.lines.map((l) => l.x[l.x.length - 1]))),
   ];
   const view = { from: all[0], to: all[1], at: null, dragged: null };
   const box = make("div", "view");
-  const panels = courses.map(panel);
+  const panels = curves.map(panel);
   const HINT = "Point for values, drag for a closer look, double click for all.";
   const hint = make("p", "hint", HINT);
   box.append(hint);
@@ -26,10 +26,10 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     return made;
   }
 
-  function panel(course) {
+  function panel(curve) {
     const legend = make("div", "legend");
-    legend.append(make("strong", "", course.title));
-    const values = course.lines.map((line) => {
+    legend.append(make("strong", "", curve.title));
+    const values = curve.lines.map((line) => {
       const entry = make("span", "entry");
       const swatch = make("span", line.dashed ? "swatch dashed" : "swatch");
       const value = make("span", "value");
@@ -39,7 +39,7 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     });
     const canvas = make("canvas", "");
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", course.title);
+    canvas.setAttribute("aria-label", curve.title);
     box.append(legend, canvas);
     canvas.addEventListener("pointermove", (event) => {
       view.at = timeAt(canvas, event.offsetX);
@@ -65,7 +65,7 @@ for (const source of document.querySelectorAll("figure.courses script")) {
       [view.from, view.to] = all;
       draw();
     });
-    return { course, canvas, values };
+    return { curve, canvas, values };
   }
 
   function edges(canvas) {
@@ -83,7 +83,7 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     panels.forEach((one, k) => drawPanel(one, style, k === panels.length - 1));
   }
 
-  function drawPanel({ course, canvas, values }, style, last) {
+  function drawPanel({ curve, canvas, values }, style, last) {
     const { clientWidth: width, clientHeight: height } = canvas;
     if (!width) return;
     const ratio = window.devicePixelRatio || 1;
@@ -93,7 +93,7 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     pen.scale(ratio, ratio);
     pen.font = "12px system-ui, sans-serif";
     const edge = edges(canvas);
-    const [low, high] = range(course.lines);
+    const [low, high] = range(curve.lines);
     const x = (t) => edge.left + ((t - view.from) / (view.to - view.from)) * (edge.right - edge.left);
     const y = (v) => edge.bottom - ((v - low) / (high - low)) * (edge.bottom - edge.top);
     pen.strokeStyle = "#8884";
@@ -108,7 +108,7 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     pen.textAlign = "center";
     for (const t of ticks(view.from, view.to, Math.max(2, Math.min(8, width / 90)))) {
       rule(pen, x(t), edge.top, x(t), edge.bottom);
-      const unit = last && course.x_label.includes("[s]") ? " s" : "";
+      const unit = last && curve.x_label.includes("[s]") ? " s" : "";
       pen.fillText(short(t) + unit, Math.min(x(t), width - 18), edge.bottom + 5);
     }
     pen.save();
@@ -117,12 +117,12 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     pen.clip();
     pen.setLineDash([2, 3]);
     pen.strokeStyle = "#888";
-    for (const mark of course.marks) rule(pen, x(mark), edge.top, x(mark), edge.bottom);
+    for (const mark of curve.marks) rule(pen, x(mark), edge.top, x(mark), edge.bottom);
     pen.setLineDash([]);
-    course.lines.forEach((line, k) => {
+    curve.lines.forEach((line, k) => {
       const colour = shade(line.colour);
       values[k].swatch.style.borderColor = colour;
-      values[k].value.textContent = view.at === null ? "" : told(line);
+      values[k].value.textContent = view.at === null ? "" : valueAt(line);
       stroke(pen, line, colour, x, y);
     });
     if (view.dragged !== null && view.at !== null) {
@@ -165,7 +165,7 @@ for (const source of document.querySelectorAll("figure.courses script")) {
     pen.setLineDash([]);
   }
 
-  function told(line) {
+  function valueAt(line) {
     let k = line.x.findIndex((t) => t >= view.at);
     if (k < 0) k = line.x.length - 1;
     if (k > 0 && view.at - line.x[k - 1] < line.x[k] - view.at) k -= 1;
