@@ -104,7 +104,7 @@ def planted_diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture(scope="session")
 def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image that is flashed into the Uno."""
-    from sma_bench.emulation.build import build_firmware
+    from sma_bench.emulation.emulated_uno import build_firmware
 
     if shutil.which("avr-gcc") is None:
         pytest.skip("no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
@@ -114,7 +114,7 @@ def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def emulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The emulated Uno, built."""
-    from sma_bench.emulation.build import build_emulator, missing_tools
+    from sma_bench.emulation.emulated_uno import build_emulator, missing_tools
 
     if missing := missing_tools():
         pytest.skip(missing)

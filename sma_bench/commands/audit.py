@@ -2,12 +2,10 @@
 
 import argparse
 
-from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.terminal import add_json_option, print_findings, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import audit
-
-DESCRIPTION = "check a lab's own numbers against each other and against correlations"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
-from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -59,17 +59,17 @@ def run(args: argparse.Namespace) -> int:
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:
         with progress(f"batch {args.kind}") as report, closing(_work(args, tasks)) as work:
-            told = counted(report, len(tasks), "record")
+            count = counted(report, len(tasks), "record")
             for done, (k, outcome) in enumerate(work, start=1):
                 outcomes[k] = outcome
                 if args.out:
                     _write(Path(args.out), names[k], outcome)
-                told(done)
+                count(done)
     except KeyboardInterrupt:
         if any(outcomes):
-            _tell(args, paths, outcomes)
+            _print_outcomes(args, paths, outcomes)
         raise
-    _tell(args, paths, outcomes)
+    _print_outcomes(args, paths, outcomes)
     return _BAD_INPUT if any(o is None or o.error for o in outcomes) else 0
 
 
@@ -107,7 +107,9 @@ def _write(folder: Path, name: str, outcome: Outcome) -> None:
     write_parameters(folder / f"{name}.yaml", outcome.parameters, comment)
 
 
-def _tell(args: argparse.Namespace, paths: list[str], outcomes: list[Outcome | None]) -> None:
+def _print_outcomes(
+    args: argparse.Namespace, paths: list[str], outcomes: list[Outcome | None]
+) -> None:
     whole = [o or Outcome(path, error=_STOPPED) for path, o in zip(paths, outcomes, strict=True)]
     if args.json:
         entries = [

@@ -19,7 +19,7 @@ from sma_bench.hardware.known_loads import SENSORS, SensorFit, fit_sensor
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import SerialLink
 from sma_bench.hardware.serial_port import open_port
-from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
+from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 from sma_bench.parameters.yaml_file import read_parameter_names, write_named_values
 
 _TABLE = {parameter.name: parameter for parameter in SERIAL_BRIDGE}

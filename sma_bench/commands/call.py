@@ -5,7 +5,7 @@ import re
 from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json
-from sma_bench.commands.parameter_options import named_value
+from sma_bench.commands.parameters import named_value
 from sma_bench.commands.terminal import (
     add_json_option,
     add_ros_option,

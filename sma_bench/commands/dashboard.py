@@ -52,9 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _serve(args: argparse.Namespace) -> int:
-    from sma_bench.dashboard.access import is_loopback
     from sma_bench.dashboard.live_state import LiveState
-    from sma_bench.dashboard.server import DashboardServer
+    from sma_bench.dashboard.server import DashboardServer, is_loopback
     from sma_bench.nodes.dashboard import listening_node
 
     loop = asyncio.get_running_loop()

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sma_bench.commands.terminal import Course, add_json_option, output_console, write_json
+from sma_bench.commands.terminal import WorkState, add_json_option, output_console, write_json
 from sma_bench.errors import InputError
 
 _SEEDS = 2**31
@@ -43,11 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
-    from sma_bench.commands.demo_acts import FITTED, QUICK, gap_act, simulated_truth, table_act
-    from sma_bench.commands.demo_hardware import hardware_act
+    from sma_bench.commands.demo_acts import (
+        FITTED,
+        QUICK,
+        gap_act,
+        hardware_act,
+        simulated_truth,
+        table_act,
+    )
     from sma_bench.commands.demo_stage import make_folder
 
-    course, console = Course(), output_console()
+    state, console = WorkState(), output_console()
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
@@ -55,15 +61,15 @@ def run(args: argparse.Namespace) -> int:
     truth = simulated_truth(args.draw)
     if args.hardware:
         console.print("[bold]Table I over a serial port: emulated Uno, real firmware[/]")
-        acts = {"table_one": hardware_act(console, out, truth, course)}
+        acts = {"table_one": hardware_act(console, out, truth, state)}
     else:
         console.print("[bold]1. From a commanded volt to Table I[/]")
         fitted = QUICK if args.quick else FITTED
-        acts = {"table_one": table_act(console, out, fitted, args.speed, truth, course)}
+        acts = {"table_one": table_act(console, out, fitted, args.speed, truth, state)}
         console.print("\n[bold]2. The gap between simulation and bench[/]")
         seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
-        acts["gap"] = gap_act(console, out / "simulated_gap", args.speed, seed, course)
-    console.print(f"{course.gone:.0f} s")
+        acts["gap"] = gap_act(console, out / "simulated_gap", args.speed, seed, state)
+    console.print(f"{state.gone:.0f} s")
     if args.json:
         write_json(args.json, _document(out, acts))
     return 0 if all(act["holds"] for act in acts.values()) else 1

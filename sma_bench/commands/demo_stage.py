@@ -1,8 +1,8 @@
-"""The stage of the demo: a simulated bench on real nodes, bags of it, answers of a service."""
+"""The stages of the demo: a simulated or an emulated bench on real nodes, bags, a service."""
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
@@ -24,6 +24,8 @@ STARTING = 4.0
 
 _READINGS = ("power", "temperature")
 _COMMANDS = ("voltage_command", "experiment/marker")
+_CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
+_PICTURE_RATE = 15.0
 
 
 class Stage:
@@ -41,7 +43,7 @@ class Stage:
         """The folder is made; InputError where it cannot be.
 
         Args:
-            report: told how far the stage's work is.
+            report: called with how far the stage's work is.
             plan: seconds that each step takes, by protocol and service, in order.
         """
         self.bags, self._logs = folder / "bags", folder / "logs"
@@ -50,7 +52,7 @@ class Stage:
         self._namespace = namespace
         self._report, self._shares = report, shares(plan)
         self._asked = self._service = ""
-        self._told: Report = silent
+        self._reported: Report = silent
         self._bench = Parameters.defaults()
         for directory in (self.bags, self._logs):
             make_folder(directory)
@@ -87,7 +89,7 @@ class Stage:
         self.start_experiment(bench_file, protocol)
 
     def compiles(self) -> bool:
-        """Whether the nodes have to compile the physics first, which is told."""
+        """Whether the nodes have to compile the physics first, which is reported."""
         waits = not is_compiled(core.run)
         if waits:
             self._report(0.0, COMPILING)
@@ -115,8 +117,8 @@ class Stage:
             InputError: a node ended, or the experiment was aborted.
         """
         duration = load_protocol(protocol, self._bench).duration
-        told = self._part(protocol)
-        told(0.0, protocol)
+        report = self._part(protocol)
+        report(0.0, protocol)
         bag = self.bags / protocol
         self._nodes.start("recorder", {"output": str(bag), "use_sim_time": self.simulated})
         needed = self._topics()
@@ -124,12 +126,13 @@ class Stage:
             "recorder", lambda: needed <= set(self._client.recorded(str(bag))), PATIENCE
         )
         self._client.set_parameters("experiment", {"protocol": protocol}, PATIENCE)
-        self._start_experiment()
+        # Just begun, the node may not have heard the simulator's clock yet.
+        retried(lambda: self._client.trigger("experiment/start", PATIENCE), _BEGINNING)
         begin, kind = self._seconds(), "simulated s" if self.simulated else "s"
 
         def finished() -> bool:
             elapsed = self._seconds() - begin
-            told(elapsed / duration, f"{protocol}, {elapsed:.0f} of {duration:.0f} {kind}")
+            report(elapsed / duration, f"{protocol}, {elapsed:.0f} of {duration:.0f} {kind}")
             state = self._client.state("experiment")
             if state.startswith("aborted"):
                 raise InputError(f"experiment {state}")
@@ -152,8 +155,8 @@ class Stage:
         Raises:
             InputError: it refused, failed, or took longer than `patience` s.
         """
-        self._told, self._service = self._part(service), service
-        self._told(0.0, service)
+        self._reported, self._service = self._part(service), service
+        self._reported(0.0, service)
         self._client.follow(node)
         self._client.set_parameters(node, settings, PATIENCE)
         self._asked = node
@@ -169,25 +172,63 @@ class Stage:
         """While the client waits: do the nodes live, and how far is the service?"""
         self._nodes.check()
         if self._asked and (found := told_share(self._client.state(self._asked))):
-            self._told(found[0], f"{self._service}: {found[1]}")
+            self._reported(found[0], f"{self._service}: {found[1]}")
 
     def _seconds(self) -> float:
         return self._client.simulated_seconds if self.simulated else time.monotonic()
 
-    def _start_experiment(self) -> None:
-        """Just begun, the node may not have heard the simulator's clock yet."""
-        end = time.monotonic() + _BEGINNING
-        while True:
-            try:
-                self._client.trigger("experiment/start", PATIENCE)
-                return
-            except InputError:
-                if time.monotonic() > end:
-                    raise
-
     def _topics(self) -> set[str]:
         channels = self._bench["bench.channels"]
         return {*_COMMANDS, *(f"{channel}/{what}" for channel in channels for what in _READINGS)}
+
+
+class HardwareStage(Stage):
+    """Emulated Uno, camera, bridge, experiment: real time, the wire and the silicon emulated."""
+
+    simulated = False
+
+    def start_hardware(self, bench_file: Path, port: Path, protocol: str) -> str:
+        """Every node of the bench; enables the bridge. What its self test found.
+
+        Raises:
+            InputError: a node ended, or the self test failed.
+        """
+        self.compiles()
+        files = (bench_file,)
+        hidden = {"wire/temperature": "wire/true_temperature"}
+        self._nodes.start("emulated_bench", {"port": str(port)}, files, hidden)
+        self._nodes.start("synthetic_camera", {**_CAMERA, "rate": _PICTURE_RATE}, files)
+        self._nodes.start("ir_camera", {**_CAMERA, "read_cold_wires": True}, files)
+        self._nodes.start("serial_bridge", {"port": str(port)}, files)
+        self.start_experiment(bench_file, protocol)
+        self._client.follow("serial_bridge")
+        found = self._insist("serial_bridge/self_test")
+        self._insist("serial_bridge/enable")
+        return found
+
+    def record(self, protocol: str) -> Path:
+        """As Stage; the InputError of a failure quotes what the bridge says."""
+        try:
+            return super().record(protocol)
+        except InputError as error:
+            state = self._client.state("serial_bridge")
+            raise InputError(f"{error} (serial_bridge: {state})") from None
+
+    def _insist(self, service: str) -> str:
+        """A service's success; just begun, the bench may not have said everything yet."""
+        return retried(lambda: self._client.trigger(service, PATIENCE), PATIENCE)
+
+
+def retried(call: Callable[[], str], patience: float, pause: float = 0.5) -> str:
+    """The first success of a call within `patience` s, or its last InputError."""
+    end = time.monotonic() + patience
+    while True:
+        try:
+            return call()
+        except InputError:
+            if time.monotonic() > end:
+                raise
+        time.sleep(pause)
 
 
 def make_folder(folder: Path) -> None:

@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from sma_bench.border import printable
-from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.terminal import (
     add_json_option,
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signals", metavar="QUANTITY", nargs="+", type=one_of(quantities),
         help="compare these only, of current, temperature, deflection: what would the record "
-        "have told without the others?",
+        "have shown without the others?",
     )
     add_json_option(parser, "the result")
     parser.add_argument("--report", metavar="DIR", help="write a page with figures")

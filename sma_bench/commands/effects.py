@@ -8,8 +8,6 @@ from sma_bench.commands.terminal import add_json_option, output_console, print_t
 if TYPE_CHECKING:
     from sma_bench.parameters.effect_table import Effect
 
-DESCRIPTION = "show every effect with its stage, the unit and range of its size, and how it shows"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""

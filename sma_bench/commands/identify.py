@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.terminal import (
     add_json_option,

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     made = [_read(source, out, given, bench, args) for source, out in outputs]
     for one in made:
         _write(one, args.force)
-        _tell(one)
+        _print_import(one)
     if args.json:
         keys = ("source", "sha256", "format", "bag", "map", "signals", "how", "notes")
         write_json(args.json, {"imported": [{key: one[key] for key in keys} for one in made]})
@@ -163,7 +163,7 @@ def _write(one: dict[str, Any], force: bool) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _tell(one: dict[str, Any]) -> None:
+def _print_import(one: dict[str, Any]) -> None:
     from sma_bench.border import printable
     from sma_bench.findings import Finding
     from sma_bench.records.check import check_record

@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.terminal import add_json_option, print_findings, progress, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically

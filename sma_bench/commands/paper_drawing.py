@@ -154,7 +154,7 @@ def paper_page(
         records: the user's, already read; none for a page of synthetic data.
         parameters: what is known of the bench that they come from. Synthetic data are made of the
             paper's own numbers.
-        report: told how far it is.
+        report: called with how far it is.
 
     Raises:
         InputError: records were given and none of them can be used.

@@ -111,8 +111,8 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """One line that says what was wrong and where help is."""
         where = self.prog.removeprefix(PROGRAM).strip()
-        told = f"{where}: {message}" if where else message
-        raise InputError(f"{told}; see {self.prog} --help")
+        said = f"{where}: {message}" if where else message
+        raise InputError(f"{said}; see {self.prog} --help")
 
 
 def command_parser(name: str, description: str | None) -> CommandParser:

@@ -4,7 +4,7 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sma_bench.commands.parameter_options import add_parameter_options, parameters_from_options
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.terminal import add_json_option, progress, say, write_json
 from sma_bench.progress import in_turn, part
 

@@ -24,8 +24,7 @@ from sma_bench.results import json_text, write_result
 # --- Tables that fit: as wide as they need be in a file, no wider than a terminal.
 #
 # What does not fit is folded, never cut, since a name that is cut cannot be looked up; where
-# folding
-# does not do either, every row becomes a block of lines.
+# folding does not do either, every row becomes a block of lines.
 
 _NARROWEST, _NARROWEST_NAME = 20, 30  # cells of a column that is folded; of the first one
 _NEVER_BROKEN = 10
@@ -129,19 +128,19 @@ _REST = 32  # cells for the bar and the time left
 _LEAST_SHARE = 0.02  # less says nothing of the rest
 
 
-class Course:
+class WorkState:
     """How a piece of work goes: the share done, what is being done, and the time left."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         """`clock` gives s."""
         self.share, self.what = 0.0, ""
         self._clock, self._begin = clock, clock()
-        self._told = self._begin
+        self._heard = self._begin
 
     def report(self, share: float, what: str = "") -> None:
         """It never goes back; an empty `what` leaves the last one."""
         if share > self.share:
-            self.share, self._told = min(share, 1.0), self._clock()
+            self.share, self._heard = min(share, 1.0), self._clock()
         self.what = printable(what) or self.what
 
     @property
@@ -155,7 +154,7 @@ class Course:
         if self.share < _LEAST_SHARE:
             return None
         now = self._clock()
-        foreseen = (self._told - self._begin) * (1.0 / self.share - 1.0) - (now - self._told)
+        foreseen = (self._heard - self._begin) * (1.0 / self.share - 1.0) - (now - self._heard)
         return foreseen if foreseen > 0.0 else None
 
     @property
@@ -178,21 +177,21 @@ def duration(seconds: float) -> str:
 
 
 @contextmanager
-def progress(title: str, course: Course | None = None) -> Iterator[Report]:
-    """Show how far the work inside is; it tells the yielded callable.
+def progress(title: str, state: WorkState | None = None) -> Iterator[Report]:
+    """Show how far the work inside is, which calls what is yielded.
 
     Print nothing on standard output meanwhile: it would run into the bar.
 
     Args:
         title: leads the lines outside a terminal.
-        course: one that has begun already, to go on with.
+        state: one that has begun already, to go on with.
     """
-    course, over = course or Course(), threading.Event()
+    state, over = state or WorkState(), threading.Event()
     show = _bar if is_live() else _lines
-    display = threading.Thread(target=show, args=(title, course, over), daemon=True)
+    display = threading.Thread(target=show, args=(title, state, over), daemon=True)
     display.start()
     try:
-        yield course.report
+        yield state.report
     finally:
         over.set()
         display.join()
@@ -203,7 +202,7 @@ def is_live() -> bool:
     return sys.stderr.isatty() and environ.get("TERM") not in ("dumb", "unknown")
 
 
-def _bar(title: str, course: Course, over: threading.Event) -> None:
+def _bar(title: str, state: WorkState, over: threading.Event) -> None:
     if over.wait(FIRST_BAR):
         return
     name = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True))
@@ -211,31 +210,31 @@ def _bar(title: str, course: Course, over: threading.Event) -> None:
     console = Console(stderr=True, highlight=False)
     # Only what goes to standard error may be drawn above the bar: results are not for it.
     with Progress(
-        name, bar, _Words(course), console=console, transient=True, redirect_stdout=False,
+        name, bar, _Words(state), console=console, transient=True, redirect_stdout=False,
         expand=True,
     ) as shown:
         task = shown.add_task(title, total=1.0)
         while not over.wait(_REFRESH):
-            total = 1.0 if course.share else None
-            what = Text(course.what or title)
+            total = 1.0 if state.share else None
+            what = Text(state.what or title)
             what.truncate(max(_NAME[0], min(_NAME[1], console.width - _REST)), overflow="ellipsis")
-            shown.update(task, completed=course.share, total=total, description=what.plain)
+            shown.update(task, completed=state.share, total=total, description=what.plain)
 
 
 class _Words(ProgressColumn):
-    def __init__(self, course: Course) -> None:
+    def __init__(self, state: WorkState) -> None:
         super().__init__(Column(no_wrap=True))
-        self._course = course
+        self._state = state
 
     def render(self, task: Task) -> Text:
-        return Text(self._course.words)
+        return Text(self._state.words)
 
 
-def _lines(title: str, course: Course, over: threading.Event) -> None:
+def _lines(title: str, state: WorkState, over: threading.Event) -> None:
     wait = FIRST_LINE
     while not over.wait(wait):
-        what = f" ({course.what})" if course.what else ""
-        print(f"sma-bench: {title}: {course.words}{what}", file=sys.stderr, flush=True)
+        what = f" ({state.what})" if state.what else ""
+        print(f"sma-bench: {title}: {state.words}{what}", file=sys.stderr, flush=True)
         wait = NEXT_LINE
 
 
@@ -250,7 +249,7 @@ def print_findings(findings: Iterable[Finding]) -> None:
     console = output_console()
     for finding in findings:
         head = Text(f"{finding.severity:8}", style=_STYLES[finding.severity])
-        console.print(head + Text(told(finding), style="default"))
+        console.print(head + Text(finding_line(finding), style="default"))
 
 
 def say(text: str) -> None:
@@ -258,7 +257,7 @@ def say(text: str) -> None:
     print(printable(text, "\n"))
 
 
-def told(finding: Finding) -> str:
+def finding_line(finding: Finding) -> str:
     """A finding as it may be printed, whatever names from outside it holds."""
     return printable(f"{finding.subject}: {finding.text}", "\n")
 
@@ -291,7 +290,7 @@ _results: list[TextIO] = []
 
 @contextmanager
 def results_apart(args: argparse.Namespace) -> Iterator[None]:
-    """Where the result goes to standard output as JSON, what is told people goes to standard
+    """Where the result goes to standard output as JSON, what is for people goes to standard
     error."""
     if getattr(args, "json", None) != STANDARD_OUTPUT:
         yield

@@ -13,6 +13,7 @@ Positive deflections are the front wires' work, negative ones the back wires'; a
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -194,3 +195,19 @@ class DeflectionController:
             self.gains, proportional=self.gains.proportional / side.gain(followed, branch)
         )
         return self._loop.step(followed, side.sign * measured, dt, self._ahead)
+
+
+def deflection_reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
+    """Why a deflection [m], the only element, cannot be followed, or ""."""
+    (metres,) = reference
+    if not math.isfinite(metres):
+        return f"reference is {metres} m, expected a finite deflection"
+    side = "front" if metres > 0.0 else "back"
+    if metres == 0.0:
+        return ""
+    if side not in parameters["bench.channel_sides"]:
+        return f"reference is {metres:g} m, but there is no wire on the {side}"
+    largest = maximum_deflection(parameters, side)
+    if abs(metres) > largest:
+        return f"reference is {metres:g} m, expected at most {largest:.4g} m to the {side}"
+    return ""

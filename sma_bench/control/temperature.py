@@ -1,6 +1,7 @@
 """Temperature control of wires (experiment E8): a PI controller with anti-windup, one a wire."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -334,3 +335,20 @@ class TemperatureController:
             loop.take_over(float(self.heating.holding_power(measured)), measured, measured)
         loop.limits = limits
         return loop.step(float(reference), float(measured), dt)
+
+
+def temperature_reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
+    """Why wire temperatures [K], one a channel, cannot be followed, or "".
+
+    Ambient temperature or less only means that a wire is not heated.
+    """
+    channels = len(parameters["bench.channels"])
+    if len(reference) != channels:
+        return f"reference has {len(reference)} temperatures, expected {channels}"
+    highest = Heating.of(parameters).maximum_temperature
+    for kelvin in reference:
+        if not math.isfinite(kelvin):
+            return f"reference has {kelvin} K, expected finite temperatures"
+        if not 0.0 < kelvin <= highest:
+            return f"reference has {kelvin:g} K, expected above 0 and at most {highest:g} K"
+    return ""

@@ -7,11 +7,66 @@ import json
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from sma_bench.dashboard.trace import SPAN, Trace
+from sma_bench.border import read_json_object, shown
+from sma_bench.errors import InputError
+from sma_bench.results import DiagnoseResult, diagnosis_from, in_print
+
+# --- The last minute of one signal, small enough to send to a page and with every peak in it.
+
+SPAN = 60.0
+"""s that a trace remembers"""
+BUCKET = 0.1
+"""s of which only the least and the largest reading are kept"""
+
+
+class Trace:
+    """Readings over their time of arrival, s of a clock that never goes back."""
+
+    def __init__(self) -> None:
+        self.latest = math.nan
+        self.heard = -math.inf
+        self._closed: deque[tuple[float, float]] = deque(maxlen=round(2 * SPAN / BUCKET))
+        self._count = 0
+        self._bucket = -1
+        self._least = self._largest = (0.0, 0.0)
+
+    def add(self, time: float, value: float) -> None:
+        """Take a reading; NaN is heard, and leaves a gap."""
+        self.latest, self.heard = value, time
+        if not math.isfinite(value):
+            return
+        bucket = math.floor(time / BUCKET)
+        if bucket != self._bucket:
+            self._close()
+            self._bucket = bucket
+            self._least = self._largest = (time, value)
+        elif value < self._least[1]:
+            self._least = (time, value)
+        elif value > self._largest[1]:
+            self._largest = (time, value)
+
+    def since(self, count: int) -> tuple[int, list[tuple[float, float]]]:
+        """Points (time, value) after the first `count` of all time, and the count to ask next."""
+        missing = min(self._count - count, len(self._closed))
+        if missing <= 0:
+            return self._count, []
+        return self._count, list(self._closed)[-missing:]
+
+    def _close(self) -> None:
+        if self._bucket < 0:
+            return
+        points = sorted({self._least, self._largest})
+        self._closed.extend(points)
+        self._count += len(points)
+
+
+# --- The newest of everything.
 
 CELSIUS_ZERO = 273.15
 
@@ -73,7 +128,7 @@ class LiveState:
         self._stopped: dict[str, float] = {}
 
     def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED) -> None:
-        """Take a reading in SI units; `kind` also tells a command or a prediction from it."""
+        """Take a reading in SI units; `kind` is measured, a command or a prediction."""
         with self._lock:
             trace = self._traces.get((quantity, place, kind))
             if trace is None:
@@ -97,7 +152,7 @@ class LiveState:
             self._panels["again"] = None
 
     def stop_confirmed(self, places: Iterable[str]) -> None:
-        """Wires were told to be off: the panel `again` names the first that gets a voltage."""
+        """Wires were commanded off: the panel `again` names the first that gets a voltage."""
         with self._lock:
             self._stopped = dict.fromkeys(places, self.clock())
 
@@ -178,3 +233,55 @@ def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
     return {
         name: q.shown(limits[q.limit]) for name, q in QUANTITIES.items() if q.limit in limits
     }
+
+
+# --- The last diagnosis in a few lines: the verdict, its candidates, what shrinks, what next.
+
+_MOST_CANDIDATES = 5
+_LEAST_SHOWN = 0.005
+_VERDICTS = {
+    "recalibration": "The parameters are off; no effect is missing.",
+    "no_gap": "There is no gap beyond the noise.",
+    "ambiguous": "The records cannot separate the first of these.",
+    "unexplained": "There is a gap that no effect of the library explains.",
+}
+
+
+def diagnosis_summary(text: str) -> dict[str, Any]:
+    """What a page shows of a result as the diagnosis node latches it.
+
+    Args:
+        text: JSON of the contract.
+
+    Returns:
+        `verdict`, `candidates` (name, probability), `lines`; `problem` where it is no result.
+    """
+    try:
+        where = "diagnosis/result"
+        result = diagnosis_from(Path(where), read_json_object(text, where))
+    except InputError as error:
+        return {"problem": shown(str(error))}
+    return {
+        "verdict": shown(_verdict(result)),
+        "candidates": [
+            {"name": shown(c.name), "probability": round(c.probability, 4)}
+            for c in result.candidates[:_MOST_CANDIDATES]
+            if c.probability >= _LEAST_SHOWN
+        ],
+        "lines": [shown(line) for line in (*_shrinkage(result), result.next_experiment) if line],
+    }
+
+
+def _verdict(result: DiagnoseResult) -> str:
+    if result.verdict == "effect":
+        return f"The gap is explained by {' and '.join(result.cause)}."
+    return _VERDICTS.get(result.verdict, result.verdict)
+
+
+def _shrinkage(result: DiagnoseResult) -> list[str]:
+    return [
+        f"{s.quantity}: error {in_print(s.quantity, s.before)} rms before, "
+        f"{in_print(s.quantity, s.after)} after, noise {in_print(s.quantity, s.noise)}"
+        for s in result.shrinkage
+        if math.isfinite(s.before)
+    ]

@@ -15,8 +15,7 @@ from sma_bench.nodes.base import MEASURED
 from sma_bench.nodes.experiment import Experiment
 from sma_bench.parameters.node_tables import TUNING
 from sma_bench.protocols import Protocol, Segment
-from sma_bench.protocols.reading import Quantity
-from sma_bench.protocols.references import load_reference
+from sma_bench.protocols.reading import Quantity, load_reference
 
 
 class Controller(Experiment, ABC):

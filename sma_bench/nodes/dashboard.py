@@ -25,7 +25,6 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from sma_bench.border import NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
-from sma_bench.dashboard.diagnosis_summary import diagnosis_summary
 from sma_bench.dashboard.live_state import (
     CELSIUS_ZERO,
     COMMANDED,
@@ -33,6 +32,7 @@ from sma_bench.dashboard.live_state import (
     MEASURED,
     MODEL,
     LiveState,
+    diagnosis_summary,
     shown_limits,
 )
 from sma_bench.errors import InputError

@@ -8,12 +8,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from sma_bench.control import DeflectionController
-from sma_bench.control.closed_loop import deflection_reference_fault
+from sma_bench.control.deflection import deflection_reference_fault
 from sma_bench.hardware.safety import Freshness
 from sma_bench.nodes.base import run_node
 from sma_bench.nodes.controller import Controller
 from sma_bench.nodes.experiment import NEWEST, seconds
-from sma_bench.protocols.references import DEFLECTION, TIP
+from sma_bench.protocols.reading import DEFLECTION, TIP
 
 
 class DeflectionControllerNode(Controller):

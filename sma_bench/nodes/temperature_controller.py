@@ -7,12 +7,12 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray
 
 from sma_bench.control import TemperatureController
-from sma_bench.control.closed_loop import temperature_reference_fault
+from sma_bench.control.temperature import temperature_reference_fault
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import run_node
 from sma_bench.nodes.controller import Controller
-from sma_bench.protocols.references import TEMPERATURE
+from sma_bench.protocols.reading import TEMPERATURE
 
 
 class TemperatureControllerNode(Controller):

@@ -1,15 +1,4 @@
-"""Protocol files: YAML in, a checked Protocol out, every mistake in one line.
-
-    name: triangle            # optional, else the file's name
-    description: ...          # optional
-    repeat: 2                 # optional, of the whole
-    load: force               # optional: what a bench without load.kind holds meanwhile
-    steps:
-      - {kind: triangle, name: heat, drive: front, peak: 6.0, rise: 30.0, fall: 30.0}
-      - {kind: rest, duration: 60.0}
-
-`drive` is front, back, all (default) or a list of channels; what is not driven is at 0 V.
-"""
+"""Protocol and reference files: YAML in, a checked Protocol out, every mistake in one line."""
 
 import difflib
 import math
@@ -23,8 +12,96 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
 from sma_bench.protocols.protocol import Protocol, Segment
-from sma_bench.protocols.steps import KINDS, Line, Scale, StepKind
 from sma_bench.share import share_directory
+
+# --- The kinds of step a protocol is written with, each expanded into straight segments.
+#
+# A kind is a row of KINDS: the numbers it needs and the function that makes (label, duration,
+# start level, stop level) lines of them. Levels are volts of the driven channels, or what else a
+# protocol is about: a Scale says in which unit, and which level is rest.
+
+Line = tuple[str, float, float, float]
+Numbers = Mapping[str, float]
+
+MAXIMUM_LEVELS = 10_000
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Unit of the levels, and the level of rest."""
+
+    unit: str
+    rest: float
+
+
+@dataclass(frozen=True)
+class StepKind:
+    """Numbers of a kind of step, levels and seconds apart, and what it expands to."""
+
+    levels: tuple[str, ...]
+    seconds: tuple[str, ...]
+    lines: Callable[[Numbers, Scale], list[Line]]
+    drives: bool = True
+
+
+def _staircase(n: Numbers, scale: Scale) -> list[Line]:
+    """From start to stop in equal increments, each level held for dwell."""
+    span = n["stop"] - n["start"]
+    if n["increment"] == 0.0:
+        raise InputError(f"increment is 0 {scale.unit}, expected more")
+    count = abs(span) / n["increment"]
+    if count > MAXIMUM_LEVELS:
+        raise InputError(f"{count:.3g} levels, expected at most {MAXIMUM_LEVELS}")
+    if abs(count - round(count)) > 1e-6:
+        raise InputError(
+            f"increment {n['increment']:g} {scale.unit} does not divide "
+            f"{n['start']:g} to {n['stop']:g} {scale.unit}"
+        )
+    steps = round(count)
+    levels = [n["start"] + span * k / max(steps, 1) for k in range(steps + 1)]
+    return [(f"{level:g} {scale.unit}", n["dwell"], level, level) for level in levels]
+
+
+def _ramp(n: Numbers, _: Scale) -> list[Line]:
+    return [("", n["duration"], n["start"], n["stop"])]
+
+
+def _triangle(n: Numbers, scale: Scale) -> list[Line]:
+    return [
+        ("rise", n["rise"], scale.rest, n["peak"]),
+        ("fall", n["fall"], n["peak"], scale.rest),
+    ]
+
+
+def _hold(n: Numbers, _: Scale) -> list[Line]:
+    return [("", n["duration"], n["level"], n["level"])]
+
+
+def _rest(n: Numbers, scale: Scale) -> list[Line]:
+    return [("", n["duration"], scale.rest, scale.rest)]
+
+
+KINDS: dict[str, StepKind] = {
+    "staircase": StepKind(("start", "stop", "increment"), ("dwell",), _staircase),
+    "ramp": StepKind(("start", "stop"), ("duration",), _ramp),
+    "triangle": StepKind(("peak",), ("rise", "fall"), _triangle),
+    "step": StepKind(("level",), ("duration",), _hold),
+    "hold": StepKind(("level",), ("duration",), _hold),
+    "rest": StepKind((), ("duration",), _rest, drives=False),
+}
+
+
+# --- Protocol files.
+#
+#     name: triangle            # optional, else the file's name
+#     description: ...          # optional
+#     repeat: 2                 # optional, of the whole
+#     load: force               # optional: what a bench without load.kind holds meanwhile
+#     steps:
+#       - {kind: triangle, name: heat, drive: front, peak: 6.0, rise: 30.0, fall: 30.0}
+#       - {kind: rest, duration: 60.0}
+#
+# `drive` is front, back, all (default) or a list of channels; what is not driven is at 0 V.
 
 SUFFIX = ".yaml"
 PROTOCOL_KEYS = ("name", "description", "repeat", "steps")
@@ -316,3 +393,76 @@ def _text(mapping: Mapping[str, Any], key: str, where: str) -> str:
     if not isinstance(value, str):
         raise InputError(f"{where}: {key} is {value!r}, expected a string")
     return value
+
+
+# --- Reference files: what a controller shall follow, with the same steps as a protocol.
+#
+#     name: temperature_staircase
+#     unit: K                   # K: wire temperatures; m: deflection, positive toward the front
+#     steps:
+#       - {kind: staircase, name: up, start: 303.15, stop: 328.15, increment: 5.0, dwell: 10.0}
+#
+# Rest is ambient temperature, or no deflection; a triangle starts and ends there. A file of
+# temperatures drives channels, one of deflections the tip, and has no `drive`. How far a bench
+# can go is not known here: controllers refuse what it cannot reach.
+
+TIP = "tip"
+
+
+def _any_level(_key: str, _level: float, _parameters: Parameters, _where: str) -> None:
+    return
+
+
+TEMPERATURE = Quantity(
+    what="reference",
+    folder="references",
+    unit="K",
+    keys=("unit", *PROTOCOL_KEYS),
+    targets=bench_channels,
+    rest=lambda parameters: float(parameters["environment.ambient_temperature"]),
+    require=_any_level,
+)
+DEFLECTION = Quantity(
+    what="reference",
+    folder="references",
+    unit="m",
+    keys=("unit", *PROTOCOL_KEYS),
+    targets=lambda _: ((TIP,), ()),
+    rest=lambda _: 0.0,
+    require=_any_level,
+)
+QUANTITIES = {quantity.unit: quantity for quantity in (TEMPERATURE, DEFLECTION)}
+
+
+def load_reference(
+    name_or_path: str | Path, parameters: Parameters, quantity: Quantity
+) -> Protocol:
+    """Read a reference by its name (in the share folder's config/references) or by its path.
+
+    Args:
+        parameters: channels, sides and ambient temperature of the bench.
+        quantity: TEMPERATURE or DEFLECTION, which the file's unit must be.
+
+    Raises:
+        InputError: as load_protocol, or another unit.
+    """
+    path = locate(name_or_path, quantity)
+    return parse_reference(read_yaml(path), parameters, quantity, str(path), path.stem)
+
+
+def parse_reference(
+    document: Any,
+    parameters: Parameters,
+    quantity: Quantity,
+    where: str = "reference",
+    name: str = "reference",
+) -> Protocol:
+    """A reference from the plain mapping of its file; `Protocol.level` gives the levels.
+
+    Raises:
+        InputError: as load_reference.
+    """
+    unit = document.get("unit") if isinstance(document, dict) else quantity.unit
+    if unit != quantity.unit:
+        raise InputError(f"{where}: unit is {unit!r}, expected {quantity.unit}")
+    return parse_levels(document, parameters, quantity, where, name)

@@ -7,7 +7,7 @@ import numpy as np
 
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
-from sma_bench.parameters.paper_numbers import DSC_CYCLES, THERMAL_EXPANSION
+from sma_bench.parameters.table import DSC_CYCLES, THERMAL_EXPANSION
 from sma_bench.physics import bending, phase, stress
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.bending import Beam

@@ -15,14 +15,14 @@ from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.paper_numbers import (
+from sma_bench.parameters.table import (
+    BY_NAME,
     DSC_CYCLES,
     RESISTANCE_COOLING,
     THERMAL_EXPANSION,
     UPFR_FINISH,
     UPFR_START,
 )
-from sma_bench.parameters.table import BY_NAME
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.record import Record

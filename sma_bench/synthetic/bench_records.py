@@ -1,7 +1,7 @@
 """Records of a simulated bench: exact, or as the simulator node's instruments read them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +9,16 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control import TemperatureController
-from sma_bench.control.closed_loop import Loop, run_temperature
 from sma_bench.hardware.instruments import Instrument
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.physics import Boundary, Simulation, simulate
+from sma_bench.physics import Bench, Boundary, Simulation, simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects import active_effects
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.protocols import load_protocol
-from sma_bench.protocols.references import TEMPERATURE, load_reference
+from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import Record, Signal
 
@@ -255,3 +254,89 @@ def _deflection(run: Simulation, sensors: Sensors, duration: float) -> list[Sign
 
 def _record(path: str, signals: list[Signal]) -> Record:
     return Record(Path(path), 0, {signal.name: signal for signal in signals})
+
+
+# --- A controller and a simulated bench in one loop, with sensor noise; no ROS, no clock.
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """How the loop is closed.
+
+    Attributes:
+        period: s between commands.
+        late: periods from a reading to the command that answers it.
+        noise: standard deviation of a reading, in its unit; seed: of the noise.
+        resolution: step of a reading; 0 for none.
+    """
+
+    period: float = 0.05
+    late: int = 0
+    noise: float = 0.0
+    resolution: float = 0.0
+    seed: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A run: reference, actual and measured (n,) or (n, w), voltage (n, w) at time (n,) s."""
+
+    time: Array
+    reference: Array
+    actual: Array
+    measured: Array
+    voltage: Array
+
+
+def run_temperature(
+    bench: Parameters,
+    controller: TemperatureController,
+    reference: Callable[[float], Array],
+    duration: float,
+    loop: Loop,
+) -> ClosedLoop:
+    """Run a temperature controller on a bench whose parameters it may not know.
+
+    Args:
+        bench: what the bench really is; reference: (w,) K at a time in s.
+    """
+    return run_loop(
+        bench,
+        lambda plant: np.array(plant.temperature),
+        reference,
+        lambda wanted, read, _: controller.step(wanted, read, loop.period),
+        duration,
+        loop,
+    )
+
+
+def run_loop(
+    bench: Parameters,
+    observe: Callable[[Bench], Array],
+    reference: Callable[[float], Array],
+    control: Callable[[Array, Array, Array], Array],
+    duration: float,
+    loop: Loop,
+) -> ClosedLoop:
+    """Run a controller on a simulated bench.
+
+    Args:
+        bench: what it really is; observe: what is controlled, of it.
+        reference: at a time in s; control: voltages (w,) for the reference, a reading of what is
+            observed, and the reference a period later.
+    """
+    plant, random = Bench(bench), np.random.default_rng(loop.seed)
+    waiting = [np.zeros(len(bench["bench.channels"]))] * loop.late
+    time: Array = loop.period * np.arange(round(duration / loop.period), dtype=np.float64)
+    rows: list[tuple[Array, Array, Array, Array]] = []
+    for t in time:
+        actual = observe(plant)
+        read = actual + loop.noise * random.standard_normal(actual.shape)
+        if loop.resolution > 0.0:
+            read = np.round(read / loop.resolution) * loop.resolution
+        wanted = np.asarray(reference(float(t)), float)
+        waiting.append(control(wanted, read, np.asarray(reference(float(t) + loop.period), float)))
+        volts = waiting.pop(0)
+        rows.append((wanted, actual, read, volts))
+        plant.advance(volts, loop.period)
+    return ClosedLoop(time, *(np.array(column) for column in zip(*rows, strict=True)))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.paper_numbers import DETWINNED_AT, HOLDING_FORCE
+from sma_bench.parameters.table import DETWINNED_AT, HOLDING_FORCE
 from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.bending import wire_section
 from sma_bench.physics.heat import heat_loss

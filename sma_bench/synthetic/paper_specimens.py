@@ -1,7 +1,7 @@
 """The paper's experiments on synthetic specimens: protocols, cycles and repeats as it did them."""
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.paper_numbers import (
+from sma_bench.parameters.table import (
     AUSTENITE_TEST_TEMPERATURE,
     DSC_CYCLES,
     MARTENSITE_TEST_TEMPERATURE,

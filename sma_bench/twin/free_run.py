@@ -1,6 +1,6 @@
-"""The bench's model on the measured voltages, what it did lately, and the same with other
-parameters."""
+"""The bench's model on the measured voltages, and what it did lately."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Self
@@ -17,6 +17,85 @@ from sma_bench.physics.simulate import Simulation, warmed_from_rest
 
 Array = NDArray[np.float64]
 
+
+# --- Measured voltages of all channels in the order of their stamps, and what is wrong with them.
+
+_BACK = 0.5  # s; a stamp further back than that is a clock set back, or a record that begins anew
+_QUEUE = 5000
+
+
+class MeasuredVoltages:
+    """Readings of each channel until every channel has one as late: only then is it known what
+    drove the bench up to there. A voltage is held until the channel's next reading.
+
+    Attributes:
+        dropped: readings left out by reason.
+    """
+
+    def __init__(self, wires: int, timeout: float) -> None:
+        """`timeout` s: a longer hole between two readings of a channel hides what drove it."""
+        self._timeout = timeout
+        self.dropped = {"not a number": 0, "out of order": 0}
+        self._waiting: list[deque[tuple[float, float]]] = [
+            deque(maxlen=_QUEUE) for _ in range(wires)
+        ]
+        self._latest = [-math.inf] * wires
+        self._held = [math.nan] * wires
+
+    def take(self, wire: int, time: float, volt: float) -> str:
+        """A reading at `time` s; why the twin must begin anew, or ""."""
+        if not math.isfinite(volt):
+            self.dropped["not a number"] += 1
+            return ""
+        passed, reason = time - self._latest[wire], ""
+        if passed < -_BACK:
+            reason = f"time went back by {-passed:.3g} s"
+        elif passed <= 0.0:
+            self.dropped["out of order"] += 1
+            return ""
+        elif self._timeout < passed < math.inf:
+            reason = f"no voltages for {passed:.3g} s"
+        if reason:
+            self.clear()
+        self._latest[wire] = time
+        self._waiting[wire].append((time, volt))
+        return reason
+
+    def clear(self) -> None:
+        """Forget everything but the counts."""
+        for k, waiting in enumerate(self._waiting):
+            waiting.clear()
+            self._latest[k], self._held[k] = -math.inf, math.nan
+
+    @property
+    def known_until(self) -> float:
+        """s; -inf until every channel has been heard."""
+        return min(self._latest)
+
+    def missing(self) -> list[int]:
+        """Wires not heard of."""
+        return [k for k, latest in enumerate(self._latest) if latest == -math.inf]
+
+    def changes(self) -> tuple[Array, Array]:
+        """Times (n,) s of the readings, as far as all channels are known, and the voltages (n, w) V
+        held from each on; NaN for a wire whose first reading is yet to come."""
+        until = self.known_until
+        times: list[float] = []
+        volts: list[list[float]] = []
+        while True:
+            time = min((w[0][0] for w in self._waiting if w), default=math.inf)
+            if time > until:
+                break
+            for k, waiting in enumerate(self._waiting):
+                if waiting and waiting[0][0] == time:
+                    self._held[k] = waiting.popleft()[1]
+            times.append(time)
+            volts.append(list(self._held))
+        return np.array(times), np.array(volts).reshape(len(times), len(self._held))
+
+
+# --- The model on these voltages, and the same with other parameters.
+
 _LONGEST_STEP = 0.01  # s
 _RECENT = 4.0  # s that can be looked up
 _MEMORY = 60.0  # s of voltages, lived through again when parameters change
@@ -25,7 +104,7 @@ _OFF = 0.1  # V
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Trajectory:
     """What the model did, a row a step.
 
     Attributes:
@@ -47,10 +126,10 @@ class Course:
         first = max(int(np.searchsorted(self.time, start, side="right")) - 1, 0)
         return slice(first, int(np.searchsorted(self.time, stop, side="right")))
 
-    def followed_by(self, other: Self) -> "Course":
+    def followed_by(self, other: Self) -> "Trajectory":
         """The last seconds of this one, then the other one without its first row."""
         kept = int(np.searchsorted(self.time, self.time[-1] - _RECENT))
-        return Course(*(
+        return Trajectory(*(
             np.concatenate([own[kept:], more[1:]])
             for own, more in zip(vars(self).values(), vars(other).values(), strict=True)
         ))  # fmt: skip
@@ -60,7 +139,7 @@ class FreeRun:
     """The model from the moment at which the twin joined.
 
     Attributes:
-        parameters: now; course: the last seconds; time: s, up to which it has run.
+        parameters: now; trajectory: the last seconds; time: s, up to which it has run.
         spacing: s, the longest time between two of the newest readings of a voltage.
         known_since: s, when the martensite fraction of every wire was known; inf before: a wire
             that was joined warm may have been heated or cooled there.
@@ -82,7 +161,7 @@ class FreeRun:
         self._checkpoints: deque[tuple[float, State | None]] = deque([(time, None)])
         self._log: deque[tuple[Array, Array]] = deque()
         here = self._bench.follow([0.0], voltage[np.newaxis])
-        self.course = self._course(np.array([time]), here)
+        self.trajectory = self._trajectory(np.array([time]), here)
 
     @property
     def state(self) -> State:
@@ -97,8 +176,8 @@ class FreeRun:
         self._log.append((begins, held))
         grid, volts = _in_steps(begins, held)
         run = self._bench.follow(grid - grid[0], volts)
-        self.course = self.course.followed_by(self._course(grid, run))
-        self.time, self._volts, self._driven = float(time[-1]), held[-1], self.course.driven[-1]
+        self.trajectory = self.trajectory.followed_by(self._trajectory(grid, run))
+        self.time, self._volts, self._driven = float(time[-1]), held[-1], self.trajectory.driven[-1]
         if not self._known.all():
             self._notice_known(run)
         if self.time - self._checkpoints[-1][0] > _CHECKPOINT:
@@ -117,8 +196,8 @@ class FreeRun:
         held = np.vstack([self._log[0][1][:1], *(volts[1:] for _, volts in self._log)])
         grid, volts = _in_steps(begins, held)
         run = self._bench.follow(grid - grid[0], volts)
-        course = self._course(grid, run)
-        self.course = course.followed_by(course)
+        trajectory = self._trajectory(grid, run)
+        self.trajectory = trajectory.followed_by(trajectory)
 
     def _take(self, parameters: Parameters) -> None:
         self.parameters = parameters
@@ -130,7 +209,7 @@ class FreeRun:
         ambient = self.parameters["environment.ambient_temperature"]
         return warmed_from_rest(self.parameters, np.nan_to_num(self._measured, nan=ambient))
 
-    def _course(self, time: Array, run: Simulation) -> Course:
+    def _trajectory(self, time: Array, run: Simulation) -> Trajectory:
         conductance = current(
             self.parameters, 1.0, run.temperature, run.martensite_fraction
         )
@@ -140,7 +219,7 @@ class FreeRun:
         newest = np.maximum.accumulate(np.where(drives, np.arange(len(time)), -1))
         strongest = np.argmax(run.voltage, axis=1)
         driven = np.where(newest < 0, self._driven, strongest[newest])
-        return Course(
+        return Trajectory(
             time, run.temperature, run.temperature_reading, conductance, mechanics, driven
         )
 

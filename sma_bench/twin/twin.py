@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.physics.boundary import require_load, side_names
-from sma_bench.twin.comparison import Comparison
-from sma_bench.twin.drive import Drive
-from sma_bench.twin.free_run import FreeRun
-from sma_bench.twin.signal_bins import BIN
+from sma_bench.twin.comparison import BIN, Comparison
+from sma_bench.twin.free_run import FreeRun, MeasuredVoltages
 from sma_bench.twin.verdict import LEARNING, Judge, Rules, Verdict
 
 Array = NDArray[np.float64]
@@ -76,7 +74,7 @@ class Twin:
         self._wires = len(self._channels)
         self._period = 1.0 / settings["publish_rate"]
         self.tune(settings)
-        self._drive = Drive(self._wires, settings["voltage_timeout"])
+        self._voltages = MeasuredVoltages(self._wires, settings["voltage_timeout"])
         self._judge = Judge(side_names(parameters))
         self._origin: int | None = None
         self._ignored = 0
@@ -105,7 +103,7 @@ class Twin:
     def power(self, wire: int, stamp: int, volt: float, ampere: float) -> None:
         """A reading of a channel's voltage [V] and current [A], NaN for what is not measured."""
         time = self._time(stamp)
-        if reason := self._drive.take(wire, time, volt):
+        if reason := self._voltages.take(wire, time, volt):
             self._begin_anew()
             self.restarts, self.reason = self.restarts + 1, reason
         if math.isfinite(ampere) and math.isfinite(volt):
@@ -145,8 +143,8 @@ class Twin:
         """What was left out, by reason, and how often the twin began anew."""
         late = self._comparison.late if self._comparison else 0
         return {
-            "voltages_not_a_number": self._drive.dropped["not a number"],
-            "voltages_out_of_order": self._drive.dropped["out of order"],
+            "voltages_not_a_number": self._voltages.dropped["not a number"],
+            "voltages_out_of_order": self._voltages.dropped["out of order"],
             "readings_not_usable": self._ignored, "readings_late": late,
             "restarts": self.restarts,
         }
@@ -175,7 +173,7 @@ class Twin:
 
     def advance(self) -> None:
         """Run the model as far as the voltages are known, compare, and judge every second."""
-        time, volts = self._drive.changes()
+        time, volts = self._voltages.changes()
         if self._run is None:
             self._join(time, volts)
             time = time[:0]
@@ -192,7 +190,7 @@ class Twin:
                 self.verdict = self._judge.judge(comparison, self._rules)
 
     def _say_what_is_missing(self) -> None:
-        missing = [self._channels[k] for k in self._drive.missing()]
+        missing = [self._channels[k] for k in self._voltages.missing()]
         said = f"voltage of {', '.join(missing)}" if missing else "temperatures to begin with"
         self.verdict = Verdict(LEARNING, f"learning: waiting for {said}")
 
@@ -223,7 +221,7 @@ class Twin:
                 continue
             taken = [waiting.popleft() for _ in range(count)]
             time, value, factor, std = np.array([(at, v, f, d) for at, _, v, f, d in taken]).T
-            predicted = np.interp(time, run.course.time, _column(run, kind, wire)) * factor
+            predicted = np.interp(time, run.trajectory.time, _column(run, kind, wire)) * factor
             if kind == CURRENT:
                 comparison.current(wire, time, value, predicted)
             elif kind == TEMPERATURE:
@@ -235,13 +233,13 @@ class Twin:
                 self._on_residual(Residual(kind, wire, taken[k][1], residual[k]))
 
     def _predict(self, run: FreeRun, time: Array, volts: Array) -> None:
-        course = run.course
-        rows = np.searchsorted(course.time, time)
+        trajectory = run.trajectory
+        rows = np.searchsorted(trajectory.time, time)
         for k in self._due("prediction", 0, time):
-            row = min(int(rows[k]), len(course.time) - 1)
+            row = min(int(rows[k]), len(trajectory.time) - 1)
             self._on_prediction(Prediction(
-                self._stamp(float(time[k])), volts[k], volts[k] * course.conductance[row],
-                course.reading[row], float(course.mechanics[row]),
+                self._stamp(float(time[k])), volts[k], volts[k] * trajectory.conductance[row],
+                trajectory.reading[row], float(trajectory.mechanics[row]),
             ))  # fmt: skip
 
     def _due(self, kind: str, wire: int, time: Array) -> list[int]:
@@ -264,7 +262,7 @@ def compile_model(parameters: Parameters) -> None:
 
 
 def _column(run: FreeRun, kind: str, wire: int) -> Array:
-    """(n,) course of what a sensor reads; of a current, the conductance."""
+    """(n,) trajectory of what a sensor reads; of a current, the conductance."""
     if kind == MECHANICS:
-        return run.course.mechanics
-    return (run.course.conductance if kind == CURRENT else run.course.reading)[:, wire]
+        return run.trajectory.mechanics
+    return (run.trajectory.conductance if kind == CURRENT else run.trajectory.reading)[:, wire]

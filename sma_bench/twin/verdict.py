@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.twin.comparison import Comparison
-from sma_bench.twin.signal_bins import STAYS, SURPRISING, Reading
+from sma_bench.twin.comparison import STAYS, SURPRISING, BinStatistics, Comparison
 
 Array = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ class Verdict:
 
 
 class Judge:
-    """Remembers which gaps are known, so that it can tell what grew."""
+    """Remembers which gaps are known, to say what grew."""
 
     def __init__(self, sides: Sequence[str]) -> None:
         self._sides = tuple(sides)
@@ -157,7 +156,7 @@ class Rules:
 def stage_states(comparison: Comparison, rules: Rules, sides: int) -> list[StageState]:
     """Every stage that has a signal, in the order of the chain."""
 
-    def read(signals: Sequence) -> list[Reading | None]:
+    def read(signals: Sequence) -> list[BinStatistics | None]:
         return [
             s.read(rules.allowed[s.quantity], sides, rules.fewest, rules.window, rules.threshold)
             for s in signals
@@ -182,14 +181,14 @@ def stage_states(comparison: Comparison, rules: Rules, sides: int) -> list[Stage
     return states
 
 
-def _counted(reading: Reading | None) -> Array | None:
+def _counted(reading: BinStatistics | None) -> Array | None:
     if reading is None or reading.surprise < SURPRISING:
         return None
     return np.nan_to_num(reading.gap)
 
 
 def _beyond_current(
-    counted: Array | None, reading: Reading | None, current: Reading | None
+    counted: Array | None, reading: BinStatistics | None, current: BinStatistics | None
 ) -> Array | None:
     """The thermal gap that is left when a wire is heated in proportion to its current error.
 
@@ -206,7 +205,8 @@ def _beyond_current(
 
 
 def _state(
-    stage: str, readings: Sequence[Reading | None], counted: Sequence[Array | None], sides: int
+    stage: str, readings: Sequence[BinStatistics | None], counted: Sequence[Array | None],
+    sides: int,
 ) -> StageState:
     known = [r for r in readings if r is not None]
     if not known:
@@ -242,4 +242,3 @@ def _words(stage: str, comparison: Comparison) -> str:
     if stage == MECHANICAL and blind:
         return "thermal or mechanical stage (wires without temperatures)"
     return f"{stage} stage"
-

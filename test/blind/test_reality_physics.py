@@ -12,7 +12,7 @@ from sma_bench.blind.reality.heat import (
     NODES,
     free_convection,
     radiation,
-    strip,
+    strip_of,
     warm,
 )
 from sma_bench.blind.reality.transformation import (
@@ -64,7 +64,7 @@ def test_all_heat_leaves_by_the_film(features: dict[str, float]) -> None:
 
 def test_field_follows_the_exponential_of_its_matrix() -> None:
     world = World(COMPOSITE, {"silicone_heat_capacity": 0.1, "side_conductance": 0.02})
-    parts = strip(world)
+    parts = strip_of(world)
     conduction = np.zeros((NODES, NODES))
     for j, link in enumerate(parts.link):
         conduction[j : j + 2, j : j + 2] += link * np.array([[1.0, -1.0], [-1.0, 1.0]])

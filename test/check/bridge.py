@@ -29,9 +29,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
-from sma_bench.emulation.build import missing_tools
 from sma_bench.emulation.emulated_bench import emulated_bench
-from sma_bench.emulation.emulated_uno import START_UP
+from sma_bench.emulation.emulated_uno import START_UP, missing_tools
 from sma_bench.hardware.serial_framing import Splitter
 from sma_bench.hardware.serial_messages import Telemetry, decode
 from sma_bench.nodes.base import MEASURED

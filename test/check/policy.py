@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import rclpy
 from rclpy.node import Node
 
-from sma_bench.emulation.build import missing_tools
+from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.hardware.thermal_settings import regions_side_by_side
 from sma_bench.nodes.base import BenchNode
 from sma_bench.nodes.managed_node import ManagedNode

@@ -26,11 +26,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "firmware"))
 
 from virtual_port import VirtualPort
 
-from sma_bench.commands.demo_acts import TABLE_ONE, simulated_truth
-from sma_bench.commands.demo_hardware import PROTOCOLS, WITHIN_SIGMAS
-from sma_bench.emulation.build import build_emulator, build_firmware, missing_tools
-from sma_bench.emulation.emulated_uno import EmulatedUno
-from sma_bench.emulation.plant import Plant
+from sma_bench.commands.demo_acts import EMULATED, QUICK, TABLE_ONE, simulated_truth
+from sma_bench.emulation.emulated_bench import Plant
+from sma_bench.emulation.emulated_uno import (
+    EmulatedUno,
+    build_emulator,
+    build_firmware,
+    missing_tools,
+)
 from sma_bench.hardware.bench_sensors import BenchSensors
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
@@ -152,9 +155,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     rms = float(np.sqrt(np.mean(z**2)))
     for k, symbol in enumerate(TABLE_ONE.values()):
         print(f"{symbol:4} mean z {z[:, k].mean():+.2f}, rms {np.sqrt(np.mean(z[:, k]**2)):.2f}")
-    passed = bool(np.abs(z).max() <= WITHIN_SIGMAS) and rms <= LARGEST_RMS
+    passed = bool(np.abs(z).max() <= EMULATED.sigmas) and rms <= LARGEST_RMS
     print(
-        f"largest |z| {np.abs(z).max():.2f} (limit {WITHIN_SIGMAS:g}), rms {rms:.2f} (limit "
+        f"largest |z| {np.abs(z).max():.2f} (limit {EMULATED.sigmas:g}), rms {rms:.2f} (limit "
         f"{LARGEST_RMS:g}): {'passed' if passed else 'FAILED'}"
     )
     if options.json:
@@ -166,7 +169,7 @@ def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[st
     """Estimates, truth and z of a wire drawn by `seed`."""
     truth = simulated_truth(seed)
     bags = []
-    for k, name in enumerate(PROTOCOLS):
+    for k, name in enumerate(QUICK):
         uno = EmulatedUno(emulator, firmware, seed=2 * seed + k + 1)
         uno.electrics.reference = USB_VOLTS[(seed - 1) % len(USB_VOLTS)]
         uno.electrics.supply_resistance = SOURCE_RESISTANCE

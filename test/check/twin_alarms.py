@@ -25,7 +25,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.twin.signal_bins import BIN, MEMORY, SURPRISING, Bin, SignalBins
+from sma_bench.twin.comparison import BIN, MEMORY, SURPRISING, Bin, SignalBins
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from sma_bench.cli import main
-from sma_bench.emulation.pty_bench import on_a_port
+from sma_bench.emulation.emulated_bench import on_a_port
 from sma_bench.hardware.calibration import RangeCalibration
 from sma_bench.parameters.yaml_file import read_parameter_names
 

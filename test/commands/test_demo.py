@@ -18,6 +18,7 @@ from sma_bench.commands.demo_acts import (
     HOLD_OUT,
     QUICK,
     RECORD,
+    SIMULATED,
     TABLE_ONE,
     VALIDATION,
     confidently_wrong,
@@ -64,7 +65,9 @@ def estimates(deviation, relative_std):
     [(0.0, 0.005, True), (1.9, 0.005, True), (-2.1, 0.005, False), (0.0, 0.011, False)],
 )
 def test_the_promise_is_two_standard_errors_and_one_percent(deviation, relative_std, holds):
-    assert promise_holds(estimates(deviation, relative_std), Parameters.defaults()) is holds
+    assert promise_holds(
+        SIMULATED, estimates(deviation, relative_std), Parameters.defaults()
+    ) is holds
 
 
 @pytest.mark.parametrize("protocols", [FITTED, QUICK], ids=["whole", "quick"])
@@ -73,8 +76,8 @@ def test_either_pair_of_protocols_keeps_the_promise(protocols):
         truth = simulated_truth(seed)
         records = [protocol_record(name, truth, seed) for name in protocols]
         found = identify(records, Parameters.defaults()).estimates
-        told = {name: {"value": found[name].value, "std": found[name].std} for name in TABLE_ONE}
-        assert promise_holds(told, truth)
+        stated = {name: {"value": found[name].value, "std": found[name].std} for name in TABLE_ONE}
+        assert promise_holds(SIMULATED, stated, truth)
 
 
 def test_another_wire_is_drawn_around_table_one_and_differs_by_seed():

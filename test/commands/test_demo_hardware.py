@@ -4,8 +4,10 @@ import pytest
 from rich.console import Console
 
 from sma_bench.cli import main
-from sma_bench.commands import demo_hardware
-from sma_bench.emulation import build
+from sma_bench.commands import demo_acts
+from sma_bench.commands.demo_acts import EMULATED, promise_holds
+from sma_bench.commands.demo_stage import retried
+from sma_bench.emulation import emulated_uno
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 
@@ -16,13 +18,13 @@ def estimates(relative_std=0.01, **factors):
     """Table I, but for factors of its symbols; a factor of 0 leaves it out."""
     return {
         name: {"value": TRUTH[name] * factors.get(symbol, 1.0), "std": relative_std * TRUTH[name]}
-        for name, symbol in demo_hardware.TABLE_ONE.items()
+        for name, symbol in demo_acts.TABLE_ONE.items()
         if factors.get(symbol, 1.0)
     }
 
 
 def test_without_the_tools_it_says_which_in_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(build.shutil, "which", lambda name: None)
+    monkeypatch.setattr(emulated_uno.shutil, "which", lambda name: None)
     assert main(["demo", "--hardware", "--out", str(tmp_path / "demo")]) == 2
     error = capsys.readouterr().err
     assert "the emulated Uno needs the Debian packages gcc-avr" in error
@@ -30,32 +32,32 @@ def test_without_the_tools_it_says_which_in_one_line(tmp_path, monkeypatch, caps
 
 
 def test_a_uno_cannot_be_built_without_the_tools_either(tmp_path, monkeypatch):
-    monkeypatch.setattr(build.shutil, "which", lambda name: None)
+    monkeypatch.setattr(emulated_uno.shutil, "which", lambda name: None)
     with pytest.raises(InputError, match="needs the Debian packages"):
-        build.build_uno(tmp_path)
+        emulated_uno.build_uno(tmp_path)
 
 
 def test_firmware_that_does_not_compile_is_one_line(firmware_image, tmp_path):
     with pytest.raises(InputError, match="^make: [^\n]+$"):
-        build.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
+        emulated_uno.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
 
 
 def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there():
-    assert demo_hardware.numbers_hold(estimates(), TRUTH)
-    assert demo_hardware.numbers_hold(estimates(R=1.029, h=0.971), TRUTH)
-    assert not demo_hardware.numbers_hold(estimates(c_p=1.031), TRUTH)
-    assert not demo_hardware.numbers_hold(estimates(0.001, R=1.004), TRUTH)
-    assert not demo_hardware.numbers_hold(estimates(c_p=0.0), TRUTH)
+    assert promise_holds(EMULATED, estimates(), TRUTH)
+    assert promise_holds(EMULATED, estimates(R=1.029, h=0.971), TRUTH)
+    assert not promise_holds(EMULATED, estimates(c_p=1.031), TRUTH)
+    assert not promise_holds(EMULATED, estimates(0.001, R=1.004), TRUTH)
+    assert not promise_holds(EMULATED, estimates(c_p=0.0), TRUTH)
 
 
 def test_a_large_stated_error_excuses_nothing():
-    assert demo_hardware.numbers_hold(estimates(0.099), TRUTH)
-    assert not demo_hardware.numbers_hold(estimates(0.101), TRUTH)
+    assert promise_holds(EMULATED, estimates(0.099), TRUTH)
+    assert not promise_holds(EMULATED, estimates(0.101), TRUTH)
 
 
 def test_the_table_shows_the_deviation_in_stated_errors():
     console = Console(record=True, width=120)
-    demo_hardware._print_table(console, estimates(0.01, R=1.025), TRUTH)
+    demo_acts._print_hardware_table(console, estimates(0.01, R=1.025), TRUTH)
     row = next(line for line in console.export_text().splitlines() if line.startswith("R "))
     assert row.split()[-2:] == ["+2.50%", "+2.50"]
 
@@ -69,10 +71,10 @@ def test_a_call_is_retried_until_it_succeeds_or_patience_ends():
             raise answer
         return answer
 
-    assert demo_hardware.retried(call, 5.0, 0.001) == "ready"
+    assert retried(call, 5.0, 0.001) == "ready"
     answers[:] = [InputError("never")] * 1000
     with pytest.raises(InputError, match="never"):
-        demo_hardware.retried(call, 0.02, 0.001)
+        retried(call, 0.02, 0.001)
 
 
 @pytest.mark.acceptance

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sma_bench.commands import terminal
-from sma_bench.commands.terminal import Course, duration, progress
+from sma_bench.commands.terminal import WorkState, duration, progress
 from sma_bench.diagnose import search
 from sma_bench.diagnose.diagnosis import diagnose
 from sma_bench.physics.effects import EFFECTS
@@ -45,25 +45,25 @@ def heard():
 
 def test_time_left_is_extrapolated_and_counts_down():
     clock = Clock()
-    course = Course(clock)
-    assert course.left is None
+    state = WorkState(clock)
+    assert state.left is None
     clock.now += 30.0
-    course.report(0.25, "pairs")
-    assert course.left == pytest.approx(90.0)
+    state.report(0.25, "pairs")
+    assert state.left == pytest.approx(90.0)
     clock.now += 20.0
-    assert course.left == pytest.approx(70.0)
-    assert course.words == "25%, 1 min 10 s left"
+    assert state.left == pytest.approx(70.0)
+    assert state.words == "25%, 1 min 10 s left"
 
 
 def test_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
     clock = Clock()
-    course = Course(clock)
+    state = WorkState(clock)
     clock.now += 10.0
-    course.report(0.5, "one")
-    course.report(0.2, "two")
-    assert (course.share, course.what) == (0.5, "two")
+    state.report(0.5, "one")
+    state.report(0.2, "two")
+    assert (state.share, state.what) == (0.5, "two")
     clock.now += 11.0
-    assert course.left is None and course.words == "50%, 21 s gone"
+    assert state.left is None and state.words == "50%, 21 s gone"
 
 
 @pytest.mark.parametrize(

@@ -3,19 +3,14 @@
 
 import numpy as np
 import pytest
+from closed_loops import rmse, run_deflection, run_voltages
 
-from sma_bench.control.closed_loop import (
-    ClosedLoop,
-    Loop,
-    rmse,
-    run_deflection,
-    run_voltages,
-)
 from sma_bench.control.deflection import DeflectionController
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
+from sma_bench.synthetic.bench_records import ClosedLoop, Loop
 
 COMPOSITE = Parameters.defaults().replace(
     {

@@ -4,10 +4,8 @@ import math
 
 import pytest
 
-from sma_bench.control.closed_loop import (
-    deflection_reference_fault,
-    temperature_reference_fault,
-)
+from sma_bench.control.deflection import deflection_reference_fault
+from sma_bench.control.temperature import temperature_reference_fault
 from sma_bench.parameters import Parameters
 
 WIRE = Parameters.defaults()

@@ -4,12 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from closed_loops import step_figures
 
-from sma_bench.control.closed_loop import Loop, run_temperature, step_figures
 from sma_bench.control.temperature import HeatBudget, Heating, TemperatureController
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
+from sma_bench.synthetic.bench_records import Loop, run_temperature
 
 WIRE = Parameters.defaults()
 SLOW_WIRE = WIRE.replace({"wire.heat_transfer_coefficient": 70.0})  # still air: tau 1.1 s

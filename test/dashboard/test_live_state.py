@@ -5,9 +5,16 @@ import math
 
 import pytest
 
-from sma_bench.dashboard.diagnosis_summary import diagnosis_summary
-from sma_bench.dashboard.live_state import LIMITS, LiveState, Seen, shown_limits
-from sma_bench.dashboard.trace import BUCKET, SPAN, Trace
+from sma_bench.dashboard.live_state import (
+    BUCKET,
+    LIMITS,
+    SPAN,
+    LiveState,
+    Seen,
+    Trace,
+    diagnosis_summary,
+    shown_limits,
+)
 
 
 class Clock:

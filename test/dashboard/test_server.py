@@ -12,8 +12,7 @@ from urllib.parse import urlsplit
 import pytest
 from stand_in import StandIn, served
 
-from sma_bench.dashboard.access import Access, is_loopback
-from sma_bench.dashboard.server import DashboardServer
+from sma_bench.dashboard.server import Access, DashboardServer, is_loopback
 from sma_bench.errors import InputError
 
 UPGRADE = {

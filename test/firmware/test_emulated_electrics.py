@@ -7,8 +7,8 @@ import time
 import pytest
 from virtual_host import VirtualHost
 
+from sma_bench.emulation.emulated_bench import on_a_port
 from sma_bench.emulation.emulated_uno import EmulatedUno, Relay, Reset, Switch
-from sma_bench.emulation.pty_bench import on_a_port
 from sma_bench.hardware.serial_messages import Named
 
 PATIENCE = 20.0

@@ -11,8 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
 import fuzz  # noqa: E402
 import table_one  # noqa: E402
 
-from sma_bench.commands.demo_acts import TABLE_ONE  # noqa: E402
-from sma_bench.commands.demo_hardware import LARGEST_RELATIVE_STD, WITHIN_SIGMAS  # noqa: E402
+from sma_bench.commands.demo_acts import EMULATED, TABLE_ONE  # noqa: E402
 
 
 def program(folder: Path, text: str) -> Path:
@@ -51,5 +50,5 @@ def test_stated_errors_hold_behind_firmware_and_camera(
     row = table_one.one_wire(emulator, firmware_image, 11, tmp_path)
     assert set(row) == set(TABLE_ONE)
     z = np.array([found["z"] for found in row.values()])
-    assert (np.abs(z) <= WITHIN_SIGMAS).all()
-    assert all(found["std"] < LARGEST_RELATIVE_STD * found["value"] for found in row.values())
+    assert (np.abs(z) <= EMULATED.sigmas).all()
+    assert all(found["std"] < EMULATED.relative_std * found["value"] for found in row.values())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from virtual_host import VirtualHost
 
-from sma_bench.emulation.plant import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
+from sma_bench.emulation.emulated_bench import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
 from sma_bench.hardware.calibration import fit_range_calibration
 from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
 from sma_bench.parameters import Parameters

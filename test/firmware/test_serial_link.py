@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from host_firmware import HostFirmware
 
-from sma_bench.emulation.pty_bench import PtyBench, on_a_port
+from sma_bench.emulation.emulated_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading

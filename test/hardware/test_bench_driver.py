@@ -12,7 +12,7 @@ from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import Guard, Limits
 from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.bridge_table import SERIAL_BRIDGE
+from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 
 SETTINGS = {parameter.name: parameter.default for parameter in SERIAL_BRIDGE}
 DEVICE = DeviceIdentity(

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import String
 
 from sma_bench.border import COUNTS, NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
-from sma_bench.dashboard.diagnosis_summary import diagnosis_summary
-from sma_bench.dashboard.live_state import LiveState, Seen
+from sma_bench.dashboard.live_state import LiveState, Seen, diagnosis_summary
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import LATCHED
 from sma_bench.nodes.dashboard import _PROGRESS, _one_line

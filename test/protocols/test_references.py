@@ -5,13 +5,13 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.protocols.reading import shipped_names
-from sma_bench.protocols.references import (
+from sma_bench.protocols.reading import (
     DEFLECTION,
     QUANTITIES,
     TEMPERATURE,
     load_reference,
     parse_reference,
+    shipped_names,
 )
 
 WIRE = Parameters.defaults()

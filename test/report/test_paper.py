@@ -15,7 +15,7 @@ from sma_bench.commands.paper_drawing import paper_page, sort_records
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length_from_mass
-from sma_bench.parameters.paper_numbers import DSC_CYCLES
+from sma_bench.parameters.table import DSC_CYCLES
 from sma_bench.physics import Boundary, simulate
 from sma_bench.protocols import load_protocol
 from sma_bench.records import Record, Signal

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.paper_numbers import DSC_CYCLES
+from sma_bench.parameters.table import DSC_CYCLES
 from sma_bench.physics.heat import steady_temperature
 from sma_bench.physics.stress import modulus
 from sma_bench.records.write import write_record

@@ -51,7 +51,7 @@ from sma_bench.cli import main
 from sma_bench.commands import terminal
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
-from sma_bench.protocols.references import TEMPERATURE, load_reference
+from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records import contract, describe, open_record, read_record
 from sma_bench.results import read_result
 

@@ -13,7 +13,7 @@ from sma_bench.hardware.serial_messages import ProtocolError, decode
 from sma_bench.nodes.arguments import check_arguments
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
-from sma_bench.protocols.references import TEMPERATURE, load_reference
+from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records import open_record, read_record
 from sma_bench.results import read_result
 
