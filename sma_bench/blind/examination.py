@@ -157,7 +157,7 @@ def _environment(desk: Path) -> dict[str, str]:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Contents only: links and times of files would tell where the case lies and when it was made.
+    """Contents only: links and times of files would show where the case lies and when it was made.
 
     Raises:
         InputError: there is no such file or folder.

@@ -56,7 +56,6 @@ class Label:
         distinguishable: from every other single explanation, by five standard deviations.
         noise: white, coloured or drift; kinetics: mildly different ones, the only effect there is.
         signals: "all" or "paper" (voltages and deflection).
-        document: the label as it was sealed.
     """
 
     id: str
@@ -68,7 +67,6 @@ class Label:
     noise: str = "white"
     kinetics: bool = False
     signals: str = "all"
-    document: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Label":
@@ -85,7 +83,6 @@ class Label:
             noise=document.get("noise", "white"),
             kinetics=bool(document.get("kinetics", False)),
             signals=document.get("signals", "all"),
-            document=document,
         )
 
     @property

@@ -109,11 +109,6 @@ class PI:
         """The last output."""
         return self._output
 
-    @property
-    def integral(self) -> float:
-        """I, in units of the output."""
-        return self._integral
-
     def reset(self) -> None:
         """Forget everything; the output starts from 0 or the limit nearest to it."""
         self._integral = 0.0

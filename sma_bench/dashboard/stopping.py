@@ -1,4 +1,4 @@
-"""The stop of the page: every node is asked at once, and the wires' voltages tell if it worked."""
+"""The stop of the page: every node is asked at once, and the voltages show if it worked."""
 
 import asyncio
 import math

@@ -1,6 +1,6 @@
 """A protocol: piecewise-linear levels of every channel, as pure functions of time.
 
-Levels are volts; of a reference (references.py) they are kelvin or metres.
+Levels are volts; of a reference they are kelvin or metres.
 """
 
 from dataclasses import dataclass

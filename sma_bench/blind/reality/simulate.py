@@ -136,7 +136,7 @@ class Rig(NamedTuple):
 
 
 @borrowing
-def run(rig, course, field, grains, pull, wires, scratch, values, tip, sides):
+def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
     """Go through a record from the given state, which is advanced in place.
 
     Args:
@@ -144,32 +144,32 @@ def run(rig, course, field, grains, pull, wires, scratch, values, tip, sides):
         values: (n, QUANTITIES, w), tip: (n,) m, sides: (n, 2) m; written.
     """
     reading = 0.0
-    for k in range(len(course.time)):
+    for k in range(len(inputs.time)):
         if k > 0:
-            parts = course.steps[k - 1]
-            step = (course.time[k] - course.time[k - 1]) / parts
+            parts = inputs.steps[k - 1]
+            step = (inputs.time[k] - inputs.time[k - 1]) / parts
             for part in range(parts):
                 share = (part + 0.5) / parts
-                electricity(rig, course, k - 1, wires, pull, step, scratch)
-                heat(rig, course, k - 1, share, field, wires, step, scratch)
+                electricity(rig, inputs, k - 1, wires, pull, step, scratch)
+                heat(rig, inputs, k - 1, share, field, wires, step, scratch)
                 phase(rig, grains, pull, wires, step)
                 balance(rig.beam, pull, wires.after, step, scratch.beam)
                 aftermath(rig, grains, pull, wires)
                 wanted = pull.deflection[0] - pull.deflection[1]
                 reading = min(reading, wanted + rig.habits.friction)
                 reading = max(reading, wanted - rig.habits.friction)
-        slipped = course.time[k] - course.time[0] >= rig.habits.slip_time
+        slipped = inputs.time[k] - inputs.time[0] >= rig.habits.slip_time
         tip[k] = reading + (rig.habits.slip if slipped else 0.0)
         sides[k, 0], sides[k, 1] = pull.deflection[0], pull.deflection[1]
-        report(rig, course, k, field, wires, pull, values)
+        report(rig, inputs, k, field, wires, pull, values)
 
 
 @inlined
-def report(rig, course, k, field, wires, pull, values):
+def report(rig, inputs, k, field, wires, pull, values):
     """Write what every wire is like at sample k."""
     for i in range(len(wires.after)):
         values[k, CURRENT, i] = current(
-            rig.circuit, course.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
+            rig.circuit, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
         )[0]
         values[k, TEMPERATURE, i] = wires.after[i]
         values[k, MARTENSITE, i] = pull.martensite[i]
@@ -178,15 +178,15 @@ def report(rig, course, k, field, wires, pull, values):
         for end in range(2):
             cell = field[strip, 0 if end == 0 else NODES - 1]
             values[k, SURFACE, rig.pairs[strip, end]] = surface_temperature(
-                rig.strip, cell, course.ambient[k], course.gust[k]
+                rig.strip, cell, inputs.ambient[k], inputs.gust[k]
             )[0]
 
 
 @inlined
-def electricity(rig, course, k, wires, pull, step, scratch):
+def electricity(rig, inputs, k, wires, pull, step, scratch):
     """Heat [W] into every wire: Joule's, and the latent heat that is still owed."""
     for i in range(len(wires.after)):
-        voltage = course.voltage[k, i]
+        voltage = inputs.voltage[k, i]
         joule = current(
             rig.circuit, voltage, wires.after[i], pull.martensite[i], wires.driven[i]
         )[1]
@@ -199,10 +199,10 @@ def electricity(rig, course, k, wires, pull, step, scratch):
 
 
 @inlined
-def heat(rig, course, k, share, field, wires, step, scratch):
+def heat(rig, inputs, k, share, field, wires, step, scratch):
     """Advance every strip, in the air at this share of the way from sample k to the next."""
-    air = course.ambient[k] * (1.0 - share) + course.ambient[k + 1] * share
-    gust = course.gust[k] * (1.0 - share) + course.gust[k + 1] * share
+    air = inputs.ambient[k] * (1.0 - share) + inputs.ambient[k + 1] * share
+    gust = inputs.gust[k] * (1.0 - share) + inputs.gust[k + 1] * share
     for strip in range(len(rig.pairs)):
         for end in range(2):
             i = rig.pairs[strip, end]
@@ -299,8 +299,8 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
         InputError: shapes that do not fit, times that do not increase, values that are not finite.
     """
     warn_if_plain()
-    course = _inputs(world, np.array(time, dtype=float), np.array(voltage, dtype=float), fine)
-    samples, wires = course.voltage.shape
+    inputs = _inputs(world, np.array(time, dtype=float), np.array(voltage, dtype=float), fine)
+    samples, wires = inputs.voltage.shape
     rig = _rig(world)
     still = float(world.parameters["environment.ambient_temperature"])
     field = np.full((len(rig.pairs), NODES), still)
@@ -308,12 +308,12 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     tip, sides = np.zeros(samples), np.zeros((samples, 2))
     grains = grains_at_rest(wires, len(rig.classes.weight))
     run(
-        rig, course, field, grains, pull_at_rest(wires), wires_at_rest(wires, still),
+        rig, inputs, field, grains, pull_at_rest(wires), wires_at_rest(wires, still),
         scratch_for(wires), values, tip, sides,
     )
     return Outcome(
-        time=course.time,
-        voltage=course.voltage,
+        time=inputs.time,
+        voltage=inputs.voltage,
         current=values[:, CURRENT],
         temperature=values[:, TEMPERATURE],
         surface=values[:, SURFACE],
@@ -321,7 +321,7 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
         stress=values[:, STRESS],
         deflection=tip,
         side_deflection=sides,
-        ambient=course.ambient,
+        ambient=inputs.ambient,
     )
 
 
