@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from sma_bench.blind.judgement import CONFIDENT
 from sma_bench.commands.demo_stage import HardwareStage, Stage, recording_time
+from sma_bench.commands.diagnose import print_tables
 from sma_bench.commands.terminal import WorkState, print_table, progress, write_json
 from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.errors import InputError
@@ -427,10 +428,8 @@ RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
 # An Uno's own 5 V range. Over the usual 10 V, 10 bit are steps of 10 mV, far above the noise: a
 # held level would be off by what heats the wire as much as a small effect.
 INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
-_LEAST_SHOWN = 0.005
 _DIAGNOSING = 60.0  # s, about
 _PATIENCE = 600.0
-_Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def gap_act(
@@ -497,27 +496,4 @@ def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
     console.print(
         f"where      {escape(where['signal'])}, {where['phase']}, {where['side']} side{stage}"
     )
-    for headings, rows in (_candidates(answer), _shrinkage(answer)):
-        print_table(console, headings, rows, range(1, len(headings)))
-
-
-def _candidates(answer: Mapping[str, Any]) -> _Table:
-    rows: list[tuple[str, ...]] = []
-    for candidate in answer["candidates"]:
-        if candidate["probability"] >= _LEAST_SHOWN:
-            gap = candidate["gap_over_noise"]
-            probability = f"{candidate['probability']:.3f}"
-            rows.append((candidate["name"], probability, "" if gap is None else f"{gap:.1f}"))
-    return ("candidate", "probability", "gap/noise"), rows
-
-
-def _shrinkage(answer: Mapping[str, Any]) -> _Table:
-    rows = []
-    for quantity, s in answer["shrinkage"].items():
-        numbers = [in_print(quantity, s[n]) for n in ("rmse_before", "rmse_after", "noise_floor")]
-        # JSON has null for a number that does not exist.
-        fraction, low, high = (
-            "" if share is None else f"{100.0 * share:.0f}" for share in (s["fraction"], *s["ci90"])
-        )
-        rows.append((quantity, *numbers, f"{fraction} %", f"{low} to {high} %"))
-    return ("held out", "rms before", "after", "noise", "gap gone", "90 % interval"), rows
+    print_tables(console, answer, ("candidates_table", "shrinkage"))

@@ -1,9 +1,13 @@
 """sma-bench diagnose: where simulation and bench disagree, which effect causes it, how far."""
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Container
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from sma_bench.border import printable
+from rich.console import Console
+
+from sma_bench.border import printable, read_json
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import one_of
 from sma_bench.commands.terminal import (
@@ -15,13 +19,11 @@ from sma_bench.commands.terminal import (
     say,
     write_json,
 )
+from sma_bench.results import LARGEST, diagnosis_from, json_text
 
 if TYPE_CHECKING:
     from sma_bench.diagnose import Diagnosis
 
-_Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
-
-_LEAST_SHOWN = 0.005
 _CELLS_SHOWN = 6
 
 
@@ -80,42 +82,18 @@ def print_result(result: "Diagnosis") -> None:
 
     console = output_console()
     console.print(f"{result.decision.verdict}: {headline(result)}\n", markup=False)
-    for headings, rows in (_candidates(result), _where(result), _chain(result), _shrinkage(result)):
-        print_table(console, headings, rows, right=range(1, len(headings)))
-        console.print()
+    print_tables(console, read_json(json_text(result.to_json()), "result", LARGEST))
     for sentence in what_next(result):
         console.print(f"{printable(sentence)}\n", markup=False)
     print_findings(result.findings)
 
 
-def _candidates(result: "Diagnosis") -> _Table:
-    return ("candidate", "probability", "gap/noise", "log evidence"), [
-        (c.name, f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:.1f}")
-        for c in result.decision.candidates if c.probability >= _LEAST_SHOWN
-    ]
+def print_tables(console: Console, document: Any, names: Container[str] = ()) -> None:
+    """The tables of a result that is read from JSON, those of `names` where they are given."""
+    from sma_bench.report.diagnosis_words import result_tables
 
-
-def _where(result: "Diagnosis") -> _Table:
-    return ("where", "phase", "side", "gap/noise", "share"), [
-        (cell.signal, cell.phase, cell.side, f"{cell.gap:.2f}", f"{100.0 * cell.share:.0f} %")
-        for cell in result.where[:_CELLS_SHOWN]
-    ]
-
-
-def _chain(result: "Diagnosis") -> _Table:
-    return ("block, no effect", "gap/noise", "90 % interval"), [
-        (link.block, f"{link.gap:.2f}", f"{link.ci90[0]:.2f} to {link.ci90[1]:.2f}")
-        for link in result.chain
-    ]
-
-
-def _shrinkage(result: "Diagnosis") -> _Table:
-    headings = ("held out", "RMSE before", "after", "noise", "gap gone", "90 % interval")
-    rows: list[tuple[str, ...]] = []
-    for name, s in result.shrinkage.items():
-        low, high = s.ci90
-        rows.append(
-            (name, f"{s.rmse_before:.3g}", f"{s.rmse_after:.3g}", f"{s.noise_floor:.3g}",
-             f"{100.0 * s.fraction:.0f} %", f"{100.0 * low:.0f} to {100.0 * high:.0f} %")
-        )
-    return headings, rows
+    for table in result_tables(diagnosis_from(Path("result"), document)):
+        if not names or table.name in names:
+            rows = table.rows[:_CELLS_SHOWN] if table.name == "where" else table.rows
+            print_table(console, table.header, rows, table.numeric, title=table.title)
+            console.print()

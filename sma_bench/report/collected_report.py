@@ -26,10 +26,10 @@ from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.report.diagnosis_figures import STAGE_COLOURS
-from sma_bench.report.diagnosis_words import with_error
+from sma_bench.report.diagnosis_words import result_tables
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, drawable, new_figure, thinned
 from sma_bench.report.page import Picture, Section, Table
-from sma_bench.results import DiagnoseResult, IdentifyResult, Number, in_print, read_result
+from sma_bench.results import DiagnoseResult, IdentifyResult, Number, read_result
 
 Array = NDArray[np.float64]
 
@@ -329,7 +329,6 @@ def _cell(value: Any, form: str) -> str:
 _LEAST_SHOWN = 0.005
 _MOST_BARS = 12
 _NUMBER_HEADER = ("parameter", "value", "standard error", "unit", "points", "method")
-_QUANTITIES = frozenset({"current", "temperature", "deflection"})
 
 
 def identify_section(result: IdentifyResult, name: str) -> tuple[Section, str]:
@@ -358,10 +357,12 @@ def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:
     """
     said = verdict(result)
     following = [f"Next: {result.next_experiment}"] if result.next_experiment else []
-    tables = [_candidates(result, name), _where(result, name), _shrinkage(result, name)]
+    tables = [
+        Table(t.header, t.rows, t.numeric, f"{name}_{t.name}", t.title)
+        for t in result_tables(result)
+    ]
     pictures = [_bars(result, f"{name}_candidates")]
     if result.chain:
-        tables.insert(2, _chain(result, name))
         pictures.append(_chain_picture(result, f"{name}_chain"))
     section = Section(
         f"Diagnosis {result.path}", [f"{said}.", *following], result.warnings, tables, pictures
@@ -420,58 +421,6 @@ def _default(number: Number) -> float:
     known = BY_NAME.get(number.name)
     finite = math.isfinite(number.value) and math.isfinite(number.std) and number.std >= 0.0
     return float(known.default) if finite and known and isinstance(known.default, float) else 0.0
-
-
-def _candidates(result: DiagnoseResult, name: str) -> Table:
-    rows = [
-        (
-            c.name, c.stage, f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:+.1f}",
-            "; ".join(f"{n.name} = {with_error(n.value, n.std)} {n.unit}" for n in c.numbers),
-        )
-        for c in result.candidates if c.probability >= _LEAST_SHOWN
-    ]  # fmt: skip
-    header = ("candidate", "stage", "probability", "gap over noise", "log evidence [nats]",
-              "numbers")  # fmt: skip
-    return Table(header, rows, frozenset({2, 3, 4}), f"{name}_candidates_table", "Candidates")
-
-
-def _where(result: DiagnoseResult, name: str) -> Table:
-    rows = [
-        (signal, phase, side, f"{gap:.2f}", f"{100 * share:.0f} %", printed(signal, rms))
-        for signal, phase, side, gap, share, rms in result.where
-    ]
-    header = ("signal", "phase", "side", "gap over noise", "share", "rms")
-    return Table(header, rows, frozenset({3, 4, 5}), f"{name}_where", "Where the gap lies")
-
-
-def _chain(result: DiagnoseResult, name: str) -> Table:
-    rows = [(b, f"{gap:.2f}", f"{low:.2f} to {high:.2f}") for b, gap, low, high in result.chain]
-    header = ("block, driven by what was measured", "gap over noise", "90 % interval")
-    return Table(
-        header, rows, frozenset({1, 2}), f"{name}_chain_table", "The chain, block by block"
-    )
-
-
-def _shrinkage(result: DiagnoseResult, name: str) -> Table:
-    rows = [
-        (
-            s.quantity, printed(s.quantity, s.before), printed(s.quantity, s.after),
-            printed(s.quantity, s.noise), f"{100 * s.fraction:.0f} %",
-            f"{100 * s.ci90[0]:.0f} to {100 * s.ci90[1]:.0f} %",
-        )
-        for s in result.shrinkage
-    ]
-    header = ("held-out quantity", "rms before", "rms after", "noise", "gap that is gone",
-              "90 % interval")  # fmt: skip
-    title = "How far the gap shrinks, on data that no fit saw"
-    return Table(header, rows, frozenset({1, 2, 3, 4, 5}), f"{name}_shrinkage", title)
-
-
-def printed(signal: str, value: float) -> str:
-    """An SI value with its unit on paper; without one where the signal is not known."""
-    if signal.rpartition(".")[2] in _QUANTITIES:
-        return in_print(signal, value)
-    return f"{value:.3g}"
 
 
 def _bars(result: DiagnoseResult, name: str) -> Picture:

@@ -1,6 +1,7 @@
-"""The argument of a diagnosis in sentences, made from its numbers. No figures, no matplotlib."""
+"""The argument of a diagnosis in sentences and tables, made from its numbers. No matplotlib."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from sma_bench.diagnose.shrinkage import Shrinkage
 from sma_bench.diagnose.sizes import Cell
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.results import in_print
+from sma_bench.results import DiagnoseResult, in_print
 
 _AT_NOISE = 1.05  # rms of the error over the noise of a sample
 _PHASES = {
@@ -264,3 +265,71 @@ def _percent(share: float) -> str:
     if 0.995 < share < 1.0:
         return "above 99 %"
     return f"{100.0 * share:.0f} %"
+
+
+# --- The tables of a result, the same on a terminal and on a page.
+
+_LEAST_SHOWN = 0.005
+
+
+class DiagnosisTable(NamedTuple):
+    """`name` for a file, title, cells as text; `numeric` are the columns set flush right."""
+
+    name: str
+    title: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    numeric: frozenset[int]
+
+
+def result_tables(result: DiagnoseResult) -> list[DiagnosisTable]:
+    """Candidates, where the gap lies, the chain where there is one, and what shrinks."""
+    candidates = [
+        (
+            c.name, c.stage, f"{c.probability:.3f}", _or_empty(c.gap, ".2f"),
+            _or_empty(c.gain, "+.1f"),
+            "; ".join(f"{n.name} = {with_error(n.value, n.std)} {n.unit}" for n in c.numbers),
+        )
+        for c in result.candidates if c.probability >= _LEAST_SHOWN
+    ]  # fmt: skip
+    where = [
+        (signal, phase, side, f"{gap:.2f}", f"{100 * share:.0f} %", in_print(signal, rms))
+        for signal, phase, side, gap, share, rms in result.where
+    ]
+    chain = [(b, f"{gap:.2f}", f"{low:.2f} to {high:.2f}") for b, gap, low, high in result.chain]
+    shrinkage = [
+        (
+            s.quantity, *(in_print(s.quantity, rms) for rms in (s.before, s.after, s.noise)),
+            _or_empty(100 * s.fraction, ".0f", " %"),
+            f"{100 * s.ci90[0]:.0f} to {100 * s.ci90[1]:.0f} %" if np.isfinite(s.ci90[0]) else "",
+        )
+        for s in result.shrinkage
+    ]
+    tables = [
+        DiagnosisTable(
+            "candidates_table", "Candidates",
+            ("candidate", "stage", "probability", "gap over noise", "log evidence [nats]",
+             "numbers"), candidates, frozenset({2, 3, 4}),
+        ),
+        DiagnosisTable(
+            "where", "Where the gap lies",
+            ("signal", "phase", "side", "gap over noise", "share", "rms"), where,
+            frozenset({3, 4, 5}),
+        ),
+        DiagnosisTable(
+            "chain_table", "The chain, block by block",
+            ("block, driven by what was measured", "gap over noise", "90 % interval"), chain,
+            frozenset({1, 2}),
+        ),
+        DiagnosisTable(
+            "shrinkage", "How far the gap shrinks, on data that no fit saw",
+            ("held-out quantity", "rms before", "rms after", "noise", "gap that is gone",
+             "90 % interval"), shrinkage, frozenset({1, 2, 3, 4, 5}),
+        ),
+    ]  # fmt: skip
+    return [table for table in tables if table.rows or table.name != "chain_table"]
+
+
+def _or_empty(value: float, form: str, unit: str = "") -> str:
+    """JSON has null for a number that does not exist."""
+    return format(value, form) + unit if np.isfinite(value) else ""

@@ -155,13 +155,14 @@ def answer(*probabilities, cause=(), verdict="effect", **parameters):
             for k, (name, p) in enumerate(probabilities)
         ],
         "where": {"signal": "deflection", "phase": "drive", "side": "front",
-                  "stage": "mechanical"},
+                  "stage": "mechanical", "table": []},
         "shrinkage": {
             "deflection": {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4,
                            "fraction": 0.94, "ci90": [0.9, 0.97]},
             "current": {"rmse_before": 1e-2, "rmse_after": 1e-2, "noise_floor": 1e-2,
                         "fraction": None, "ci90": [None, None]},
         },
+        "next_experiment": None,
     }  # fmt: skip
 
 
