@@ -6,12 +6,13 @@ equation. This module reads the declarations out of the files' text, without imp
 parameter file is read without loading the compiler, and nothing lists the effects but their folder.
 """
 
+import ast
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from sma_bench.errors import InputError
 from sma_bench.parameters.parameter import Parameter
@@ -100,20 +101,29 @@ def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
 
 
 def _declared(path: Path) -> Effect:
-    """The declaration in a file, evaluated with nothing at hand but the two types it names."""
+    """The declaration in a file: calls of the two types it names, and literals."""
     text = path.read_text(encoding="utf-8")
     _, found, rest = text.partition("\nEFFECT = ")
     declaration, closed, _ = rest.partition("\n)\n")
     if not (found and closed and '"""' in text):
         raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
-    code = compile(declaration + "\n)", path, "eval")
-    effect: Effect = eval(code, {"Effect": Effect, "Parameter": Parameter})
+    effect = _value(ast.parse(declaration + "\n)", path, "eval").body)
     prefix = f"{EFFECT_PREFIX}{path.stem}."
     if effect.name != path.stem:
         raise ValueError(f"{path}: EFFECT is called {effect.name}, expected {path.stem}")
     if not all(p.name.startswith(prefix) for p in effect.parameters):
         raise ValueError(f"{path}: a parameter's name does not begin with {prefix}")
     return replace(effect, text=inspect.cleandoc(text.split('"""')[1]))
+
+
+def _value(node: ast.expr) -> Any:
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        kind = {"Effect": Effect, "Parameter": Parameter}[node.func.id]
+        named = {keyword.arg or "": _value(keyword.value) for keyword in node.keywords}
+        return kind(*map(_value, node.args), **named)
+    if isinstance(node, ast.Tuple):
+        return tuple(map(_value, node.elts))
+    return ast.literal_eval(node)
 
 
 EFFECTS = declared_effects()

@@ -30,23 +30,50 @@ from sma_bench.physics.effects.temperature_underfill import spot_temperature
 from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
 from sma_bench.physics.kinetics import close_loops
 
+PLACES = 6  # a compiled function cannot go through a list of others: it names so many
 
-def every_effect(place, arguments, join):
-    """One compiled function that calls the functions called `place` of all effects.
 
-    Written out as source, because a compiled function cannot go through a list of others.
-    """
-    modules = {name: import_module(f"{EFFECTS_PACKAGE}.{name}") for name in sorted(EFFECTS)}
-    names = {name: getattr(m, place) for name, m in modules.items() if hasattr(m, place)}
-    body = join.join(f"{name}({arguments})" for name in names)
-    line = f"return {body}" if join == " + " else body
-    exec(compile(f"def {place}({arguments}): {line}", __file__, "exec"), names)
-    return borrowing(names[place])
+def of_effects(place, nothing):
+    """PLACES functions: those called `place` of all effects, then `nothing`."""
+    modules = [import_module(f"{EFFECTS_PACKAGE}.{name}") for name in sorted(EFFECTS)]
+    found = [getattr(module, place) for module in modules if hasattr(module, place)]
+    if len(found) > PLACES:
+        raise ImportError(f"{len(found)} effects with {place}, expected at most {PLACES}")
+    return (*found, *[nothing] * (PLACES - len(found)))
+
+
+@borrowing
+def no_strain(wires, i):
+    """No effect."""
+    return 0.0
+
+
+@borrowing
+def no_change(wires, i, fraction_before, step):
+    """No effect."""
 
 
 EFFECTS_PACKAGE = "sma_bench.physics.effects"
-added_strain = every_effect("added_strain", "wires, i", " + ")
-after_step = every_effect("after_step", "wires, i, fraction_before, step", "; ")
+strain_1, strain_2, strain_3, strain_4, strain_5, strain_6 = of_effects("added_strain", no_strain)
+change_1, change_2, change_3, change_4, change_5, change_6 = of_effects("after_step", no_change)
+
+
+@borrowing
+def added_strain(wires, i):
+    """Strain of wire i that all effects add to the contract's."""
+    first = strain_1(wires, i) + strain_2(wires, i) + strain_3(wires, i)
+    return first + strain_4(wires, i) + strain_5(wires, i) + strain_6(wires, i)
+
+
+@borrowing
+def after_step(wires, i, fraction_before, step):
+    """What all effects hand to the next step."""
+    change_1(wires, i, fraction_before, step)
+    change_2(wires, i, fraction_before, step)
+    change_3(wires, i, fraction_before, step)
+    change_4(wires, i, fraction_before, step)
+    change_5(wires, i, fraction_before, step)
+    change_6(wires, i, fraction_before, step)
 
 
 @borrowing

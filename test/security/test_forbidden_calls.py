@@ -32,8 +32,6 @@ KEYWORDS = {
 # Documentation's own examples are run by its tests.
 EXAMPLES = {
     "test/docs/page_runner.py": {"exec"}, "test/docs/test_notebooks.py": {"exec", "eval"},
-    # The package's own files: what an effect declares, without importing the compiler with it.
-    "sma_bench/parameters/effect_table.py": {"eval"}, "sma_bench/physics/otherwise.py": {"exec"},
 }  # fmt: skip
 
 

@@ -45,7 +45,12 @@ EFFECT = Effect(
     acts_on=("deflection",),
     marks=("EVOLVES",),
     columns={"memory": "MEMORY", "return_point": "RETURN_POINT"},
-    state=("TURNS", *18 * ("TURN_STATES",)),
+    state=(
+        "TURNS",
+        "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
+        "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
+        "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
+    ),  # fmt: skip
 )
 
 
