@@ -27,6 +27,9 @@ LARGEST_TOPIC = MEGABYTE  # of JSON in one message
 LONGEST_SHOWN = 500  # characters of a topic's text, where people see it
 DEEPEST = 64
 YAML_SECONDS = 5.0
+# What a bag or table may unfold to, and how long that may take: more than any recorder's asks for.
+_BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
+_SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
 _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
 _SURROGATE = re.compile(r"[\ud800-\udfff]")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -69,6 +72,11 @@ class Budget:
     def is_over(self) -> bool:
         """Whether the time is over."""
         return time.thread_time() > self._until
+
+
+def reading_budget(size: int) -> Budget:
+    """What reading files of `size` bytes may take."""
+    return Budget(_BYTES + _BYTES_OF_EACH * size, _SECONDS + _SECONDS_OF_EACH * size)
 
 
 # --- files --------------------------------------------------------------------------------------

@@ -38,6 +38,8 @@ COMMANDS = {
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
 _BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
+LONGEST_LINE = 2000  # characters of an error: names in a file may be of any length
+
 _EXAMPLES = """examples:
   sma-bench info my_bag
   sma-bench identify my_bag --params lab.yaml --out identified.yaml
@@ -59,7 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         from sma_bench.border import printable  # --help does without YAML
 
-        print(f"sma-bench: {printable(str(error))}", file=sys.stderr)
+        line = printable(str(error))
+        end = "" if len(line) <= LONGEST_LINE else "..."
+        print(f"sma-bench: {line[:LONGEST_LINE]}{end}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("sma-bench: interrupted", file=sys.stderr)

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sma_bench.border import OverBudget
+from sma_bench.border import OverBudget, reading_budget
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records import contract
 from sma_bench.records.bag_files import find_bag_files, scan_files
-from sma_bench.records.harvest import Harvest, reading_budget
+from sma_bench.records.harvest import Harvest
 from sma_bench.records.record import FloatArray, IntArray, Record, Signal, Topic
 from sma_bench.records.samples import Samples, read_samples, sort_by_stamp
 

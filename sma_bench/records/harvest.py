@@ -7,16 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.border import MEGABYTE, Budget, OverBudget, printable
+from sma_bench.border import Budget, OverBudget, printable, reading_budget
 from sma_bench.findings import Finding
 from sma_bench.records.record import IntArray
 
 # Bytes: a smaller file is read one message after the other before numba is even loaded.
 _WORTH_LOADING = 8 << 20
 _MOST_TOPICS = 4096
-# What a bag may unfold to, and how long that may take: more than any recorder's bag asks for.
-_BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
-_SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
 
 
 @dataclass
@@ -113,11 +110,6 @@ class Harvest:
     def lost(self, subject: str, text: str, **numbers: float) -> None:
         """Note that something of the bag could not be read."""
         self.findings.append(Finding("warning", subject, text, dict(numbers)))
-
-
-def reading_budget(size: int) -> Budget:
-    """What reading files of `size` bytes may take."""
-    return Budget(_BYTES + _BYTES_OF_EACH * size, _SECONDS + _SECONDS_OF_EACH * size)
 
 
 def is_compiled(size: int) -> bool:

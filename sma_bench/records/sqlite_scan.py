@@ -308,7 +308,10 @@ def _read_joined(
     highest, count, data, *texts = found.fetchone()
     if not count:
         return None
-    times, packed = (np.fromstring(text, dtype=np.int64, sep=",") for text in texts)
+    try:
+        times, packed = (np.fromstring(text, dtype=np.int64, sep=",") for text in texts)
+    except (TypeError, ValueError):  # stamps that are no integers, or none at all
+        raise sqlite3.DatabaseError("stamps are no integers") from None
     topics, lengths = packed >> 32, packed & 0xFFFFFFFF
     fit = len(times) == len(packed) == count and lengths.sum() == len(data)
     if not fit or times.min() < 0:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.border import MEGABYTE, Budget, OverBudget, printable, read_bytes
+from sma_bench.border import MEGABYTE, Budget, OverBudget, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError
 from sma_bench.records.table_cells import (
     LONGEST_NAME,
@@ -34,8 +34,8 @@ from sma_bench.records.table_cells import (
 )
 
 LARGEST_FILE = 200 * MEGABYTE
-_LARGEST_UNFOLDED = 1024 * MEGABYTE
-_SECONDS = 120.0
+_MOST_AS_TEXT = 1_000_000  # numbers of a file that may be an instrument's
+_CELL = 100  # bytes that one of a spreadsheet takes while it is read
 _MOST_LEAVES = 10_000
 _DEEPEST = 16
 _LOOK_AT = 400  # rows, for the dialect
@@ -73,7 +73,7 @@ def read_table_file(path: str | Path) -> TableFile:
     """
     path = Path(path)
     content = read_bytes(path, LARGEST_FILE)
-    budget = Budget(_LARGEST_UNFOLDED, _SECONDS)
+    budget = reading_budget(len(content))
     kind = format_of(content[:512])
     try:
         columns, preamble, notes = _READERS[kind](content, budget)
@@ -106,7 +106,7 @@ def read_lines(path: Path) -> list[str]:
 
 @lru_cache(maxsize=2)  # several readers look at one file in turn
 def _rows_as_lines(kind: str, content: bytes) -> tuple[str, ...]:
-    budget = Budget(_LARGEST_UNFOLDED, _SECONDS)
+    budget = reading_budget(len(content))
     if kind == "Excel":
         sheets = _excel_sheets(content, budget)
         rows = max((rows for _, rows in sheets), key=len, default=[])
@@ -116,6 +116,11 @@ def _rows_as_lines(kind: str, content: bytes) -> tuple[str, ...]:
     whole = [column for column in columns if len(column.values) == size]
     if not whole:
         raise InputError(f"no columns of numbers found in this {kind} file")
+    if len(whole) * size > _MOST_AS_TEXT:
+        raise InputError(
+            f"{len(whole) * size} numbers, more than any instrument's file; sma-bench import makes "
+            "a record of a logger's table"
+        )
     values = np.column_stack([column.values for column in whole])
     titles = [f"{c.title} ({c.unit})" if c.unit else c.title for c in whole]
     finite = values[np.isfinite(values).all(axis=1)].tolist()
@@ -248,20 +253,33 @@ def _excel_sheets(content: bytes, budget: Budget) -> list[tuple[str, list[list[A
         with zipfile.ZipFile(BytesIO(content)) as archive:
             for member in archive.infolist():
                 budget.take(member.file_size)
-        book = openpyxl.load_workbook(BytesIO(content), read_only=True, data_only=True)
+        book = openpyxl.load_workbook(_Watched(content, budget), read_only=True, data_only=True)
         sheets = []
         for sheet in book.worksheets:
             rows = []
             sheet.reset_dimensions()  # what a file claims of its size is not believed
             for row in sheet.iter_rows(values_only=True):
-                budget.take(16 * len(row))
+                budget.take(_CELL * len(row))
                 rows.append(_trimmed(row))
             sheets.append((str(sheet.title), rows))
     except InputError:
         raise
     except Exception as error:  # openpyxl passes on whatever its parsers stumble over
+        budget.check()
         raise InputError(f"not a readable Excel file: {_why(error)}") from None
     return sheets
+
+
+class _Watched(BytesIO):
+    """A file that is read no longer than its budget lasts: openpyxl takes all texts at once."""
+
+    def __init__(self, content: bytes, budget: Budget) -> None:
+        super().__init__(content)
+        self._budget = budget
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._budget.check()
+        return super().read(size)
 
 
 def _trimmed(row: tuple[Any, ...]) -> list[Any]:
@@ -441,23 +459,27 @@ def _read_parquet(content: bytes, budget: Budget) -> Found:
         if file.metadata.num_columns > MOST_COLUMNS:
             raise InputError(f"{file.metadata.num_columns} columns, at most {MOST_COLUMNS}")
         table = file.read(use_threads=False)
+        pairs = zip(table.column_names, table.columns, strict=True)
+        columns = [_parquet_column(name, column) for name, column in pairs if len(column)]
     except InputError:
         raise
     except Exception as error:  # pyarrow's own errors, which only it can name
         raise InputError(f"not a readable Parquet file: {_why(error)}") from None
-    columns = []
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        kind = str(column.type)
-        if kind.startswith("timestamp"):
-            nanoseconds = np.asarray(column.cast("timestamp[ns]").to_numpy(), dtype=np.int64)
-            seconds = (nanoseconds - nanoseconds[0]) / 1e9
-            start = float(nanoseconds[0]) / 1e9
-            columns.append(Column(name, name, "s", seconds, start=start))
-        elif kind.startswith(("int", "uint", "float", "double", "half", "decimal")):
-            title, unit = split_title(name)
-            values = np.asarray(column.cast("double").to_numpy(), dtype=np.float64)
-            columns.append(Column(name, title, unit, values))
-    return columns, [], []
+    return [column for column in columns if column is not None], [], []
+
+
+def _parquet_column(name: str, column: Any) -> Column | None:
+    """A column of numbers or moments; None for another kind."""
+    kind = str(column.type)
+    if kind.startswith("timestamp"):
+        nanoseconds = np.asarray(column.cast("timestamp[ns]").to_numpy(), dtype=np.int64)
+        start = float(nanoseconds[0]) / 1e9
+        return Column(name, name, "s", (nanoseconds - nanoseconds[0]) / 1e9, start=start)
+    if kind.startswith(("int", "uint", "float", "double", "half", "decimal")):
+        title, unit = split_title(name)
+        values = np.asarray(column.cast("double").to_numpy(), dtype=np.float64)
+        return Column(name, title, unit, values)
+    return None
 
 
 _READERS: dict[str, Callable[[bytes, Budget], Found]] = {

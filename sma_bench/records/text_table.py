@@ -1,13 +1,16 @@
 """Tables of numbers in text files: which separator, which header, which unit."""
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.border import OverBudget, reading_budget
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
@@ -100,9 +103,30 @@ def read_text_table(path: Path | str) -> TextTable:
             finite numbers as the table has columns (the line is named).
     """
     path = Path(path)
-    rows = [line.replace('"', "").strip() for line in read_lines(path)]
+    found = _once(path, tuple(read_lines(path)))
+    if isinstance(found, InputError):
+        raise InputError(str(found))
+    return found
+
+
+@lru_cache(maxsize=1)  # several readers look at one file in turn
+def _once(path: Path, content: tuple[str, ...]) -> TextTable | InputError:
+    try:
+        return _table_of(path, content)
+    except OverBudget as error:
+        return InputError(f"{path}: {error}")
+    except InputError as error:
+        return error
+
+
+def _table_of(path: Path, content: Sequence[str]) -> TextTable:
+    budget = reading_budget(sum(map(len, content)))
+    rows = [line.replace('"', "").strip() for line in content]
     separator, decimal = _dialect(rows)
-    parsed = [_numbers(row, separator, decimal) for row in rows]
+    parsed = []
+    for row in rows:
+        budget.check()
+        parsed.append(_numbers(row, separator, decimal))
     first = next((i for i, numbers in enumerate(parsed) if numbers and len(numbers) > 1), None)
     if first is None:
         raise InputError(f"{path}: no table of numbers found, expected two or more columns")
@@ -112,7 +136,7 @@ def read_text_table(path: Path | str) -> TextTable:
         if not rows[i]:
             continue
         numbers = parsed[i]
-        if numbers is None or len(numbers) != width or not np.all(np.isfinite(numbers)):
+        if numbers is None or len(numbers) != width or not all(map(math.isfinite, numbers)):
             raise InputError(
                 f"{path}: line {i + 1} is {rows[i][:60]!r}, expected {width} finite numbers"
             )
@@ -138,7 +162,7 @@ def head_of(path: Path, size: int) -> bytes:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if format_of(head) == "text":
         return head.replace(b"\0", b"")
-    return "\n".join(read_lines(path)[:_HEAD_LINES]).encode()[:size]
+    return "\n".join(read_lines(path)[:_HEAD_LINES]).encode(errors="replace")[:size]
 
 
 def find_column(

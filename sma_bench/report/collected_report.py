@@ -6,6 +6,7 @@ import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -493,6 +494,7 @@ def _blocks(path: Path) -> Iterator[bytes]:
             yield block
 
 
+@cache
 def versions() -> dict[str, str]:
     """Of this package, what it computes with, Python and the machine."""
     found = {"sma_bench": __version__, "Python": platform.python_version()}

@@ -5,7 +5,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import jinja2
@@ -222,10 +222,7 @@ def write_report(
         files[f"{picture.name}.png"] = picture.png
         if for_papers:
             files[f"{picture.name}.svg"] = picture.svg
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, finalize=_without_controls
-    )
-    page = environment.from_string(_TEMPLATE).render(
+    page = _template().render(
         title=title, summary=summary, sections=sections, width_of=_width,
         curves_of=curves_of, policy=policy(),
         script=script() if any(picture.over_time for picture in pictures) else "",
@@ -236,6 +233,14 @@ def write_report(
         files |= {f"{name}.csv": csv_text(table) for name, table in tables.items()}
     write_together(directory, {**files, _PAGE: page.encode("utf-8")})
     return directory / _PAGE
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, finalize=_without_controls
+    )
+    return environment.from_string(_TEMPLATE)
 
 
 def _width(cell: str) -> str:

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sma_bench import records
 from sma_bench.commands import identify as command
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.records import Record, Signal, open_record
+from sma_bench.tasks import work
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
 DEFAULTS = Parameters.defaults()
@@ -180,7 +180,7 @@ def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_pat
 
 
 def test_unwritable_folder_is_one_line_and_leaves_no_file(staircase, tmp_path, monkeypatch):
-    monkeypatch.setattr(records, "open_record", lambda path, namespace=None: staircase())
+    monkeypatch.setattr(work, "open_record", lambda path, namespace=None: staircase())
     import argparse
 
     parser = argparse.ArgumentParser()

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sma_bench.border import reading_budget
 from sma_bench.records import cdr, contract
-from sma_bench.records.harvest import reading_budget
 
 numbers = st.floats(width=32, allow_nan=False)
 doubles = st.floats(allow_nan=False)

@@ -10,10 +10,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sma_bench import border
 from sma_bench.api import load
 from sma_bench.cli import main
 from sma_bench.errors import InputError
-from sma_bench.records import describe, open_record, read_record, tables
+from sma_bench.records import describe, open_record, read_record
 from sma_bench.records.import_map import convert, read_map
 from sma_bench.records.import_proposal import Bench, propose
 from sma_bench.records.isobaric import read_isobaric
@@ -311,7 +312,7 @@ def test_any_bytes_are_a_table_or_one_line(tmp_path_factory, content, magic):
 
 
 def test_tables_that_unfold_without_end_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(tables, "_LARGEST_UNFOLDED", 1 << 20)
+    monkeypatch.setattr(border, "_BYTES", 1 << 20)
     bomb = tmp_path / "bomb.xlsx"
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("xl/sheet.xml", bytes(2 << 20))

@@ -137,6 +137,8 @@ def steady_windows(time: Array, temperature: Array) -> Array:
     Args:
         time: (n,) s, increasing; temperature: (n,) K.
     """
+    if len(time) < 2:
+        return np.empty((0, 2))
     period = float(np.median(np.diff(time)))
     half = max(int(round(0.5 * WINDOW / period)), 2)
     if len(time) < 4 * half:

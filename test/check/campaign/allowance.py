@@ -6,6 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+_PATIENCE = 30.0
+_TIMERS = {signal.ITIMER_PROF: signal.SIGPROF, signal.ITIMER_REAL: signal.SIGALRM}
+
 
 class TooLong(Exception):
     """The work went on beyond its time."""
@@ -13,24 +16,31 @@ class TooLong(Exception):
 
 @contextmanager
 def allowance(memory: int, seconds: float) -> Iterator[None]:
-    """MemoryError beyond `memory` bytes more than now, TooLong beyond `seconds` of CPU time.
+    """MemoryError beyond `memory` bytes more than now, TooLong beyond `seconds` of CPU time, the
+    system's for it included, or beyond _PATIENCE times as long on the wall.
 
-    Of the main thread only, for the signal; CPU time, for a busy machine is no fault.
+    Of the main thread only, for the signals; CPU time, for a busy machine is no fault; the wall's
+    too, for what waits on a pipe takes none.
     """
 
-    def too_long(*_: object) -> None:
-        raise TooLong(f"more than {seconds:g} s")
+    def too_long(number: int, _: object) -> None:
+        on_the_wall = number == signal.SIGALRM
+        raise TooLong(f"waits for {_PATIENCE * seconds:g} s" if on_the_wall
+                      else f"more than {seconds:g} s")  # fmt: skip
 
     before, hard = resource.getrlimit(resource.RLIMIT_AS)
-    handler = signal.signal(signal.SIGVTALRM, too_long)
+    handlers = {number: signal.signal(number, too_long) for number in _TIMERS.values()}
     resource.setrlimit(resource.RLIMIT_AS, (address_space() + memory, hard))
-    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    for timer, patience in ((signal.ITIMER_PROF, 1.0), (signal.ITIMER_REAL, _PATIENCE)):
+        signal.setitimer(timer, patience * seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        for timer in _TIMERS:
+            signal.setitimer(timer, 0.0)
         resource.setrlimit(resource.RLIMIT_AS, (before, hard))
-        signal.signal(signal.SIGVTALRM, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def address_space() -> int:

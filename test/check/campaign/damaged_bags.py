@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from campaign.allowance import allowance
-from campaign.hostile_inputs import COMMANDS, Case, run_command
+from campaign.hostile_inputs import FOR_ALL, Case, run_command
 from campaign.numbered_bag import FORMATS, MESSAGES, NumberedBag, numbered_bag, numbers_in
 from campaign.outcome import Outcome
 from sma_bench.cli import main
@@ -112,14 +112,14 @@ def _damaged_drives(size: int, seed: int, folder: Path) -> Outcome:
         at = rng.randrange(1, len(raw))
         (copy / storage).write_bytes(damage(rng, raw, at, rng.choice(_BLOCKS)))
         out.mkdir(exist_ok=True)
-        for command in COMMANDS:
+        for command in FOR_ALL:
             options = () if command == "info" else ("--params", str(_RIG))
             text, code = run_command(command, Case(copy, options), out, _DIAGNOSIS_SECONDS)
             failures += [f"drive {k}: {command}: {text}"] if text else []
             results += code == 0
-    found = f"failed {len(failures)}, {results} results of {size * len(COMMANDS)}"
+    found = f"failed {len(failures)}, {results} results of {size * len(FOR_ALL)}"
     return Outcome(
-        "bags", f"damaged drives through {', '.join(COMMANDS)}", size,
+        "bags", f"damaged drives through {', '.join(FOR_ALL)}", size,
         "; ".join([found, *failures[:_SHOWN_FAILURES]]), "failed 0", not failures,
     )
 

@@ -13,14 +13,18 @@ import random
 import shutil
 import sqlite3
 import stat
+import sys
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+import numpy as np
 import yaml
 
 from campaign.allowance import allowance
@@ -34,6 +38,7 @@ from campaign.hostile_bags import (
     named_joints,
     small_bag,
 )
+from campaign.hostile_tables import hostile_table_file
 from campaign.outcome import Outcome
 from campaign.parser_seeds import (
     DIAGNOSIS,
@@ -47,18 +52,21 @@ from campaign.parser_seeds import (
     parsers,
 )
 from sma_bench.border import read_json
-from sma_bench.cli import main
+from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
+from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.reading import TEMPERATURE, load_reference
-from sma_bench.records import contract, describe, open_record, read_record
+from sma_bench.records import Record, contract, describe, open_record, read_record
+from sma_bench.records.tables import read_table_file
+from sma_bench.records.write import write_record
+from sma_bench.report.page import Picture
 from sma_bench.results import read_result
 
 MEMORY = 1 << 30
+_DRAWN_ONE_IN = 7
 SECONDS = 10.0
-# A record that diagnose takes is diagnosed, and that is as much work as for any other.
-_DIAGNOSIS_SECONDS = 120.0
 _SHOWN = 160
 _SHOWN_FAILURES = 5
 _STATE = {"state": "recording", "failure": None, "messages": 12, "bag": "a", "rates": [1.0, 2.5]}
@@ -109,16 +117,85 @@ class Choices(random.Random):
 
 @dataclass(frozen=True)
 class Case:
-    """What the commands get: a record or result, and options."""
+    """What the commands get: a record, result or table, and options; `tabled` are import's, None
+    where there is nothing to import."""
 
     path: Path
     options: tuple[str, ...] = ()
+    tabled: tuple[str, ...] | None = None
 
 
 Maker = Callable[[random.Random, Path], Case]
 
 
 # --- bags ---------------------------------------------------------------------------------------
+
+_DRIVE = """name: drive
+steps:
+  - {kind: staircase, start: 0.0, stop: 4.0, increment: 1.0, dwell: 2.2}
+"""
+_RIG = Path(__file__).resolve().parents[3] / "config" / "wire_rig.yaml"
+
+
+@cache
+def drive() -> Record:
+    """Eleven seconds of a wire at five voltages: enough to be identified and diagnosed."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        protocol, bag = Path(folder, "drive.yaml"), Path(folder, "drive")
+        protocol.write_text(_DRIVE)
+        code = main([
+            "simulate", "--protocol", str(protocol), "--params", str(_RIG), "--rate", "10",
+            "--noise", "1", "--out", str(bag),
+        ])  # fmt: skip
+        if code:
+            raise RuntimeError("the drive cannot be simulated")
+        return read_record(bag)
+
+
+def _good_bag(rng: random.Random, path: Path) -> Path:
+    """Twenty readings, or the drive."""
+    storage = rng.choice(("mcap", "sqlite3"))
+    if rng.random() < 0.8:
+        return small_bag(path, storage)
+    write_record(path, list(drive().signals.values()), storage=storage)
+    return path
+
+
+def hostile_drive(rng: random.Random, folder: Path) -> Case:
+    """The drive, of which some readings, times or whole signals are not what a bench says."""
+    signals = [s for s in drive().signals.values() if rng.random() < 0.9]
+    for _ in range(rng.choice((1, 1, 2, 3)) if signals else 0):
+        k = rng.randrange(len(signals))
+        time, values = signals[k].time.copy(), signals[k].values.copy()
+        first, last = sorted((rng.randrange(len(time)), rng.randrange(len(time))))
+        trick = rng.randrange(9)
+        if trick == 0:
+            values[first] = rng.choice(NUMBERS)
+        elif trick == 1:
+            values[first:last] = rng.choice(NUMBERS)
+        elif trick == 2:
+            values *= rng.choice((0.0, -1.0, 1e-6, 1e3, 1e9, 1e30))
+        elif trick == 3:
+            time[first:] += rng.choice((0.5, 60.0, 86_400.0, 3e7, 1e9))
+        elif trick == 4:
+            time *= rng.choice((1e-9, 1e-3, 0.1, 10.0, 1e4))
+        elif trick == 5:
+            time, values = time[first:last], values[first:last]
+        elif trick == 6:
+            values += rng.choice((-300.0, 0.5, 50.0, 1e6))
+        elif trick == 7:
+            values = np.round(values / (step := rng.choice((1e-6, 0.5, 5.0)))) * step
+        else:
+            rng.shuffle(values)
+        signals[k] = replace(signals[k], time=time, values=values)
+    bag = folder / "bag"
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            write_record(bag, signals, storage=rng.choice(("mcap", "sqlite3")))
+        except (ValueError, OverflowError, InputError):  # not to be written: the drive as it was
+            shutil.rmtree(bag, ignore_errors=True)
+            write_record(bag, list(drive().signals.values()))
+    return Case(bag, ("--params", str(_RIG)) if rng.random() < 0.5 else ())
 
 
 def _topics(rng: random.Random) -> list[tuple[str, str]]:
@@ -189,7 +266,7 @@ def hostile_mcap(rng: random.Random, folder: Path) -> Case:
             content = chunk(content, compressed=False)
     elif shape == "bomb":
         run = message(rng.randrange(1, 8), 1, rng.choice((b"", bytes(4), bytes(60))))
-        content += b"".join([chunk(run * 20_000)] * rng.choice((1, 60)))
+        content += b"".join([chunk(run * 20_000)] * rng.choice((60, *[1] * 30)))
     elif shape != "plain":
         size = rng.choice((0, 1, 2**40, 2**64 - 1)) if shape == "size" else None
         content = chunk(content, rng.random() < 0.7, size) * (2 if shape == "twice" else 1)
@@ -254,6 +331,8 @@ def mutated(rng: random.Random, document: Any) -> Any:
 
 
 def _one_changed(rng: random.Random, node: Any) -> Any:
+    if type(node) in (int, float) and abs(node) < 1e300 and rng.random() < 0.7:
+        return node * rng.choice((0.5, 0.9, 1.1, 1.5, 3.0, 100.0, 1e-3))
     if not isinstance(node, (dict, list)) or not node or rng.random() < 0.15:
         return _deep(rng) if rng.random() < 0.1 else rng.choice(VALUES)
     if isinstance(node, list):
@@ -276,7 +355,7 @@ def hostile_yaml(rng: random.Random, document: Any) -> str:
     """A mutated document as YAML: with anchors, merge keys, tags, or numbers beyond all measure."""
     text = str(yaml.safe_dump(mutated(rng, document), allow_unicode=False))
     return text + rng.choice((
-        "", "", "", "zz: &a [1, 2]\nzy: *a\n", "zz: &a {b: 1}\nzy: {<<: *a}\n", "zz: !!set {a}\n",
+        *[""] * 16, "zz: &a [1, 2]\nzy: *a\n", "zz: &a {b: 1}\nzy: {<<: *a}\n", "zz: !!set {a}\n",
         "zz: &a [*a]\n", "zz: " + "9" * 401 + "\n", "zz: 1e999\n", "zz: !!binary x\n", "...\n---\n",
         "zz: 1" + ":59" * 40 + "\n", "zz: " + "[" * 200 + "]" * 200 + "\n", "? [a]\n: b\n",
         "zz: " + "{a: " * 900 + "}" * 900 + "\n", 'zz: "\\uD800"\n', "zz: !!timestamp x\n",
@@ -292,7 +371,7 @@ def hostile_json(rng: random.Random, document: Any) -> str:
 
 def hostile_metadata(rng: random.Random, folder: Path) -> Case:
     """A good bag whose metadata is not."""
-    bag = small_bag(folder / "bag", rng.choice(("mcap", "sqlite3")))
+    bag = _good_bag(rng, folder / "bag")
     (bag / "metadata.yaml").write_text(hostile_yaml(rng, yaml.safe_load(METADATA)))
     return Case(bag)
 
@@ -300,7 +379,7 @@ def hostile_metadata(rng: random.Random, folder: Path) -> Case:
 def hostile_parameters(rng: random.Random, folder: Path) -> Case:
     """A good bag, and parameters that are not."""
     (folder / "p.yaml").write_text(hostile_yaml(rng, yaml.safe_load(PARAMETERS)))
-    bag = small_bag(folder / "bag", "mcap")
+    bag = _good_bag(rng, folder / "bag")
     return Case(bag, ("--params", str(folder / "p.yaml")))
 
 
@@ -325,10 +404,16 @@ def hostile_table(rng: random.Random, folder: Path) -> Case:
     return Case(path)
 
 
+def hostile_import(rng: random.Random, folder: Path) -> Case:
+    """A table of another logger, or what `import` takes with it."""
+    path, options = hostile_table_file(rng, folder, hostile_yaml)
+    return Case(path, tabled=options)
+
+
 def hostile_place(rng: random.Random, folder: Path) -> Case:
     """A good bag of a hostile name; links, pipes and folders where files should be."""
     name = rng.choice((
-        b"a\x1b[31mb", b"caf\xe9", b"a\nb", b"=1+1", b"<img src=x>", b"x" * 200, b"-rf", b"$m^{",
+        b"a\x1b[31mb", b"caf\xe9", b"a\nb", b"=1+1", b"<img src=x>", b"x" * 120, b"-rf", b"$m^{",
     ))  # fmt: skip
     bag = small_bag(folder / os.fsdecode(name), rng.choice(("mcap", "sqlite3")))
     storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
@@ -353,12 +438,14 @@ def hostile_place(rng: random.Random, folder: Path) -> Case:
 
 
 MAKERS: dict[str, tuple[int, Maker]] = {
-    "mcap": (6, hostile_mcap),
-    "sqlite3": (6, hostile_sqlite),
+    "mcap": (4, hostile_mcap),
+    "sqlite3": (4, hostile_sqlite),
+    "drive": (1, hostile_drive),
     "metadata": (2, hostile_metadata),
-    "parameters": (2, hostile_parameters),
-    "result": (3, hostile_result),
-    "instrument file": (3, hostile_table),
+    "parameters": (4, hostile_parameters),
+    "result": (5, hostile_result),
+    "instrument file": (5, hostile_table),
+    "table of a logger": (6, hostile_import),
     "place": (1, hostile_place),
 }
 
@@ -370,7 +457,9 @@ COMMANDS: dict[str, Callable[[Case, Path], list[str]]] = {
     "identify": lambda case, out: [*case.options, "--out", str(out / "identified.yaml")],
     "diagnose": lambda case, out: [*case.options, "--out", str(out / "improved.yaml")],
     "report": lambda case, out: [*case.options, "--out", str(out / "report")],
+    "import": lambda case, out: [*(case.tabled or ()), "--out", str(out / "imported")],
 }
+FOR_ALL = tuple(command for command in COMMANDS if command != "import")
 
 
 def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
@@ -378,23 +467,26 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     terminal.FIRST_LINE = 1e6  # said on a machine that is busy with something else
     names = [name for name, (weight, _) in MAKERS.items() for _ in range(weight)]
     tried: Counter[str] = Counter()
-    refused: Counter[str] = Counter()
+    results: dict[str, Counter[str]] = {name: Counter() for name in MAKERS}
     failures: dict[str, list[str]] = {name: [] for name in MAKERS}
-    for command in COMMANDS:  # what they load is not an input's fault
-        run_command(command, Case(small_bag(folder / f"warm {command}", "mcap")), folder / "out")
+    _warm_up(folder)
     for k in range(size):
         name = names[k % len(names)]
         rng = random.Random(f"{seed} {k}")
         tried[name] += 1
         for left in ("given", "out"):
             shutil.rmtree(folder / left, ignore_errors=True)
-        said, was_refused = try_case(MAKERS[name][1], rng, folder)
-        refused[name] += was_refused
-        failures[name] += [f"input {k}: {text}" for text in said]
+        with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else _undrawn():
+            said, succeeded = try_case(MAKERS[name][1], rng, folder)
+        results[name].update(succeeded)
+        failures[name] += [f"input {k} of seed {seed}: {text}" for text in said]
+        for text in said:
+            print(f"{name}, input {k} of seed {seed}: {text}", file=sys.stderr, flush=True)
     return [
         Outcome(
-            "hostile", f"well formed: {name}, through {', '.join(COMMANDS)}", tried[name],
-            f"failed {len(failures[name])}, refused in one line by every command {refused[name]}"
+            "hostile", f"well formed: {name}, through all commands", tried[name],
+            f"failed {len(failures[name])}, results: "
+            + (", ".join(f"{c} {results[name][c]}" for c in COMMANDS if results[name][c]) or "none")
             + "".join(f"; {text}" for text in failures[name][:_SHOWN_FAILURES]),
             "failed 0", not failures[name],
         )
@@ -402,25 +494,46 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     ]  # fmt: skip
 
 
-def try_case(maker: Maker, rng: random.Random, folder: Path) -> tuple[list[str], bool]:
-    """What went wrong with one input, and whether every command refused it."""
+@contextlib.contextmanager
+def _undrawn() -> Iterator[None]:
+    """Reports whose figures are put together but not rendered, which takes most of the time."""
+    empty = property(lambda _: b"")
+    with mock.patch.multiple(Picture, png=empty, svg=empty):
+        yield
+
+
+def _warm_up(folder: Path) -> None:
+    """What the commands load, and compile once for a machine, is no input's fault."""
+    bag = folder / "warm"
+    write_record(bag, list(drive().signals.values()))
+    table = folder / "warm.csv"
+    table.write_text("time [s],voltage [V]\n" + "".join(f"{k},{k % 5}\n" for k in range(20)))
+    for command in FOR_ALL:
+        run_command(command, Case(bag, ("--params", str(_RIG))), folder / "out", 600.0)
+    run_command("import", Case(table, tabled=()), folder / "out", 600.0)
+
+
+def try_case(maker: Maker, rng: random.Random, folder: Path) -> tuple[list[str], list[str]]:
+    """What went wrong with one input, and the commands that had a result."""
     given, out = folder / "given", folder / "out"
     given.mkdir(parents=True)
     out.mkdir()
     (given / VICTIM).write_text("nobody may change this\n")
     case = maker(rng, given)
     before = _everything(given)
-    failures, refusals = [], 0
-    for command in COMMANDS:
-        seconds = _DIAGNOSIS_SECONDS if command == "diagnose" else SECONDS
-        text, code = run_command(command, case, out, seconds)
+    failures, results = [], []
+    for command in FOR_ALL if case.tabled is None else COMMANDS:
+        text, code = run_command(command, case, out)
         failures += [f"{command}: {text}"] if text else []
-        refusals += code != 0
+        results += [command] if code == 0 else []
         if (after := _everything(given)) != before:
             changed = sorted(str(p) for p in {*after, *before} if after.get(p) != before.get(p))
             failures.append(f"{command}: changed {', '.join(changed)[:_SHOWN]}")
             before = after
-    return failures, refusals == len(COMMANDS)
+    if "import" in results:  # what was imported is a bag like any other
+        text, code = run_command("info", Case(out / "imported"), out)
+        failures += [f"info of what was imported: {text}"] if text or code else []
+    return failures, results
 
 
 def run_command(
@@ -442,6 +555,8 @@ def run_command(
     ]
     if code not in (0, 2) or (code == 2 and len(lines) != 1):
         return f"ends with {code} and {len(lines)} lines {lines[:2]!r:.{_SHOWN}}", code
+    if lines and max(map(len, lines)) > LONGEST_LINE + 20:
+        return f"says a line of {max(map(len, lines))} characters", code
     both = told.getvalue() + errors.getvalue()
     odd = next((line for line in both.split("\n") if not line.isprintable()), "")
     return (f"prints {odd[:_SHOWN]!r}" if odd else ""), code
@@ -466,6 +581,7 @@ def targets() -> tuple[Parser, ...]:
         _chosen(
             "sqlite3", lambda rng, folder: describe(open_record(hostile_sqlite(rng, folder).path))
         ),
+        _chosen("table", lambda rng, folder: read_table_file(hostile_import(rng, folder).path)),
         _chosen("metadata", lambda rng, folder: read_record(hostile_metadata(rng, folder).path)),
         _chosen("topic", lambda rng, _: read_json(hostile_json(rng, _STATE), "topic")),
         _chosen("result", lambda rng, folder: read_result(hostile_result(rng, folder).path)),
