@@ -231,8 +231,12 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
     for obs in observations:
         start, stop = float(obs.grid[0]), float(obs.grid[-1])
         border = start + _FIT_SHARE * (stop - start)
+        if not obs.between(-np.inf, border).signals:  # the readings began late
+            border = float(np.quantile(np.concatenate([s.time for s in obs.signals]), _FIT_SHARE))
         early.append(obs.between(-np.inf, border))
         late.append(obs.between(border, np.inf))
+    if not any(obs.signals for obs in early):
+        raise InputError("diagnose: too few readings to fit a model to some and try it on the rest")
     return early, late
 
 

@@ -40,6 +40,7 @@ _BIN = 0.2  # s, shorter than any time constant of a wire in air
 _MOST_BINS = 1500  # a signal
 _FULL = 0.5  # of the usual number of samples
 _MOST_CELLS = 12_000
+_CELLS_A_SAMPLE = 50  # what lies between readings so far apart is not to be known
 _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
 _FEWEST_SAMPLES = 20
@@ -328,9 +329,13 @@ def observe(
         raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
     left_out = tuple(m.name for m in rig.measured if m.quantity not in quantities)
     place = np.zeros(len(rig.voltage.early))
+    signals = tuple(_binned(m, rig, grid, shortest_bin) for m in known)
+    if not any(len(signal.value) for signal in signals):
+        held = ", ".join(m.name for m in known)
+        raise InputError(f"{record.path}: too few samples of {held} to compare with a model")
     return Observation(
         str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
-        rig.voltage, tuple(_binned(m, rig, grid, shortest_bin) for m in known), left_out, rig.holds,
+        rig.voltage, signals, left_out, rig.holds,
     )
 
 
@@ -433,7 +438,9 @@ def _known_history(rig: Rig, parameters: Parameters) -> list[Measured]:
 def _grid(rig: Rig, finest: float) -> Array:
     start, stop = rig.start, rig.stop
     cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
-    cell = max(cell, (stop - start) / _END_OF_CELLS)
+    sampled = sum(len(measured.time) for measured in rig.measured)
+    most = min(_MOST_CELLS + _CELLS_A_SAMPLE * sampled, _END_OF_CELLS)
+    cell = max(cell, (stop - start) / most)
     even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
     even = _thinned(even, rig.voltage, max(1, round(_LONG_CELL / cell)))
     fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(finest, 2.0 * _NARROW)))

@@ -8,7 +8,7 @@ import sqlite3
 import numpy as np
 import pytest
 
-from sma_bench.cli import COMMANDS, main
+from sma_bench.cli import COMMANDS, LONGEST_LINE, main
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records import Signal, open_record, read_record
@@ -201,3 +201,8 @@ def test_a_truncated_bag_is_read_up_to_the_damage_and_says_so(tmp_path, capsys, 
 
 def test_run_names_the_nodes_there_are(capsys):
     assert "simulator" in refuse(capsys, "run", "simulater")
+
+
+def test_an_error_is_a_line_that_can_be_read_whatever_names_are_in_it(capsys):
+    assert main(["info", "x" * 5000]) == 2
+    assert len(capsys.readouterr().err) < LONGEST_LINE + 30

@@ -6,6 +6,8 @@ from scipy.integrate import solve_ivp
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
+from sma_bench.identify.thermal.differentiator import slope_of_rates
+from sma_bench.identify.thermal.heat_fit import Window
 from sma_bench.identify.thermal.heat_response import course_from_samples, temperature_rise
 from sma_bench.parameters import Parameters
 
@@ -140,3 +142,10 @@ def test_ramps_alone_give_specific_heat_and_coefficient_together(ramp):
 def test_ramp_that_does_not_warm_the_wire_is_an_error(ramp):
     with pytest.raises(InputError, match="temperature rises by .* expected 10 times"):
         found_cp(ramp(top=0.2))
+
+
+def test_ramps_shorter_than_the_filter_are_one_line():
+    time = np.arange(4) * 0.01
+    window = Window(time, np.ones(4), time, np.full(4, 300.0), np.array([1]))
+    with pytest.raises(InputError, match="longer than the filter"):
+        slope_of_rates([window], [300.0], 2.7, 0.1, 1e-4)

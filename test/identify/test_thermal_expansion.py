@@ -143,3 +143,7 @@ def test_windows_begin_after_the_overshoot() -> None:
     for (start, stop), level in zip(windows, (300.0, 310.0, 320.0), strict=True):
         inside = (time >= start) & (time <= stop)
         assert np.abs(temperature[inside] - level).max() < 0.05
+
+
+def test_a_lone_reading_holds_still_for_no_time():
+    assert steady_windows(np.array([1.0]), np.array([300.0])).shape == (0, 2)

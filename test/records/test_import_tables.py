@@ -331,6 +331,45 @@ def test_tables_that_unfold_without_end_are_refused(tmp_path, monkeypatch):
             read_table_file(path)
 
 
+def test_texts_of_a_spreadsheet_without_end_take_no_longer_than_its_budget(tmp_path, monkeypatch):
+    monkeypatch.setattr(border, "_SECONDS", 0.3)
+    good = write_excel(tmp_path)
+    bomb = tmp_path / "texts.xlsx"
+    texts = "<si><t>x</t></si>" * 200_000
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    with zipfile.ZipFile(good) as before, zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as after:
+        for name in before.namelist():
+            content = before.read(name)
+            if name == "xl/sharedStrings.xml":
+                content = f'<sst xmlns="{main}">{texts}</sst>'.encode()
+            after.writestr(name, content)
+    with pytest.raises(InputError, match="takes more than 0.3"):
+        read_table_file(bomb)
+
+
+def test_more_numbers_than_an_instrument_writes_are_not_made_text(tmp_path):
+    path = tmp_path / "long.h5"
+    with h5py.File(path, "w") as file:
+        for name in ("t", "u"):
+            file.create_dataset(name, data=np.zeros(600_000), compression="gzip")
+    with pytest.raises(InputError, match="1200000 numbers, more than any instrument"):
+        open_record(path)
+
+
+def test_moments_beyond_all_measure_and_names_that_are_no_text_are_one_line(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    moments = pyarrow.array([-(2**40)] * 9, pyarrow.timestamp("s"))
+    parquet.write_table(pyarrow.table({"t": moments}), tmp_path / "early.parquet")
+    with pytest.raises(InputError, match="not a readable Parquet file"):
+        read_table_file(tmp_path / "early.parquet")
+    with h5py.File(tmp_path / "names.h5", "w") as file:
+        for name in ("t", "u"):
+            file.create_dataset(name, data=np.arange(9.0)).attrs["unit"] = np.bytes_(b"\xff")
+    with pytest.raises(InputError, match="sma-bench import"):
+        open_record(tmp_path / "names.h5")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -1,5 +1,6 @@
 """Bags that are well formed and made to harm: one line or a record, in bounds, nothing deleted."""
 
+import contextlib
 import os
 import sqlite3
 import struct
@@ -11,10 +12,11 @@ import numpy as np
 import pytest
 import zstandard
 
+from sma_bench.diagnose.diagnosis import _split
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
 from sma_bench.parameters import read_parameters
-from sma_bench.records import Signal, read_record
+from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_files import METADATA
 from sma_bench.records.record import samples
 from sma_bench.records.write import write_record
@@ -83,6 +85,16 @@ def test_messages_that_a_program_makes_are_refused(db3, statement):
     database.close()
     with allowance(GIGABYTE, 10.0), pytest.raises(InputError, match="messages (is no|has columns)"):
         read_record(db3)
+
+
+@pytest.mark.parametrize("stamp", ["'now'", "1e308"])
+def test_stamps_that_are_no_integers_are_left_out(db3, stamp):
+    import sma_bench.compiled  # noqa: F401, with it rows are joined
+
+    with contextlib.closing(sqlite3.connect(db3)) as database:
+        database.execute(f"UPDATE messages SET timestamp = {stamp} WHERE rowid % 7 = 3")
+        database.commit()
+    assert len(read_record(db3)["wire.voltage"]) == 17
 
 
 def test_a_view_that_is_entered_as_a_table_is_no_table(db3):
@@ -277,3 +289,26 @@ def test_a_grid_has_an_end_whatever_the_times(drive):
     }
     with allowance(GIGABYTE, 60.0):
         assert len(observe(replace(drive, signals=far), read_parameters(RIG)).grid) < 5e6
+
+
+def test_few_readings_over_a_day_are_diagnosed_on_a_grid_of_their_number():
+    count = np.arange(100)
+    signals = [
+        Signal("wire.voltage", "V", count * 1000.0, np.where(count % 20 < 10, 1.0, 0.0)),
+        Signal("wire.temperature", "K", count * 1000.0, 300.0 + count % 7),
+    ]
+    record = Record(Path("day"), 0, {signal.name: signal for signal in signals})
+    grid = observe(record, read_parameters(RIG)).grid
+    assert len(grid) < 50_000
+
+
+def test_readings_that_begin_late_leave_some_to_fit_and_some_to_try(tmp_path):
+    time = np.arange(200) * 0.1
+    late = time > 16.0
+    volts = np.where(time % 4.0 < 2.0, 2.0, 0.0)
+    write_record(tmp_path / "bag", [
+        Signal("wire.voltage", "V", time, volts),
+        Signal("wire.temperature", "K", time[late], 300.0 + 5.0 * volts[late] + time[late] % 0.3),
+    ])  # fmt: skip
+    early, rest = _split([observe(read_record(tmp_path / "bag"), read_parameters(RIG))])
+    assert early[0].signals and rest[0].signals

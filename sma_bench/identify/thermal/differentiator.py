@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array, Estimate
 from sma_bench.identify.thermal.heat_fit import Window
 
@@ -48,7 +49,9 @@ def slope_of_rates(
         rates.append(((temperature - smooth) / FILTER_TIME)[driven])
         forces.append(lfilter(low, passed, force, zi=[kept * force[0]])[0][driven])
     rate, force = np.concatenate(rates), np.concatenate(forces)
-    slope = float(force @ rate) / float(force @ force)
+    slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
+    if slope == 0.0:
+        raise InputError("the ramps do not heat the wire for longer than the filter's time")
     left = rate - slope * force
     # Filtered samples repeat each other over the filter's time.
     effective = max(len(rate) * period / (2.0 * FILTER_TIME), 2.0)
