@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
+from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
 
 
@@ -39,11 +40,17 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
         design: (n, k) matrix A, n > k.
         values: (n,) measured y.
         covariance: (n, n) of y, positive definite.
+
+    Raises:
+        InputError: numbers so large or small that nothing can be solved with them.
     """
-    factor = cholesky(covariance, lower=True, check_finite=False)
-    whitened = solve_triangular(factor, design, lower=True, check_finite=False)
-    target = solve_triangular(factor, values, lower=True, check_finite=False)
-    beta, *_ = np.linalg.lstsq(whitened, target, rcond=None)
+    try:
+        factor = cholesky(covariance, lower=True, check_finite=False)
+        whitened = solve_triangular(factor, design, lower=True, check_finite=False)
+        target = solve_triangular(factor, values, lower=True, check_finite=False)
+        beta, *_ = np.linalg.lstsq(whitened, target, rcond=None)
+    except np.linalg.LinAlgError:
+        raise InputError("readings that no bench has: no straight line fits them") from None
     left = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)
     return LinearFit(

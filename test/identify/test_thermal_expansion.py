@@ -147,3 +147,8 @@ def test_windows_begin_after_the_overshoot() -> None:
 
 def test_a_lone_reading_holds_still_for_no_time():
     assert steady_windows(np.array([1.0]), np.array([300.0])).shape == (0, 2)
+
+
+def test_readings_that_no_bench_has_are_one_line():
+    with pytest.raises(InputError, match="no straight line"):
+        fit_linear(np.full((4, 2), np.inf), np.ones(4), np.eye(4))
