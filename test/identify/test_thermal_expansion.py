@@ -12,6 +12,7 @@ from sma_bench.identify.instruments.thermal_expansion import (
     identify_thermal_expansion,
     steady_windows,
 )
+from sma_bench.identify.straight_line import fit_linear
 from sma_bench.parameters import Parameters
 from sma_bench.records.record import Record, Signal
 
