@@ -2,7 +2,10 @@
 
 import contextlib
 import fcntl
+import os
+import select
 import termios
+import time
 from pathlib import Path
 from typing import Protocol
 
@@ -61,6 +64,22 @@ class _OwnPort(serial.Serial):
 
     def take(self) -> None:
         fcntl.ioctl(self.fileno(), termios.TIOCEXCL)
+
+    def write(self, data: bytes) -> int:
+        """All of `data`; pyserial's own calls it a timeout, too, when everything was sent but the
+        process was kept waiting right after."""
+        left, end = memoryview(data), time.monotonic() + _WRITE_TIMEOUT
+        while left:
+            try:
+                left = left[os.write(self.fileno(), left) :]
+            except BlockingIOError:
+                pass
+            except OSError as error:
+                raise serial.SerialException(f"write failed: {error}") from None
+            patience = max(end - time.monotonic(), 0.0)
+            if left and not select.select([], [self.fileno()], [], patience)[1]:
+                raise serial.SerialTimeoutException("Write timeout")
+        return len(data)
 
     def close(self) -> None:
         if self.is_open:

@@ -1,5 +1,7 @@
 """The link against the firmware's logic behind a pseudo terminal, in real time."""
 
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -205,6 +207,30 @@ def test_pulled_cable_is_told_and_comes_back_disarmed(host_library: Path) -> Non
             assert link.status.connections == 2
             with pytest.raises(LinkError, match="not armed"):
                 link.drive(VOLTS)
+
+
+def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device, host = pty.openpty()
+    port, write = open_port(os.ttyname(host)), os.write
+
+    def write_and_wait(file: int, data: bytes) -> int:
+        sent = write(file, data)
+        time.sleep(0.3)  # longer than the port's timeout
+        return sent
+
+    monkeypatch.setattr(os, "write", write_and_wait)
+    assert port.write(b"V 1 2") == 5
+    assert os.read(device, 100) == b"V 1 2"
+    monkeypatch.undo()
+    with pytest.raises(OSError, match="Write timeout"):
+        port.write(bytes(1 << 20))  # nobody reads
+    os.close(device)
+    with pytest.raises(OSError, match="write failed"):
+        port.write(b"V")
+    port.close()
+    os.close(host)
 
 
 def test_restart_of_the_device_is_noticed_and_disarms(bench: PtyBench, link: Watched) -> None:

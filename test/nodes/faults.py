@@ -89,6 +89,14 @@ def _after_waking(rig: BridgedRig) -> str:
     return rig.state
 
 
+def _hang(interrupts: bool) -> Callable[[BridgedRig], float]:
+    def make(rig: BridgedRig) -> float:
+        rig.for_a_while(1.0)  # until the drop is known, most periods have no pulse to be cut off
+        return rig.hardware.do(lambda: rig.hardware.uno.hang(interrupts=interrupts))
+
+    return make
+
+
 def _noise(rig: BridgedRig) -> float:
     """Garbage that leaves no pause for a command, for half a second of the Uno's time."""
     draw = random.Random(1)
@@ -284,11 +292,9 @@ FAULTS = (
           "device: a greeting disarms; bridge: answers that it did not ask for", 0.25,
           "another host speaks to the device", _second_host, quick=True),
     Fault("firmware_hung", "firmware's main loop hangs", "device: 30 ms without its loop", 0.04,
-          "the device restarted", lambda rig: rig.hardware.do(
-              lambda: rig.hardware.uno.hang(interrupts=True)), quick=True),
+          "the device restarted", _hang(interrupts=True), quick=True),
     Fault("firmware_dead", "firmware hangs, interrupts off", "device: watchdog 64 ms", 0.08,
-          "the device restarted", lambda rig: rig.hardware.do(
-              lambda: rig.hardware.uno.hang(interrupts=False))),
+          "the device restarted", _hang(interrupts=False)),
     Fault("short_circuit", "wire short-circuited at 6 V",
           "device: each current, and its mean against the duties through the least resistance",
           0.02, "found by the device", _electrics(resistance=(0.3,)), volts=6.0, quick=True),
