@@ -56,7 +56,7 @@ static uint8_t differences;  /* looks in a row that found another output than wa
 static uint16_t current_mean[BOARDS]; /* readings times 32 */
 static uint16_t zero_mean[BOARDS];    /* the same with the relay open, at arming */
 static uint16_t explained[BOARDS];    /* by the present duties */
-static uint16_t explained_mean[BOARDS]; /* as slow as the current's, up to a step below */
+static uint16_t explained_mean[BOARDS]; /* as slow as the current's */
 static uint16_t square;                 /* of the supply */
 static uint32_t heat[CHANNELS];         /* mean square of a wire's volts, times 65536 */
 static uint16_t supply_mean; /* readings times 32 */
@@ -307,10 +307,14 @@ static bool unexplained(uint8_t board, uint16_t now)
 
 void safety_current(uint8_t board, uint16_t reading)
 {
+    /* What rounding takes away, its turn gives back: else a mean would stay where a pulse left it,
+     * up to a step from where it belongs. */
+    static uint8_t turn;
+    turn = (uint8_t)((turn + 13) % (1 << MEAN_SHIFT));
     uint16_t *mean = &current_mean[board];
-    *mean += reading - (*mean >> MEAN_SHIFT);
+    *mean += reading - ((*mean + turn) >> MEAN_SHIFT);
     uint16_t *most = &explained_mean[board];
-    *most += (uint16_t)((int16_t)(explained[board] - *most) >> MEAN_SHIFT);
+    *most += (uint16_t)((int16_t)(explained[board] - *most + turn) >> MEAN_SHIFT);
     if (settle_ms)
         return;
     if (distance(reading, ADC_MIDDLE) > peak_steps[board] ||

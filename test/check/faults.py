@@ -21,7 +21,7 @@ TESTS = (
     "::test_outputs_go_to_zero_in_time_and_the_cause_is_told"
 )
 HEADER = ("fault", "off within", "measured", "", "reported")
-ROW = "{:48.48} {:>10} {:>9}  {:4} {}"
+ROW = "{:48.48} {:>10} {:>9}  {:5} {}"
 
 
 class FaultTable:
@@ -42,8 +42,9 @@ class FaultTable:
             return
         found = dict(report.user_properties)
         if "hazard" in found:
-            self.tried += 1
-            word = "ok" if report.passed else "FAIL"
+            again = report.outcome == "rerun"
+            self.tried += not again
+            word = "ok" if report.passed else "again" if again else "FAIL"
             print(
                 ROW.format(
                     found["hazard"], f"{1e3 * found['limit']:.0f} ms",

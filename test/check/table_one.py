@@ -35,6 +35,7 @@ from sma_bench.emulation.emulated_uno import (
     missing_tools,
 )
 from sma_bench.hardware.bench_sensors import BenchSensors
+from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.thermal_settings import synthetic_camera, wire_gauges
@@ -107,14 +108,20 @@ class Bench:
         if self._protocol is not None and reading.telemetry.sequence % 2:
             elapsed = self._wire.time - self._begin
             volts = self._protocol.voltage(elapsed) if elapsed > 0.0 else [0.0]
-            self.link.drive(self._sensors.millivolts(list(volts), reading.telemetry.supply))
+            try:
+                self.link.drive(self._sensors.millivolts(list(volts), reading.telemetry.supply))
+            except LinkError:
+                if math.isfinite(self._begin):
+                    raise
 
     def record(self, protocol: Protocol) -> list[Signal]:
         """Drive a protocol and let the wire cool; what was measured meanwhile."""
         self._wait(SETTLED)
+        # At 0 V as soon as it is armed: virtual time waits for no thread.
+        self._begin, self._protocol = math.inf, protocol
         self.link.arm()
         begin = self._wire.time
-        self._begin, self._protocol = begin + REST, protocol
+        self._begin = begin + REST
         end = self._begin + protocol.duration + REST
         self._wait(end)
         self._protocol = None

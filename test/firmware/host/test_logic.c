@@ -607,6 +607,20 @@ TEST(current_beyond_what_the_duties_explain_stops)
     CHECK(is_off_for(UNEXPLAINED_CURRENT));
 }
 
+TEST(what_a_pulse_left_in_a_mean_is_forgotten)
+{
+    fake_start(1);
+    arm();
+    for (unsigned sequence = 1; sequence < 20; sequence++) {
+        say(volts(sequence, 500, 0, 0, 0));
+        fake_set_current(0, 512 + 26); /* now and then a long pulse, of a small duty */
+        fake_run_ms(1);
+        fake_set_current(0, 512);
+        fake_run_ms(60);
+    }
+    CHECK(safety_now()->state == ARMED);
+}
+
 TEST(a_current_that_follows_a_step_down_is_explained)
 {
     start_driving();
