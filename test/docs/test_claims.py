@@ -16,7 +16,7 @@ FUNCTIONS = {
 NAMES = {function.partition("::")[2] for function in FUNCTIONS}
 
 
-@pytest.mark.parametrize("page", ["threats", "safety"])
+@pytest.mark.parametrize("page", ["threats", "safety", "reliability"])
 def test_every_test_that_a_page_names_exists(page: str) -> None:
     named = re.findall(r"`((?:test/|test_)[^`\s]*)`", (ROOT / "docs" / f"{page}.md").read_text())
     assert named
