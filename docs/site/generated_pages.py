@@ -87,9 +87,13 @@ def commands_page() -> str:
         "Commands end with 0 on success, and with 2 and one line on bad input; a file that was "
         "asked for appears whole or not at all.",
     ]  # fmt: skip
-    described = [*COMMANDS.items(), *((f"blind {n}", t) for n, t in blind.COMMANDS.items())]
-    for name, text in described:
-        lines += ["", f"## {name}", "", "```text", _help(name, text), "```"]
+    helps = {name: _help(name, text) for name, text in COMMANDS.items()}
+    for name, command in blind.SHOWN.items():
+        parser = command_parser(f"blind {name}", command.text)
+        command.add_arguments(parser)
+        helps[f"blind {name}"] = parser.format_help().rstrip()
+    for name, text in helps.items():
+        lines += ["", f"## {name}", "", "```text", text, "```"]
     return "\n".join(lines) + "\n"
 
 
@@ -97,7 +101,7 @@ def _help(name: str, text: str) -> str:
     parser = command_parser(name, text)
     if name == "run":
         return f"{parser.format_usage().rstrip()}\n\n{text}\n\n{parser.epilog}"
-    module = importlib.import_module(f"sma_bench.commands.{name.replace(' ', '_')}")
+    module = importlib.import_module(f"sma_bench.commands.{name}")
     module.add_arguments(parser)
     return parser.format_help().rstrip()
 

@@ -40,6 +40,7 @@ _PERIOD = 0.1  # s of the simulation
 _STEP = 0.05
 _UNLUCKY = 1.28  # standard deviations of noise that one draw in ten goes beyond
 _VISIBLE = 3.0  # standard deviations
+_CERTAIN = 500.0  # nats: beyond is the same, and no float
 
 
 class Telling(NamedTuple):
@@ -254,8 +255,8 @@ def chance_to_settle(
         for rival in simulated:
             if rival is not truth:
                 nats = _expected(tellings, truth.name, rival.name)
-                scale = scale_of(gain + max(nats, 0.0))
-                against += rival.probability * float(np.exp(-nats / scale))
+                odds = min(-nats / scale_of(gain + max(nats, 0.0)), _CERTAIN)
+                against += rival.probability * float(np.exp(odds))
         if truth.probability / (truth.probability + against) >= NAMED:
             settled += truth.probability
     return settled

@@ -22,7 +22,7 @@ from sma_bench.parameters.audit import wire_length
 from sma_bench.physics import simulate
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
-from sma_bench.physics.simulate import Simulation
+from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
 
 QUANTITIES = ("current", "temperature", "deflection")
@@ -168,18 +168,18 @@ class Observation:
         begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
         ends = [*begins[1:].tolist(), len(self.grid)]
         parts: list[Simulation] = []
+        bench: Bench | None = None
         for hold, error, begin, end in zip(
             self.holds, errors.tolist(), begins.tolist(), ends, strict=True
         ):
             span = slice(begin - 1 if parts else 0, end)
-            if end > span.start + bool(parts):
-                parts.append(
-                    simulate(
-                        parameters, self.grid[span], volts[span],
-                        initial=parts[-1].final if parts else None,
-                        boundary=hold.boundary(error, parameters),
-                    )
-                )
+            if end <= span.start + bool(parts):
+                continue
+            if bench is None:
+                bench = Bench(parameters, boundary=hold.boundary(error, parameters))
+            else:
+                bench.pull_against(hold.boundary(error, parameters))
+            parts.append(bench.follow(self.grid[span], volts[span]))
         return _joined(parts)
 
     def readings(self, simulation: Simulation) -> list[Array]:

@@ -24,9 +24,9 @@ from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
 
-_MOST_STEPS, _FAR_STEPS = 10, 20
+_MOST_STEPS, _FAR_STEPS = 10, 30
 _RADIUS = 8.0  # prior deviations a step
-_GAIN = 0.3  # nats: a step that gains less is the last
+_GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last, near the end and afar
 _SHORTEST = 1e-2
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 
@@ -93,18 +93,22 @@ def fit(
     Args:
         problem: records and their noise as first guessed.
         unknowns, x: what may move, and its start (k,).
-        rounds: of fitting and estimating the noise.
+        rounds: of fitting and estimating the noise; one after an approach from afar.
         frozen: (n, baseline) derivatives of the baseline's unknowns, taken as they are: quick and a
             little off. They are computed anew in every round when None; those of the effects at
             every step.
         keep_noise: take the problem's noise as it is.
-        far: from the optimum: all derivatives anew at every step, in as many as it takes.
+        far: from the optimum: at first every step takes all derivatives anew, and for noise what
+            the model leaves there, so that none trusts a model that does not fit yet.
     """
     state = _State(problem, unknowns, x, frozen)
-    for number in range(rounds):
+    if far:
+        state.approach()
+    state.linearise()
+    for number in range(1 if far else rounds):
         if number:
             state.linearise()
-        state.climb(_FAR_STEPS if far else _MOST_STEPS, far)
+        state.climb(_MOST_STEPS)
         if not keep_noise:
             state.problem = state.problem.with_noise(state.left())
         if number == rounds - 1:
@@ -143,7 +147,6 @@ class _State:
         self.x = np.clip(x, *unknowns.bounds())
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
-        self.linearise()
 
     def linearise(self, central: bool = True) -> None:
         """Derivatives at the present place."""
@@ -172,15 +175,25 @@ class _State:
         white = self.problem.whiten(self.left())
         return float(white @ white + self.x @ self.x + self.z @ self.z)
 
-    def climb(self, most: int, far: bool = False) -> None:
+    def approach(self) -> None:
+        """Steps from afar, as long as they gain."""
+        low, high = self.unknowns.bounds()
+        before = np.inf
+        for _ in range(_FAR_STEPS):
+            self.problem = self.problem.with_noise(self.left())
+            self.linearise(central=False)
+            now = self._descend(self.cost(), low, high) + 2.0 * self.problem.log_scale()
+            if before - now < 2.0 * _SETTLED:
+                return
+            before = now
+
+    def climb(self, most: int) -> None:
         """Steps as long as they gain."""
         low, high = self.unknowns.bounds()
         cost = self.cost()
         fresh = True
         for _ in range(most):
-            if not fresh and far:
-                self.linearise(central=False)
-            elif not fresh:
+            if not fresh:
                 self.slopes = self._slopes()
             now = self._descend(cost, low, high)
             if cost - now < 2.0 * _GAIN:

@@ -81,7 +81,7 @@ class Effect:
         known = ", ".join(p.name.rsplit(".", 1)[1] for p in self.parameters)
         raise InputError(f"effect {self.name}: no number {number!r}, expected {known}")
 
-    @property
+    @cached_property
     def column_names(self) -> dict[str, str]:
         """Full name of a number to its column."""
         prefix = f"{EFFECT_PREFIX}{self.name}."

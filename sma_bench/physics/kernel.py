@@ -1,6 +1,7 @@
 """The compiled core as Python sees it: state of a bench, rows filled from parameters, calls."""
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -252,6 +253,15 @@ class Kernel:
         self.boundary = boundary or Boundary.of(parameters)
         self.wires = len(parameters["bench.channels"])
         self.rows = wire_rows(parameters, self.boundary), side_rows(parameters, self.boundary)
+
+    def against(self, boundary: Boundary) -> "Kernel":
+        """The same wires pulling against something else."""
+        other = copy(self)
+        other.boundary = boundary
+        wires = self.rows[0].copy()
+        wires[:, at.PRESTRETCH] = boundary.stretch_of_wires(self.parameters)
+        other.rows = wires, side_rows(self.parameters, boundary)
+        return other
 
     def memory(self, initial: State | None) -> tuple[Array, Array]:
         """Fresh rows of the kernel: constants of this bench, state of `initial`."""

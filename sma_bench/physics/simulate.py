@@ -191,6 +191,12 @@ class Bench:
             history[2], strain[0], strain[1], history[3], self._state, started,
         )
 
+    def pull_against(self, boundary: Boundary) -> None:
+        """Go on under another load."""
+        self._kernel = self._kernel.against(boundary)
+        self._memory = self._kernel.memory(self._state)
+        self._levers = _levers(self.parameters, boundary)
+
     @property
     def state(self) -> State:
         """The present state, to carry into another Bench or `simulate`."""

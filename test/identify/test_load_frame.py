@@ -49,8 +49,11 @@ def test_held_loads_and_clamps_give_back_every_parameter_of_the_wire(lab):
     # The errors of one record hang together; 0.01 % of chi-square with 14 degrees lies above 44.
     chosen = [found.correlation.names.index(name) for name in names]
     assert z @ np.linalg.solve(found.correlation.matrix[np.ix_(chosen, chosen)], z) < 44.0
+    # The camera's zero, known to 0.2 K a record, is that of every temperature.
+    camera = 0.2 / np.sqrt(len(records))
     for name in names:
-        assert found.estimates[name].std < 0.1 * bench.known.std(name)
+        least = camera if name.endswith("_temperature") else 0.0
+        assert found.estimates[name].std < max(0.1 * bench.known.std(name), least)
     length = next(f for f in found.findings if f.subject == "wire length")
     assert length.numbers["length"] == pytest.approx(wire_length_from_mass(bench.truth))
 
