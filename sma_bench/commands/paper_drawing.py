@@ -11,7 +11,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.load_frame import holds_frame, is_clamped_wire, isobaric_tests
 from sma_bench.identify.signals import find_drives
-from sma_bench.identify.whole_model import bends
+from sma_bench.identify.whole_model import moves
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.records.dsc import DscRecord
@@ -102,7 +102,7 @@ def _uses(record: object, parameters: Parameters) -> list[tuple[str, object]]:
 
 def _bag_uses(record: Record, parameters: Parameters) -> list[tuple[str, object]]:
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
-    if bends(record):
+    if moves(record, parameters):
         return [("composite", record)] if len(driven) > 1 else []
     uses: list[tuple[str, object]] = []
     if is_clamped_wire(record):

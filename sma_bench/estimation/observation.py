@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import Hold, find_holds
+from sma_bench.estimation.load_frame import LOAD_FRAME, Hold, find_holds
 from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import simulate
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
@@ -33,6 +34,7 @@ _LONG_CELL = 0.1
 _FINE_CELL, _FINE_SPAN = 0.0075, 0.45
 _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
 _FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
+OWN_LOADS = ("force", "spring", "antagonist")  # that wires move
 _NARROW = 1e-3  # s
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
@@ -155,6 +157,9 @@ class Observation:
         if tuple(parameters["bench.channels"]) != self.channels:
             own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
             parameters = parameters.replace(own)
+        if parameters["bench.drive"] != "voltage":
+            # What a record holds is the direct voltage of the same heat, whatever was switched.
+            parameters = parameters.replace({"bench.drive": "voltage"})
         volts = self.voltage if voltage is None else voltage
         if not self.holds:
             return simulate(parameters, self.grid, volts)
@@ -350,8 +355,9 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     voltage = applied_voltage(voltages)
     start = min(float(time[0]) for time, _ in voltages)
     stop = max(float(time[-1]) for time, _ in voltages)
-    holds = find_holds(record, start, stop) if len(channels) == 1 else ()
-    found = (_without_jumps(m, voltage) for m in _measured(record, channels, holds))
+    moves = pulls_a_load(record, parameters)
+    holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
+    found = (_without_jumps(m, voltage) for m in _measured(record, channels, holds, moves))
     measured = tuple(_without_load_changes(m, holds) for m in found)
     if not measured:
         raise InputError(
@@ -375,8 +381,16 @@ def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], 
     )
 
 
+def pulls_a_load(record: Record, parameters: Parameters) -> bool:
+    """Whether the wires move a load of their own: no beam, no clamps, no frame that measures what
+    it holds."""
+    kind = load_kind(parameters)
+    held = kind == "force" and has_samples(record, "force")
+    return kind in OWN_LOADS and not held
+
+
 def _measured(
-    record: Record, channels: tuple[str, ...], holds: tuple[Hold, ...]
+    record: Record, channels: tuple[str, ...], holds: tuple[Hold, ...], moves: bool
 ) -> list[Measured]:
     found = []
     for wire, channel in enumerate(channels):
@@ -386,6 +400,10 @@ def _measured(
                 found.append(Measured(name, quantity, wire, *samples(record, name)))
     if len(channels) > 1:
         found += _deflection(record)
+    elif moves:
+        for response in LOAD_FRAME:
+            if has_samples(record, response):
+                found.append(Measured(response, response, 0, *samples(record, response)))
     elif holds:
         response = "force" if holds[0].clamped else "elongation"
         if has_samples(record, response):

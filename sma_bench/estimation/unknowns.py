@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
@@ -41,6 +42,12 @@ MATERIAL = (
 # One number where front and back are believed alike: that they are not is an effect.
 FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_deflection_back"
 BENDING = ("composite.deflection_per_strain", FRONT, BACK)
+# What is unknown of a load that wires pull against; a spring's preload has its weight in it.
+LOADS = {
+    "force": ("load.force",),
+    "spring": ("load.stiffness", "load.preload"),
+    "antagonist": ("load.stiffness", "load.preload", "load.force"),
+}
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
 # Real kinetics are a little smoother than the cosine's; that is no effect, but a nuisance.
@@ -62,6 +69,9 @@ _STRAIGHT = {
     "wire.martensite_start_temperature",
     "wire.martensite_finish_temperature",
     "wire.thermal_expansion_factor",
+    "load.force",
+    "load.stiffness",
+    "load.preload",
 }
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
@@ -221,9 +231,14 @@ def unknowns_of_records(
         sides_apart: front and back are two numbers even where they are believed alike.
     """
     names = [*HEAT]
-    if "deflection" in quantities or load_frame:
+    own = LOADS.get(load_kind(parameters), ()) if not load_frame else ()
+    if "deflection" in quantities or load_frame or (own and "elongation" in quantities):
         names += MATERIAL
-        names += BENDING if "deflection" in quantities else ()
+        if own:
+            names += [*own, "wire.diameter"]
+            names += [] if parameters["wire.length"] else ["wire.mass"]
+        elif "deflection" in quantities:
+            names += BENDING
         names += LOAD_FRAME if load_frame else ()
     elif "temperature" not in quantities:
         names = ["wire.resistance"]

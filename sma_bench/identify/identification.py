@@ -27,7 +27,6 @@ from sma_bench.identify.thermal.experiments import (
     run_specific_heat,
 )
 from sma_bench.parameters import Parameters
-from sma_bench.physics.boundary import require_load
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.isobaric import IsobaricRecord
@@ -43,7 +42,7 @@ NEEDS = {
     "E7": "E7 tensile test files (strain, stress)",
     "E8": "E8 a clamped wire with temperature plateaus below A_s and force",
     "E9": "E9 voltage of one wire with its elongation under held loads, or isobaric test files",
-    "E10": "E10 voltages of all channels with the deflection or ranges",
+    "E10": "E10 voltages of all channels with the deflection, ranges or elongation of a load",
 }
 EXPERIMENTS = tuple(NEEDS)
 _FAR_APART = 4.0
@@ -127,9 +126,9 @@ def identify(
     """Identify what the records allow.
 
     Staircases give E1 and E2, ramps E3, DSC files E5, isobaric test files E6, tensile ones E7, the
-    force of a clamped wire E8, load frames that hold loads E9, the composite E10 (which takes the
-    load frame's bags along: the same alloy). Several records are combined: the resistance of one
-    bag serves the ramps of another.
+    force of a clamped wire E8, load frames that hold loads E9, the composite and wires against a
+    load E10 (which takes the load frame's bags along: the same alloy). Several records are
+    combined: the resistance of one bag serves the ramps of another.
 
     Args:
         records: bags and instrument files, already read.
@@ -148,15 +147,14 @@ def identify(
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
-    understood = ("bench.lead_resistance", "wire.count")
-    require_load(parameters, "identify", ("clamped", "force", "beam"), understood)
     run = Run(parameters, wanted, asked=experiments is not None)
     bags = [r for r in records if isinstance(r, Record)]
     run.notes.extend(f for record in bags for f in record.findings)
     whole = _whole_model(run, bags, report)
     told = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
-    # A composite's wires are told by the whole model alone: their staircases bend it.
-    drives = find_all_drives(run, [r for r in bags if not (whole and whole_model.bends(r))])
+    # Wires that move a load are identified by the whole model alone: their staircases bend it.
+    still = [r for r in bags if not (whole and whole_model.moves(r, parameters))]
+    drives = find_all_drives(run, still)
     for name, thermal in _THERMAL.items():
         told(name)
         thermal(run, drives)
@@ -171,9 +169,9 @@ def identify(
 
 
 def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment | None:
-    """E10 where a record shows a deflection, else E9 where one shows a load frame."""
-    bent = [record for record in bags if whole_model.bends(record)]
-    framed = [record for record in bags if load_frame.holds_frame(record)]
+    """E10 where a record shows the bench moving, else E9 where one shows a load frame."""
+    bent = [record for record in bags if whole_model.moves(record, run.given)]
+    framed = [r for r in bags if load_frame.holds_frame(r) and r not in bent]
     name = whole_model.NAME if bent else load_frame.NAME
     if not (bent or framed) or name not in run.wanted:
         return None

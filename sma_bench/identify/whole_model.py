@@ -1,4 +1,4 @@
-"""E9, E10 and E12: the whole model fitted to any set of rig records, as an experiment.
+"""E9, E10 and E12: the whole model fitted to any set of a bench's records, as an experiment.
 
 It is the fit that the diagnosis calls recalibration, from more starts.
 """
@@ -13,7 +13,13 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import LOAD_FRAME
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import DELAY
-from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
+from sma_bench.estimation.observation import (
+    QUANTITIES,
+    Observation,
+    observe,
+    pulls_a_load,
+    shared_bin,
+)
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Number, Off, Result, result_of
 from sma_bench.estimation.solver import recalibrate
@@ -28,7 +34,8 @@ from sma_bench.progress import Report, silent
 from sma_bench.records.record import Record, has_samples
 
 NAME = "E10"
-TITLE = "Composite rig"
+TITLE = "Whole model of a bench that moves"
+_MOTIONS = ("deflection", "elongation")
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _DRAWN, _SEED = 2, 17  # further starts, drawn from the prior
 _UNINFORMED = 0.2  # share of information
@@ -44,31 +51,39 @@ _UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
 def identify_composite(
     records: Sequence[Record], parameters: Parameters, report: Report = silent
 ) -> Experiment:
-    """Bending coefficients alpha, beta of each side, and the wire's parameters.
+    """What the wires pull against, and their own parameters.
+
+    Of the composite the bending coefficients alpha, beta of each side; of a weight, a spring or
+    antagonists the numbers of `load`.
 
     The baseline model (contract, section 4) is simulated on the measured voltages and held to
-    every other signal that the records have: deflection, currents, temperatures. Priors are the
+    every other signal that the records have: motion, force, currents, temperatures. Priors are the
     parameters' values and `uncertainty.`; what the records cannot tell stays there and is named
     in the findings. Records of a single wire in a load frame may join: the same alloy.
 
     Args:
-        records: composite bags, at least one with a deflection (or ranges).
+        records: of the bench, at least one with a deflection (or ranges) or an elongation.
         parameters: the lab's values with their uncertainties, and bench.channels.
         report: told how far the fit is.
 
     Raises:
-        InputError: no voltage of some channel, or no deflection in any record.
+        InputError: no voltage of some channel, or no motion in any record.
     """
     observations = observe_all(records, parameters)
-    if not any("deflection" in one.quantities for one in observations):
+    if not any(set(_MOTIONS) & set(one.quantities) for one in observations):
         where = ", ".join(str(record.path) for record in records) or "no records"
-        raise InputError(f"{where}: no deflection, expected joint_states tip or front/back range")
+        raise InputError(
+            f"{where}: no motion, expected joint_states tip or wire, or front/back range"
+        )
     return fit_experiment(NAME, TITLE, observations, parameters, report)
 
 
-def bends(record: Record) -> bool:
-    """Whether a record shows the composite bending."""
-    return any(has_samples(record, name) for name in ("deflection", "front.range", "back.range"))
+def moves(record: Record, parameters: Parameters) -> bool:
+    """Whether a record shows the composite bending, or wires moving their load."""
+    signals = ["deflection", "front.range", "back.range"]
+    if pulls_a_load(record, parameters):
+        signals.append("elongation")
+    return any(has_samples(record, name) for name in signals)
 
 
 def observe_all(records: Sequence[Record], parameters: Parameters) -> list[Observation]:

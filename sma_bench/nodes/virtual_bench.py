@@ -11,6 +11,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
 from sma_bench.physics.boundary import moves_tip
+from sma_bench.physics.heat import direct_reading
 
 NANOSECONDS = 1_000_000_000
 RATES = ("power", "temperature", "mechanics", "ambient")
@@ -108,11 +109,13 @@ class VirtualBench:
         self._force = instrument("force")
 
     def _read_power(self, voltage: tuple[float, ...]) -> list[tuple[float, float]]:
-        currents = self._bench.current(voltage).tolist()
+        volts, amperes = direct_reading(
+            self._bench.parameters, voltage, self._bench.current(voltage)
+        )
         return [
             (volt.read(applied), ampere.read(current))
             for volt, ampere, applied, current in zip(
-                self._volt, self._ampere, voltage, currents, strict=True
+                self._volt, self._ampere, volts.tolist(), amperes.tolist(), strict=True
             )
         ]
 

@@ -70,11 +70,16 @@ class Boundary:
 
     @classmethod
     def spring(cls, parameters: Parameters) -> Self:
-        """A spring, and a weight beside it: A sum sigma_i = F_0 + F + k l e."""
+        """A spring, and a weight beside it: A sum sigma_i = F_0 + F + k l e.
+
+        The reference position is that of the bench at rest, where martensite already bears both.
+        """
         section = channel_section(parameters)
-        held = parameters["load.preload"] + parameters["load.force"]
-        stiffness = parameters["load.stiffness"] * wire_length(parameters)
-        return cls(stiffness=stiffness / section, load=held / section)
+        held = (parameters["load.preload"] + parameters["load.force"]) / section
+        stiffness = parameters["load.stiffness"] * wire_length(parameters) / section
+        return cls(
+            stiffness=stiffness, load=held, prestretch=held / parameters["wire.martensite_modulus"]
+        )
 
     @classmethod
     def antagonist(cls, parameters: Parameters) -> Self:
@@ -115,10 +120,8 @@ def moves_tip(parameters: Parameters) -> bool:
     return load_kind(parameters) in ("beam", "antagonist")
 
 
-def require_load(
-    parameters: Parameters, what: str, kinds: tuple[str, ...], understood: tuple[str, ...] = ()
-) -> None:
-    """Refuse a bench that `what` would answer wrongly; `understood` as `require_plain_drive`.
+def require_load(parameters: Parameters, what: str, kinds: tuple[str, ...]) -> None:
+    """Refuse a bench that `what` would answer wrongly.
 
     Raises:
         InputError: another load than of `kinds`, one wire on a beam, several on a wire's load, or
@@ -132,7 +135,7 @@ def require_load(
         raise InputError(
             f"{what}: load.kind {kind} with {channels} of bench.channels, expected {wanted} so far"
         )
-    require_plain_drive(parameters, what, understood)
+    require_plain_drive(parameters, what)
 
 
 def side_names(parameters: Parameters) -> tuple[str, ...]:

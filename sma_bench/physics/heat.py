@@ -70,6 +70,21 @@ def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
     return volts
 
 
+def direct_reading(
+    parameters: Parameters, voltage: ArrayLike, current: ArrayLike
+) -> tuple[Array, Array]:
+    """What a record holds of a drive: the direct voltage and current of the same heat.
+
+    Their quotient is the resistance and their product the power, of a duty too.
+
+    Args:
+        voltage, current: V and A, means of a duty; any shape.
+    """
+    mean, amperes = (np.asarray(a, dtype=np.float64) for a in (voltage, current))
+    volts = heating_voltage(mean, parameters)
+    return volts, amperes * np.divide(volts, mean, out=np.ones_like(mean), where=mean > 0.0)
+
+
 def heated_resistance(parameters: Parameters) -> float:
     """V^2 over the heat of one wire [ohm], where the voltage is that before the leads."""
     wire = float(parameters["wire.resistance"])

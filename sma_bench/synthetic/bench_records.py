@@ -16,6 +16,7 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench, Boundary, Simulation, simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects import active_effects
+from sma_bench.physics.heat import direct_reading
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.reading import TEMPERATURE, load_reference
@@ -101,10 +102,11 @@ def signals_of(simulation: Simulation) -> list[Signal]:
     """Signals of the contract that a bench would have measured."""
     time, channels = simulation.time, simulation.parameters["bench.channels"]
     signals = []
+    volts, amperes = direct_reading(simulation.parameters, simulation.voltage, simulation.current)
     for k, channel in enumerate(channels):
         signals += [
-            Signal(f"{channel}.voltage", "V", time, simulation.voltage[:, k]),
-            Signal(f"{channel}.current", "A", time, simulation.current[:, k]),
+            Signal(f"{channel}.voltage", "V", time, volts[:, k]),
+            Signal(f"{channel}.current", "A", time, amperes[:, k]),
             Signal(f"{channel}.temperature", "K", time, simulation.temperature_reading[:, k]),
         ]
     if moves_tip(simulation.parameters):

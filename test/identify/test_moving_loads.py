@@ -1,0 +1,113 @@
+"""Wires that pull a weight, a spring or each other: identified from motion and voltage alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
+
+from sma_bench.errors import InputError
+from sma_bench.identify import identify
+from sma_bench.identify.whole_model import identify_composite
+from sma_bench.parameters import Parameters
+from sma_bench.records import Record, Signal
+from sma_bench.synthetic.bench_records import signals_of, simulate_finely
+
+PAIR = {"bench.channels": ("left", "right"), "bench.channel_sides": ("front", "back")}
+RIGS = {
+    "force": {"load.kind": "force", "load.force": 6.0},
+    "spring": {"load.kind": "spring", "load.stiffness": 800.0, "load.preload": 6.0},
+    "antagonist": {**PAIR, "load.kind": "antagonist", "load.stiffness": 200.0,
+                   "load.preload": 6.0},
+}  # fmt: skip
+BELIEVED = {"wire.length": 0.2, "wire.stress_influence_austenite": 8e6,
+            "wire.stress_influence_martensite": 8e6}  # fmt: skip
+NOISE = 2e-5  # m
+RATE = 25.0
+
+
+def drives(shape, wires, duration=110.0):
+    """Volts (n, w) up to 5.5: one wire after the other."""
+    time = np.arange(0.0, duration, 1.0 / RATE)
+    inside = ((time - 2.0) % 35.0) / 35.0
+    shapes = {
+        "triangle": 2.0 * np.minimum(inside, 1.0 - inside),
+        "step": (inside < 0.5) * (0.6 + 0.4 * ((time // 35.0) % 2)),
+        "sine": np.sin(np.pi * inside) ** 2,
+    }
+    volts = 5.5 * shapes[shape] * (time > 2.0)
+    turn = (time // 35.0).astype(int) % wires
+    return time, np.stack([volts * (turn == k) for k in range(wires)], axis=1)
+
+
+def recorded(truth, shape, seed, keep=("voltage", "elongation", "deflection")):
+    time, volts = drives(shape, len(truth["bench.channels"]))
+    random = np.random.default_rng(seed)
+    signals = {}
+    for signal in signals_of(simulate_finely(truth, time, volts)):
+        if signal.name.rsplit(".", 1)[-1] not in keep:
+            continue
+        noise = NOISE if "tion" in signal.name else 0.0
+        values = signal.values + noise * random.standard_normal(len(signal.values))
+        signals[signal.name] = Signal(signal.name, signal.unit, signal.time, values)
+    return Record(Path(shape), 0, signals)
+
+
+def drawn(believed, seed, sizes=1.0):
+    """A bench as probable as any other under what is believed."""
+    random = np.random.default_rng(seed)
+    names = ["wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
+             "wire.austenite_start_temperature", "wire.austenite_finish_temperature",
+             "wire.maximum_recoverable_strain"]  # fmt: skip
+    names += [n for n in ("load.force", "load.stiffness", "load.preload") if believed[n]]
+    moved = {n: believed[n] + sizes * believed.std(n) * random.standard_normal() for n in names}
+    return believed.replace(moved)
+
+
+def unseen_error(truth, found, shape):
+    """Largest of the motion that was not fitted, in shares of the stroke."""
+    time, volts = drives(shape, len(truth["bench.channels"]))
+    here, there = (
+        next(s for s in signals_of(simulate_finely(p, time, volts)) if "tion" in s.name)
+        for p in (truth, found)
+    )
+    return np.sqrt(np.mean((here.values - there.values) ** 2)) / np.ptp(here.values)
+
+
+@pytest.mark.parametrize("kind", RIGS)
+def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
+    believed = Parameters({**BELIEVED, **RIGS[kind]}, {"load.stiffness": 40.0, "load.preload": 0.5})
+    truth = drawn(believed, seed=4)
+    seen = [recorded(truth, shape, k) for k, shape in enumerate(("triangle", "step"))]
+    found = identify(seen, believed)
+    assert [e.name for e in found.experiments] == ["E10"]
+    before, after = (unseen_error(truth, p, "sine") for p in (believed, found.parameters))
+    assert after < min(0.01, 0.5 * before)
+    for name, estimate in found.estimates.items():
+        assert abs(estimate.value - truth[name]) < 4.0 * estimate.std, name
+        assert estimate.std <= believed.std(name) * 1.0001
+    assert max(estimate.informed for estimate in found.estimates.values()) > 0.9
+
+
+def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
+    duty = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
+    believed = Parameters({**BELIEVED, **RIGS["spring"]})
+    switched = believed.replace(duty)
+    time, volts = drives("triangle", 1)
+    direct = signals_of(simulate_finely(believed, time, np.sqrt(12.0 * volts)))
+    for signal, other in zip(
+        direct, signals_of(simulate_finely(switched, time, volts)), strict=True
+    ):
+        assert signal.values == pytest.approx(other.values, rel=1e-9, abs=1e-12), signal.name
+    record = recorded(switched, "triangle", 1)
+    first, second = (identify_composite([record], p).estimates for p in (switched, believed))
+    for name, estimate in first.items():
+        assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
+
+
+def test_a_spring_bench_without_its_motion_says_what_is_missing():
+    believed = Parameters({**BELIEVED, **RIGS["spring"]})
+    record = recorded(believed, "triangle", 1, ("voltage",))
+    with pytest.raises(InputError, match="expected currents, temperatures or a deflection"):
+        identify_composite([record], believed)
