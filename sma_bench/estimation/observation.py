@@ -21,6 +21,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import simulate
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
 from sma_bench.physics.simulate import Bench, Simulation
@@ -357,7 +358,10 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     stop = max(float(time[-1]) for time, _ in voltages)
     moves = pulls_a_load(record, parameters)
     holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
-    found = (_without_jumps(m, voltage) for m in _measured(record, channels, holds, moves))
+    # Of a record with one wire of a beam, or a bare one of the same alloy, the tip is not asked.
+    tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
+    everything = _measured(record, channels, holds, moves, tip)
+    found = (_without_jumps(m, voltage) for m in everything)
     measured = tuple(_without_load_changes(m, holds) for m in found)
     if not measured:
         raise InputError(
@@ -390,7 +394,7 @@ def pulls_a_load(record: Record, parameters: Parameters) -> bool:
 
 
 def _measured(
-    record: Record, channels: tuple[str, ...], holds: tuple[Hold, ...], moves: bool
+    record: Record, channels: tuple[str, ...], holds: tuple[Hold, ...], moves: bool, tip: bool
 ) -> list[Measured]:
     found = []
     for wire, channel in enumerate(channels):
@@ -398,7 +402,7 @@ def _measured(
             name = f"{channel}.{quantity}"
             if has_samples(record, name):
                 found.append(Measured(name, quantity, wire, *samples(record, name)))
-    if len(channels) > 1:
+    if tip:
         found += _deflection(record)
     elif moves:
         for response in LOAD_FRAME:

@@ -36,7 +36,6 @@ def load_kind(parameters: Mapping[str, Any]) -> str:
 def require_plain_drive(parameters: Mapping[str, Any], what: str) -> None:
     """Refuse a drive that `what` would take for volts at one wire a channel.
 
-
     Raises:
         InputError: a duty or a current source, resistance of leads, wires in parallel.
     """

@@ -16,6 +16,9 @@ from sma_bench.synthetic.bench_records import signals_of, simulate_finely
 
 PAIR = {"bench.channels": ("left", "right"), "bench.channel_sides": ("front", "back")}
 RIGS = {
+    "beam": {"load.kind": "beam", "composite.deflection_per_strain": 1.0,
+             "composite.stress_per_deflection_front": 2.5e9,
+             "composite.stress_per_deflection_back": 2.5e9},
     "force": {"load.kind": "force", "load.force": 6.0},
     "spring": {"load.kind": "spring", "load.stiffness": 800.0, "load.preload": 6.0},
     "antagonist": {**PAIR, "load.kind": "antagonist", "load.stiffness": 200.0,
