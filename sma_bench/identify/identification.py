@@ -12,20 +12,21 @@ from sma_bench.findings import Finding
 from sma_bench.identify import load_frame, whole_model
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.estimate import Correlation, Estimate, Experiment
-from sma_bench.identify.instruments.heating_rates import identify_heating_rates
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
-from sma_bench.identify.instruments.transition_temperatures import identify_transition_temperatures
-from sma_bench.identify.plateaus import FEWEST_LEVELS
-from sma_bench.identify.run import Run
-from sma_bench.identify.signals import Drive
-from sma_bench.identify.thermal.experiments import (
+from sma_bench.identify.instruments.transition_temperatures import (
+    identify_heating_rates,
+    identify_transition_temperatures,
+)
+from sma_bench.identify.run import (
+    Run,
     find_all_drives,
     run_heat_transfer,
     run_resistance,
     run_specific_heat,
 )
+from sma_bench.identify.signals import FEWEST_LEVELS, Drive
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record

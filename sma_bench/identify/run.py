@@ -6,7 +6,17 @@ from dataclasses import dataclass, field
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment, combine, with_prior
+from sma_bench.identify.signals import Drive, Staircase, find_drives, has_samples, missing_findings
+from sma_bench.identify.thermal.heat_transfer import (
+    AMBIENT,
+    GAIN,
+    coefficient,
+    identify_heat_transfer,
+)
+from sma_bench.identify.thermal.resistance import CHANNEL, heated, identify_resistance
+from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.parameters import Parameters
+from sma_bench.records import Record
 
 
 @dataclass
@@ -89,3 +99,115 @@ class Run:
     def missing(self, names: Sequence[str]) -> list[str]:
         """The wanted ones of `names` without a result."""
         return [name for name in names if name in self.wanted and not self.of(name)]
+
+
+# --- E1 to E3 on bags: which records serve which experiment, and how their results join.
+
+RESISTANCE = "wire.resistance"
+COEFFICIENT = "wire.heat_transfer_coefficient"
+
+
+def find_all_drives(run: Run, records: Sequence[Record]) -> list[tuple[Record, Drive]]:
+    """What every channel of every record is driven with."""
+    drives: list[tuple[Record, Drive]] = []
+    for record in records:
+        try:
+            found = find_drives(record)
+        except InputError as error:
+            for name in ("E1", "E2", "E3"):
+                run.fail(name, str(error))
+            continue
+        drives.extend((record, drive) for drive in found)
+        for drive in found:
+            run.notes.extend(missing_findings(record, drive.channel))
+    return drives
+
+
+def _staircases(
+    run: Run, drives: Sequence[tuple[Record, Drive]], name: str, quantity: str
+) -> list[tuple[Record, Staircase]]:
+    """Staircases that come with a signal; the others leave a reason."""
+    found: list[tuple[Record, Staircase]] = []
+    for record, drive in drives:
+        signal = f"{drive.channel}.{quantity}"
+        if not drive.staircases:
+            run.fail(name, f"{record.path}: {drive.describe()}")
+        elif not has_samples(record, signal):
+            run.fail(name, f"{record.path}: no signal {signal}")
+        else:
+            found.extend((record, staircase) for staircase in drive.staircases)
+    return found
+
+
+def run_resistance(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
+    """E1 on every staircase with current."""
+    if "E1" not in run.wanted:
+        return
+    for record, staircase in _staircases(run, drives, "E1", "current"):
+        try:
+            run.experiments.append(identify_resistance(record, staircase, run.given))
+        except InputError as error:
+            run.fail("E1", str(error))
+    run.join("E1")
+
+
+def _heated(run: Run) -> Estimate:
+    return heated(run.known(RESISTANCE), run.given, RESISTANCE in run.estimates)
+
+
+def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
+    """E2 on every staircase with temperature, with the resistance of E1."""
+    if "E2" not in run.wanted:
+        return
+    offsets = {
+        e.source: -e.details["intercept"].value / e.details[CHANNEL].value
+        for e in run.of("E1")
+    }
+    for record, staircase in _staircases(run, drives, "E2", "temperature"):
+        offset = offsets.get(staircase.source(record), 0.0)
+        try:
+            experiment = identify_heat_transfer(
+                record, staircase, run.given, _heated(run), offset
+            )
+        except InputError as error:
+            run.fail("E2", str(error))
+            continue
+        run.experiments.append(experiment)
+    found = run.of("E2")
+    if found:
+        # The gains are independent of each other; the coefficients share one resistance.
+        gain = combine([e.details[GAIN] for e in found])
+        run.estimates[COEFFICIENT] = coefficient(gain, _heated(run), run.given)
+        run.estimates[AMBIENT] = combine([e.estimates[AMBIENT] for e in found])
+
+
+def run_specific_heat(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
+    """E3 on all ramps together, with what E1 and E2 gave."""
+    if "E3" not in run.wanted:
+        return
+    usable = []
+    for record, drive in drives:
+        if not drive.segments.ramps:
+            run.fail("E3", f"{record.path}: {drive.describe()}")
+        elif not has_samples(record, f"{drive.channel}.temperature"):
+            run.fail("E3", f"{record.path}: no signal {drive.channel}.temperature")
+        else:
+            usable.append((record, drive))
+    if not usable:
+        return
+    gains = [e.details[GAIN] for e in run.of("E2")]
+    measured = bool(gains) or COEFFICIENT in run.given.given
+    default = Estimate(run.given[COEFFICIENT], run.given.std(COEFFICIENT), "", "default", 0)
+    heat_loss = HeatLoss(
+        _heated(run),
+        run.known(COEFFICIENT) if measured else default,
+        combine(gains) if gains else None,
+        known=measured,
+    )
+    try:
+        run.experiments.append(
+            identify_specific_heat(usable, run.improved(), heat_loss)
+        )
+    except InputError as error:
+        run.fail("E3", str(error))
+    run.join("E3")

@@ -1,14 +1,20 @@
 """What a record offers to each experiment."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.noise_model import (
+    Array,
+    autocorrelation,
+    inflation,
+    quantisation_variance,
+    resolution,
+)
 from sma_bench.estimation.voltage import Segment, Segments, find_segments, protocol_spans
 from sma_bench.findings import Finding
-from sma_bench.identify.plateaus import FEWEST_LEVELS, windows
 from sma_bench.records import Record
 from sma_bench.records.record import has_samples, samples
 
@@ -95,3 +101,190 @@ def _staircases(record: Record, channel: str, segments: Segments) -> tuple[Stair
         if Segments(plateaus, (), part.tolerance).levels() >= FEWEST_LEVELS:
             found.append(Staircase(channel, plateaus, part.tolerance, protocol))
     return tuple(found)
+
+
+# --- Settle, then average: one point a plateau, with what its mean is worth.
+
+SETTLE = 15.0
+AVERAGE = 15.0
+FEWEST_LEVELS = 4
+_FEWEST_SAMPLES = 8
+# Detection finds a plateau's ends to a sample or two: only a real shortage is worth a remark.
+_SHORTAGE = 0.95
+_PRIOR_WEIGHT = 10.0
+
+
+@dataclass(frozen=True)
+class Means:
+    """Means of one signal over p plateaus, in its unit.
+
+    `value` (p,); `noise` (p,) standard error of each from the scatter of its samples, coloured
+    noise counted; `hidden` standard deviation of the converter error that averaging does not
+    remove, `step` the converter's step (0 if none is seen); `drift` (p,) change over the window by
+    a straight line, `drift_std` its error; `n` (p,) samples.
+    """
+
+    value: Array
+    noise: Array
+    hidden: float
+    step: float
+    drift: Array
+    drift_std: Array
+    n: Array
+
+
+def windows(
+    plateaus: Sequence[Segment], settle: float = SETTLE, average: float = AVERAGE
+) -> tuple[Array, tuple[Finding, ...]]:
+    """Averaging window (start, stop) in s of every plateau, (p, 2), as in section II.B.
+
+    A plateau too short for both times keeps their proportion.
+    """
+    if settle < 0.0 or average <= 0.0:
+        raise InputError(f"settle {settle:g} s and average {average:g} s, expected >= 0 and > 0")
+    wanted = settle + average
+    scale = np.array([min(1.0, p.duration / wanted) for p in plateaus])
+    start = np.array([p.start for p in plateaus])
+    bounds = np.column_stack([start + scale * settle, start + scale * wanted])
+    short = int(np.sum(scale < _SHORTAGE))
+    if not short:
+        return bounds, ()
+    text = (
+        f"{short} of {len(plateaus)} plateaus are shorter than {settle:g} s + {average:g} s; "
+        f"their windows shrink in proportion, the shortest to {scale.min() * settle:.2g} s + "
+        f"{scale.min() * average:.2g} s"
+    )
+    return bounds, (
+        Finding("info", "plateaus", text, {"shortest_scale": float(scale.min())}),
+    )
+
+
+def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
+    """Mean of a signal in each window.
+
+    Args:
+        time: (n,) s, increasing; values: (n,); bounds: (p, 2) s.
+        what: name of the signal, for messages.
+
+    Raises:
+        InputError: a window without enough samples.
+    """
+    finite = np.isfinite(values)
+    time, values = time[finite], values[finite]
+    first = np.searchsorted(time, bounds[:, 0], side="left")
+    beyond = np.searchsorted(time, bounds[:, 1], side="right")
+    windows_of_samples = []
+    for (start, stop), i, j in zip(bounds, first, beyond, strict=True):
+        if j - i < _FEWEST_SAMPLES:
+            raise InputError(
+                f"{what}: {j - i} samples between {start:.1f} s and {stop:.1f} s, "
+                f"expected {_FEWEST_SAMPLES} or more to average"
+            )
+        windows_of_samples.append((time[i:j], values[i:j]))
+    n = np.array([len(v) for _, v in windows_of_samples], dtype=np.float64)
+    fits = [_trend(t, v) for t, v in windows_of_samples]
+    residuals = [residual for _, _, residual in fits]
+    colour = inflation(autocorrelation(residuals))
+    variance = np.array([np.sum(r**2) / (len(r) - 2) for r in residuals])
+    pooled = float(np.sum(variance * n) / np.sum(n))
+    # Short windows know their own scatter badly and lean on the others'.
+    steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)
+    noise = np.sqrt(steady * colour / n)
+    step = resolution(values)
+    hidden = quantisation_variance(float(np.sqrt(pooled)), step)
+    return Means(
+        value=np.array([v.mean() for _, v in windows_of_samples]),
+        noise=noise,
+        hidden=float(np.sqrt(hidden)),
+        step=step,
+        drift=np.array([drift for drift, _, _ in fits]),
+        # A straight line's rise over its window has variance 12 times that of the mean.
+        drift_std=np.sqrt(12.0) * noise,
+        n=n,
+    )
+
+
+def same_level(voltage: Array, tolerance: float) -> Array:
+    """(p, p) ones where two plateaus share a voltage and so the converter's error, else zeros."""
+    return (np.abs(voltage[:, None] - voltage[None, :]) < tolerance).astype(np.float64)
+
+
+def _trend(time: Array, values: Array) -> tuple[float, float, Array]:
+    centred = time - time.mean()
+    slope = float(centred @ values) / float(centred @ centred)
+    residual = values - values.mean() - slope * centred
+    return slope * float(time[-1] - time[0]), slope, residual
+
+
+# --- Straight pieces of a curve, with as many pieces as the curve is worth.
+
+_MOST = 9
+_SHORTEST = 4
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Points first..last (included), y = value + slope (x - at)."""
+
+    first: int
+    last: int
+    at: float
+    value: float
+    slope: float
+
+    def crossing(self, other: "Piece") -> float:
+        """x where two lines meet."""
+        at_zero = self.value - self.slope * self.at - other.value + other.slope * other.at
+        return at_zero / (other.slope - self.slope)
+
+
+def straight_pieces(x: Array, y: Array, tolerance: float) -> list[Piece]:
+    """Best straight pieces by dynamic programming (Bellman, 1961).
+
+    Args:
+        x: (n,) increasing; y: (n,).
+        tolerance: rms distance in the unit of y below which more pieces are not worth having.
+
+    Returns:
+        The smallest number of pieces whose rms distance is below the tolerance, at most nine.
+    """
+    n = len(x)
+    cost = _costs(x, y)
+    best = np.full((_MOST + 1, n + 1), np.inf)
+    best[0, 0] = 0.0
+    origin = np.zeros((_MOST + 1, n + 1), dtype=int)
+    for count in range(1, _MOST + 1):
+        for end in range(_SHORTEST, n + 1):
+            totals = best[count - 1, : end - _SHORTEST + 1] + cost[: end - _SHORTEST + 1, end]
+            origin[count, end] = int(np.argmin(totals))
+            best[count, end] = totals[origin[count, end]]
+        if best[count, n] <= n * tolerance**2:
+            break
+    ends = [n]
+    for k in range(count, 0, -1):
+        ends.append(int(origin[k, ends[-1]]))
+    bounds = ends[::-1]
+    return [fit_piece(x, y, a, b - 1) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+def fit_piece(x: Array, y: Array, first: int, last: int) -> Piece:
+    """Least-squares line through points first..last."""
+    part = slice(first, last + 1)
+    centred = x[part] - x[part].mean()
+    slope = float(centred @ y[part]) / float(centred @ centred)
+    return Piece(first, last, float(x[part].mean()), float(y[part].mean()), slope)
+
+
+def _costs(x: Array, y: Array) -> Array:
+    """(n + 1, n + 1) sum of squared distances from the line through points first..end - 1."""
+    def running(values: Array) -> Array:
+        return np.concatenate([[0.0], np.cumsum(values)])
+
+    x, y = x - x.mean(), y - y.mean()
+    sums: Sequence[Array] = [running(v) for v in (np.ones_like(x), x, y, x * x, x * y, y * y)]
+    m, sx, sy, sxx, sxy, syy = (s[None, :] - s[:, None] for s in sums)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        vxx, vxy, vyy = sxx - sx * sx / m, sxy - sx * sy / m, syy - sy * sy / m
+        cost = np.maximum(vyy - np.where(vxx > 0.0, vxy * vxy / vxx, 0.0), 0.0)
+    cost[m < _SHORTEST] = np.inf
+    return np.asarray(cost)

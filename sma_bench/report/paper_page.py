@@ -10,10 +10,10 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify import identify
 from sma_bench.identify.estimate import Estimate, Experiment
-from sma_bench.identify.instruments.heating_rates import identify_heating_rates
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
+from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import (
     BY_NAME,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sma_bench.identify import identify
-from sma_bench.identify.instruments.heating_rates import identify_heating_rates
+from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
 from sma_bench.parameters import Parameters
 from sma_bench.records.dsc import DscRecord, DscSegment, read_dsc
 from sma_bench.synthetic.paper_specimens import dsc_record

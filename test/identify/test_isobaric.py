@@ -7,7 +7,7 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.identify.instruments.isobaric import identify_isobaric
-from sma_bench.identify.instruments.strain_tangents import strain_tangents
+from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.physics.phase import cooled_fraction, heated_fraction
 from sma_bench.physics.stress import modulus

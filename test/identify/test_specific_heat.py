@@ -6,9 +6,8 @@ from scipy.integrate import solve_ivp
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
-from sma_bench.identify.thermal.differentiator import slope_of_rates
-from sma_bench.identify.thermal.heat_fit import Window
-from sma_bench.identify.thermal.heat_response import course_from_samples, temperature_rise
+from sma_bench.identify.thermal.heat_fit import Window, course_from_samples, temperature_rise
+from sma_bench.identify.thermal.specific_heat import slope_of_rates
 from sma_bench.parameters import Parameters
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.instruments.tensile import identify_tensile
-from sma_bench.identify.instruments.tensile_curve import read_curve
+from sma_bench.identify.instruments.tensile import identify_tensile, read_curve
 from sma_bench.records.tensile import TensileRecord
 
 E_M, E_A = 22.8e9, 55.4e9

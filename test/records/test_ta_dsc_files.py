@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.identify.instruments.heating_rates import identify_heating_rates
+from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
 from sma_bench.records.dsc_ta import is_ta_dsc, read_ta_dsc
 
 MASS = 10.2  # mg

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.instruments.strain_tangents import strain_tangents
+from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.thermal_cycles import Branch, Cycle
