@@ -246,7 +246,7 @@ def test_exact_parameters_are_not_estimated():
 
 @pytest.mark.parametrize(
     ("drop", "message"),
-    [("back_1.voltage", "no voltage of channel back_1"), ("deflection", "no deflection")],
+    [("back_1.voltage", "no voltage of channel back_1"), ("deflection", "no motion")],
 )
 def test_what_is_absent_is_named(drop, message):
     record = record_of(bench())

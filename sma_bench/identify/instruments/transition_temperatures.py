@@ -214,11 +214,9 @@ def _order_findings(estimates: dict[str, Estimate]) -> list[Finding]:
 # --- E5 over cycles and heating rates: Table II, prestrain, and onsets extrapolated to zero rate.
 #
 # Heat takes time to reach the sample, so onsets move with the rate, in proportion to it; the
-# straight
-# line through several rates gives the onset at rate zero (Hoehne et al., Thermochimica Acta 160,
-# 1990, calibrate the same way). The first heating of a prestrained sample starts
-# later, because its detwinned martensite is stabilised; the second does not: that difference is
-# the
+# straight line through several rates gives the onset at rate zero (Hoehne et al., Thermochimica
+# Acta 160, 1990, calibrate the same way). The first heating of a prestrained sample starts later,
+# because its detwinned martensite is stabilised; the second does not: that difference is the
 # prestrain, not an error of measurement.
 
 NAME = "E5"
@@ -236,7 +234,7 @@ _STAYS = 0.25
 
 
 @dataclass(frozen=True)
-class Scan:
+class RatedScan:
     """One scan: record by position, segment number, cycle from 1, rate in K/s (positive).
 
     `values` holds (value, std) in K for those of A_s, A_f, M_s, M_f that it shows.
@@ -293,7 +291,7 @@ def identify_heating_rates(records: Sequence[DscRecord] | DscRecord) -> Experime
     )
 
 
-def _scans(index: int, record: DscRecord, experiment: Experiment) -> list[Scan]:
+def _scans(index: int, record: DscRecord, experiment: Experiment) -> list[RatedScan]:
     cycles = {"heating": 0, "cooling": 0}
     found = []
     for segment in record.segments:
@@ -308,13 +306,13 @@ def _scans(index: int, record: DscRecord, experiment: Experiment) -> list[Scan]:
         }
         if values:
             found.append(
-                Scan(index, segment.number, cycles[segment.kind], abs(segment.rate), values)
+                RatedScan(index, segment.number, cycles[segment.kind], abs(segment.rate), values)
             )
     return found
 
 
 def _at_zero_rate(
-    name: str, kind: str, seen: Sequence[Scan]
+    name: str, kind: str, seen: Sequence[RatedScan]
 ) -> tuple[Estimate, Estimate | None, list[Finding]]:
     """The estimate, the lag (K per K/s, so s) where several rates were run, and remarks."""
     later = [s for s in seen if s.cycle > 1]
@@ -355,12 +353,12 @@ def _at_zero_rate(
     return estimate, lag, remarks
 
 
-def _rates(scans: Sequence[Scan]) -> int:
+def _rates(scans: Sequence[RatedScan]) -> int:
     ordered = np.sort([s.rate for s in scans])
     return 1 + int(np.sum(np.diff(ordered) > _SAME_RATE * ordered[1:])) if len(ordered) else 0
 
 
-def _prestrain(scans: Sequence[Scan], runs: Sequence[DscRecord]) -> list[Finding]:
+def _prestrain(scans: Sequence[RatedScan], runs: Sequence[DscRecord]) -> list[Finding]:
     """The shift from the first to the second cycle of each record, at one rate."""
     findings = []
     for index, run in enumerate(runs):
@@ -396,7 +394,7 @@ def _prestrain(scans: Sequence[Scan], runs: Sequence[DscRecord]) -> list[Finding
     return findings
 
 
-def _table(scans: Sequence[Scan]) -> Array:
+def _table(scans: Sequence[RatedScan]) -> Array:
     """One row a record, cycle and rate."""
     rows: dict[tuple[int, int, float], list[float]] = {}
     for s in scans:
@@ -409,7 +407,7 @@ def _table(scans: Sequence[Scan]) -> Array:
     return np.array([[cycle, rate, *row] for (_, cycle, rate), row in sorted(rows.items())])
 
 
-def _table_details(scans: Sequence[Scan]) -> dict[str, Estimate]:
+def _table_details(scans: Sequence[RatedScan]) -> dict[str, Estimate]:
     details = {}
     several = len({s.record for s in scans}) > 1
     for s in scans:
