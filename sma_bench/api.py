@@ -31,9 +31,9 @@ from sma_bench.records.arrays import (
     require_pandas,
 )
 from sma_bench.records.dsc import DscRecord
-from sma_bench.records.held_voltages import held_voltages
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
+from sma_bench.records.samples import held_voltages
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.records.write import write_record
 from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely

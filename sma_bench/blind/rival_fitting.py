@@ -16,7 +16,7 @@ from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.simulate import simulate
 from sma_bench.records import Record
-from sma_bench.records.held_voltages import held_voltages
+from sma_bench.records.samples import held_voltages
 
 # --- A record as the rivals use it: means over a tenth of a second, and noise taken as white.
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from sma_bench.commands.terminal import add_json_option, write_json
 from sma_bench.errors import InputError
-from sma_bench.hardware.known_loads import SENSORS, SensorFit, fit_sensor
+from sma_bench.hardware.calibration import SENSORS, SensorFit, fit_sensor
 from sma_bench.hardware.link_status import Reading
 from sma_bench.hardware.serial_link import SerialLink
 from sma_bench.hardware.serial_port import open_port

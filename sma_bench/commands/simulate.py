@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
     from sma_bench.protocols import load_protocol
     from sma_bench.records import read_record
-    from sma_bench.records.held_voltages import held_voltages
+    from sma_bench.records.samples import held_voltages
     from sma_bench.records.write import write_record
     from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely
 

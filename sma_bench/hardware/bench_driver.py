@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits

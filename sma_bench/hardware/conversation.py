@@ -4,7 +4,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
-from sma_bench.hardware.serial_framing import Splitter, line
 from sma_bench.hardware.serial_messages import (
     REASONS,
     Accepted,
@@ -13,9 +12,11 @@ from sma_bench.hardware.serial_messages import (
     Pong,
     ProtocolError,
     Refused,
+    Splitter,
     Telemetry,
     command,
     decode,
+    line,
 )
 from sma_bench.hardware.serial_port import Port
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry, name_of
 
 _NUMBERS = 1 << 16

@@ -17,8 +17,7 @@ from itertools import pairwise
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import Conversation, LinkError
-from sma_bench.hardware.device_clock import DeviceClock
-from sma_bench.hardware.device_identity import HANDSHAKE_LINES, DeviceIdentity
+from sma_bench.hardware.device import HANDSHAKE_LINES, DeviceClock, DeviceIdentity
 from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.serial_messages import (
     CHANNELS,

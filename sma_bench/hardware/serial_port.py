@@ -12,7 +12,7 @@ from typing import Protocol
 import serial
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.serial_framing import line
+from sma_bench.hardware.serial_messages import line
 
 BAUD_RATE = 500_000
 _BITS_PER_BYTE = 10

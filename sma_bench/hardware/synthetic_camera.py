@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.thermal_image import Frame
-from sma_bench.hardware.thermal_radiance import (
+from sma_bench.hardware.thermal_image import (
+    Frame,
     Surface,
     band_radiance,
     raw_from_kelvin,

@@ -5,10 +5,8 @@ from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_image import FrameFormat, FrameJudge
-from sma_bench.hardware.thermal_radiance import Surface
-from sma_bench.hardware.thermal_ridge import Region
-from sma_bench.hardware.thermal_wire import STATISTICS, Optics
+from sma_bench.hardware.thermal_image import FrameFormat, FrameJudge, Surface
+from sma_bench.hardware.thermal_wire import STATISTICS, Optics, Region
 from sma_bench.hardware.wire_gauge import WireGauge
 from sma_bench.parameters import Parameters
 

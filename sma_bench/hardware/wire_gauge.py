@@ -10,10 +10,8 @@ import math
 
 from sma_bench.hardware.expectation import WireModel
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.hardware.thermal_image import Frame
-from sma_bench.hardware.thermal_radiance import Surface, band_radiance, slope_at
-from sma_bench.hardware.thermal_ridge import CLEAR, Region
-from sma_bench.hardware.thermal_wire import Optics, WireReading, read_wire
+from sma_bench.hardware.thermal_image import Frame, Surface, band_radiance, slope_at
+from sma_bench.hardware.thermal_wire import CLEAR, Optics, Region, WireReading, read_wire
 from sma_bench.parameters import Parameters
 
 # A wire this many times clearer than the least visible one does not fade within this time [s].

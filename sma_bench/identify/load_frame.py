@@ -21,9 +21,8 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY, wire_length
 from sma_bench.physics.bending import wire_section
 from sma_bench.progress import Report, silent
-from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.isobaric import IsobaricRecord, find_cycles
 from sma_bench.records.record import Record, has_samples, samples
-from sma_bench.records.thermal_cycles import find_cycles
 
 NAME = "E9"
 TITLE = "Constitutive parameters from the load frame"

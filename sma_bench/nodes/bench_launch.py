@@ -11,7 +11,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from sma_bench.errors import InputError
-from sma_bench.nodes import replay_plan
+from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import PACKAGE, Argument, PlannedNode, Rig, plan_bench, switch
 from sma_bench.nodes.discovery import discovery_variables
 
@@ -29,14 +29,14 @@ def replay_launch() -> LaunchDescription:
     """Launch description of a record that is played; it ends with the record."""
 
     def actions(values: dict[str, str]) -> list[Any]:
-        command, nodes = replay_plan.plan_replay(values)
+        command, nodes = bench_plan.plan_replay(values)
         player = ExecuteProcess(
             cmd=command, name="player", output="screen", additional_env=_discovery(values),
             on_exit=Shutdown(reason="the record is over"),
         )
         return [*_nodes(nodes, values), player]
 
-    return _description(replay_plan.ARGUMENTS, actions)
+    return _description(bench_plan.ARGUMENTS, actions)
 
 
 def _description(

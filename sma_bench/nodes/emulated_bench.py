@@ -15,7 +15,7 @@ from sensor_msgs.msg import Temperature
 
 from sma_bench.emulation.emulated_bench import emulated_bench
 from sma_bench.errors import InputError
-from sma_bench.hardware.instruments import Instrument
+from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import MEASURED, BenchNode, run_node
 

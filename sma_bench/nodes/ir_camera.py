@@ -12,8 +12,8 @@ from sensor_msgs.msg import BatteryState, Image, Temperature
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
-from sma_bench.hardware import camera_report
-from sma_bench.hardware.camera_report import CameraReport
+from sma_bench.hardware import node_reports
+from sma_bench.hardware.node_reports import CameraReport
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_settings import frame_format, frame_judge, wire_gauges
 from sma_bench.hardware.thermal_wire import WireReading
@@ -24,9 +24,9 @@ from sma_bench.nodes.managed_node import ACTIVE, ManagedNode
 # A late picture is worth less than the next one.
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LEVELS = {
-    camera_report.OK: DiagnosticStatus.OK,
-    camera_report.WARN: DiagnosticStatus.WARN,
-    camera_report.ERROR: DiagnosticStatus.ERROR,
+    node_reports.OK: DiagnosticStatus.OK,
+    node_reports.WARN: DiagnosticStatus.WARN,
+    node_reports.ERROR: DiagnosticStatus.ERROR,
 }
 _FLAG_OPEN = 0
 

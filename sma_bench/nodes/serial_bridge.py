@@ -21,9 +21,9 @@ from std_srvs.srv import Trigger
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors
-from sma_bench.hardware.bridge_report import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.node_reports import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sma_bench.hardware.instruments import Instrument
+from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind

@@ -19,11 +19,10 @@ from sma_bench.physics.kernel import State, initial_state
 
 # --- The model of one side turned round: the temperature at which its wires bend as wanted.
 #
-# Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of phase.py and
-# a
-# share s that is constant between two reversals: xi_r/f_r or (1 - xi_r)/g_r, and 1 on a full loop.
-# A wanted contraction e fixes the stress, sigma = (load + K e)/n, the constitutive law then fixes
-# xi up to the small thermal stress, and the branch fixes the temperature.
+# Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of phase.py
+# and a share s that is constant between two reversals: xi_r/f_r or (1 - xi_r)/g_r, and 1 on a
+# full loop. A wanted contraction e fixes the stress, sigma = (load + K e)/n, the constitutive
+# law then fixes xi up to the small thermal stress, and the branch fixes the temperature.
 
 Branch = Literal["heating", "cooling"]
 

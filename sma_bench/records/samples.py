@@ -1,17 +1,18 @@
 """Serialised messages of one topic to stamped columns of numbers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.border import Budget
+from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import cdr, contract
 from sma_bench.records.compression import ZSTD_MAGIC, decompress_messages
 from sma_bench.records.harvest import RawTopic
-from sma_bench.records.record import FloatArray, IntArray
+from sma_bench.records.record import FloatArray, IntArray, Record
 
 # A clock that shows less than a day since 1970 is a simulation's.
 _DAY_NS = 86_400 * 10**9
@@ -204,3 +205,34 @@ _COLUMNS: dict[str, _Take] = {
     contract.MULTI_ARRAY: _array,
     contract.STRING: _texts,
 }
+
+
+# --- The voltages that a bench applied, on one clock: what a simulation takes as its input.
+
+def held_voltages(record: Record, channels: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Measured voltages of all channels, each held until its next sample.
+
+    Args:
+        record: with `<channel>.voltage` of every channel.
+        channels: in the order of bench.channels.
+
+    Returns:
+        time (n,) s, the union of the channels' stamps, and voltage (n, w) V.
+
+    Raises:
+        InputError: the record lacks the voltage of a channel.
+    """
+    missing = [channel for channel in channels if f"{channel}.voltage" not in record.signals]
+    if missing:
+        found = ", ".join(record.channels) or "none"
+        raise InputError(
+            f"{record.path}: no voltage of channel {missing[0]} (bench.channels is "
+            f"{', '.join(channels)}), found: {found}"
+        )
+    signals = [record[f"{channel}.voltage"] for channel in channels]
+    time = np.unique(np.concatenate([signal.time for signal in signals]))
+    held = [
+        signal.values[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
+        for signal in signals
+    ]
+    return time, np.stack(held, axis=1)

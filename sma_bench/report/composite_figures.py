@@ -12,8 +12,8 @@ from sma_bench.estimation.observation import find_rig
 from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
-from sma_bench.records.held_voltages import held_voltages
 from sma_bench.records.record import Record
+from sma_bench.records.samples import held_voltages
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
 from sma_bench.report.page import Picture
 

@@ -312,8 +312,8 @@ def purge_gas() -> Erratum:
 # --- The paper's errata: printed and corrected forms side by side, with numbers where there are
 # any.
 #
-# Geometry, C_A and C_M are not in the paper; the defaults of the parameter table, marked assumed
-# there, stand in. All other numbers are the paper's own.
+# Geometry, C_A and C_M are not in the paper; the defaults of the parameter table, marked
+# assumed there, stand in. All other numbers are the paper's own.
 
 _RIG = {
     "bench.channels": ("front_1", "front_2", "back_1", "back_2"),

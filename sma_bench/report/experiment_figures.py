@@ -13,8 +13,8 @@ from sma_bench.identify.instruments.tensile import MODULUS, SYMBOL
 from sma_bench.identify.instruments.thermal_expansion import PARAMETER
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
-from sma_bench.records.held_voltages import held_voltages
 from sma_bench.records.record import Record
+from sma_bench.records.samples import held_voltages
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.page import Picture
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control import TemperatureController
-from sma_bench.hardware.instruments import Instrument
+from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
@@ -259,7 +259,6 @@ def _record(path: str, signals: list[Signal]) -> Record:
 
 
 # --- A controller and a simulated bench in one loop, with sensor noise; no ROS, no clock.
-
 
 @dataclass(frozen=True, eq=False)
 class Loop:

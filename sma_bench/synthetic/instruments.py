@@ -15,16 +15,14 @@ from sma_bench.physics.heat import heat_loss
 from sma_bench.physics.phase import cooled_fraction, heated_fraction
 from sma_bench.physics.stress import modulus
 from sma_bench.records.dsc import DscRecord, DscSegment
-from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.isobaric import IsobaricRecord, find_cycles
 from sma_bench.records.tensile import TensileRecord
-from sma_bench.records.thermal_cycles import find_cycles
 
 # --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
 #
 # Heat into the sample is m (c_p dT/dt - L dxi/dt), eq. (1) with xi of eqs. (10), (11) at no
-# stress.
-# The instrument adds a start-up transient, a baseline that drifts, and noise. Thermal lag is left
-# out, so that the onsets are those of the material.
+# stress. The instrument adds a start-up transient, a baseline that drifts, and noise. Thermal
+# lag is left out, so that the onsets are those of the material.
 
 Array = NDArray[np.float64]
 
@@ -75,8 +73,8 @@ def _scan(
 # Fig. 8).
 #
 # The frame keeps the force and records the travel; the wire is led through a triangle of
-# temperature
-# that is slow against its time constant. Not a measurement: the model behind instruments.
+# temperature that is slow against its time constant. Not a measurement: the model behind
+# instruments.
 
 _RATE = 0.5  # K/s
 _ABOVE_FINISH = 25.0  # K
@@ -147,9 +145,8 @@ def _triangle(parameters: Parameters, hottest: float) -> tuple[Array, Array]:
 # Austenite follows the package's own law: under load the range of eq. (11) rises until the wire
 # turns to martensite, eps = sigma/E(xi) + eps_L xi. Martensite is a test curve, not a model:
 # the paper's law starts from detwinned martensite and knows no detwinning, so the curve is an
-# elastic
-# rise E_M, a plateau up to 4 % of strain as Fig. 9 is described, and a rise E_M again, its corners
-# rounded. Both begin with a toe, as a specimen that is not quite straight gives.
+# elastic rise E_M, a plateau up to 4 % of strain as Fig. 9 is described, and a rise E_M again,
+# its corners rounded. Both begin with a toe, as a specimen that is not quite straight gives.
 
 _DETWINNING_STRESS = 130e6  # Pa, assumed: 100 to 200 MPa on NiTi
 _DETWINNING_SLOPE = 0.6e9  # Pa, assumed

@@ -31,8 +31,7 @@ from sensor_msgs.msg import BatteryState
 
 from sma_bench.emulation.emulated_bench import emulated_bench
 from sma_bench.emulation.emulated_uno import START_UP, missing_tools
-from sma_bench.hardware.serial_framing import Splitter
-from sma_bench.hardware.serial_messages import Telemetry, decode
+from sma_bench.hardware.serial_messages import Splitter, Telemetry, decode
 from sma_bench.nodes.base import MEASURED
 from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
 from sma_bench.parameters import Parameters

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sma_bench.cli import COMMANDS
-from sma_bench.nodes import replay_plan
+from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
@@ -27,7 +27,7 @@ INLINE = re.compile(r"`([^`]+)`")
 LAUNCH_ARGUMENTS = {
     "wire_bench.launch.py": WIRE.arguments,
     "composite_bench.launch.py": COMPOSITE.arguments,
-    "replay.launch.py": replay_plan.ARGUMENTS,
+    "replay.launch.py": bench_plan.ARGUMENTS,
 }
 PLACEHOLDERS = {"NODE": "simulator"}
 NAMED_ONLY = {"call", "import", "info", "run"}  # within a sentence, without what they take

@@ -10,10 +10,9 @@ import pytest
 from virtual_host import VirtualHost
 
 from sma_bench.emulation.emulated_uno import EmulatedUno, Relay, Reset, Switch
-from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch, WireModel
 from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
-from sma_bench.hardware.serial_framing import line
 from sma_bench.hardware.serial_messages import (
     CAUSES,
     REASONS,
@@ -22,6 +21,7 @@ from sma_bench.hardware.serial_messages import (
     State,
     Telemetry,
     command,
+    line,
 )
 from sma_bench.parameters import Parameters
 

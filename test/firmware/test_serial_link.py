@@ -19,9 +19,8 @@ from sma_bench.emulation.emulated_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.link_status import Reading
-from sma_bench.hardware.serial_framing import line
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_messages import State, Telemetry
+from sma_bench.hardware.serial_messages import State, Telemetry, line
 from sma_bench.hardware.serial_port import find_port, open_port
 
 ROOT = Path(__file__).resolve().parents[2]

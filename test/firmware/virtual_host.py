@@ -1,15 +1,16 @@
 """A host in virtual time: no threads, no waiting, every run the same."""
 
 from sma_bench.emulation.emulated_uno import EmulatedUno
-from sma_bench.hardware.serial_framing import Splitter, line
 from sma_bench.hardware.serial_messages import (
     Accepted,
     Message,
     Named,
     Refused,
+    Splitter,
     Telemetry,
     command,
     decode,
+    line,
 )
 
 SLICE = 1e-3

@@ -8,11 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.calibration import (
-    Calibration,
-    fit_calibration,
-    fit_range_calibration,
-)
+from sma_bench.hardware.calibration import Calibration, fit_calibration, fit_range_calibration
 from sma_bench.hardware.power_channels import (
     PowerCalibration,
     channel_powers,

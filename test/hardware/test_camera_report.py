@@ -3,12 +3,8 @@
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.camera_report import CameraReport
-from sma_bench.hardware.thermal_settings import (
-    regions_side_by_side,
-    synthetic_camera,
-    wire_gauges,
-)
+from sma_bench.hardware.node_reports import CameraReport
+from sma_bench.hardware.thermal_settings import regions_side_by_side, synthetic_camera, wire_gauges
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES

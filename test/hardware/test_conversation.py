@@ -3,7 +3,7 @@
 import tracemalloc
 
 from sma_bench.hardware.conversation import Conversation
-from sma_bench.hardware.serial_framing import line
+from sma_bench.hardware.serial_messages import line
 
 COUNTERS = " ".join(f"counter{k}={10_000 + k}" for k in range(8))
 

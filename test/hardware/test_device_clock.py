@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sma_bench.hardware.device_clock import DeviceClock
+from sma_bench.hardware.device import DeviceClock
 
 WRAP = 1 << 32
 

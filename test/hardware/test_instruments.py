@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sma_bench.hardware.instruments import Instrument
+from sma_bench.hardware.bench_sensors import Instrument
 
 
 def readings(noise, resolution, seed=1, n=20_000, value=2.5):

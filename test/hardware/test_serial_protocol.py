@@ -8,18 +8,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.device_identity import DeviceIdentity
+from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.link_status import LinkStatus
-from sma_bench.hardware.serial_framing import Splitter, checksum, frame, line, open_frame, open_line
 from sma_bench.hardware.serial_messages import (
     Accepted,
     Named,
     Pong,
     ProtocolError,
     Refused,
+    Splitter,
     Telemetry,
+    checksum,
     command,
     decode,
+    frame,
+    line,
+    open_frame,
+    open_line,
 )
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "serial_protocol.md"

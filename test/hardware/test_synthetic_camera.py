@@ -6,7 +6,7 @@ import thermal_scene
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_radiance import Surface, kelvin_from_raw
+from sma_bench.hardware.thermal_image import Surface, kelvin_from_raw
 
 WIDTH, HEIGHT = 40, 60
 

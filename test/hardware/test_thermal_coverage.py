@@ -9,9 +9,8 @@ from statistics import NormalDist
 import numpy as np
 
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_radiance import Surface
-from sma_bench.hardware.thermal_ridge import Region
-from sma_bench.hardware.thermal_wire import Optics, read_wire
+from sma_bench.hardware.thermal_image import Surface
+from sma_bench.hardware.thermal_wire import Optics, Region, read_wire
 
 WIDTH, HEIGHT = 120, 200
 REGION = Region.parse("10 0 100 200 y", WIDTH, HEIGHT, "regions")

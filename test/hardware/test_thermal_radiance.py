@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import thermal_scene
 
-from sma_bench.hardware.thermal_radiance import (
+from sma_bench.hardware.thermal_image import (
     Surface,
     band_radiance,
     kelvin_from_raw,

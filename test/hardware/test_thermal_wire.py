@@ -9,9 +9,8 @@ from thermal_scene import ROOM, bent, photograph, straight
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_radiance import Surface
-from sma_bench.hardware.thermal_ridge import Region
-from sma_bench.hardware.thermal_wire import Optics, read_wire
+from sma_bench.hardware.thermal_image import Surface
+from sma_bench.hardware.thermal_wire import Optics, Region, read_wire
 
 WIDTH, HEIGHT = 60, 120
 WHOLE = Region.parse("", WIDTH, HEIGHT, "regions")

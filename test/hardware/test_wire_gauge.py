@@ -5,9 +5,8 @@ import math
 import pytest
 
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_radiance import Surface
-from sma_bench.hardware.thermal_ridge import Region
-from sma_bench.hardware.thermal_wire import Optics
+from sma_bench.hardware.thermal_image import Surface
+from sma_bench.hardware.thermal_wire import Optics, Region
 from sma_bench.hardware.wire_gauge import ExpectedWarmth, WireGauge
 from sma_bench.parameters import Parameters
 

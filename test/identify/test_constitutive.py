@@ -17,8 +17,7 @@ from sma_bench.physics.phase import (
     martensite_ramp,
 )
 from sma_bench.physics.stress import modulus
-from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
-from sma_bench.records.thermal_cycles import Branch, Cycle
+from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
 
 STRESSES = (20e6, 80e6, 150e6, 220e6)
 BASE = {

@@ -11,8 +11,7 @@ from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.physics.phase import cooled_fraction, heated_fraction
 from sma_bench.physics.stress import modulus
-from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
-from sma_bench.records.thermal_cycles import Branch, Cycle
+from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
 
 TRUTH = Parameters.defaults().replace(
     {

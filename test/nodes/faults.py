@@ -15,7 +15,7 @@ from pathlib import Path
 from emulated_rig import BridgedRig
 
 from sma_bench.emulation.emulated_uno import Relay, Switch
-from sma_bench.hardware.serial_framing import line
+from sma_bench.hardware.serial_messages import line
 
 STOP = ord("!")
 

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.hardware.safety import Freshness
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_radiance import Surface
+from sma_bench.hardware.thermal_image import Surface
 
 COMPOSITE = "config/composite_rig.yaml"
 CHANNELS = ("front_1", "front_2", "back_1", "back_2")

@@ -7,7 +7,7 @@ import pytest
 from launch_stand_in import ExecuteProcess, Node, Shutdown, built
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.replay_plan import ARGUMENTS, plan_replay
+from sma_bench.nodes.bench_plan import ARGUMENTS, plan_replay
 from sma_bench.records import Signal
 from sma_bench.records.write import write_record
 

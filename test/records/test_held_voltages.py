@@ -7,7 +7,7 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.records import Record, Signal
-from sma_bench.records.held_voltages import held_voltages
+from sma_bench.records.samples import held_voltages
 
 
 def record(**volts):

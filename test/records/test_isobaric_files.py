@@ -8,10 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.records.isobaric import is_isobaric, read_isobaric
+from sma_bench.records.isobaric import find_cycles, is_isobaric, read_isobaric, without_spikes
 from sma_bench.records.tensile import is_tensile, read_tensile
 from sma_bench.records.text_table import read_text_table
-from sma_bench.records.thermal_cycles import find_cycles, without_spikes
 
 
 def loop(points: int = 60, step: float = 0.03) -> np.ndarray:

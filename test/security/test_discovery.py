@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
+from sma_bench.nodes.bench_plan import ARGUMENTS, COMPOSITE, WIRE
 from sma_bench.nodes.discovery import (
     PROFILE,
     RANGE,
@@ -15,7 +15,6 @@ from sma_bench.nodes.discovery import (
     discovery_variables,
 )
 from sma_bench.nodes.processes import private_ros_environment
-from sma_bench.nodes.replay_plan import ARGUMENTS
 
 ROOT = Path(__file__).resolve().parents[2]
 SAYS = f"""

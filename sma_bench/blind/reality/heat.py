@@ -13,8 +13,8 @@ from sma_bench.compiled import inlined
 # --- The air around a bench: its slow temperature, its gusts, and what the film at a surface
 # carries.
 #
-# Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat Mass
-# Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
+# Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat
+# Mass Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
 
 Array = NDArray[np.float64]
 
@@ -95,8 +95,8 @@ def gusts(world: World, time: Array) -> Array:
 # --- Current through a wire: its resistance by phase and temperature, leads, contacts, the
 # driver.
 #
-# The resistance of martensite and austenite differs, and both rise with temperature (NiTi: D. C.
-# Lagoudas, Shape Memory Alloys, 2008, table 1.1); only the wire's own part heats it.
+# The resistance of martensite and austenite differs, and both rise with temperature (NiTi: D.
+# C. Lagoudas, Shape Memory Alloys, 2008, table 1.1); only the wire's own part heats it.
 
 LEAST_RESISTANCE = 0.05  # of the wire's at rest
 SECONDS_PER_MINUTE = 60.0

@@ -16,8 +16,7 @@ from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, part, silent
-from sma_bench.records.isobaric import STRONGEST, IsobaricRecord
-from sma_bench.records.thermal_cycles import Branch
+from sma_bench.records.isobaric import STRONGEST, Branch, IsobaricRecord
 
 NAME = "E9"
 TITLE = "Joint fit of the constitutive law (eqs. 6 to 11)"

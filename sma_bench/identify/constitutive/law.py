@@ -36,8 +36,7 @@ from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
 from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
-from sma_bench.records.isobaric import IsobaricRecord
-from sma_bench.records.thermal_cycles import Branch, Cycle
+from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord
 
 Law = Literal["contract", "extended"]
 REFERENCE_STRESS = 100e6  # Pa, unit of stress within the fit

@@ -24,8 +24,7 @@ from sma_bench.identify.instruments.stress_temperature import (
 )
 from sma_bench.identify.instruments.tangents import StrainTangents, strain_tangents
 from sma_bench.parameters import Parameters
-from sma_bench.records.isobaric import STRONGEST, IsobaricRecord
-from sma_bench.records.thermal_cycles import Branch
+from sma_bench.records.isobaric import STRONGEST, Branch, IsobaricRecord
 
 # --- Readings of isobaric tests, grouped by stress.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
-from sma_bench.records.thermal_cycles import Branch
+from sma_bench.records.isobaric import Branch
 
 GRID = 0.05
 # A ruler follows the flank over a few kelvins, not at a point: kinks of 1 K do not turn it.
@@ -361,8 +361,7 @@ def fit_line(t: Array, strain: Array) -> tuple[Line, Array]:
 # --- Tangent method on a strain-temperature branch (practice of ASTM F2082 and E3097).
 #
 # Three straight lines are drawn: along the branch before it transforms, along its steepest part
-# and
-# along the branch after it has transformed. Their crossings are the start and the finish.
+# and along the branch after it has transformed. Their crossings are the start and the finish.
 
 # Of a cosine ramp the steepest tangent takes 2/pi of its width (eqs. 10, 11).
 COSINE_WIDTH = 0.5 * math.pi

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sma_bench.hardware.serial_framing import Splitter, frame, line
-from sma_bench.hardware.serial_messages import ProtocolError, decode
+from sma_bench.hardware.serial_messages import ProtocolError, Splitter, decode, frame, line
 from sma_bench.nodes.arguments import check_arguments
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol

@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 
-from sma_bench.hardware.instruments import Instrument
+from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.records import Signal
 
