@@ -113,4 +113,5 @@ def test_every_place_that_starts_ros_asks_first() -> None:
         lines = path.read_text().splitlines()
         for number, line in enumerate(lines):
             if "rclpy.init(" in line:
-                assert "choose_discovery()" in lines[number - 1], f"{path}: line {number + 1}"
+                before = "".join(lines[number - 2 : number])
+                assert "choose_discovery()" in before, f"{path}: line {number + 1}"
