@@ -338,12 +338,16 @@ def test_texts_of_a_spreadsheet_without_end_take_no_longer_than_its_budget(tmp_p
     bomb = tmp_path / "texts.xlsx"
     texts = "<si><t>x</t></si>" * 200_000
     main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+    part = f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}"/></Types>'
     with zipfile.ZipFile(good) as before, zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as after:
         for name in before.namelist():
             content = before.read(name)
-            if name == "xl/sharedStrings.xml":
-                content = f'<sst xmlns="{main}">{texts}</sst>'.encode()
+            if name == "[Content_Types].xml":
+                content = content.replace(b"</Types>", part.encode())
             after.writestr(name, content)
+        after.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">{texts}</sst>')
+    read_table_file(good)
     with pytest.raises(InputError, match="takes more than 0.03"):
         read_table_file(bomb)
 
