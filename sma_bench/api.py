@@ -18,6 +18,7 @@ from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.node_tables import node_groups
+from sma_bench.parameters.parameters import as_recorded
 from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
@@ -148,7 +149,10 @@ def simulate(
         bench = bench.replace(effect_values(name, float(size)), where="effects")
     if (protocol := _protocol(drive, bench)) is not None:
         return simulate_finely(protocol.bench(bench), *protocol.sample(_period(rate)))
-    return simulate_finely(bench, *_voltages(drive, bench))
+    time_and_volts = _voltages(drive, bench)
+    return simulate_finely(
+        bench if isinstance(drive, tuple) else as_recorded(bench), *time_and_volts
+    )
 
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:

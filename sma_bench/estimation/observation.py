@@ -19,7 +19,7 @@ from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics import simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.electrical import current
@@ -158,9 +158,7 @@ class Observation:
         if tuple(parameters["bench.channels"]) != self.channels:
             own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
             parameters = parameters.replace(own)
-        if parameters["bench.drive"] != "voltage":
-            # What a record holds is the direct voltage of the same heat, whatever was switched.
-            parameters = parameters.replace({"bench.drive": "voltage"})
+        parameters = as_recorded(parameters)
         volts = self.voltage if voltage is None else voltage
         if not self.holds:
             return simulate(parameters, self.grid, volts)

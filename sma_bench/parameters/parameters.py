@@ -190,3 +190,11 @@ class Parameters(Mapping[str, Value]):
         if self[name] not in choices:
             expected = ", ".join(choice for choice in choices if choice)
             raise InputError(f"{self._where}{name} is {self[name]!r}, expected {expected}")
+
+
+def as_recorded(parameters: Parameters) -> Parameters:
+    """The bench as its records show it: they hold the direct voltage of the same heat, whatever
+    was switched."""
+    if parameters["bench.drive"] == "voltage":
+        return parameters
+    return parameters.replace({"bench.drive": "voltage"})

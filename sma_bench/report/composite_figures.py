@@ -11,6 +11,7 @@ from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 from sma_bench.estimation.observation import find_rig
 from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics import simulate
 from sma_bench.records.record import Record
 from sma_bench.records.samples import held_voltages
@@ -248,7 +249,7 @@ def composite_run(record: Record, parameters: Parameters) -> CompositeRun:
     """
     rig = find_rig(record, parameters)
     time, voltage = held_voltages(record, parameters["bench.channels"])
-    simulated = simulate(parameters, time, voltage).deflection
+    simulated = simulate(as_recorded(parameters), time, voltage).deflection
     front = np.array(parameters["bench.channel_sides"]) == "front"
     signed = _largest(voltage[:, front]) - _largest(voltage[:, ~front])
     deflection = next(m for m in rig.measured if m.quantity == "deflection")

@@ -12,6 +12,7 @@ from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.identify.instruments.tensile import MODULUS, SYMBOL
 from sma_bench.identify.instruments.thermal_expansion import PARAMETER
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.simulate import simulate
 from sma_bench.records.record import Record
 from sma_bench.records.samples import held_voltages
@@ -111,7 +112,7 @@ def validation_picture(record: Record, parameters: Parameters) -> tuple[Picture,
     channel = parameters["bench.channels"][0]
     time, voltage = held_voltages(record, [channel])
     measured = record[f"{channel}.temperature"]
-    simulated = simulate(parameters, time, voltage).temperature[:, 0]
+    simulated = simulate(as_recorded(parameters), time, voltage).temperature[:, 0]
     inside = (measured.time >= time[0]) & (measured.time <= time[-1])
     if not inside.any():
         raise InputError(f"{record.path}: no temperature while the voltage was measured")

@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
+import sma_bench
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.identify.whole_model import identify_composite
@@ -104,6 +105,8 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     ):
         assert signal.values == pytest.approx(other.values, rel=1e-9, abs=1e-12), signal.name
     record = recorded(switched, "triangle", 1)
+    again = sma_bench.simulate(record, switched)
+    assert again.elongation == pytest.approx(sma_bench.simulate(record, believed).elongation)
     first, second = (identify_composite([record], p).estimates for p in (switched, believed))
     for name, estimate in first.items():
         assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
