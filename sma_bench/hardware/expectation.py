@@ -65,15 +65,20 @@ class WireModel:
     """K"""
     leads: float = 0.0
     """ohm, between where the voltage is measured and the wire"""
+    supply: float = 0.0
+    """V that a duty switches; 0: commanded volts are direct"""
 
     @classmethod
     def from_parameters(cls, parameters: Parameters) -> "WireModel":
-        """From the contract's parameters."""
+        """From the contract's parameters; the wires of a channel as one."""
+        count = parameters["wire.count"]
+        duty = parameters["bench.drive"] == "duty"
         return cls(
-            resistance=parameters["wire.resistance"],
-            heat_loss=parameters["wire.heat_transfer_coefficient"]
+            resistance=parameters["wire.resistance"] / count,
+            heat_loss=count
+            * parameters["wire.heat_transfer_coefficient"]
             * parameters["wire.surface_area"],
-            heat_capacity=parameters["wire.mass"] * parameters["wire.specific_heat"],
+            heat_capacity=count * parameters["wire.mass"] * parameters["wire.specific_heat"],
             ambient=parameters["environment.ambient_temperature"],
             maximum_temperature=parameters["bench.maximum_temperature"],
             maximum_voltage=parameters["bench.maximum_voltage"],
@@ -81,7 +86,12 @@ class WireModel:
             resistance_tolerance=parameters["bench.resistance_tolerance"],
             temperature_tolerance=parameters["bench.temperature_tolerance"],
             leads=parameters["bench.lead_resistance"],
+            supply=parameters["bench.supply_voltage"] if duty else 0.0,
         )
+
+    def reading(self, commanded: float) -> float:
+        """V that are read at a command: of a duty the direct voltage of the same heat."""
+        return math.sqrt(max(commanded, 0.0) * self.supply) if self.supply else commanded
 
     @property
     def circuit(self) -> float:
@@ -117,7 +127,7 @@ class WireModel:
 
     def allowed_deviation(self, volt: float) -> float:
         """V by which a commanded voltage and its reading may differ: less at small ones."""
-        share = _LEAST_TOLERANCE + volt / self.maximum_voltage
+        share = _LEAST_TOLERANCE + volt / self.reading(self.maximum_voltage)
         return self.voltage_tolerance * min(share, 1.0)
 
 
@@ -252,15 +262,16 @@ class WireWatch:
     def _not_followed(self, volt: float, model: WireModel) -> str:
         if not self._commands:
             return ""
-        lowest, highest = min(self._commands), max(self._commands)
+        expected = [model.reading(volt) for volt in self._commands]
+        lowest, highest = min(expected), max(expected)
         low = lowest - model.allowed_deviation(lowest)
         high = highest + model.allowed_deviation(highest)
         if low <= volt <= high:
             return ""
-        allowed = model.allowed_deviation(self._commands[-1])
+        allowed = model.allowed_deviation(expected[-1])
         return (
             f"disagreement: {self._channel} gets {volt:.2f} V, commanded "
-            f"{self._commands[-1]:.2f} V, tolerance {allowed:.2g} V"
+            f"{expected[-1]:.2f} V, tolerance {allowed:.2g} V"
         )
 
     def _not_conducted(self, volt: float, ampere: float, model: WireModel) -> str:

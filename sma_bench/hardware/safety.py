@@ -76,8 +76,9 @@ def current_fault(channel: str, current: float, limits: Limits) -> str:
 
 def power_fault(channel: str, volt: float, ampere: float, limits: Limits) -> str:
     """Over-voltage or too much power at a wire, or ""; NaN is no reading and no fault."""
-    if volt > limits.maximum_voltage + limits.model.voltage_tolerance:
-        return f"over-voltage: {channel} gets {volt:.2f} V, limit {limits.maximum_voltage:g} V"
+    highest = limits.model.reading(limits.maximum_voltage)
+    if volt > highest + limits.model.voltage_tolerance:
+        return f"over-voltage: {channel} gets {volt:.2f} V, limit {highest:.4g} V"
     if volt * ampere > limits.maximum_power:
         return (
             f"over-power: {channel} takes {volt * ampere:.1f} W, limit {limits.maximum_power:g} W"
@@ -286,7 +287,8 @@ class Guard:
         wire = self._wires[channel]
         # What is beyond the limits is a fault by itself; one such number must not stay in the
         # model for good.
-        volts = _within(volt, limits.maximum_voltage + limits.model.voltage_tolerance)
+        highest = limits.model.reading(limits.maximum_voltage)
+        volts = _within(volt, highest + limits.model.voltage_tolerance)
         amperes = _within(ampere, _MODELLED_CURRENT * limits.maximum_current)
         disagreement = wire.power(volts, amperes, stamp, now, limits.model)
         # A temperature that is measured is judged itself.

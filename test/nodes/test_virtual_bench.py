@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -151,3 +152,34 @@ def test_instruments_show_the_effects_that_are_on():
     plain = simulate(COMPOSITE.replace(effects), np.arange(0.0, 20.0, 0.01),
                      np.tile([3.0, 0.0, 0.0, 0.0], (2000, 1)))
     assert drift == pytest.approx(plain.deflection[-1] + 1e-5 * time, abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("leads", [0.0, 0.3])
+@pytest.mark.parametrize("drive", ["voltage", "duty", "current"])
+def test_guard_finds_nothing_in_a_sound_bench_of_any_drive(drive, leads, count):
+    parameters = WIRE.replace(
+        {"bench.drive": drive, "bench.lead_resistance": leads, "wire.count": count}
+    )
+    limits = Limits.from_parameters(parameters)
+    guard = Guard(("wire",), ("power", "temperature"), 0.5)
+    bench = VirtualBench(parameters, SETTINGS)
+    # A duty of 3 V of 10 V heats like 5.5 V.
+    voltage = (1.0 if drive == "duty" else 3.0,)
+    for k in range(1, 101):
+        guard.commanded(voltage)
+        for reading in bench.advance(voltage, round(0.05 * k * NANOSECONDS)):
+            now = reading.time / NANOSECONDS
+            if reading.kind == "power":
+                power = reading.values[0]
+                guard.power("wire", *power, now, now, limits)
+            elif reading.kind == "temperature":
+                kelvin = reading.values[0] + CELSIUS_ZERO
+                guard.temperature("wire", kelvin, now, now, limits)
+        if k > 1:
+            assert guard.fault(0.05 * k) == ""
+    for k in range(200):  # and a bench that stays at the last command is found
+        now = 5.0 + 0.01 * k
+        guard.commanded((2.0 * voltage[0],))
+        guard.power("wire", *power, now, now, limits)
+    assert "disagreement: wire gets" in guard.fault(now)
