@@ -25,8 +25,8 @@ class DiagnosisNode(JobNode):
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Nothing may be written outside output_root."""
-        for name in ("improved", "report"):
-            output_inside(settings["output_root"], settings[name], name)
+        for name, suffix in (("improved", ".yaml"), ("report", "")):
+            output_inside(settings["output_root"], settings[name], name, suffix)
 
     def job(self) -> DiagnosisJob:
         """The node's parameters, as they are now."""

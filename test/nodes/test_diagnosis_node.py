@@ -72,6 +72,8 @@ def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
     node = bench.start("diagnosis", rig / "lab.yaml", record_root=rig)
     answer = bench.trigger("diagnosis/diagnose")
     assert not answer.success and answer.message.startswith("record: is empty")
+    result = bench.set_parameter("diagnosis", "improved", "Makefile")
+    assert not result.successful and "ends in .yaml" in result.reason
     bench.set_parameter("diagnosis", "record", ["bag"])
     bench.set_parameter("diagnosis", "hold_out", ["../../etc"])
     answer = bench.trigger("diagnosis/diagnose")
