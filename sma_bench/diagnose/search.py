@@ -148,7 +148,7 @@ def _again(
     best = max(singles.values(), key=lambda f: f.evidence)
     if best.evidence < recalibrated.evidence + _WORTH_A_LOOK:
         return recalibrated
-    return fit(best.problem, baseline, best.x[: baseline.baseline], rounds=2, far=True)
+    return fit(best.problem, baseline, best.x[: baseline.baseline], far=True)
 
 
 def _from_belief(
@@ -165,9 +165,7 @@ def _from_belief(
     ranked = sorted(zip(names, starts, strict=True), key=lambda s: s[1].gain, reverse=True)
     best = ranked[:_MOST_FROM_BELIEF]
     fits = in_threads(
-        lambda name, start: fit(
-            problem, baseline.with_effects([name]), start.x, rounds=2, far=True
-        ),
+        lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True),
         best,
     )
     return {name: found for (name, _), found in zip(best, fits, strict=True)}

@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import LOAD_FRAME, Hold, find_holds
 from sma_bench.estimation.noise_model import Array, noise_floor
+from sma_bench.estimation.unknowns import LOADS
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
@@ -35,7 +36,6 @@ _LONG_CELL = 0.1
 _FINE_CELL, _FINE_SPAN = 0.0075, 0.45
 _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
 _FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
-OWN_LOADS = ("force", "spring", "antagonist")  # that wires move
 _NARROW = 1e-3  # s
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
@@ -388,7 +388,7 @@ def pulls_a_load(record: Record, parameters: Parameters) -> bool:
     it holds."""
     kind = load_kind(parameters)
     held = kind == "force" and has_samples(record, "force")
-    return kind in OWN_LOADS and not held
+    return kind in LOADS and not held
 
 
 def _measured(

@@ -221,17 +221,19 @@ def unknowns_of_records(
     quantities: Sequence[str],
     *,
     load_frame: bool = False,
+    own_load: bool = True,
     sides_apart: bool = False,
 ) -> Unknowns:
     """Everything of the baseline that records of these quantities can depend on.
 
     Args:
         parameters: as believed, with uncertainties.
-        load_frame: records of a wire under held loads or between clamps are among them.
+        load_frame: records of a wire under held loads or between clamps are among them;
+            own_load: so are some of wires that move what `load.kind` names.
         sides_apart: front and back are two numbers even where they are believed alike.
     """
     names = [*HEAT]
-    own = LOADS.get(load_kind(parameters), ()) if not load_frame else ()
+    own = LOADS.get(load_kind(parameters), ()) if own_load else ()
     if "deflection" in quantities or load_frame or (own and "elongation" in quantities):
         names += MATERIAL
         if own:

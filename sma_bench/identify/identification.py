@@ -188,7 +188,7 @@ def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment
     told = part(report, 0.0, _WHOLE_MODEL, name)
     try:
         if bent:
-            experiment = whole_model.identify_composite([*framed, *bent], run.given, told)
+            experiment = whole_model.identify_moving_bench([*framed, *bent], run.given, told)
         else:
             experiment = load_frame.identify_load_frame(framed, run.given, told)
     except InputError as error:

@@ -38,7 +38,7 @@ def identify_load_frame(
 
     The whole model is simulated on the measured voltage under the loads that were held, or
     between the clamps, and held to elongation or force, temperature and current (see
-    `identify_composite`). The tangents of E6 on the same loops stand beside it in `details`
+    `identify_moving_bench`). The tangents of E6 on the same loops stand beside it in `details`
     ("tangent.<parameter>").
 
     Args:

@@ -48,7 +48,7 @@ _UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
           "wire.specific_heat": ("heat_capacity", "J/K", "m c_p")}  # fmt: skip
 
 
-def identify_composite(
+def identify_moving_bench(
     records: Sequence[Record], parameters: Parameters, report: Report = silent
 ) -> Experiment:
     """What the wires pull against, and their own parameters.
@@ -115,15 +115,22 @@ def fit_whole_model(
     observations: Sequence[Observation], parameters: Parameters, report: Report = silent
 ) -> Result:
     """The whole model fitted to prepared records, from several starts."""
-    quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
-    unknowns = unknowns_of_records(
-        parameters, quantities, load_frame=any(one.holds for one in observations),
-        sides_apart=True,
-    )
+    unknowns = unknowns_of_observations(observations, parameters)
     tries = starts(unknowns)
     problem = Problem.of(observations, voltage_noise=True)
     fitted, tried = recalibrate(problem, parameters, unknowns, tries, report)
     return result_of(fitted, tried)
+
+
+def unknowns_of_observations(
+    observations: Sequence[Observation], parameters: Parameters
+) -> Unknowns:
+    """Everything that the records can depend on."""
+    quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
+    return unknowns_of_records(
+        parameters, quantities, load_frame=any(one.holds for one in observations),
+        own_load=any(not one.holds for one in observations), sides_apart=True,
+    )
 
 
 def starts(unknowns: Unknowns) -> list[Array]:

@@ -3,6 +3,7 @@
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError
@@ -67,14 +68,20 @@ class Parameters(Mapping[str, Value]):
             InputError: unknown name, wrong type, out of range or contradicting values; `where`
                 (a file, say) leads the line.
         """
-        values = dict(values or {})
-        self._where = f"{where}: " if where else ""
         self._values: dict[str, Value] = {p.name: p.default for p in TABLE}
+        self._std: dict[str, float] = {}
+        self.given: frozenset[str] = frozenset()
+        self._put(values or {}, uncertainty or {}, where)
+
+    def _put(
+        self, values: Mapping[str, Any], uncertainty: Mapping[str, float], where: str
+    ) -> None:
+        self._where = f"{where}: " if where else ""
         for name, value in values.items():
             self._require_known(name)
             self._values[name] = BY_NAME[name].validated(value, where)
-        self._std = self._validated_uncertainty(dict(uncertainty or {}))
-        self.given = frozenset(values)
+        self._std |= self._validated_uncertainty(uncertainty)
+        self.given |= frozenset(values)
         self._check_consistency()
 
     @classmethod
@@ -118,16 +125,17 @@ class Parameters(Mapping[str, Value]):
         where: str = "",
     ) -> "Parameters":
         """A new set with some values and uncertainties replaced; raises as the constructor does."""
-        given = {name: self._values[name] for name in self.given}
-        return Parameters(
-            {**given, **(values or {})}, {**self._std, **(uncertainty or {})}, where
-        )
+        # What is here has been checked: a fit makes thousands of sets.
+        other = copy(self)
+        other._values, other._std = dict(self._values), dict(self._std)
+        other._put(values or {}, uncertainty or {}, where)
+        return other
 
     def _require_known(self, name: str) -> None:
         if name not in BY_NAME:
             raise InputError(self._where + unknown_parameter_message(name, BY_NAME))
 
-    def _validated_uncertainty(self, uncertainty: dict[str, float]) -> dict[str, float]:
+    def _validated_uncertainty(self, uncertainty: Mapping[str, float]) -> dict[str, float]:
         checked = {}
         for name, std in uncertainty.items():
             self._require_known(name)

@@ -12,7 +12,7 @@ from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BENDING, HEAT, MATERIAL, SHAPES
 from sma_bench.identify import identify
-from sma_bench.identify.whole_model import fit_whole_model, identify_composite, observe_all
+from sma_bench.identify.whole_model import fit_whole_model, identify_moving_bench, observe_all
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
 from sma_bench.records import Record, Signal, read_record
@@ -66,7 +66,7 @@ def test_foreign_records_give_back_the_truth_within_the_stated_errors(foreign, s
 
 def test_deflection_alone_says_which_parameters_it_cannot_tell(foreign):
     records, nominal, _ = foreign
-    found = identify_composite([only(records[0], "voltage", "deflection")], nominal)
+    found = identify_moving_bench([only(records[0], "voltage", "deflection")], nominal)
     untold = next(f for f in found.findings if f.subject == "priors").text
     assert "wire.resistance" in untold
     assert "composite.stress_per_deflection_front" not in untold
@@ -80,7 +80,7 @@ def test_deflection_alone_says_which_parameters_it_cannot_tell(foreign):
 
 def test_products_are_known_better_than_their_factors(foreign):
     records, nominal, truth = foreign
-    found = identify_composite(records, nominal)
+    found = identify_moving_bench(records, nominal)
     capacity = found.details["heat_capacity"]
     true = truth["wire.mass"] * truth["wire.specific_heat"]
     assert abs(capacity.value - true) < 3.0 * capacity.std
@@ -175,7 +175,7 @@ def record_of(truth, noise=2e-5, rho=0.0, seed=0, drift=0.0):
 def test_front_and_back_may_differ():
     truth = bench(**{BACK: 5.6e9})
     known = bench().replace({}, {FRONT: 1e9, BACK: 1e9})
-    found = identify_composite([record_of(truth)], known)
+    found = identify_moving_bench([record_of(truth)], known)
     front, back = found.estimates[FRONT], found.estimates[BACK]
     assert abs(front.value - 4e9) < 3.0 * front.std
     assert abs(back.value - 5.6e9) < 3.0 * back.std
@@ -185,7 +185,7 @@ def test_front_and_back_may_differ():
 def test_bending_coefficients_that_nobody_gave_start_from_the_geometry():
     truth = bench(**{ALPHA: 0.9, FRONT: 2.8e9, BACK: 3.0e9})
     known = bench(**{ALPHA: 0.0, FRONT: 0.0, BACK: 0.0})
-    found = identify_composite([record_of(truth)], known)
+    found = identify_moving_bench([record_of(truth)], known)
     for name in BENDING:
         estimate = found.estimates[name]
         assert abs(estimate.value - truth[name]) < 3.0 * estimate.std
@@ -198,8 +198,8 @@ def test_range_sensors_stand_in_for_the_tip():
     for side, sign in (("front", -1.0), ("back", 1.0)):
         name = f"{side}.range"
         signals[name] = Signal(name, "m", tip.time, 0.1 + sign * tip.values)
-    first = identify_composite([record], bench()).estimates[FRONT]
-    second = identify_composite([replace(record, signals=signals)], bench()).estimates[FRONT]
+    first = identify_moving_bench([record], bench()).estimates[FRONT]
+    second = identify_moving_bench([replace(record, signals=signals)], bench()).estimates[FRONT]
     assert second.value == pytest.approx(first.value, abs=0.2 * first.std)
 
 
@@ -213,14 +213,14 @@ def test_errors_stay_true_under_coloured_noise():
     deviations = []
     for seed in range(6):
         record = record_of(truth, noise=1e-4, rho=0.95, seed=seed)
-        estimates = identify_composite([record], known).estimates
+        estimates = identify_moving_bench([record], known).estimates
         deviations += [(estimates[n].value - truth[n]) / estimates[n].std for n in BENDING]
     assert np.sqrt(np.mean(np.square(deviations))) < 1.5
 
 
 def test_a_prior_that_the_record_contradicts_is_reported():
     known = bench().replace({"wire.resistance": 3.0}, {"wire.resistance": 0.01})
-    found = identify_composite([record_of(bench())], known)
+    found = identify_moving_bench([record_of(bench())], known)
     estimate = found.estimates["wire.resistance"]
     assert estimate.value < 3.0 - 3.5 * 0.01
     warning = next(f for f in found.findings if f.subject == "wire.resistance")
@@ -230,16 +230,16 @@ def test_a_prior_that_the_record_contradicts_is_reported():
 
 
 def test_an_effect_that_the_model_lacks_is_seen_in_the_residual():
-    clean = identify_composite([record_of(bench())], bench())
+    clean = identify_moving_bench([record_of(bench())], bench())
     assert not any("times the noise" in f.text for f in clean.findings)
-    drifting = identify_composite([record_of(bench(), drift=3e-4)], bench())
+    drifting = identify_moving_bench([record_of(bench(), drift=3e-4)], bench())
     warning = next(f for f in drifting.findings if "times the noise" in f.text)
     assert warning.subject == "deflection"
     assert warning.numbers["ratio"] > 2.0
 
 
 def test_exact_parameters_are_not_estimated():
-    found = identify_composite([record_of(bench())], bench())
+    found = identify_moving_bench([record_of(bench())], bench())
     assert "wire.mass" not in found.estimates
     assert "wire.specific_heat" in found.estimates
 
@@ -252,4 +252,4 @@ def test_what_is_absent_is_named(drop, message):
     record = record_of(bench())
     signals = {n: s for n, s in record.signals.items() if n != drop}
     with pytest.raises(InputError, match=message):
-        identify_composite([replace(record, signals=signals)], bench())
+        identify_moving_bench([replace(record, signals=signals)], bench())

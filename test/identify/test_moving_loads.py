@@ -10,7 +10,11 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 import sma_bench
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
-from sma_bench.identify.whole_model import identify_composite
+from sma_bench.identify.whole_model import (
+    identify_moving_bench,
+    observe_all,
+    unknowns_of_observations,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
@@ -94,6 +98,16 @@ def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
     assert max(estimate.informed for estimate in found.estimates.values()) > 0.9
 
 
+def test_a_weight_is_unknown_where_only_some_records_show_its_force():
+    believed = Parameters({**BELIEVED, **RIGS["force"]})
+    bare = recorded(believed, "triangle", 1)
+    measured = recorded(believed, "step", 2, keep=("voltage", "elongation", "force"))
+    for records, expected in (([bare, measured], True), ([bare], True), ([measured], False)):
+        unknowns = unknowns_of_observations(observe_all(records, believed), believed)
+        assert ("load.force" in unknowns.names) == expected
+        assert len(set(unknowns.names)) == len(unknowns.names)
+
+
 def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     duty = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
     believed = Parameters({**BELIEVED, **RIGS["spring"]})
@@ -107,7 +121,7 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     record = recorded(switched, "triangle", 1)
     again = sma_bench.simulate(record, switched)
     assert again.elongation == pytest.approx(sma_bench.simulate(record, believed).elongation)
-    first, second = (identify_composite([record], p).estimates for p in (switched, believed))
+    first, second = (identify_moving_bench([record], p).estimates for p in (switched, believed))
     for name, estimate in first.items():
         assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
 
@@ -116,4 +130,4 @@ def test_a_spring_bench_without_its_motion_says_what_is_missing():
     believed = Parameters({**BELIEVED, **RIGS["spring"]})
     record = recorded(believed, "triangle", 1, ("voltage",))
     with pytest.raises(InputError, match="expected currents, temperatures or a deflection"):
-        identify_composite([record], believed)
+        identify_moving_bench([record], believed)

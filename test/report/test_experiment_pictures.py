@@ -7,7 +7,7 @@ from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
-from sma_bench.identify.whole_model import identify_composite
+from sma_bench.identify.whole_model import identify_moving_bench
 from sma_bench.parameters import Parameters
 from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.synthetic import paper_specimens as specimens
@@ -60,7 +60,7 @@ def test_constitutive_fit_is_drawn_over_its_loops(isobaric):
 @pytest.mark.slow
 def test_fit_of_the_composite_is_drawn_against_its_signals():
     rig = specimens.composite_rig(PAPER)
-    experiment = identify_composite([protocol_record("composite_step", rig, 3)], rig)
+    experiment = identify_moving_bench([protocol_record("composite_step", rig, 3)], rig)
     (picture,) = experiment_pictures(experiment)
     assert len(picture.figure.axes) == 4
     assert "deflection" in picture.figure.axes[0].get_ylabel()
