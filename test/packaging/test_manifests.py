@@ -24,7 +24,7 @@ THIRD_PARTY = {
     "numba": ("numba", "python3-numba"),
     "numpy": ("numpy", "python3-numpy"),
     "openpyxl": ("openpyxl", "python3-openpyxl"),
-    "pint": ("pint", "python3-pint"),
+    "pint": ("pint", None),  # a Debian package, but no rosdep key
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "ruamel": ("ruamel-yaml", None),  # comes with rosbags
@@ -83,6 +83,9 @@ def test_every_import_is_pinned_and_declared() -> None:
         package, key = THIRD_PARTY[module]
         assert package in pinned, f"{package} is not in requirements.txt"
         assert key is None or key in declared, f"{key} is not in package.xml"
+    # `rosdep install` ends at a name that it does not know.
+    keys = {key for _, key in THIRD_PARTY.values()} | {"python3-hypothesis", "python3-pytest"}
+    assert {name for name in declared if name.startswith("python3-")} <= keys
 
 
 def test_optional_imports_are_pinned_for_the_tests_and_extras_of_the_package() -> None:
