@@ -31,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do this one only, of E1, E2, ... E10 (repeatable; default: all that the records "
         "hold)",
     )
+    parser.add_argument(
+        "--phase", action="append", type=phase_of, dest="phases", metavar="FILE=PHASE", default=[],
+        help="of a tensile test: martensite or austenite (repeatable; FILE may be a pattern as "
+        "'cold*'), where neither its file nor M_f and A_f of the wire tell",
+    )
     parser.add_argument("--namespace", help="where two benches are in one bag: the one to take")
     parser.add_argument(
         "--out", metavar="identified.yaml", help="write a ROS 2 parameter file that nodes load"
@@ -46,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     parameters = parameters_from_options(args)
     with progress("identify") as report:
         result = identify_files(
-            args.records, parameters, args.experiments, args.namespace, report
+            args.records, parameters, args.experiments, args.namespace, report, dict(args.phases)
         )
     if args.json:
         write_json(args.json, result.to_json())
@@ -60,6 +65,14 @@ def run(args: argparse.Namespace) -> int:
             page = write_identification_report(args.report, result, report)
         say(f"report {page}")
     return 0
+
+
+def phase_of(text: str) -> tuple[str, str]:
+    """FILE=PHASE in two; whether there is such a file and phase is told by who reads them."""
+    file, _, phase = text.rpartition("=")
+    if not file:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected FILE=martensite or FILE=austenite")
+    return file, phase
 
 
 def experiments() -> tuple[str, ...]:

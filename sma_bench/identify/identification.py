@@ -1,7 +1,8 @@
 """From records to parameters: finds out what each record holds and runs the experiments."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +33,7 @@ from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
-from sma_bench.records.tensile import TensileRecord
+from sma_bench.records.tensile import Phase, TensileRecord
 
 NEEDS = {
     "E1": f"E1 a staircase of {FEWEST_LEVELS} voltages or more with current",
@@ -123,6 +124,7 @@ def identify(
     parameters: Parameters,
     experiments: Iterable[str] | None = None,
     report: Report = silent,
+    phases: Mapping[str, Phase] | None = None,
 ) -> Identification:
     """Identify what the records allow.
 
@@ -137,6 +139,7 @@ def identify(
         experiments: names out of EXPERIMENTS; all that the records hold when None, but E9 on
             clamped wires and isobaric files, which takes a minute, only when named.
         report: told how far it is.
+        phases: of tensile tests, by file name or pattern of names.
 
     Raises:
         InputError: unknown experiment, one that was asked for but cannot be done, or nothing at
@@ -159,7 +162,7 @@ def identify(
     for name, thermal in _THERMAL.items():
         told(name)
         thermal(run, drives)
-    _instruments(run, records, told, report)
+    _instruments(run, records, phases or {}, told, report)
     told("E8")
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
@@ -199,7 +202,8 @@ def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment
 
 
 def _instruments(
-    run: Run, records: Sequence[AnyRecord], told: Callable[[str], None], report: Report
+    run: Run, records: Sequence[AnyRecord], phases: Mapping[str, Phase],
+    told: Callable[[str], None], report: Report,
 ) -> None:
     """E5, E6, E7 and E9 on instrument files, each on all files of its kind together."""
     dsc = [r for r in records if isinstance(r, DscRecord)]
@@ -211,11 +215,19 @@ def _instruments(
     elif dsc:
         _try(run, "E5", lambda: identify_heating_rates(dsc))
     told("E6")
-    if isobaric:
-        _try(run, "E6", lambda: identify_isobaric(isobaric, run.improved()))
+    # Tensile tests take their phase from E6's temperatures, and give the moduli of E6's elastic
+    # part: so the temperatures come first, then the moduli, then E6 as a whole.
+    own = run.improved()
+    if tensile and isobaric:
+        with suppress(InputError):
+            own = own.replace(
+                {n: e.value for n, e in identify_isobaric(isobaric, own).estimates.items()}
+            )
     told("E7")
     if tensile:
-        _try(run, "E7", lambda: identify_tensile(tensile, run.improved()))
+        _try(run, "E7", lambda: identify_tensile(tensile, own, phases=phases))
+    if isobaric:
+        _try(run, "E6", lambda: identify_isobaric(isobaric, run.improved()))
     if isobaric and run.asked:
         joint = part(report, _JOINT, 1.0, "E9")
         _try(run, "E9", lambda: fit_constitutive(isobaric, run.improved(), report=joint))

@@ -38,8 +38,8 @@ def identify_load_frame(
 
     The whole model is simulated on the measured voltage under the loads that were held, or
     between the clamps, and held to elongation or force, temperature and current (see
-    `identify_moving_bench`). The tangents of E6 on the same loops stand beside it in `details`
-    ("tangent.<parameter>").
+    `identify_moving_bench`). E6 on the same loops, branch by branch, stands beside it in
+    `details` ("E6.<parameter>").
 
     Args:
         records: bags of one wire with `elongation`, `force` or both.
@@ -57,7 +57,7 @@ def identify_load_frame(
             f"{where}: no load frame, expected joint_states wire with position or effort"
         )
     fitted = fit_experiment(NAME, TITLE, observations, parameters, report)
-    beside, remarks = _tangents(records, parameters, fitted)
+    beside, remarks = _branch_by_branch(records, parameters, fitted)
     return replace(
         fitted,
         details={**fitted.details, **beside},
@@ -145,7 +145,7 @@ def stays_cold(record: Record, parameters: Parameters) -> bool:
     )
 
 
-def _tangents(
+def _branch_by_branch(
     records: Sequence[Record], parameters: Parameters, fitted: Experiment
 ) -> tuple[dict[str, Estimate], list[Finding]]:
     tests: list[IsobaricRecord] = []
@@ -155,9 +155,9 @@ def _tangents(
     if not tests:
         return {}, []
     try:
-        drawn = identify_isobaric(tests, parameters, temperatures="cosine")
+        drawn = identify_isobaric(tests, parameters)
     except InputError as error:
-        return {}, [Finding("warning", "tangents", str(error))]
+        return {}, [Finding("warning", "E6", str(error))]
     remarks = []
     for name, estimate in drawn.estimates.items():
         other = fitted.estimates.get(name)
@@ -166,8 +166,8 @@ def _tangents(
         apart = (estimate.value - other.value) / np.hypot(estimate.std, other.std)
         if abs(apart) > _FAR:
             text = (
-                f"tangents give {estimate.value:.5g} +- {estimate.std:.2g} {estimate.unit}, "
+                f"E6 gives {estimate.value:.5g} +- {estimate.std:.2g} {estimate.unit}, "
                 f"{apart:+.1f} standard errors from the fit: the loops are not the model's cosines"
             )
             remarks.append(Finding("warning", name, text, {"deviations": float(apart)}))
-    return {f"tangent.{name}": e for name, e in drawn.estimates.items()}, remarks
+    return {f"E6.{name}": e for name, e in drawn.estimates.items()}, remarks

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from sma_bench.records.text_table import (
     to_si,
 )
 
+Phase = Literal["martensite", "austenite"]
+PHASES: tuple[Phase, ...] = get_args(Phase)
 FEWEST_ROWS = 20
 LARGEST_STRAIN = 0.5
 LARGEST_STRESS = 3e9
@@ -29,6 +32,7 @@ _TEMPERATURE = re.compile(
     r"temperature[^0-9+-]*+(?P<value>[+-]?\d++(?:\.\d++)?+)\s*+°?\s*+(?:deg)?\s*+(?P<unit>[CK])\b",
     re.IGNORECASE,
 )
+_PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(?P<phase>martensite|austenite)\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class TensileRecord:
     Attributes:
         path: the file.
         strain: (n,) in order of time; stress: (n,) Pa.
-        temperature: K; None where the file does not say.
+        temperature: K; phase: of the specimen; None where the file does not say.
         findings: what the reader noticed.
     """
 
@@ -47,6 +51,7 @@ class TensileRecord:
     stress: FloatArray
     temperature: float | None
     findings: tuple[Finding, ...] = ()
+    phase: Phase | None = None
 
 
 def is_tensile(path: Path) -> bool:
@@ -104,7 +109,9 @@ def read_tensile(
     _check(table, stress, "stress", LARGEST_STRESS)
     if temperature is None:
         temperature = _temperature(table, findings)
-    return TensileRecord(path, strain, stress, temperature, tuple(findings))
+    said = next((m["phase"].lower() for m in map(_PHASE.search, table.preamble) if m), None)
+    phase = next((phase for phase in PHASES if phase == said), None)
+    return TensileRecord(path, strain, stress, temperature, tuple(findings), phase)
 
 
 def _either(

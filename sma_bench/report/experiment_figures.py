@@ -304,8 +304,9 @@ def upfr_picture(e6: Experiment) -> Picture:
     strain = e6.estimates.get("wire.maximum_recoverable_strain")
     limit = f"; ε_L = {strain.value:.2%} ± {strain.std:.2%}" if strain else ""
     caption = (
-        f"Contraction under a held load: eqs. (6), (9), (10) and, on cooling, (11), with the "
-        f"tangents whose crossings are start and finish{limit}. {e6.source}"
+        f"Contraction under a held load: eqs. (6), (9) with the cosines of (10) and, on cooling, "
+        f"(11), whose ends a simulation takes; dotted the tangents, whose crossings (rings) are "
+        f"the paper's start and finish{limit}. {e6.source}"
     )
     return Picture("figure_08_upfr", "Contraction against temperature (UPFR)", caption, figure)
 
@@ -338,15 +339,16 @@ def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
 def _draw_tangents(
     ax: Axes, branches: dict[tuple[str, str, str], dict[str, Array]], zeros: dict[str, float]
 ) -> None:
-    """Tangents of the test in the middle: those of all would hide the curves."""
+    """Tangents and cosine of the test in the middle: those of all would hide the curves."""
     tests = list(zeros)
     shown = tests[len(tests) // 2]
     first = next(cycle for test, cycle, _ in branches if test == shown)
     for (test, cycle, _), curves in branches.items():
         if (test, cycle) == (shown, first):
-            tangents = curves["tangents"]
+            cosine, tangents = curves["cosine"], curves["tangents"]
+            ax.plot(cosine[:, 0], 100.0 * (zeros[test] - cosine[:, 1]), color=MODEL, lw=1.2)
             ax.plot(
-                tangents[:, 0], 100.0 * (zeros[test] - tangents[:, 1]), color=MODEL, lw=1.2,
+                tangents[:, 0], 100.0 * (zeros[test] - tangents[:, 1]), ":", color=FAINT, lw=1.2,
                 marker="o", markevery=[1, 2], ms=4, mfc="none", zorder=3,
             )
 

@@ -126,9 +126,14 @@ def identify_lab(
         ("E6", records.upfr, lambda: identify_isobaric(records.upfr, parameters)),
         (
             "E6 stresses", records.isobaric,
-            lambda: identify_isobaric(records.isobaric, parameters, temperatures="cosine"),
+            lambda: identify_isobaric(records.isobaric, parameters),
         ),
-        ("E7", records.tensile, lambda: identify_tensile(records.tensile, parameters)),
+        (
+            "E7", records.tensile,
+            lambda: identify_tensile(
+                records.tensile, identified_parameters(parameters, list(found.values()))
+            ),
+        ),
         ("E8", records.clamped, lambda: _thermal_expansion(records.clamped, parameters)),
     )
     for kind, given, run in wanted:

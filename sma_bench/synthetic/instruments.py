@@ -16,7 +16,7 @@ from sma_bench.physics.phase import cooled_fraction, heated_fraction
 from sma_bench.physics.stress import modulus
 from sma_bench.records.dsc import DscRecord, DscSegment
 from sma_bench.records.isobaric import IsobaricRecord, find_cycles
-from sma_bench.records.tensile import TensileRecord
+from sma_bench.records.tensile import Phase, TensileRecord
 
 # --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
 #
@@ -169,7 +169,8 @@ def tensile_test(parameters: Parameters, temperature: float, name: str, seed: in
     curve = _martensite(parameters) if cold else _austenite(parameters, temperature)
     stress = np.interp(np.maximum(strain - _TOE, 0.0), *_rounded(*curve))
     noise = _STRESS_NOISE * np.random.default_rng(seed).standard_normal(_POINTS)
-    return TensileRecord(Path(name), strain, stress + noise, temperature)
+    phase: Phase = "martensite" if cold else "austenite"
+    return TensileRecord(Path(name), strain, stress + noise, temperature, phase=phase)
 
 
 def _austenite(parameters: Parameters, temperature: float) -> tuple[Array, Array]:

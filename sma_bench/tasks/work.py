@@ -1,6 +1,6 @@
 """From files to results and from results to files, for whoever asks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sma_bench.diagnose import Diagnosis, diagnose
@@ -10,6 +10,7 @@ from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.effect_table import EFFECT_NAMES
 from sma_bench.progress import Report, by_name, in_turn, part, silent
 from sma_bench.records import open_record, read_record
+from sma_bench.records.tensile import Phase
 
 # Shares of the time, about, that reading takes.
 _READING, _READING_BAGS = 0.2, 0.05
@@ -30,6 +31,7 @@ _PLAN = {
 def identify_files(
     paths: Sequence[str], parameters: Parameters, experiments: Sequence[str] | None = None,
     namespace: str | None = None, report: Report = silent,
+    phases: Mapping[str, Phase] | None = None,
 ) -> Identification:
     """Identify from bags and instrument files (`identify/`).
 
@@ -38,6 +40,7 @@ def identify_files(
         experiments: of E1 to E10; all that the records allow when None.
         namespace: where two benches are in one bag, the one to take.
         report: told how far it is.
+        phases: of tensile tests, by file name or pattern of names.
 
     Raises:
         InputError: a record that cannot be read, or nothing that can be identified.
@@ -47,7 +50,7 @@ def identify_files(
         open_record(path, namespace)
         for path in in_turn(paths, reading, lambda path: f"reading {path}")
     ]
-    return identify(records, parameters, experiments, part(report, _READING, 1.0))
+    return identify(records, parameters, experiments, part(report, _READING, 1.0), phases)
 
 
 def diagnose_files(

@@ -73,6 +73,5 @@ def _tensile(phase: str, number: int) -> str:
     kelvin = COLD if phase == "cold" else HOT
     test = tensile_test(Parameters.defaults(), kelvin, "made", seed=number)
     rows = zip(test.strain[::3], test.stress[::3], strict=True)
-    return f"Temperature: {kelvin:.2f} K\nStrain (mm/mm),Stress (MPa)\n" + "".join(
-        f"{strain:.6f},{1e-6 * stress:.3f}\n" for strain, stress in rows
-    )
+    head = f"Temperature: {kelvin:.2f} K\nPhase: {test.phase}\nStrain (mm/mm),Stress (MPa)\n"
+    return head + "".join(f"{strain:.6f},{1e-6 * stress:.3f}\n" for strain, stress in rows)

@@ -1,5 +1,6 @@
 """E7 on synthetic curves with known moduli."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,14 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.identify.instruments.tensile import identify_tensile, read_curve
+from sma_bench.parameters import Parameters
 from sma_bench.records.tensile import TensileRecord
 
 E_M, E_A = 22.8e9, 55.4e9
+# The wire's own transition temperatures, as E5 or E6 give them.
+OWN = Parameters.defaults().replace({
+    "wire.martensite_finish_temperature": 325.09, "wire.austenite_finish_temperature": 353.61,
+})
 COLD, HOT = 293.15, 403.15
 
 
@@ -61,7 +67,7 @@ def test_rounded_corners_and_yielding_leave_the_modulus() -> None:
 
 def test_moduli_of_table_three_come_back_with_repeats() -> None:
     records = [martensite(seed) for seed in range(3)] + [austenite(seed) for seed in range(3)]
-    experiment = identify_tensile(records)
+    experiment = identify_tensile(records, OWN)
     e_m = experiment.estimates["wire.martensite_modulus"]
     e_a = experiment.estimates["wire.austenite_modulus"]
     assert e_m.value == pytest.approx(E_M, rel=0.01)
@@ -73,7 +79,7 @@ def test_moduli_of_table_three_come_back_with_repeats() -> None:
 def test_deviation_of_repeats_is_that_of_the_specimens() -> None:
     moduli = [21.6e9, 22.8e9, 24.0e9]
     records = [martensite(seed, modulus=m, initial=m) for seed, m in enumerate(moduli)]
-    estimate = identify_tensile(records).estimates["wire.martensite_modulus"]
+    estimate = identify_tensile(records, OWN).estimates["wire.martensite_modulus"]
     assert estimate.std == pytest.approx(1.2e9, rel=0.1)
 
 
@@ -96,7 +102,7 @@ def test_toe_is_found_and_excluded() -> None:
 
 
 def test_slope_before_the_plateau_is_reported_where_it_differs() -> None:
-    experiment = identify_tensile([martensite(initial=35e9)])
+    experiment = identify_tensile([martensite(initial=35e9)], OWN)
     assert experiment.estimates["wire.martensite_modulus"].value == pytest.approx(E_M, rel=0.02)
     before = experiment.details["E_M before the plateau"]
     assert before.value == pytest.approx(35e9, rel=0.05)
@@ -104,7 +110,7 @@ def test_slope_before_the_plateau_is_reported_where_it_differs() -> None:
 
 
 def test_plateau_stress_of_austenite_is_given() -> None:
-    details = identify_tensile([austenite(s) for s in range(3)]).details
+    details = identify_tensile([austenite(s) for s in range(3)], OWN).details
     assert details["austenite plateau stress"].value == pytest.approx(525e6, rel=0.02)
 
 
@@ -112,7 +118,7 @@ def test_test_that_ends_on_the_plateau_says_so() -> None:
     record = martensite(end=0.0405)
     cut = record.strain < 0.03
     short = TensileRecord(record.path, record.strain[cut], record.stress[cut], COLD)
-    experiment = identify_tensile([short])
+    experiment = identify_tensile([short], OWN)
     assert any("ends on the detwinning plateau" in f.text for f in experiment.findings)
     estimate = experiment.estimates["wire.martensite_modulus"]
     assert estimate.value == pytest.approx(E_M, rel=0.03)
@@ -126,7 +132,7 @@ def test_unloading_slope_is_measured() -> None:
         record.path, np.concatenate([record.strain, strain - down]),
         np.concatenate([record.stress, top - 30e9 * down]), COLD,
     )
-    experiment = identify_tensile([both])
+    experiment = identify_tensile([both], OWN)
     assert experiment.details["E_M on unloading"].value == pytest.approx(30e9, rel=0.01)
     assert experiment.estimates["wire.martensite_modulus"].value == pytest.approx(E_M, rel=0.02)
 
@@ -137,7 +143,7 @@ def test_intervals_cover_the_truth(noise: float) -> None:
     for seed in range(40):
         modulus = float(np.random.default_rng(seed).uniform(18e9, 35e9))
         record = martensite(seed + 100, modulus=modulus, initial=modulus, noise=noise, points=800)
-        estimate = identify_tensile([record]).estimates["wire.martensite_modulus"]
+        estimate = identify_tensile([record], OWN).estimates["wire.martensite_modulus"]
         inside.append(abs(estimate.value - modulus) < 1.96 * estimate.std)
         assert estimate.value == pytest.approx(modulus, rel=0.05)
     assert np.mean(inside) > 0.85
@@ -147,12 +153,54 @@ def test_phase_between_the_ranges_must_be_given() -> None:
     record = martensite()
     lukewarm = TensileRecord(record.path, record.strain, record.stress, 340.0)
     with pytest.raises(InputError, match="between M_f 325.1 K and A_f"):
-        identify_tensile([lukewarm])
-    experiment = identify_tensile([lukewarm], phases={record.path.name: "martensite"})
+        identify_tensile([lukewarm], OWN)
+    experiment = identify_tensile([lukewarm], OWN, phases={record.path.name: "martensite"})
     assert "wire.martensite_modulus" in experiment.estimates
+
+
+def test_phase_is_never_told_by_another_wires_temperatures() -> None:
+    with pytest.raises(InputError, match=r"M_f and A_f of this wire are not known.*--phase cold_1"):
+        identify_tensile([martensite()])
+    found = identify_tensile([martensite(), austenite()], phases={"c*": "martensite",
+                                                                  "hot_?.csv": "austenite"})
+    assert found.estimates["wire.austenite_modulus"].value == pytest.approx(E_A, rel=0.01)
+
+
+def test_phase_in_the_file_counts_and_what_is_asked_for_counts_more() -> None:
+    record = replace(martensite(), phase="austenite", temperature=None)
+    assert set(identify_tensile([record]).estimates) == {"wire.austenite_modulus"}
+    told = identify_tensile([record], phases={"cold_1.csv": "martensite"})
+    assert set(told.estimates) == {"wire.martensite_modulus"}
+
+
+@pytest.mark.parametrize(("phases", "message"), [
+    ({"cold_1.csv": "bainite"}, "'bainite', expected martensite or austenite"),
+    ({"warm*": "martensite"}, r"phase of warm\*: no such tensile test among cold_1.csv"),
+    ({"cold*": "martensite", "*.csv": "austenite"}, "said to be martensite and to be austenite"),
+])
+def test_phase_that_cannot_be_is_refused(phases, message) -> None:
+    with pytest.raises(InputError, match=message):
+        identify_tensile([martensite()], phases=phases)
+
+
+def test_swapped_phases_are_noticed() -> None:
+    swapped = {"cold*": "austenite", "hot*": "martensite"}
+    experiment = identify_tensile([martensite(), austenite()], phases=swapped)
+    assert any("phases of the tests swapped" in f.text for f in experiment.findings)
+
+
+def test_repeats_that_show_different_slopes_are_not_pooled() -> None:
+    whole, record = martensite(1, initial=35e9), martensite(2, initial=35e9)
+    cut = record.strain < 0.03
+    short = TensileRecord(record.path, record.strain[cut], record.stress[cut], COLD)
+    experiment = identify_tensile([whole, short], OWN)
+    estimate = experiment.estimates["wire.martensite_modulus"]
+    assert estimate.value == pytest.approx(E_M, rel=0.02)
+    assert "loading after detwinning" in estimate.method
+    assert any("left out, as other tests show" in f.text for f in experiment.findings)
 
 
 def test_absurd_modulus_is_remarked() -> None:
     record = austenite()
     soft = TensileRecord(record.path, record.strain, record.stress / 100.0, HOT)
-    assert any("crosshead travel" in f.text for f in identify_tensile([soft]).findings)
+    assert any("crosshead travel" in f.text for f in identify_tensile([soft], OWN).findings)

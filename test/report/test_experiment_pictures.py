@@ -35,7 +35,7 @@ def test_one_stress_gives_the_contraction_several_the_diagram_too(isobaric):
 
 
 def test_diagram_has_lines_through_its_points(isobaric):
-    experiment = identify_isobaric(isobaric, PAPER, temperatures="cosine")
+    experiment = identify_isobaric(isobaric, PAPER)
     picture = experiment_pictures(experiment)[1]
     (ax,) = picture.figure.axes
     ends = [line.get_xydata() for line in ax.get_lines() if len(line.get_xdata()) == 2]

@@ -1,12 +1,14 @@
-"""E6: UPFR and isobaric tests: eps_L, transition temperatures by tangents, C_A and C_M.
+"""E6: UPFR and isobaric tests: eps_L, the transition temperatures of eqs. (10), (11), C_A and C_M.
 
-Heating and cooling under constant stress; tangents by the practice of ASTM F2082 and E3097. One
-stress gives the temperatures at that stress; several give their stress-free values and C_A, C_M.
+Heating and cooling under constant stress. The cosine of every branch gives the temperatures that a
+simulation takes; tangents (practice of ASTM F2082 and E3097) cross inside its range and stand
+beside it under their own names, as tables and the paper have them. One stress gives the
+temperatures at that stress; several give their stress-free values and C_A, C_M.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,9 +18,11 @@ from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.identify.instruments.stress_temperature import (
     SMALLEST_STRESS_RANGE,
+    BranchCosine,
     Points,
     TransitionLines,
     diagram_curves,
+    fit_cosine,
     fit_transition_lines,
     stress_range,
 )
@@ -42,23 +46,23 @@ PHASES = {
     ),
 }
 _SAME_STRESS = 0.03
-Convention = Literal["tangent", "cosine"]
+Convention = Literal["cosine", "tangent"]
 
 
 @dataclass(frozen=True)
 class Reading:
-    """The tangents of one branch."""
+    """The tangents and the cosine of one branch."""
 
     record: IsobaricRecord
     cycle: int
     branch: Branch
     tangents: StrainTangents
+    cosine: BranchCosine
 
     def ends(self, convention: Convention) -> tuple[tuple[float, float], tuple[float, float]]:
         """Start and finish, (value, std) each in K."""
-        if convention == "cosine":
-            return self.tangents.cosine_ends()
-        return self.tangents.start, self.tangents.finish
+        drawn = self.cosine if convention == "cosine" else self.tangents
+        return drawn.start, drawn.finish
 
 
 @dataclass(frozen=True)
@@ -73,14 +77,18 @@ class Level:
         return tuple(r for r in self.readings if r.branch.direction == direction)
 
 
-def read_tangents(records: Sequence[IsobaricRecord], findings: list[Finding]) -> list[Reading]:
-    """Tangents of every branch; a branch without a transformation becomes a finding.
+def read_branches(
+    records: Sequence[IsobaricRecord], parameters: Parameters, findings: list[Finding]
+) -> list[Reading]:
+    """Tangents and cosine of every branch; one without a transformation becomes a finding.
 
     Raises:
         InputError: no branch has one.
     """
     readings = []
     for record in records:
+        believable = record.strain_unit == "1" and record.stress <= STRONGEST
+        stress = record.stress if believable else 0.0
         for cycle in record.cycles:
             for branch in cycle.branches:
                 other = cycle.get("cooling" if branch.direction == "heating" else "heating")
@@ -90,7 +98,8 @@ def read_tangents(records: Sequence[IsobaricRecord], findings: list[Finding]) ->
                     text = f"{record.name}, cycle {cycle.number}: {error}"
                     findings.append(Finding("warning", "tangents", text))
                 else:
-                    readings.append(Reading(record, cycle.number, branch, tangents))
+                    cosine = fit_cosine(branch, tangents, parameters, stress)
+                    readings.append(Reading(record, cycle.number, branch, tangents, cosine))
     if not readings:
         raise InputError(f"{records[0].path}: no branch shows a transformation")
     return readings
@@ -125,13 +134,13 @@ def mean_and_deviation(values: Sequence[tuple[float, float]]) -> tuple[float, fl
 NAME = "E6"
 TITLE = "UPFR and isobaric tests (Fig. 8)"
 RECOVERABLE_STRAIN = "wire.maximum_recoverable_strain"
+_MODULI = ("wire.martensite_modulus", "wire.austenite_modulus")
+_EXPANSION = "wire.thermal_expansion_factor"
 
 
 def identify_isobaric(
     records: Sequence[IsobaricRecord],
     parameters: Parameters | None = None,
-    *,
-    temperatures: Convention = "tangent",
 ) -> Experiment:
     """Evaluate isobaric tests of one material.
 
@@ -140,15 +149,13 @@ def identify_isobaric(
             which mean and deviation are given.
         parameters: moduli for the elastic part of the strain, and C_A, C_M to refer a single
             stress to zero; the table's when None.
-        temperatures: what the estimates of A_s, A_f, M_s, M_f are: where the tangents cross
-            ("tangent", the standards' and the paper's use), or the ends of the cosine of eqs. (10)
-            and (11) with the same steepest slope ("cosine"), which lie further out.
 
     Returns:
-        Estimates of the stress-free temperatures, C_A, C_M (several stresses) and eps_L (the
-        largest); `details` per stress and cycle; `curves` of the branches with their tangents
-        (`<record>/<cycle>/<direction>/temperature`, `/strain`, `/tangents` (4, 2) K and strain)
-        and of the stress-temperature diagram (`diagram/A_s/stress`, ...).
+        Estimates of the stress-free ends of the cosines of eqs. (10), (11), C_A, C_M (several
+        stresses) and eps_L (the largest); `details` per stress and cycle, the tangents' crossings
+        as "A_s (tangent) ..."; `curves` of the branches with tangents and cosine
+        (`<record>/<cycle>/<direction>/temperature`, `/strain`, `/tangents` (4, 2) and `/cosine`
+        (n, 2) K and strain) and of the stress-temperature diagram (`diagram/A_s/stress`, ...).
 
     Raises:
         InputError: no records, or no branch with a transformation.
@@ -157,17 +164,19 @@ def identify_isobaric(
     if not records:
         raise InputError("isobaric test: no records")
     findings = [finding for record in records for finding in record.findings]
-    readings = read_tangents(records, findings)
+    readings = read_branches(records, parameters, findings)
     levels = group_levels(readings)
-    points = {
-        name: _points(levels, direction, end, temperatures)
-        for direction, phase in PHASES.items()
-        for end, (name, _) in enumerate(phase[:2])
-    }
-    estimates, details = _temperatures(points, levels, parameters, temperatures, findings)
+    points = points_of(levels, "cosine")
+    estimates, details = _temperatures(points, levels, parameters, findings)
+    beside, _ = _temperatures(points_of(levels, "tangent"), levels, parameters, [])
+    details.update({
+        f"{name} (tangent), stress free": replace(beside[parameter], method=_TANGENTS_AT_ZERO)
+        for name, parameter in _TEMPERATURES.items() if parameter in beside
+    })
     strains, strain_details = _strains(levels, parameters, findings)
     details.update(_details(levels))
     findings.extend(about_tangents(readings))
+    findings.extend(about_cosines(readings))
     findings.extend(about_training(readings))
     return Experiment(
         name=NAME,
@@ -178,6 +187,19 @@ def identify_isobaric(
         curves={**_curves(readings), **diagram_curves(points)},
         source="; ".join(str(record.path) for record in records),
     )
+
+
+_TEMPERATURES = {name: parameter for phase in PHASES.values() for name, parameter in phase[:2]}
+_TANGENTS_AT_ZERO = "tangents, referred to zero stress: inside the range of eqs. (10), (11)"
+
+
+def points_of(levels: Sequence[Level], convention: Convention) -> dict[str, Points]:
+    """A_s, A_f, M_s, M_f against stress."""
+    return {
+        name: _points(levels, direction, end, convention)
+        for direction, phase in PHASES.items()
+        for end, (name, _) in enumerate(phase[:2])
+    }
 
 
 def _points(levels: Sequence[Level], direction: str, end: int, convention: Convention) -> Points:
@@ -196,7 +218,6 @@ def _temperatures(
     points: dict[str, Points],
     levels: Sequence[Level],
     parameters: Parameters,
-    convention: Convention,
     findings: list[Finding],
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     estimates: dict[str, Estimate] = {}
@@ -210,11 +231,11 @@ def _temperatures(
         if not n:
             findings.append(no_branch(direction))
         elif stress_range(ends) >= SMALLEST_STRESS_RANGE:
-            found, more = _several_stresses(phase, ends, n, convention, findings)
+            found, more = _several_stresses(phase, ends, n, findings)
             estimates.update(found)
             details.update(more)
         else:
-            estimates.update(_one_stress(phase, ends, n, parameters, convention, findings))
+            estimates.update(_one_stress(phase, ends, n, parameters, findings))
     return estimates, details
 
 
@@ -222,11 +243,10 @@ def _several_stresses(
     phase: Sequence[tuple[str, str]],
     ends: Sequence[Points],
     n: int,
-    convention: Convention,
     findings: list[Finding],
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     lines = fit_transition_lines(ends)
-    method = f"{convention}s at {len(ends[0].stress)} stresses, line to zero stress"
+    method = f"cosines at {len(ends[0].stress)} stresses, line to zero stress"
     found = {
         parameter: Estimate(*at_zero, "K", method, n)
         for (_, parameter), at_zero in zip(phase[:2], lines.at_zero, strict=True)
@@ -251,7 +271,6 @@ def _one_stress(
     ends: Sequence[Points],
     n: int,
     parameters: Parameters,
-    convention: Convention,
     findings: list[Finding],
 ) -> dict[str, Estimate]:
     label, parameter = phase[2]
@@ -262,7 +281,7 @@ def _one_stress(
     return {
         name: Estimate(
             float(p.value.mean()) - shift, math.hypot(float(p.std.mean()), shift_std), "K",
-            f"{convention} at {stress / 1e6:.3g} MPa, referred to zero stress with {label}", n,
+            f"cosine at {stress / 1e6:.3g} MPa, referred to zero stress with {label}", n,
         )
         for (_, name), p in zip(phase[:2], ends, strict=True)
     }
@@ -277,18 +296,20 @@ def _strains(
     for level in levels:
         readings = level.along("heating") or level.along("cooling")
         is_relative = readings[0].record.strain_unit != "1"
-        value, std = mean_and_deviation([r.tangents.step for r in readings])
+        value, std = mean_and_deviation([r.cosine.step for r in readings])
         n = sum(len(r.branch.strain) for r in readings)
         unit = "relative" if is_relative else "1"
         details[f"recovered strain at {level.stress / 1e6:.0f} MPa"] = Estimate(
-            value, std, unit, "distance of the outer tangents half-way", n
+            value, std, unit, "distance of the outer lines half-way", n
         )
         if is_relative or level.stress > STRONGEST:
             continue
-        elastic, elastic_std = _elastic_step(level.stress, parameters)
+        middle = float(np.mean([r.cosine.start[0] + r.cosine.finish[0] for r in readings])) / 2
+        elastic, elastic_std = _elastic_step(level.stress, middle, parameters)
         estimate = Estimate(
             value - elastic, math.hypot(std, elastic_std), "1",
-            f"recovered strain at {level.stress / 1e6:.3g} MPa less sigma (1/E_M - 1/E_A)", n,
+            f"recovered strain at {level.stress / 1e6:.3g} MPa less "
+            "[sigma - Theta_T (T - T_inf)] (1/E_M - 1/E_A)", n,
         )
         transformed.append((level.stress, estimate))
         details[f"eps_L at {level.stress / 1e6:.0f} MPa"] = estimate
@@ -299,12 +320,17 @@ def _strains(
     return ({RECOVERABLE_STRAIN: largest} if largest.value > 0.0 else {}), details
 
 
-def _elastic_step(stress: float, parameters: Parameters) -> tuple[float, float]:
-    """Strain by which martensite is softer than austenite at this stress, and its error."""
-    names = ("wire.martensite_modulus", "wire.austenite_modulus")
-    soft, stiff = (stress / parameters[name] for name in names)
-    doubts = [parameters.std(name) / parameters[name] for name in names]
-    return soft - stiff, math.hypot(soft * doubts[0], stiff * doubts[1])
+def _elastic_step(
+    stress: float, temperature: float, parameters: Parameters
+) -> tuple[float, float]:
+    """Strain by which martensite gives more than austenite at this stress (Pa) and temperature (K),
+    and its error."""
+    warmer = temperature - parameters["environment.ambient_temperature"]
+    stress = stress - parameters[_EXPANSION] * warmer
+    soft, stiff = (stress / parameters[name] for name in _MODULI)
+    doubts = [parameters.std(name) / parameters[name] for name in _MODULI]
+    expansion = parameters.std(_EXPANSION) * warmer * (soft - stiff) / stress if stress else 0.0
+    return soft - stiff, math.hypot(soft * doubts[0], stiff * doubts[1], expansion)
 
 
 def _details(levels: Sequence[Level]) -> dict[str, Estimate]:
@@ -348,6 +374,7 @@ def _curves(readings: Sequence[Reading]) -> dict[str, Array]:
         curves[f"{key}/temperature"] = r.branch.temperature
         curves[f"{key}/strain"] = r.branch.strain
         curves[f"{key}/tangents"] = r.tangents.polyline(r.branch)
+        curves[f"{key}/cosine"] = np.column_stack([r.cosine.temperature, r.cosine.strain])
     return curves
 
 
@@ -358,6 +385,7 @@ _GAP = 0.4
 _FEWEST_CYCLES = 4
 _TREND = 0.8
 _SMALLEST_DRIFT = 3.0  # K
+_ROUGH = 0.05
 _ENDS = (("cold", "M_f", "A_s"), ("hot", "M_s", "A_f"))
 
 
@@ -386,6 +414,24 @@ def about_tangents(readings: Sequence[Reading]) -> list[Finding]:
             f"{name} is drawn with the other branch's slope and is a bound"
         )
         findings.append(Finding("warning", name, text, {"cycles": float(len(cycles))}))
+    return findings
+
+
+def about_cosines(readings: Sequence[Reading]) -> list[Finding]:
+    """Branches that no cosine describes: what a simulation takes are then ends of the nearest."""
+    rough: dict[str, list[Reading]] = {}
+    for r in readings:
+        if r.cosine.rms > _ROUGH:
+            rough.setdefault(r.branch.direction, []).append(r)
+    findings = []
+    for direction, found in rough.items():
+        worst = max(found, key=lambda r: r.cosine.rms)
+        text = (
+            f"{len(found)} {direction} branches are no cosine of eqs. (10), (11): it leaves up to "
+            f"{worst.cosine.rms:.1%} of the strain ({worst.record.name}); what is given are the "
+            "ends of the nearest one, their errors hold how far the choice of points moves them"
+        )
+        findings.append(Finding("warning", "cosine", text, {"rms": worst.cosine.rms}))
     return findings
 
 
@@ -457,9 +503,8 @@ def about_strains(
         )
         numbers = {f"{s / 1e6:.0f} MPa": e.value for s, e in transformed}
         findings.append(Finding("warning", "eps_L", text, numbers))
-    names = ("wire.martensite_modulus", "wire.austenite_modulus")
-    elastic = high * (1.0 / parameters[names[0]] - 1.0 / parameters[names[1]])
-    if not set(names) <= parameters.given and elastic > 0.02 * most.value:
+    elastic = high * (1.0 / parameters[_MODULI[0]] - 1.0 / parameters[_MODULI[1]])
+    if not set(_MODULI) <= parameters.given and elastic > 0.02 * most.value:
         text = (
             f"the elastic part {elastic:.2%} of the strain at {high / 1e6:.0f} MPa rests on the "
             "table's moduli, not on this material's: give E_M and E_A from tensile tests"

@@ -467,7 +467,7 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
     cold, hot = (
         _summary([d.crossings[k] for d in drawn], best.variances[k]) for k in (0, 1)
     )
-    gaps = [_gap(t, crossing[0]) for crossing in (cold, hot)]
+    gaps = [gap_at(t, crossing[0]) for crossing in (cold, hot)]
     cold, hot = (
         (value, math.hypot(std, gap / math.sqrt(12.0)))
         for (value, std), gap in zip((cold, hot), gaps, strict=True)
@@ -495,7 +495,7 @@ def _binned(branch: Branch) -> tuple[Array, Array]:
     return np.bincount(index, t) / count, np.bincount(index, strain) / count
 
 
-def _gap(t: Array, where: float) -> float:
+def gap_at(t: Array, where: float) -> float:
     """By how much the two points around a crossing lie further apart than points usually do."""
     steps = np.diff(t)
     here = steps[(t[:-1] <= where) & (t[1:] >= where)]

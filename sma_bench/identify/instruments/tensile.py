@@ -4,12 +4,15 @@ Martensite: slack (the toe), a short elastic rise, detwinning at nearly constant
 4 %, then the elastic rise of detwinned martensite, which is what the law's E_M means: xi = 1 with
 all of eps_L in it. Austenite: the rise before the plateau of stress-induced martensite. The curve
 is cut into straight pieces and the right one is told by its slope and by where the plateau lies.
+
+Which phase a test shows is a matter of the wire's own M_f and A_f or of what its file or the user
+says: the paper's wire does not tell it of another.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from fnmatch import fnmatch
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import mean_and_deviation
 from sma_bench.identify.signals import Piece, fit_piece, straight_pieces
 from sma_bench.parameters import Parameters
-from sma_bench.records.tensile import TensileRecord
+from sma_bench.records.tensile import PHASES, Phase, TensileRecord
 
 # --- What one tensile curve shows: toe, elastic rises, plateau, unloading.
 
@@ -202,7 +205,15 @@ TITLE = "Tensile tests (Fig. 9, Table III)"
 MODULUS = {"martensite": "wire.martensite_modulus", "austenite": "wire.austenite_modulus"}
 SYMBOL = {"martensite": "E_M", "austenite": "E_A"}
 NITI_MODULUS = (5e9, 120e9)  # Pa
-Phase = Literal["martensite", "austenite"]
+# What the law's moduli are of a curve that shows more than one slope.
+CONVENTION = {
+    "martensite": "loading after detwinning (xi = 1 with all of eps_L in it)",
+    "austenite": "loading before the plateau",
+}
+_TRANSITION = {
+    "martensite": "wire.martensite_finish_temperature",
+    "austenite": "wire.austenite_finish_temperature",
+}
 
 
 def identify_tensile(
@@ -215,8 +226,9 @@ def identify_tensile(
 
     Args:
         records: the tests.
-        parameters: M_f and A_f, which with the test's temperature tell the phase.
-        phases: phase by file name, where temperature is not recorded or does not tell.
+        parameters: M_f and A_f of this wire, given or identified, which with the test's
+            temperature tell the phase; those of the table of defaults do not count.
+        phases: phase by file name or pattern of names, before everything else.
 
     Returns:
         Estimates of E_M and E_A (mean and deviation of repeats), `details` with plateau stresses,
@@ -229,10 +241,11 @@ def identify_tensile(
     if not records:
         raise InputError("tensile test: no records")
     findings = [finding for record in records for finding in record.findings]
+    _check_phases(phases or {}, records)
     readings: dict[Phase, list[tuple[TensileRecord, TensileReading]]] = {}
     curves: dict[str, Array] = {}
     for record in records:
-        phase: Phase = (phases or {}).get(record.path.name) or _phase(record, parameters)
+        phase = _phase(record, phases or {}, parameters)
         reading = read_curve(record)
         readings.setdefault(phase, []).append((record, reading))
         curves[f"{phase}/{record.path.name}/strain"] = record.strain
@@ -241,65 +254,120 @@ def identify_tensile(
     estimates: dict[str, Estimate] = {}
     details: dict[str, Estimate] = {}
     for phase, group in readings.items():
-        rises = [_chosen(phase, record, reading, findings) for record, reading in group]
+        part, rises = _chosen(phase, group, findings)
         value, std = mean_and_deviation([(rise.modulus, rise.std) for rise in rises])
         temperature = [r.temperature for r, _ in group if r.temperature is not None]
         at = f" at {np.mean(temperature):.2f} K" if temperature else ""
         repeats = f"mean and deviation of {len(rises)} tests" if len(rises) > 1 else "one test"
         estimates[MODULUS[phase]] = Estimate(
-            value, std, "Pa", f"slope of the elastic part{at}, {repeats}", sum(r.n for r in rises)
+            value, std, "Pa", f"slope on {part}{at}, {repeats}", sum(r.n for r in rises)
         )
         details.update(_details(phase, [reading for _, reading in group]))
         findings.extend(_remarks(phase, value))
+    findings.extend(_about_order(estimates))
     return Experiment(
         name=NAME, title=TITLE, estimates=estimates, findings=tuple(findings), curves=curves,
         source="; ".join(str(record.path) for record in records), details=details,
     )
 
 
-def _phase(record: TensileRecord, parameters: Parameters) -> Phase:
+def _check_phases(phases: Mapping[str, Phase], records: Sequence[TensileRecord]) -> None:
+    for pattern, phase in phases.items():
+        if phase not in PHASES:
+            raise InputError(
+                f"phase of {pattern} is {phase!r}, expected {' or '.join(PHASES)}"
+            )
+        if not any(fnmatch(record.path.name, pattern) for record in records):
+            names = ", ".join(record.path.name for record in records)
+            raise InputError(f"phase of {pattern}: no such tensile test among {names}")
+
+
+def _phase(
+    record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters
+) -> Phase:
+    asked = [phase for pattern, phase in phases.items() if fnmatch(record.path.name, pattern)]
+    if len(set(asked)) > 1:
+        raise InputError(f"{record.path}: said to be {' and to be '.join(dict.fromkeys(asked))}")
+    if asked:
+        return asked[0]
+    if record.phase is not None:
+        return record.phase
+    give = f"give --phase {record.path.name}=martensite or =austenite"
     if record.temperature is None:
         raise InputError(
-            f"{record.path}: no temperature in the file, so the phase is not known; give the "
-            "temperature or the phase"
+            f"{record.path}: no temperature in the file, so the phase is not known; {give}"
         )
-    m_f = parameters["wire.martensite_finish_temperature"]
-    a_f = parameters["wire.austenite_finish_temperature"]
-    if record.temperature <= m_f:
+    own = {
+        phase: parameters[name] for phase, name in _TRANSITION.items() if name in parameters.given
+    }
+    kelvin = record.temperature
+    if "martensite" in own and kelvin <= own["martensite"]:
         return "martensite"
-    if record.temperature >= a_f:
+    if "austenite" in own and kelvin >= own["austenite"]:
         return "austenite"
+    if len(own) == len(_TRANSITION):
+        raise InputError(
+            f"{record.path}: tested at {kelvin:.1f} K, between M_f {own['martensite']:.1f} K and "
+            f"A_f {own['austenite']:.1f} K: the phase depends on what came before; {give}"
+        )
     raise InputError(
-        f"{record.path}: tested at {record.temperature:.1f} K, between M_f {m_f:.1f} K and A_f "
-        f"{a_f:.1f} K: the phase depends on what came before, give it"
+        f"{record.path}: tested at {kelvin:.1f} K, but M_f and A_f of this wire are not known, "
+        f"expected them given or identified (E5, E6), else {give}"
     )
 
 
 def _chosen(
-    phase: str, record: TensileRecord, reading: TensileReading, findings: list[Finding]
-) -> Rise:
+    phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]], findings: list[Finding]
+) -> tuple[str, list[Rise]]:
+    """Which part of the curves is the modulus, and that part of every test that shows it."""
     if phase == "austenite":
-        return reading.initial
-    if reading.plateau is None:
-        text = f"{record.path.name}: no detwinning plateau, E_M is the slope of the first rise"
-        findings.append(Finding("warning", "E_M", text))
-        return reading.initial
+        return CONVENTION[phase], [reading.initial for _, reading in group]
+    after = [reading.after for _, reading in group if reading.after is not None]
+    for record, reading in group:
+        findings.extend(_about_detwinning(record, reading, bool(after)))
+    if after:
+        return CONVENTION[phase], after
+    return "loading before detwinning ends", [reading.initial for _, reading in group]
+
+
+def _about_detwinning(
+    record: TensileRecord, reading: TensileReading, others_show_it: bool
+) -> list[Finding]:
+    name = record.path.name
     if reading.after is None:
-        text = (
-            f"{record.path.name}: the test ends on the detwinning plateau at "
-            f"{reading.plateau[1]:.2%}, E_M is the slope before it, in which detwinning has begun"
+        what = (
+            "no detwinning plateau" if reading.plateau is None else
+            f"the test ends on the detwinning plateau at {reading.plateau[1]:.2%}"
         )
-        findings.append(Finding("warning", "E_M", text))
-        return reading.initial
+        use = (
+            "left out, as other tests show the rise after it" if others_show_it else
+            "E_M is the slope before it, in which detwinning has begun"
+            if reading.plateau is not None else "E_M is the slope of the first rise"
+        )
+        return [Finding("warning", "E_M", f"{name}: {what}, {use}")]
     before, after = reading.initial, reading.after
-    if abs(before.modulus - after.modulus) > 3.0 * math.hypot(before.std, after.std):
-        text = (
-            f"{record.path.name}: {before.modulus / 1e9:.1f} GPa before the detwinning plateau, "
-            f"{after.modulus / 1e9:.1f} GPa after it; E_M is the latter"
-        )
-        numbers = {"before": before.modulus, "after": after.modulus}
-        findings.append(Finding("info", "E_M", text, numbers))
-    return after
+    if abs(before.modulus - after.modulus) <= 3.0 * math.hypot(before.std, after.std):
+        return []
+    text = (
+        f"{name}: {before.modulus / 1e9:.1f} GPa before the detwinning plateau, "
+        f"{after.modulus / 1e9:.1f} GPa after it; E_M is the latter"
+    )
+    return [Finding("info", "E_M", text, {"before": before.modulus, "after": after.modulus})]
+
+
+def _about_order(estimates: Mapping[str, Estimate]) -> list[Finding]:
+    """Martensite that is stiffer than austenite: the tests' phases are probably swapped."""
+    soft, stiff = (estimates.get(MODULUS[phase]) for phase in ("martensite", "austenite"))
+    if soft is None or stiff is None:
+        return []
+    apart = soft.value - stiff.value
+    if apart <= 3.0 * math.hypot(soft.std, stiff.std):
+        return []
+    text = (
+        f"E_M = {soft.value / 1e9:.1f} GPa lies above E_A = {stiff.value / 1e9:.1f} GPa: on NiTi "
+        "austenite is the stiffer phase; are the phases of the tests swapped?"
+    )
+    return [Finding("warning", "E_M, E_A", text, {"E_M": soft.value, "E_A": stiff.value})]
 
 
 def _details(phase: str, readings: Sequence[TensileReading]) -> dict[str, Estimate]:
