@@ -20,6 +20,8 @@ from scipy.ndimage import gaussian_filter1d
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.heat import heat_loss, heated_resistance
 from sma_bench.physics.simulate import Simulation
 
@@ -109,9 +111,11 @@ def _with_play(course: Array, play: float) -> Array:
 def _driven_by(temperature: Array, obs: Observation, parameters: Parameters) -> Simulation:
     """The model made to pass through temperatures (n, w) K, ambient at least."""
     excess = np.maximum(temperature - parameters["environment.ambient_temperature"], 0.0)
-    volts = np.sqrt(excess * heat_loss(parameters) * heated_resistance(parameters))
+    heated = heat_loss(parameters) * heated_resistance(as_recorded(parameters))
+    volts = np.sqrt(excess * heated)
     ahead = np.vstack([volts[1:], volts[-1:]])  # what is held until the next time is reached then
-    return obs.simulate(parameters.replace(_LIGHT), ahead)
+    as_long = {"wire.length": wire_length(parameters)}
+    return obs.simulate(parameters.replace(_LIGHT | as_long), ahead)
 
 
 def _link(block: str, quantity: str, fitted: Fit, left: Array) -> Link:

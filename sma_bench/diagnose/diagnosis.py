@@ -1,7 +1,7 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,8 +22,8 @@ from sma_bench.estimation.solver import Fit, fit
 from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics.boundary import require_load
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.record import Record
 
@@ -129,8 +129,9 @@ def diagnose(
     """
     if not records:
         raise InputError("diagnose: no record, expected at least one")
-    require_load(parameters, "diagnose", ("clamped", "beam"))
     progress("records")
+    if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
+        records, hold_out = (list(map(_without_force, some)) for some in (records, hold_out))
     shortest = shared_bin([*records, *hold_out], parameters)
     seen = [observe(record, parameters, shortest, quantities) for record in records]
     unseen = [observe(record, parameters, shortest, quantities) for record in hold_out]
@@ -149,9 +150,13 @@ def diagnose(
         tuple(break_chain(found.recalibrated)),
         shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
         (*seen, *unseen), tuple(fitted), tuple(unfitted),
-        (*audit(parameters), *_missing([*seen, *unseen]), *_inseparable(following)),
+        (*audit(parameters), *_missing([*seen, *unseen], parameters), *_inseparable(following)),
         following if following and following.settles else None,
     )
+
+
+def _without_force(record: Record) -> Record:
+    return replace(record, signals={n: s for n, s in record.signals.items() if n != "force"})
 
 
 def _next(
@@ -240,10 +245,10 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
     return early, late
 
 
-def _missing(observations: Sequence[Observation]) -> list[Finding]:
+def _missing(observations: Sequence[Observation], parameters: Parameters) -> list[Finding]:
     held = {q for obs in observations for q in obs.quantities}
-    composite = any(len(obs.channels) > 1 for obs in observations)
-    wanted = [q for q in _WOULD_ADD if composite or q != "deflection"]
+    moves = load_kind(parameters) != "clamped"
+    wanted = [q for q in _WOULD_ADD if moves or q != "deflection"]
     return [
         Finding("info", quantity, f"not compared: {_WOULD_ADD[quantity]}")
         for quantity in wanted if quantity not in held

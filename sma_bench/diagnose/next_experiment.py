@@ -29,6 +29,7 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.threads import in_threads
 from sma_bench.parameters import Parameters
+from sma_bench.physics.heat import heating_voltage
 from sma_bench.protocols import parse_protocol
 
 Array = NDArray[np.float64]
@@ -126,8 +127,10 @@ def _weighed(
 
 
 def _highest(observations: Sequence[Observation], parameters: Parameters) -> float:
-    """The voltage that the bench has stood so far."""
+    """The voltage that the bench has stood so far, as it is commanded."""
     seen = max(float(obs.voltage.max()) for obs in observations)
+    if parameters["bench.drive"] == "duty":  # a record holds the direct voltage of the same heat
+        seen = seen**2 / parameters["bench.supply_voltage"]
     return min(seen, float(parameters["bench.maximum_voltage"]))
 
 
@@ -196,7 +199,8 @@ def _planned(
 ) -> Problem:
     """The bench on a protocol that it has not run: the same sensors at the same rates."""
     protocol = parse_protocol(document, parameters, "next experiment")
-    time, voltage = protocol.sample(_PERIOD)
+    time, commanded = protocol.sample(_PERIOD)
+    voltage = heating_voltage(commanded, parameters)
     signals = tuple(_planned_signal(signal, time, voltage) for signal in like.signals)
     obs = replace(like, grid=time, voltage=voltage, signals=signals, path=document["name"])
     return Problem((obs,), known.noise, (offsets(signals),))

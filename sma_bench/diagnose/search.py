@@ -15,6 +15,7 @@ from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns, unknowns_of, unknowns_of_records
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS, active_effects
 
 Array = NDArray[np.float64]
@@ -172,11 +173,11 @@ def _from_belief(
 
 
 def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
-    """Effects that can show in these signals and are not believed in already."""
-    known = active_effects(parameters)
+    """Effects that this load can have, that show in these signals and are not believed in yet."""
+    known, load = active_effects(parameters), load_kind(parameters)
     return [
         name for name, effect in EFFECTS.items()
-        if name not in known and set(effect.acts_on) & set(quantities)
+        if name not in known and load in effect.loads and set(effect.acts_on) & set(quantities)
     ]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import LOAD_FRAME, Hold, find_holds
+from sma_bench.estimation.load_frame import Hold, find_holds
 from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.unknowns import LOADS
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
@@ -403,9 +403,9 @@ def _measured(
     if tip:
         found += _deflection(record)
     elif moves:
-        for response in LOAD_FRAME:
-            if has_samples(record, response):
-                found.append(Measured(response, response, 0, *samples(record, response)))
+        for quantity, name in (("deflection", "elongation"), ("force", "force")):
+            if has_samples(record, name):
+                found.append(Measured(quantity, quantity, 0, *samples(record, name)))
     elif holds:
         response = "force" if holds[0].clamped else "elongation"
         if has_samples(record, response):

@@ -234,7 +234,7 @@ def unknowns_of_records(
     """
     names = [*HEAT]
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
-    if "deflection" in quantities or load_frame or (own and "elongation" in quantities):
+    if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:
             names += [*own, "wire.diameter"]

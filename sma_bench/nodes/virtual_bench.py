@@ -138,5 +138,5 @@ class VirtualBench:
     def _read_load_frame(self, _: tuple[float, ...]) -> list[float]:
         elongation = 0.0  # where the frame holds the clamps
         if not self._clamped:
-            elongation = self._range[0].read(float(self._bench.elongation[0]))
+            elongation = self._range[0].read(self._bench.deflection_reading)
         return [elongation, self._force.read(float(self._bench.force.sum()))]

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from sma_bench.parameters.effect_table import EFFECTS, Effect
+from sma_bench.parameters.effect_table import EFFECTS, LOAD_KINDS, Effect
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.table import TABLE
 
@@ -85,7 +85,10 @@ def effects_page() -> str:
         *(_effect_line(effect) for effect in EFFECTS.values()),
     ]
     for effect in EFFECTS.values():
-        lines += ["", f"## `{effect.name}`", "", effect.text, "", *_effect_numbers(effect)]
+        lines += ["", f"## `{effect.name}`", "", effect.text, ""]
+        if effect.loads != LOAD_KINDS:
+            lines += [f"Only under `load.kind` {' or '.join(effect.loads)}.", ""]
+        lines += _effect_numbers(effect)
     return "\n".join(lines) + "\n"
 
 

@@ -7,12 +7,12 @@ from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError
+from sma_bench.parameters.effect_table import LOAD_KINDS
 from sma_bench.parameters.parameter import Value
 from sma_bench.parameters.table import BY_NAME, TABLE
 
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
-LOAD_KINDS = ("clamped", "force", "spring", "antagonist", "beam")
 DRIVES = ("voltage", "duty", "current")
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _ORDERED_TEMPERATURES = (

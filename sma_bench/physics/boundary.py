@@ -28,10 +28,11 @@ class Boundary:
         stiffness: Pa, sum of stresses per contraction.
         load: Pa, sum of stresses at zero contraction.
         contraction: prescribed e, or None.
-        lever: m, deflection per contraction, positive toward the front.
+        lever: m, deflection per contraction: positive toward the front; of a wire that moves its
+            load, the negative length, so that its deflection is its elongation.
         coupled: both sides pull on one slider: the front's sum of stresses less the back's is load
             + stiffness e of the front, and what the one contracts stretches the other.
-        prestretch: strain of a side's wires at zero contraction.
+        prestretch: strain of a side's wires at zero contraction, which is the bench at rest.
     """
 
     stiffness: PerSide = 0.0
@@ -66,19 +67,22 @@ class Boundary:
     @classmethod
     def force(cls, parameters: Parameters) -> Self:
         """A weight, or a frame that holds `load.force`: A sum sigma_i = F."""
-        return cls.held_stress(parameters["load.force"] / channel_section(parameters))
+        return cls._at_rest(parameters, parameters["load.force"], 0.0)
 
     @classmethod
     def spring(cls, parameters: Parameters) -> Self:
-        """A spring, and a weight beside it: A sum sigma_i = F_0 + F + k l e.
+        """A spring, and a weight beside it: A sum sigma_i = F_0 + F + k l e."""
+        held = parameters["load.preload"] + parameters["load.force"]
+        return cls._at_rest(parameters, held, parameters["load.stiffness"])
 
-        The reference position is that of the bench at rest, where martensite already bears both.
-        """
-        section = channel_section(parameters)
-        held = (parameters["load.preload"] + parameters["load.force"]) / section
-        stiffness = parameters["load.stiffness"] * wire_length(parameters) / section
+    @classmethod
+    def _at_rest(cls, parameters: Parameters, held: float, stiffness: float) -> Self:
+        """Elongation is counted from the bench at rest, where martensite already bears `held` N."""
+        section, length = channel_section(parameters), wire_length(parameters)
+        modulus = len(parameters["bench.channels"]) * parameters["wire.martensite_modulus"]
         return cls(
-            stiffness=stiffness, load=held, prestretch=held / parameters["wire.martensite_modulus"]
+            stiffness=stiffness * length / section, load=held / section, lever=-length,
+            prestretch=held / section / modulus,
         )
 
     @classmethod

@@ -70,6 +70,22 @@ def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
     return volts
 
 
+def commanded_voltage(volts: ArrayLike, parameters: Parameters) -> Array:
+    """Inverse of `heating_voltage`: the command that heats as direct `volts` do."""
+    direct = np.asarray(volts, dtype=np.float64)
+    if parameters["bench.drive"] == "duty":
+        return np.square(direct) / parameters["bench.supply_voltage"]
+    return direct
+
+
+def power_per_volt(voltage: ArrayLike, parameters: Parameters) -> Array:
+    """Change of a wire's heat [W] per volt of the command, at a command [V]."""
+    volts = np.asarray(voltage, dtype=np.float64)
+    if parameters["bench.drive"] == "duty":
+        volts = np.full_like(volts, 0.5 * parameters["bench.supply_voltage"])
+    return 2.0 * volts / heated_resistance(parameters)
+
+
 def direct_reading(
     parameters: Parameters, voltage: ArrayLike, current: ArrayLike
 ) -> tuple[Array, Array]:
@@ -108,7 +124,7 @@ def time_constant(parameters: Parameters) -> float:
 
 
 def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
-    """T [K] that a held voltage [V] leads to, eq. (4) solved for T."""
+    """T [K] that a held direct voltage [V] leads to, eq. (4) solved for T."""
     rise = np.square(voltage) / (heated_resistance(parameters) * heat_loss(parameters))
     return np.asarray(parameters["environment.ambient_temperature"] + rise)
 

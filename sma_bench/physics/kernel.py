@@ -184,6 +184,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
         for mark in at.SIDE_NAMES.keys() & effect.marks:
             marked = bends if effect.row == "side" else slice(None)
             sides[marked, at.SIDE_NAMES[mark]] += effect.is_on(parameters)
+    sides[sides[:, at.OWN_LOAD] > 0.0, at.SLACK] = 0.0  # the load draws the wires straight
     return sides
 
 

@@ -6,6 +6,7 @@ With deviations from the operating point (T, v, sigma, ...), for the wires i of 
     sigma_i = -a_1 e + Theta_T T_i + c xi_i,    c = -eps_L E_A + a_2                      (18)
     xi_i    = r (-T_i + sigma_i/C),    r = s b_1 with C_A, or s b_3 with C_M              (20), (21)
     sum sigma_i = K e    (composite: K = alpha beta, deflection = +-alpha e)              (22), (23)
+    (a weight: K = 0; a spring: its own; antagonists: the front's sum less the back's, e_b = -e_f)
 
 where s, 1 on a full loop, is the share of the branch that a partial loop follows. Everything but T
 is algebraic, so the states are the wires' temperatures.
@@ -21,11 +22,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import StateSpace
 
 from sma_bench.errors import InputError
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics import phase
 from sma_bench.physics.boundary import per_side, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
-from sma_bench.physics.heat import time_constant
+from sma_bench.physics.heat import heated_resistance, power_per_volt, time_constant
 from sma_bench.physics.operating_point import OperatingPoint
 
 Array = NDArray[np.float64]
@@ -82,8 +84,7 @@ class Linearised:
         lightness = np.linalg.inv(np.eye(wires) - latent_rise * self.fraction_per_kelvin)
         capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
         per_input = {
-            "voltage": 2.0 * self.point.voltage / parameters["wire.resistance"],
-            "power": np.ones(wires),
+            "voltage": power_per_volt(self.point.voltage, parameters), "power": np.ones(wires)
         }[inputs]
         c = np.vstack([self.deflection_per_kelvin, np.eye(wires), self.stress_per_kelvin])
         return StateSpace(
@@ -97,7 +98,7 @@ class Linearised:
         """(w,) m/V, steady: what a lasting change of each voltage leads to."""
         parameters = self.point.parameters
         capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
-        heating = 2.0 * self.point.voltage / parameters["wire.resistance"]
+        heating = power_per_volt(self.point.voltage, parameters)
         return self.deflection_per_kelvin * heating * time_constant(parameters) / capacity
 
 
@@ -116,7 +117,7 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
     if beyond:
         raise InputError(f"linearisation: {beyond[0]} is on, expected eqs. (10), (11) as they are")
     side = side_of_channels(parameters)
-    strain = -point.contraction[side]
+    strain = point.boundary.stretch_of_wires(parameters) - point.contraction[side]
     modulus = linear.a1(point.martensite_fraction, parameters)
     pull = linear.a2(point.martensite_fraction, strain, parameters) - (
         parameters["wire.maximum_recoverable_strain"] * parameters["wire.austenite_modulus"]
@@ -161,6 +162,10 @@ def _contraction_per_kelvin(point: OperatingPoint, softness: Array, push: Array)
         return change
     side = side_of_channels(parameters)
     stiffness = per_side("stiffness", point.boundary.stiffness, sides)
+    if point.boundary.coupled:  # sum_front (push dT - softness de) - sum_back (...) = K de
+        change[0] = np.where(side == 0, push, -push) / (stiffness[0] + softness.sum())
+        change[1] = -change[0]
+        return change
     stiffness = stiffness + np.bincount(side, softness, sides)
     change[side, np.arange(side.size)] = push / stiffness[side]
     return change
@@ -204,7 +209,7 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     parameters = point.parameters
     xi, strain = point.martensite_fraction[wire], _strain(point, wire)
     at = (point.temperature[wire], point.stress[wire], parameters)
-    volt, ohm = point.voltage[wire], parameters["wire.resistance"]
+    volt, ohm = point.voltage[wire], heated_resistance(parameters)
     rows: list[_Row] = [
         ("a_1", "(18)", "Pa", linear.a1(xi, parameters), linear.a1(xi, parameters), "right"),
         ("a_2", "(18)", "Pa", linear.a2_as_printed(xi, strain, parameters),
@@ -234,7 +239,7 @@ def _bending_rows(
     point: OperatingPoint, wire: int
 ) -> Sequence[_Row]:
     parameters = point.parameters
-    if point.boundary.contraction is not None:
+    if point.boundary.contraction is not None or load_kind(parameters) != "beam":
         return ()
     a, side = linear.alpha(parameters), parameters["bench.channel_sides"][wire]
     a_printed, b_printed = linear.alpha_as_printed(parameters), linear.beta_as_printed(parameters)
@@ -256,8 +261,9 @@ def _bending_rows(
 
 
 def _strain(point: OperatingPoint, wire: int) -> float:
-    side = side_of_channels(point.parameters)[wire]
-    return -float(point.contraction[side])
+    side = side_of_channels(point.parameters)
+    stretch = point.boundary.stretch_of_wires(point.parameters)
+    return float((stretch - point.contraction[side])[wire])
 
 
 def _number(value: ArrayLike) -> float:

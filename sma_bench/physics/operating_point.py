@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Self
 
 import numpy as np
@@ -11,10 +12,21 @@ from scipy.optimize import brentq
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import load_kind, require_plain_drive
 from sma_bench.physics import phase, stress
-from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
-from sma_bench.physics.heat import heat_loss, steady_temperature
+from sma_bench.physics.boundary import (
+    Boundary,
+    moves_tip,
+    per_side,
+    side_names,
+    side_of_channels,
+)
+from sma_bench.physics.heat import (
+    commanded_voltage,
+    heat_loss,
+    heated_resistance,
+    heating_voltage,
+    steady_temperature,
+)
 from sma_bench.physics.kernel import State, initial_state
 
 # --- The model of one side turned round: the temperature at which its wires bend as wanted.
@@ -34,7 +46,8 @@ class SideModel:
     """Constants of n equal wires that pull together against a boundary that gives.
 
     Attributes:
-        wires: n; stiffness: K [Pa]; load: [Pa]; lever: m, signed deflection per contraction.
+        wires: n; stiffness: K [Pa]; load: [Pa]; lever: m, signed deflection per contraction;
+            prestretch: strain at zero contraction.
         start, finish, influence: by branch, where the ramp leaves 0 (M_f) or 1 (A_s), where it
             ends, and C [Pa/K].
         modulus: E_A; modulus_change: E_M - E_A [Pa]; recoverable_strain: eps_L.
@@ -51,15 +64,22 @@ class SideModel:
     recoverable_strain: float
     expansion: float
     ambient: float
+    prestretch: float = 0.0
 
     @classmethod
-    def of(cls, parameters: Parameters, side: str, boundary: Boundary | None = None) -> Self:
-        """The wires of `side`, bending the composite unless another boundary is given.
+    def of(
+        cls, parameters: Parameters, side: str, boundary: Boundary | None = None,
+        state: State | None = None,
+    ) -> Self:
+        """The wires of `side` against the rig's own load unless another boundary is given.
+
+        Args:
+            state: of the bench; of antagonists the other side pulls back as it is there, else as
+                cold martensite.
 
         Raises:
             InputError: no wire on that side, or ends that do not give.
         """
-        _require_one_side(parameters)
         names = side_names(parameters)
         if side not in names:
             raise InputError(f"no wire on the {side}, expected {' or '.join(names)}")
@@ -68,11 +88,17 @@ class SideModel:
             raise InputError(f"the wires of the {side} are clamped, they do not contract")
         number = names.index(side)
         wire = {key.removeprefix("wire."): parameters[key] for key in parameters if "wire." in key}
+        stiffness, load, lever, prestretch = (
+            float(per_side(name, getattr(boundary, name), len(names))[number])
+            for name in ("stiffness", "load", "lever", "prestretch")
+        )
+        if boundary.coupled:
+            back = _pulled_back(parameters, boundary, number, state)
+            stiffness, load = stiffness + back[0], (load if number == 0 else -load) + back[1]
+            lever *= 2.0  # both sides move
         return cls(
             wires=int((side_of_channels(parameters) == number).sum()),
-            stiffness=float(per_side("stiffness", boundary.stiffness, len(names))[number]),
-            load=float(per_side("load", boundary.load, len(names))[number]),
-            lever=float(per_side("lever", boundary.lever, len(names))[number]),
+            stiffness=stiffness, load=load, lever=lever, prestretch=prestretch,
             ranges={
                 "heating": (
                     wire["austenite_start_temperature"], wire["austenite_finish_temperature"],
@@ -97,7 +123,7 @@ class SideModel:
     def fraction(self, contraction: float, temperature: float) -> float:
         """xi that gives a wire that stress, eq. (6); outside 0 to 1 where none does."""
         thermal = self.expansion * (temperature - self.ambient)
-        stretch = self.recoverable_strain - contraction
+        stretch = self.recoverable_strain + self.prestretch - contraction
         square = -self.modulus_change * self.recoverable_strain
         slope = self.modulus_change * stretch - self.modulus * self.recoverable_strain
         constant = self.modulus * stretch + thermal - self.wire_stress(contraction)
@@ -144,8 +170,8 @@ class SideModel:
         """e at which the wires, heated, have just become austenite: T = A_f + sigma/C_A."""
         _, finish, influence = self.ranges["heating"]
         thermal = self.expansion * (finish - self.ambient)
-        # sigma = E_A (eps_L - e) + Theta_T (A_f + sigma/C_A - T_inf) = (load + K e)/n
-        pull = self.modulus * self.recoverable_strain + thermal
+        # sigma = E_A (eps_L + eps_0 - e) + Theta_T (A_f + sigma/C_A - T_inf) = (load + K e)/n
+        pull = self.modulus * (self.recoverable_strain + self.prestretch) + thermal
         kept = 1.0 - self.expansion / influence
         stiffness = kept * self.stiffness / self.wires + self.modulus
         return (pull - kept * self.load / self.wires) / stiffness
@@ -154,11 +180,24 @@ class SideModel:
         self, contraction: float, sigma: float, branch: Branch, share: float, low: float
     ) -> float:
         xi = share if branch == "heating" else 1.0
-        stretch = self.recoverable_strain * (1.0 - xi) - contraction
+        stretch = self.recoverable_strain * (1.0 - xi) + self.prestretch - contraction
         elastic = (self.modulus + xi * self.modulus_change) * stretch
         if self.expansion == 0.0:
             return low
         return min(max(self.ambient + (sigma - elastic) / self.expansion, self.ambient), low)
+
+
+def _pulled_back(
+    parameters: Parameters, boundary: Boundary, side: int, state: State | None
+) -> tuple[float, float]:
+    """Stiffness and load [Pa] of the antagonists of a side: what it contracts stretches them."""
+    others = side_of_channels(parameters) != side
+    xi = np.ones(others.sum()) if state is None else state.martensite_fraction[others]
+    kelvin = parameters["environment.ambient_temperature"]
+    kelvin = kelvin if state is None else state.temperature[others]
+    stretch = boundary.stretch_of_wires(parameters)[others]
+    pull = stress.stress(kelvin, xi, -stretch, parameters)
+    return float(stress.modulus(xi, parameters).sum()), float(np.sum(pull))
 
 
 # --- Where the model is linearised: wires at steady temperatures on one branch.
@@ -176,7 +215,7 @@ class OperatingPoint:
     Attributes:
         parameters, boundary: the rig.
         branch: heating if temperatures are about to rise, cooling if they are about to fall.
-        voltage: (w,) V that hold the temperatures.
+        voltage: (w,) V, commands that hold the temperatures.
         temperature: (w,) K; martensite_fraction: (w,); stress: (w,) Pa.
         contraction: (s,), -(eps - eps_0) of each side, in the order of `side_names`.
     """
@@ -192,7 +231,7 @@ class OperatingPoint:
 
     @property
     def deflection(self) -> float:
-        """Deflection [m], positive toward the front."""
+        """Deflection [m], as `Simulation.deflection`."""
         levers = per_side("lever", self.boundary.lever, self.contraction.size)
         return float(self.contraction @ levers)
 
@@ -221,7 +260,6 @@ class OperatingPoint:
         Raises:
             InputError: as `initial_state`, or a temperature that no voltage holds.
         """
-        _require_one_side(parameters)
         boundary = boundary or Boundary.of(parameters)
         state = initial_state(
             parameters,
@@ -235,7 +273,8 @@ class OperatingPoint:
                 f"operating point: temperature {state.temperature.min():g} K lies below ambient "
                 f"{parameters['environment.ambient_temperature']:g} K, no voltage holds it"
             )
-        voltage = np.sqrt(rise * heat_loss(parameters) * parameters["wire.resistance"])
+        direct = np.sqrt(rise * heat_loss(parameters) * heated_resistance(parameters))
+        voltage = commanded_voltage(direct, parameters)
         return cls(
             parameters, boundary, branch, voltage, state.temperature,
             state.martensite_fraction, state.stress, state.contraction,
@@ -254,17 +293,10 @@ class OperatingPoint:
         Raises:
             InputError: wrong shape, or a temperature below ambient.
         """
-        _require_one_side(parameters)
         boundary = boundary or Boundary.of(parameters)
         wires = len(parameters["bench.channels"])
         kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
-        fraction = np.empty(wires)
-        side = side_of_channels(parameters)
-        for number in range(len(side_names(parameters))):
-            members = np.flatnonzero(side == number)
-            fraction[members] = _fractions(
-                kelvin[members], number, branch, parameters, boundary
-            )
+        fraction = _fractions(kelvin, branch, parameters, boundary)
         return cls.of_state(parameters, kelvin, fraction, branch, boundary)
 
     @classmethod
@@ -281,7 +313,8 @@ class OperatingPoint:
             InputError: wrong shape.
         """
         return cls.at_temperature(
-            parameters, steady_temperature(voltage, parameters), branch, boundary
+            parameters, steady_temperature(heating_voltage(voltage, parameters), parameters),
+            branch, boundary,
         )
 
     @classmethod
@@ -291,7 +324,7 @@ class OperatingPoint:
         Raises:
             InputError: the rig does not bend, has no wires on that side, or not that far.
         """
-        name = "front" if deflection >= 0.0 else "back"
+        name = side_toward(parameters, deflection)
         side = SideModel.of(parameters, name)
         largest = maximum_deflection(parameters, name)
         if not abs(deflection) <= largest:
@@ -309,10 +342,23 @@ class OperatingPoint:
         )
 
 
-def _require_one_side(parameters: Parameters) -> None:
-    if load_kind(parameters) == "antagonist":
-        raise InputError("operating point: load.kind is antagonist, expected another one so far")
-    require_plain_drive(parameters, "operating point")
+def side_toward(parameters: Parameters, deflection: float) -> str:
+    """The side whose wires deflect the bench that way [m]; of a beam whether they are there or not.
+
+    Raises:
+        InputError: a wire with a load was to become longer.
+    """
+    names, boundary = side_names(parameters), Boundary.of(parameters)
+    levers = per_side("lever", boundary.lever, len(names)) * deflection
+    if np.any(levers > 0.0):
+        return names[int(np.argmax(levers > 0.0))]
+    if moves_tip(parameters):
+        return "front" if deflection >= 0.0 else "back"
+    if deflection != 0.0 and boundary.contraction is None:
+        raise InputError(
+            f"deflection is {deflection:g} m, expected 0 or less: a wire with a load only shortens"
+        )
+    return names[0]
 
 
 def maximum_deflection(parameters: Parameters, side: str = "front") -> float:
@@ -326,24 +372,39 @@ def maximum_deflection(parameters: Parameters, side: str = "front") -> float:
 
 
 def _fractions(
-    temperature: Array, side: int, branch: Branch, parameters: Parameters, boundary: Boundary
-) -> list[float]:
-    """Martensite fractions of the wires of one side, their stresses in balance."""
-    sides = len(side_names(parameters))
-
-    def fractions(contraction: float) -> list[float]:
-        return [_fraction(float(t), contraction, branch, parameters) for t in temperature]
-
+    temperature: Array, branch: Branch, parameters: Parameters, boundary: Boundary
+) -> Array:
+    """(w,) martensite fractions, the stresses of each side or of both on a slider in balance."""
+    side, sides = side_of_channels(parameters), len(side_names(parameters))
+    contraction = np.zeros(sides)
     if boundary.contraction is not None:
-        return fractions(per_side("contraction", boundary.contraction, sides)[side])
-    stiffness = per_side("stiffness", boundary.stiffness, sides)[side]
-    load = per_side("load", boundary.load, sides)[side]
+        contraction = per_side("contraction", boundary.contraction, sides)
+    stretch = boundary.stretch_of_wires(parameters)
+    stiffness, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
 
-    def imbalance(contraction: float) -> float:
-        sigma = stress.stress(temperature, fractions(contraction), contraction, parameters)
-        return float(sigma.sum() - load - stiffness * contraction)
+    def fractions(shared: Array) -> Array:
+        shorter = shared[side] - stretch
+        pairs = zip(temperature.tolist(), shorter.tolist(), strict=True)
+        return np.array([_fraction(t, e, branch, parameters) for t, e in pairs])
 
-    return fractions(_falling_root(imbalance, 0.01))
+    def imbalance(own: float, number: int) -> float:
+        shared = np.zeros(sides)
+        shared[number] = own
+        if boundary.coupled:
+            shared[1 - number] = -own
+        sigma = stress.stress(
+            temperature, fractions(shared), shared[side] - stretch, parameters
+        )
+        pull = np.bincount(side, sigma, sides)
+        against = pull[1 - number] if boundary.coupled else 0.0
+        return float(pull[number] - against - load[number] - stiffness[number] * own)
+
+    if boundary.contraction is None:
+        for number in range(1 if boundary.coupled else sides):
+            contraction[number] = _falling_root(partial(imbalance, number=number), 0.01)
+        if boundary.coupled:
+            contraction[1] = -contraction[0]
+    return fractions(contraction)
 
 
 def _fraction(

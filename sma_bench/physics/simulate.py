@@ -58,7 +58,8 @@ class Simulation:
 
     @cached_property
     def deflection(self) -> Array:
-        """(n,) m, positive toward the front; zeros for a rig that does not bend."""
+        """(n,) m, positive toward the front; elongation of a wire that moves its load; zeros where
+        nothing moves."""
         return self.bending @ _levers(self.parameters, self.boundary)
 
     @cached_property
@@ -234,7 +235,7 @@ class Bench:
 
     @property
     def deflection(self) -> float:
-        """Deflection [m], positive toward the front."""
+        """Deflection [m], as `Simulation.deflection`."""
         return float(self._state.bending @ self._levers)
 
     def current(self, voltage: ArrayLike) -> Array:

@@ -111,9 +111,11 @@ def signals_of(simulation: Simulation) -> list[Signal]:
         ]
     if moves_tip(simulation.parameters):
         return [*signals, Signal("deflection", "m", time, simulation.deflection_reading)]
+    own = simulation.boundary.lever != 0.0
+    elongation = simulation.deflection_reading if own else simulation.elongation[:, 0]
     return [
         *signals,
-        Signal("elongation", "m", time, simulation.elongation[:, 0]),
+        Signal("elongation", "m", time, elongation),
         Signal("force", "N", time, simulation.force.sum(axis=1)),
     ]
 
@@ -176,7 +178,7 @@ def protocol_record(name: str, parameters: Parameters, seed: int = 1) -> Record:
         signals += _deflection(run, sensors, duration)
     elif load_kind(parameters) != "clamped":
         time = clock("mechanics", duration)
-        elongation, force = _at(run, time, run.elongation[:, 0]), _at(run, time, run.force[:, 0])
+        elongation, force = _at(run, time, run.deflection_reading), _at(run, time, run.force[:, 0])
         signals += [
             Signal("elongation", "m", time, sensors.read("range", elongation)),
             Signal("force", "N", time, sensors.read("force", force)),

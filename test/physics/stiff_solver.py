@@ -21,6 +21,7 @@ class Wires:
     side: np.ndarray
     stiffness: np.ndarray | None
     latent_heat: float = 0.0
+    load: float = 0.0  # Pa on each side, borne by martensite at rest: strains count from there
 
     def __post_init__(self) -> None:
         p = self.parameters
@@ -31,15 +32,18 @@ class Wires:
         self.eps_l = p["wire.maximum_recoverable_strain"]
         self.theta = p["wire.thermal_expansion_factor"]
         self.member = np.equal.outer(np.unique(self.side), self.side).astype(float)
+        self.borne = (self.load / self.e_m / self.member.sum(axis=1)) @ self.member
 
     def stress(self, kelvin: np.ndarray, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """sigma of each wire and contraction of each side."""
         modulus = self.e_a + xi * (self.e_m - self.e_a)
-        free = self.theta * (kelvin - self.ambient) + self.eps_l * modulus * (1 - xi)
+        strain = self.eps_l * (1 - xi) + self.borne
+        free = self.theta * (kelvin - self.ambient) + modulus * strain
         if self.stiffness is None:
             contraction = np.zeros(len(self.member))
         else:
-            contraction = self.member @ free / (self.member @ modulus + self.stiffness)
+            pull = self.member @ free - self.load
+            contraction = pull / (self.member @ modulus + self.stiffness)
         return free - modulus * (self.member.T @ contraction), contraction
 
     def ramps(self, kelvin: float, sigma: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -64,7 +68,7 @@ class Wires:
             by_t[i], by_s[i] = scale * slopes[1], scale * slopes[2]
         d_t = (heating - self.loss * (kelvin - self.ambient)) / self.capacity
         modulus = self.e_a + xi * (self.e_m - self.e_a)
-        strain = self.eps_l * (1 - xi) - self.member.T @ contraction
+        strain = self.eps_l * (1 - xi) - self.member.T @ contraction + self.borne
         own = (self.e_m - self.e_a) * strain - self.eps_l * modulus
         s_xi, s_t = np.diag(own), np.eye(w) * self.theta
         if self.stiffness is not None:

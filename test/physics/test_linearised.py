@@ -138,16 +138,57 @@ def test_step_response_is_the_derivative_of_the_nonlinear_model(base: Parameters
     @FAST
     @given(points(base), st.lists(st.floats(0.2, 1.0), min_size=4, max_size=4))
     def check(point: OperatingPoint, weights: list[float]) -> None:
-        sign = 1.0 if point.branch == "heating" else -1.0
-        direction = sign * np.array(weights[: point.voltage.size])
-        time = np.linspace(0.0, 4.0, 15) * time_constant(point.parameters)
-        assert_close(
-            step_response(point, direction, time),
-            nonlinear_derivative(point, direction, time),
-            2e-6,
-        )
+        assert_tangent(point, np.array(weights[: point.voltage.size]))
 
     check()
+
+
+def assert_tangent(point: OperatingPoint, weights: np.ndarray) -> None:
+    direction = weights if point.branch == "heating" else -weights
+    time = np.linspace(0.0, 4.0, 15) * time_constant(point.parameters)
+    assert_close(
+        step_response(point, direction, time), nonlinear_derivative(point, direction, time), 2e-6
+    )
+
+
+PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
+LOADS = {
+    "force": {"load.kind": "force", "load.force": 9.0},
+    "spring": {"load.kind": "spring", "load.stiffness": 900.0, "load.preload": 5.0},
+    "antagonist": {**PAIR, "load.kind": "antagonist", "load.stiffness": 300.0,
+                   "load.preload": 6.0},
+}  # fmt: skip
+DRIVES = {
+    "voltage": {},
+    "duty": {"bench.drive": "duty", "bench.supply_voltage": 12.0, "bench.lead_resistance": 0.3},
+    "current": {"bench.drive": "current", "wire.count": 2},
+}
+
+
+@pytest.mark.parametrize("branch", BRANCHES)
+@pytest.mark.parametrize(("load", "drive"), [
+    ("force", "duty"), ("spring", "current"), ("antagonist", "voltage"), ("antagonist", "duty"),
+])
+def test_any_load_and_drive_at_rest_where_it_is_linearised(load, drive, branch) -> None:
+    rig = WIRE.replace({**LOADS[load], **DRIVES[drive]})
+    sign = 1.0 if load == "antagonist" else -1.0
+    wanted = sign * 0.4 * maximum_deflection(rig)
+    point = OperatingPoint.at_deflection(rig, wanted, branch)
+    assert point.deflection == pytest.approx(wanted, rel=1e-8)
+    again = OperatingPoint.at_voltage(rig, point.voltage, branch)
+    assert again.martensite_fraction == pytest.approx(point.martensite_fraction, abs=1e-8)
+    held = np.tile(point.voltage, (3, 1))
+    run = simulate(rig, np.arange(3) * 60.0, held, initial=point.state)
+    assert run.deflection[-1] == pytest.approx(wanted, rel=1e-6)
+    assert_tangent(point, np.array([0.7, 0.0])[: point.voltage.size])
+
+
+def test_a_wire_with_a_load_has_no_operating_point_beyond_its_length() -> None:
+    rig = WIRE.replace(LOADS["spring"])
+    with pytest.raises(InputError, match="a wire with a load only shortens"):
+        OperatingPoint.at_deflection(rig, 1e-3, "heating")
+    with pytest.raises(InputError, match="expected at most"):
+        OperatingPoint.at_deflection(rig, -0.05, "heating")
 
 
 def test_latent_heat_slows_the_linear_model_as_it_slows_the_nonlinear_one() -> None:

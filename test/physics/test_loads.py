@@ -2,15 +2,18 @@
 
 import numpy as np
 import pytest
+from effect_references import refined, typical
+from numpy.testing import assert_allclose
 from stiff_solver import Wires, solve, triangle
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length, wire_length_from_mass
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import Bench, Boundary, simulate, stress
 from sma_bench.physics.bending import channel_section
+from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.heat import direct_reading
-from sma_bench.physics.operating_point import OperatingPoint
 
 WIRE = Parameters.defaults()
 PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
@@ -23,6 +26,8 @@ RIGS = {
         **PAIR, "load.kind": "antagonist", "load.stiffness": 400.0, "load.preload": 6.0,
     }),
 }
+STIFFEST = BY_NAME["load.stiffness"].high
+NO_DRIFT = {"effect.deflection_drift.rate": 0.0, "effect.deflection_drift.bend": 0.0}  # of a sensor
 TIME = np.arange(4001) * 0.02
 HEATED = triangle(TIME, 7.0, 80.0)
 
@@ -45,6 +50,7 @@ def test_a_weight_is_held_and_the_wire_follows_the_closed_form():
     sigma = 12.0 / channel_section(rig)
     strain = (sigma - rig["wire.thermal_expansion_factor"] * rise) / modulus
     strain -= rig["wire.maximum_recoverable_strain"] * (1.0 - xi)
+    strain -= sigma / rig["wire.martensite_modulus"]  # the bench at rest is where it counts from
     assert found.elongation[:, 0] == pytest.approx(wire_length(rig) * strain, abs=1e-12)
     assert xi.min() < 1e-6 and np.ptp(found.elongation) > 7e-3
 
@@ -67,18 +73,84 @@ def test_a_spring_pulls_by_its_stiffness_all_the_way():
     assert found.martensite_fraction.min() < 0.05 and np.ptp(found.elongation) > 5e-3
 
 
-def test_a_stiff_solver_that_knows_only_the_contract_agrees_on_a_wire_against_a_spring():
-    rig = WIRE.replace({"load.kind": "spring", "load.stiffness": 2000.0})
+@pytest.mark.parametrize(("stiffness", "held"), [(1200.0, 5.0), (0.0, 9.0)])
+def test_a_stiff_solver_that_knows_only_the_contract_agrees_on_a_wire_with_a_load(
+    stiffness, held
+):
+    load = {"load.kind": "spring", "load.stiffness": stiffness, "load.preload": held}
+    rig = WIRE.replace({"effect.latent_heat.heat": 8e3, **(
+        load if stiffness else {"load.kind": "force", "load.force": held}
+    )})  # fmt: skip
     time = np.arange(0.0, 24.0, 0.2)
-    volts = triangle(time, 6.5, 24.0)[:, np.newaxis]
-    stiffness = np.array([2000.0 * wire_length(rig) / channel_section(rig)])
-    other = solve(Wires(rig, np.array([0]), stiffness), time, volts)
-    found = simulate(rig, time, volts)
+    volts = triangle(time, 7.0, 24.0)[:, np.newaxis]
+    springs = np.array([stiffness * wire_length(rig) / channel_section(rig)])
+    wires = Wires(rig, np.array([0]), springs, 8e3, held / channel_section(rig))
+    other = solve(wires, time, volts, rtol=1e-7)
+    found = simulate(rig, *refined(time, volts, 20))
     for name, scale in (("temperature", 1.0), ("martensite_fraction", 1e-2), ("stress", 1e6),
                         ("contraction", 1e-4)):
-        error = np.abs(getattr(found, name) - other[name]).max() / scale
-        assert error < 1e-3, (name, error)
+        error = np.abs(getattr(found, name)[::20] - other[name]).max() / scale
+        assert error < 0.3, (name, error)
     assert found.martensite_fraction.min() < 0.6
+
+
+def effects_of(*loads):
+    """Effects that all of these loads can have, each at its typical size."""
+    return [e.name for e in EFFECTS.values() if set(loads) <= set(e.loads)]
+
+
+MOTION = ("temperature", "martensite_fraction", "stress", "temperature_reading")
+
+
+def alike(one, other, scale=1.0):
+    """Whether two benches with one effect do the same; the first wire's, the motion to scale."""
+    for name in MOTION:
+        here, there = getattr(one, name)[:, 0], getattr(other, name)[:, 0]
+        assert_allclose(here, there, rtol=1e-6, atol=1e-6 * np.ptp(there), err_msg=name)
+    moved = scale * other.deflection_reading
+    assert_allclose(one.deflection_reading, moved, atol=1e-6 * np.ptp(moved))
+    assert np.ptp(one.martensite_fraction[:, 0]) > 0.3
+
+
+@pytest.mark.parametrize("effect", effects_of("spring", "beam"))
+def test_an_effect_on_a_spring_is_the_one_on_a_beam_of_the_same_stiffness(effect):
+    """The beam's are held to equations of their own in test_effect_equations.py."""
+    length, section = wire_length(WIRE), channel_section(WIRE)
+    spring = WIRE.replace({"load.kind": "spring", "load.stiffness": 1500.0})
+    beam = WIRE.replace({
+        "load.kind": "beam", "composite.deflection_per_strain": length,
+        "composite.stress_per_deflection_front": 1500.0 / section,
+    })
+    here, there = (run(typical(rig, effect), **NO_DRIFT) for rig in (spring, beam))
+    alike(here, there, -1.0)
+
+
+@pytest.mark.parametrize("effect", effects_of("force", "spring"))
+def test_an_effect_under_a_weight_is_the_one_of_an_endlessly_soft_spring(effect):
+    soft = {"load.kind": "spring", "load.stiffness": 1e-4, "load.preload": 9.0}
+    weight = {"load.kind": "force", "load.force": 9.0}
+    alike(*(run(typical(WIRE.replace(load), effect)) for load in (weight, soft)))
+
+
+@pytest.mark.parametrize("effect", effects_of("clamped", "spring"))
+def test_an_effect_on_a_clamped_wire_is_the_one_of_an_endlessly_stiff_spring(effect):
+    stiff = WIRE.replace({"load.kind": "spring", "load.stiffness": STIFFEST})
+    one, other = (run(typical(rig, effect), **NO_DRIFT) for rig in (WIRE, stiff))
+    for name in MOTION:
+        here, there = getattr(one, name), getattr(other, name)
+        assert_allclose(here, there, atol=1e-3 * np.ptp(there), err_msg=name)
+
+
+@pytest.mark.parametrize("effect", effects_of("antagonist", "spring"))
+def test_an_effect_against_a_cold_wire_is_the_one_of_a_spring_as_stiff(effect):
+    cold = channel_section(WIRE) * WIRE["wire.martensite_modulus"] / wire_length(WIRE)
+    still = {"wire.thermal_expansion_factor": 0.0}
+    pair = RIGS["antagonist"].replace(still)
+    spring = WIRE.replace({
+        **still, "load.kind": "spring", "load.stiffness": 400.0 + cold, "load.preload": 6.0,
+    })
+    here, there = (run(typical(rig, effect), **NO_DRIFT) for rig in (pair, spring))
+    alike(here, there, -1.0)
 
 
 def test_both_wires_of_an_antagonist_balance_the_slider():
@@ -200,16 +272,6 @@ def test_a_load_that_cannot_be_is_one_line(given, said):
     with pytest.raises(InputError) as error:
         WIRE.replace(given)
     assert said in str(error.value) and "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("what", [
-    lambda rig: OperatingPoint.at_temperature(rig, 340.0, "heating"),
-])
-def test_what_cannot_take_a_load_yet_says_so(what):
-    with pytest.raises(InputError, match="load.kind is antagonist"):
-        what(RIGS["antagonist"])
-    with pytest.raises(InputError, match="bench.drive is duty"):
-        what(WIRE.replace({"bench.drive": "duty"}))
 
 
 def test_a_given_length_is_taken_and_else_that_of_the_mass():

@@ -35,6 +35,7 @@ EFFECT = Effect(
         "fast part and slow part in every heating and cooling; rests too short for the slow part "
         "leave the wire warm"
     ),
+    loads=("beam",),
     marks=("HEATED_OTHERWISE", "EVOLVES"),
     columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE"},
     state=("MATRIX_RISE",),

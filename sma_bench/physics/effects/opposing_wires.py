@@ -41,6 +41,7 @@ EFFECT = Effect(
         "and a larger stroke of the other side when it is heated next"
     ),
     acts_on=("deflection",),
+    loads=("beam",),
     marks=("PULLS_OTHERWISE",),
     row="side",
     columns={"engagement": "ENGAGEMENT", "detwinning_stress": "DETWINNING_STRESS"},

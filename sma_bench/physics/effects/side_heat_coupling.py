@@ -25,6 +25,7 @@ EFFECT = Effect(
     shows=(
         "a wire without voltage warms while the other side is driven; the driven one stays cooler"
     ),
+    loads=("beam",),
     marks=("HEATED_OTHERWISE",),
     columns={"conductance": "ACROSS"},
     scratch=("OPPOSITE",),

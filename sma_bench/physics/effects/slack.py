@@ -4,6 +4,7 @@
     e - b = s where the wires are taut, 0 where they push (longer than at rest), and between the two
     they hang: no stress, the beam bends by itself (b: contraction that bends the beam)
 
+Wires that a spring's preload or a weight draws straight at rest have none.
 Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire.
 """
 
@@ -27,6 +28,7 @@ EFFECT = Effect(
         "altogether"
     ),
     acts_on=("deflection",),
+    loads=("beam", "spring"),
     marks=("PULLS_OTHERWISE",),
     row="side",
     columns={"strain": "SLACK"},

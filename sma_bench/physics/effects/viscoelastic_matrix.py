@@ -31,6 +31,7 @@ EFFECT = Effect(
     ),
     shows="deflection creeps on under constant temperature and comes back slowly at rest, to zero",
     acts_on=("deflection",),
+    loads=("beam",),
     marks=("PULLS_OTHERWISE",),
     row="side",
     columns={"relaxation": "RELAXATION", "time_constant": "RELAXATION_TIME"},
