@@ -27,6 +27,26 @@ NODES = [
     "deflection_controller",
 ]
 
+# What the package imports, but for ROS, which pip cannot install; the oldest versions are those of
+# Ubuntu 24.04 (requirements-noble.txt).
+REQUIRED = [
+    "h5py>=3.10",
+    "jinja2>=3.1",
+    "lz4",
+    "matplotlib>=3.6",
+    "numba",
+    "numpy>=1.26",
+    "openpyxl>=3.1",
+    "pillow",
+    "pint>=0.23",
+    "pyserial>=3.5",
+    "pyyaml>=6",
+    "rich>=13.7",
+    "rosbags>=0.11",
+    "scipy>=1.11",
+    "tornado",
+    "zstandard",
+]
 
 # Of `setup.py install` and `develop`, which colcon runs: setuptools' own searches the metadata of
 # everything installed first, and a Ctrl-C during that is a traceback.
@@ -98,7 +118,7 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         *shared_files("config", "launch", "firmware"),
     ],
-    install_requires=["setuptools"],
+    install_requires=REQUIRED,
     # `test` is what makes `colcon test` run pytest; the package works without the others.
     extras_require={
         "cluster": ["distributed"],

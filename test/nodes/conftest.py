@@ -12,6 +12,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from forked_nodes import ForkedNode  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
@@ -32,10 +33,13 @@ class RunningNode:
     def __init__(self, name: str, arguments: list[str], log: Path, **options: Any) -> None:
         self.log = log
         with log.open("wb") as stream:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
-                stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
-            )
+            if options:
+                self.process: Any = subprocess.Popen(
+                    [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
+                    stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
+                )  # fmt: skip
+            else:
+                self.process = ForkedNode(name, arguments, stream.fileno())
 
     def end(self, number: int = signal.SIGINT) -> int:
         """Send a signal and return the exit status."""

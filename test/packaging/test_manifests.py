@@ -27,7 +27,6 @@ THIRD_PARTY = {
     "pint": ("pint", None),  # a Debian package, but no rosdep key
     "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
-    "ruamel": ("ruamel-yaml", None),  # comes with rosbags
     "scipy": ("scipy", "python3-scipy"),
     "serial": ("pyserial", "python3-serial"),
     "tornado": ("tornado", "python3-tornado"),
@@ -86,6 +85,16 @@ def test_every_import_is_pinned_and_declared() -> None:
     # `rosdep install` ends at a name that it does not know.
     keys = {key for _, key in THIRD_PARTY.values()} | {"python3-hypothesis", "python3-pytest"}
     assert {name for name in declared if name.startswith("python3-")} <= keys
+
+
+def test_pip_installs_what_is_imported_and_nothing_else() -> None:
+    requirements = [
+        re.match(r"[\w.-]+", line)[0].lower()
+        for line in metadata.requires("sma_bench")
+        if "extra ==" not in line
+    ]
+    expected = [THIRD_PARTY[module][0] for module in imported() & set(THIRD_PARTY)]
+    assert sorted(requirements) == sorted(expected)
 
 
 def test_optional_imports_are_pinned_for_the_tests_and_extras_of_the_package() -> None:
