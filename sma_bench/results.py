@@ -42,6 +42,15 @@ def in_print(signal: str, value: float) -> str:
     return f"{factor * value:.3g} {unit}"
 
 
+def with_error(value: float, std: float) -> str:
+    """`value ± std`, the value to the decimals that the error leaves it."""
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return f"{value:.4g}"
+    size = max(abs(value), std)
+    digits = math.floor(math.log10(size)) - math.floor(math.log10(std)) + 2
+    return f"{value:.{min(max(digits, 2), 8)}g} ± {std:.2g}"
+
+
 # --- Result files of `sma-bench identify` and `diagnose`, read back and checked (docs/topics.md).
 
 LARGEST = 1 << 24
@@ -89,10 +98,22 @@ class Shrunk:
 
     quantity: str
     before: float
+    recalibrated: float
     after: float
     noise: float
     fraction: float
     ci90: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Proposed:
+    """What to measure next; `minutes` and `chance` that it settles the matter, NaN if not said."""
+
+    why: str
+    name: str
+    separates: tuple[str, ...]
+    minutes: float
+    chance: float
 
 
 @dataclass(frozen=True)
@@ -111,7 +132,8 @@ class DiagnoseResult:
     where: tuple[tuple[str, str, str, float, float, float], ...]
     chain: tuple[tuple[str, float, float, float], ...]
     shrinkage: tuple[Shrunk, ...]
-    next_experiment: str
+    why: tuple[str, ...]
+    next_experiment: Proposed | None
     warnings: tuple[str, ...]
 
 
@@ -168,8 +190,17 @@ def _diagnosis(path: Path, document: dict[str, Any]) -> DiagnoseResult:
         _each(_candidate, document["candidates"]), _each(_cell, where["table"]),
         _each(_link, where.get("chain", [])),
         tuple(_shrunk(name, s) for name, s in document["shrinkage"].items()),
-        _text(following["why"]) if following else "",
+        _each(_text, document.get("why", [])),
+        _proposed(following) if following else None,
         _each(_text, document.get("findings", [])),
+    )
+
+
+def _proposed(found: dict[str, Any]) -> Proposed:
+    return Proposed(
+        _text(found["why"]), _text(found.get("protocol", {}).get("name", "")),
+        _each(_text, found.get("separates", [])), _number(found.get("minutes")),
+        _number(found.get("chance")),
     )
 
 
@@ -196,7 +227,8 @@ def _shrunk(quantity: str, found: dict[str, Any]) -> Shrunk:
     low, high = _each(_number, found["ci90"])
     names = ("rmse_before", "rmse_after", "noise_floor", "fraction")
     before, after, noise, fraction = (_number(found[name]) for name in names)
-    return Shrunk(_signal(quantity), before, after, noise, fraction, (low, high))
+    moved = _number(found.get("rmse_recalibrated"))
+    return Shrunk(_signal(quantity), before, moved, after, noise, fraction, (low, high))
 
 
 def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:

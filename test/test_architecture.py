@@ -36,18 +36,20 @@ ARROWS = {
     "emulation": LEAVES | {"parameters", "physics", "share"},
     "synthetic": LEAVES
     | {"records", "physics", "parameters", "protocols", "control", "hardware"},
-    "diagnose": LEAVES | {"estimation", "records", "physics", "parameters", "protocols"},
+    "diagnose": LEAVES
+    | {"estimation", "records", "physics", "parameters", "protocols", "results", "cards"},
     # The running twin learns noise as the diagnosis does, and steps the simulator's own core.
     "twin": LEAVES | {"estimation", "physics", "parameters"},
     "results": LEAVES | {"parameters"},
+    "cards": LEAVES | {"parameters", "results"},
     "report": LEAVES
     | {
         "diagnose", "estimation", "identify", "records", "physics", "parameters", "protocols",
-        "results",
+        "results", "cards",
     },
     "tasks": LEAVES
     | {"diagnose", "estimation", "identify", "records", "parameters", "report", "results"},
-    "dashboard": LEAVES | {"results"},
+    "dashboard": LEAVES | {"results", "cards"},
     "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
     "api": LEAVES
     | {

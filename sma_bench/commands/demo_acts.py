@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from sma_bench.blind.judgement import CONFIDENT
+from sma_bench.cards import card_text
 from sma_bench.commands.demo_stage import HardwareStage, Stage, recording_time
 from sma_bench.commands.diagnose import print_tables
 from sma_bench.commands.terminal import WorkState, print_table, progress, write_json
@@ -23,7 +24,7 @@ from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.progress import Report, part
 from sma_bench.protocols import parse_protocol
-from sma_bench.results import gap_states, in_print
+from sma_bench.results import diagnosis_from, in_print
 from sma_bench.share import share_directory
 
 # --- What the demo's bench hides: an effect drawn at random, and parameters a little off.
@@ -489,11 +490,8 @@ def _diagnosed(
 
 
 def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
-    """Verdict, probabilities, where, and how far the gap shrinks."""
-    console.print(f"verdict    [bold]{escape(gap_states(answer)[0].message)}[/]")
-    where = answer["where"]
-    stage = f", {where['stage']} stage" if where["stage"] else ""
-    console.print(
-        f"where      {escape(where['signal'])}, {where['phase']}, {where['side']} side{stage}"
-    )
-    print_tables(console, answer, ("candidates_table", "shrinkage"))
+    """The verdict card and the candidates."""
+    card = card_text(diagnosis_from(Path("diagnosis"), answer))
+    console.print(card, markup=False, soft_wrap=True)
+    console.print()
+    print_tables(console, answer, ("candidates_table",))

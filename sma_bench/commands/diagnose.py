@@ -77,14 +77,12 @@ def quantities() -> tuple[str, ...]:
 
 
 def print_result(result: "Diagnosis") -> None:
-    """The argument in a few tables."""
-    from sma_bench.report.diagnosis_words import headline, what_next
-
+    """The card, then the argument in a few tables."""
     console = output_console()
-    console.print(f"{result.decision.verdict}: {headline(result)}\n", markup=False)
+    console.print(f"{result}\n", markup=False, soft_wrap=True)
     print_tables(console, read_json(json_text(result.to_json()), "result", LARGEST))
-    for sentence in what_next(result):
-        console.print(f"{printable(sentence)}\n", markup=False)
+    for sentence in result.why:
+        console.print(printable(sentence), markup=False)
     print_findings(result.findings)
 
 

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from sma_bench.border import read_json_object, shown
+from sma_bench.cards import verdict_card
 from sma_bench.errors import InputError
-from sma_bench.results import DiagnoseResult, diagnosis_from, in_print
+from sma_bench.results import diagnosis_from
 
 # --- The last minute of one signal, small enough to send to a page and with every peak in it.
 
@@ -239,12 +240,6 @@ def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
 
 _MOST_CANDIDATES = 5
 _LEAST_SHOWN = 0.005
-_VERDICTS = {
-    "recalibration": "The parameters are off; no effect is missing.",
-    "no_gap": "There is no gap beyond the noise.",
-    "ambiguous": "The records cannot separate the first of these.",
-    "unexplained": "There is a gap that no effect of the library explains.",
-}
 
 
 def diagnosis_summary(text: str) -> dict[str, Any]:
@@ -259,29 +254,15 @@ def diagnosis_summary(text: str) -> dict[str, Any]:
     try:
         where = "diagnosis/result"
         result = diagnosis_from(Path(where), read_json_object(text, where))
+        card = verdict_card(result)
     except InputError as error:
         return {"problem": shown(str(error))}
     return {
-        "verdict": shown(_verdict(result)),
+        "verdict": shown(card.title),
         "candidates": [
             {"name": shown(c.name), "probability": round(c.probability, 4)}
             for c in result.candidates[:_MOST_CANDIDATES]
             if c.probability >= _LEAST_SHOWN
         ],
-        "lines": [shown(line) for line in (*_shrinkage(result), result.next_experiment) if line],
+        "lines": [shown(f"{label}: {text}" if label else text) for label, text in card.rows],
     }
-
-
-def _verdict(result: DiagnoseResult) -> str:
-    if result.verdict == "effect":
-        return f"The gap is explained by {' and '.join(result.cause)}."
-    return _VERDICTS.get(result.verdict, result.verdict)
-
-
-def _shrinkage(result: DiagnoseResult) -> list[str]:
-    return [
-        f"{s.quantity}: error {in_print(s.quantity, s.before)} rms before, "
-        f"{in_print(s.quantity, s.after)} after, noise {in_print(s.quantity, s.noise)}"
-        for s in result.shrinkage
-        if math.isfinite(s.before)
-    ]

@@ -141,24 +141,30 @@ def _effect_logit(search: Search, name: str, gain: float, gap: float, scale: flo
     return float((single - THRESHOLD) / scale + min(extra / scale, 20.0) + worth)
 
 
-def _unexplained_logit(search: Search, logits: Mapping[str, float], best: float) -> float:
-    """Signs that the best candidate is not the whole truth: what it leaves knows when the bench
-    moves, or holds a single event or a smooth response; it needs a sensor that drifts as none
-    does, or parameters that nobody believes in."""
-    left = search.left_by_best
+def signs_of_unexplained(search: Search) -> dict[str, float]:
+    """Log odds, in words, that the best candidate is not the whole truth: what it leaves knows when
+    the bench moves, or holds a single event or a smooth response; it needs a sensor that drifts as
+    none does, or parameters that nobody believes in."""
+    left, best = search.left_by_best, search.best.evidence - search.recalibrated.evidence
     moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
     if best <= THRESHOLD:
         moving += _worth(left.size, LEFT_SIZE, 4.0)
     else:
         share = left.size / max(search.left.size, 1e-3)
         moving = min(moving, 4.0 * np.log(max(share, 1e-3) / LEFT_SHARE))
-    signs = [
-        moving,
-        2.0 * (left.outlier - LEFT_OUTLIER),
-        (search.beyond.gain - FLEXIBLE) / 2.0,
-        left.drift - LEFT_DRIFT,
-        min((search.best.surprise - SURPRISE) / 4.0, SURPRISE_SIGN),
-    ]
+    return {
+        f"{left.signal or 'what is left'} scatters more in motion than at rest": moving,
+        "a single event stands out": 2.0 * (left.outlier - LEFT_OUTLIER),
+        "a smooth response of free form is left": (search.beyond.gain - FLEXIBLE) / 2.0,
+        "a sensor would have to drift as none does": left.drift - LEFT_DRIFT,
+        "parameters are needed that nobody believes in": min(
+            (search.best.surprise - SURPRISE) / 4.0, SURPRISE_SIGN
+        ),
+    }
+
+
+def _unexplained_logit(search: Search, logits: Mapping[str, float], best: float) -> float:
+    signs = signs_of_unexplained(search).values()
     sign = min(max(signs), LARGEST_SIGN if best <= MUCH else LARGEST_BESIDE)
     return float(np.logaddexp(max([0.0, *logits.values()]) + sign, UNSEEN))
 

@@ -1,12 +1,17 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.cards import card_html, card_text
+from sma_bench.diagnose.argument import why
 from sma_bench.diagnose.chain import Link, break_chain
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
 from sma_bench.diagnose.missing_term import missing_term
@@ -26,6 +31,7 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.record import Record
+from sma_bench.results import DiagnoseResult, diagnosis_from, json_text
 
 Array = NDArray[np.float64]
 
@@ -49,6 +55,7 @@ class Diagnosis:
         shrinkage: by quantity.
         observations: all records; fitted, held_out: those, or the parts of them, that the fit of
             the shrinkage has seen and has not.
+        why: what speaks for the verdict and against it, in sentences.
         findings: of the records and parameters, and what a missing sensor would have added.
     """
 
@@ -64,6 +71,7 @@ class Diagnosis:
     observations: tuple[Observation, ...]
     fitted: tuple[Observation, ...]
     held_out: tuple[Observation, ...]
+    why: tuple[str, ...]
     findings: tuple[Finding, ...]
     next_experiment: NextExperiment | None
 
@@ -82,9 +90,32 @@ class Diagnosis:
             "shrinkage": {
                 name: {**asdict(s), "ci90": list(s.ci90)} for name, s in self.shrinkage.items()
             },
+            "why": list(self.why),
+            "size": self._sizes(),
             "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
             "findings": [f"{f.severity}: {f.subject}: {f.text}" for f in self.findings],
         }
+
+    def _sizes(self) -> dict[str, Any]:
+        """Numbers of the cause's effects: by effect, by number."""
+        numbers = self._candidate(self.decision.candidates[0])["parameters"]
+        return {
+            effect: {p.name: numbers[p.name] for p in EFFECTS[effect].parameters}
+            for effect in self.decision.cause
+        }
+
+    def __str__(self) -> str:
+        """The verdict card."""
+        return card_text(self.shown)
+
+    def _repr_html_(self) -> str:
+        """The verdict card in a notebook."""
+        return card_html(self.shown)
+
+    @cached_property
+    def shown(self) -> DiagnoseResult:
+        """As its result file would be read back."""
+        return diagnosis_from(Path("diagnosis"), json.loads(json_text(self.to_json())))
 
     def _candidate(self, candidate: Candidate) -> dict[str, Any]:
         found: dict[str, Any] = {
@@ -142,14 +173,17 @@ def diagnose(
     progress("shrinkage on data that no fit saw")
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     blind = _fitted_to(fitted, model)
+    moved = blind if model is found.recalibrated else _fitted_to(fitted, found.recalibrated)
     following = _next(decision, [*seen, *unseen], parameters, progress)
     return Diagnosis(
         parameters, decision, found, model, improved,
         tuple(_where(found, model, decision.verdict)),
         stage_of(decision, found, locate(found.recalibrated.problem, missing_term(found))),
         tuple(break_chain(found.recalibrated)),
-        shrinkage(unfitted, parameters, _believable(blind, decision, parameters), model),
-        (*seen, *unseen), tuple(fitted), tuple(unfitted),
+        shrinkage(
+            unfitted, parameters, moved.parameters, _believable(blind, decision, parameters), model
+        ),
+        (*seen, *unseen), tuple(fitted), tuple(unfitted), tuple(why(decision, found, model)),
         (*audit(parameters), *_missing([*seen, *unseen], parameters), *_inseparable(following)),
         following if following and following.settles else None,
     )

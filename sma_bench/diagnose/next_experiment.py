@@ -57,7 +57,8 @@ class NextExperiment:
     """A protocol that separates tied causes.
 
     Attributes:
-        why: what it is for; separates: the causes; protocol: as a protocol file holds it.
+        why: what it is for; separates: the causes; protocol: as a protocol file holds it;
+            minutes: that it takes.
         distance: by which any two of them differ at least, the one that can less refitted to the
             other [standard deviations].
         chance: that one of them is true and named after it.
@@ -68,6 +69,7 @@ class NextExperiment:
     protocol: dict[str, Any]
     distance: float
     chance: float
+    minutes: float
 
     @property
     def settles(self) -> bool:
@@ -77,8 +79,9 @@ class NextExperiment:
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
         return {
-            "why": self.why, "separates": list(self.separates), "protocol": self.protocol,
-            "distance": self.distance, "chance": self.chance,
+            "kind": "protocol", "why": self.why, "separates": list(self.separates),
+            "chance": self.chance, "minutes": self.minutes, "distance": self.distance,
+            "protocol": self.protocol,
         }
 
 
@@ -120,10 +123,15 @@ def _weighed(
 ) -> NextExperiment:
     """A protocol of the menu with what it would tell."""
     known = next(iter(fits.values())).problem
-    tellings = _tellings(fits, _planned(document, known, like, parameters))
+    planned = _planned(document, known, like, parameters)
+    tellings = _tellings(fits, planned)
+    grid = planned.observations[0].grid
     distance = min(max(tellings[a, b].distance, tellings[b, a].distance) for a, b in tellings)
     chance = chance_to_settle(candidates, tellings)
-    return NextExperiment(document["description"], tuple(fits), document, distance, chance)
+    minutes = float(grid[-1] - grid[0]) / 60.0
+    return NextExperiment(
+        document["description"], tuple(fits), document, distance, chance, minutes
+    )
 
 
 def _highest(observations: Sequence[Observation], parameters: Parameters) -> float:

@@ -27,13 +27,15 @@ _BETWEEN_DRIVES = 0.03  # standard deviation of the fraction from one drive to a
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """Root mean squares in the signal's unit over the samples of the held-out data.
+    """Root mean squares in the signal's unit over the samples of the held-out data: with the
+    parameters as believed, with the best ones of the model without an effect, with the effect.
 
     `fraction` of the gap beyond `noise_floor` that is gone; `ci90` its interval, from blocks of
     time drawn anew and the spread between drives.
     """
 
     rmse_before: float
+    rmse_recalibrated: float
     rmse_after: float
     fraction: float
     ci90: tuple[float, float]
@@ -41,24 +43,25 @@ class Shrinkage:
 
 
 def shrinkage(
-    observations: Sequence[Observation], nominal: Parameters, improved: Parameters, fitted: Fit
+    observations: Sequence[Observation], nominal: Parameters, recalibrated: Parameters,
+    improved: Parameters, fitted: Fit,
 ) -> dict[str, Shrinkage]:
     """Of every quantity that the held-out data have.
 
     Args:
         observations: held-out data; nominal: parameters as believed.
-        improved: parameters of a fit that has not seen these data; fitted: for the sensors' noise.
+        recalibrated, improved: of fits that have not seen these data, without and with effects.
+        fitted: for the sensors' noise.
     """
-    pairs: dict[str, list[tuple[Array, Array, float]]] = {}
+    found: dict[str, list[tuple[Array, Array, float]]] = {}
     for obs in observations:
-        before = obs.readings(obs.simulate(nominal))
-        after = obs.readings(obs.simulate(improved))
-        for signal, old, new in zip(obs.signals, before, after, strict=True):
+        models = [obs.readings(obs.simulate(p)) for p in (nominal, recalibrated, improved)]
+        for signal, *readings in zip(obs.signals, *models, strict=True):
             noise = fitted.problem.noise[signal.name]
-            pairs.setdefault(signal.quantity, []).append(
-                (*_blocks(signal, old, new, noise), _floor(signal, noise))
+            found.setdefault(signal.quantity, []).append(
+                (*_blocks(signal, readings, noise), _floor(signal, noise))
             )
-    return {quantity: _of(parts) for quantity, parts in pairs.items()}
+    return {quantity: _of(parts) for quantity, parts in found.items()}
 
 
 def _floor(signal: BinnedSignal, noise: Noise) -> float:
@@ -66,15 +69,17 @@ def _floor(signal: BinnedSignal, noise: Noise) -> float:
     return float(noise.white**2 * np.median(signal.count) + noise.drift**2)
 
 
-def _blocks(signal: BinnedSignal, old: Array, new: Array, noise: Noise) -> tuple[Array, Array]:
-    """(blocks,) sums of squares of samples before and after, and counts, as rows of 2 columns."""
+def _blocks(
+    signal: BinnedSignal, readings: Sequence[Array], noise: Noise
+) -> tuple[Array, Array]:
+    """(blocks, models) sums of squares of samples, and (blocks,) counts."""
     which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)
     _, which = np.unique(which, return_inverse=True)
     # A bin's mean hides most of its samples' white noise: it is added again.
     hidden = noise.white**2 * np.median(signal.count) * (signal.count - 1.0)
     rows = [
         np.bincount(which, signal.count * (signal.value - model) ** 2 + hidden)
-        for model in (old, new)
+        for model in readings
     ]
     counts = np.bincount(which, signal.count).astype(np.float64)
     return np.column_stack(rows).astype(np.float64), counts
@@ -91,9 +96,9 @@ def _of(parts: list[tuple[Array, Array, float]]) -> Shrinkage:
     spread = np.asarray(drawn) + _BETWEEN_DRIVES * random.standard_normal(_DRAWS)
     low, high = np.quantile(spread, [0.05, 0.95])
     total = float(counts.sum())
-    before, after = np.sqrt(squares.sum(axis=0) / total)
+    before, recalibrated, after = np.sqrt(squares.sum(axis=0) / total).tolist()
     return Shrinkage(
-        float(before), float(after), value,
+        before, recalibrated, after, value,
         (float(min(low, value)), float(min(max(high, value), 1.0))),
         float(np.sqrt((counts * floors).sum() / total)),
     )
@@ -102,7 +107,7 @@ def _of(parts: list[tuple[Array, Array, float]]) -> Shrinkage:
 def _fraction(squares: Array, counts: Array, floors: Array) -> float:
     total = counts.sum()
     noise = float((counts * floors).sum() / total)
-    before, after = squares.sum(axis=0) / total - noise
+    before, _, after = squares.sum(axis=0) / total - noise
     if before < _SMALLEST**2 * noise:
         return 0.0
     return float(1.0 - np.sqrt(max(after, 0.0) / before))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sma_bench import __version__
 from sma_bench.border import is_inside
+from sma_bench.cards import verdict_card
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME, TABLE
@@ -357,7 +358,6 @@ def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:
         The section and a sentence for the summary.
     """
     said = verdict(result)
-    following = [f"Next: {result.next_experiment}"] if result.next_experiment else []
     tables = [
         Table(t.header, t.rows, t.numeric, f"{name}_{t.name}", t.title)
         for t in result_tables(result)
@@ -366,7 +366,8 @@ def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:
     if result.chain:
         pictures.append(_chain_picture(result, f"{name}_chain"))
     section = Section(
-        f"Diagnosis {result.path}", [f"{said}.", *following], result.warnings, tables, pictures
+        f"Diagnosis {result.path}", result.why, result.warnings, tables, pictures,
+        verdict_card(result),
     )
     return section, said
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sma_bench.cards import verdict_card
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
 from sma_bench.diagnose.sizes import sample_noise
@@ -20,16 +21,14 @@ from sma_bench.report.diagnosis_figures import (
 )
 from sma_bench.report.diagnosis_words import (
     estimates,
-    headline,
     how_far,
     is_there_a_gap,
     what_next,
     where_is_it,
     which_effect,
-    with_error,
 )
 from sma_bench.report.page import Picture, Section, Table, write_report
-from sma_bench.results import in_print, scale_of
+from sma_bench.results import in_print, scale_of, with_error
 
 _LEAST_SHOWN = 0.005
 
@@ -50,10 +49,10 @@ def write_diagnosis_report(
         Section(f"{k}. {s.title}", s.paragraphs, s.notes, s.tables, s.pictures)
         for k, s in enumerate(sections, 1)
     ]
+    answer = Section("The answer", card=verdict_card(result.shown))
     sources = "; ".join(dict.fromkeys(v.path for v in result.observations))
     title = "The gap between simulation and bench"
-    summary = f"{headline(result)} From {sources}."
-    return write_report(directory, title, summary, numbered, report=report)
+    return write_report(directory, title, f"From {sources}.", [answer, *numbered], report=report)
 
 
 def _gap(result: Diagnosis) -> Section:

@@ -6,37 +6,25 @@ from typing import NamedTuple
 import numpy as np
 
 from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.argument import cell_in_words, percent
 from sma_bench.diagnose.chain import reading_of
-from sma_bench.diagnose.decision import (
-    FLEXIBLE,
-    LEFT_OUTLIER,
-    LEFT_RATIO,
-    NO_GAP,
-    RECALIBRATION,
-    UNEXPLAINED,
-    Candidate,
-)
+from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate
 from sma_bench.diagnose.shrinkage import Shrinkage
-from sma_bench.diagnose.sizes import Cell
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.results import DiagnoseResult, in_print
+from sma_bench.results import DiagnoseResult, in_print, with_error
 
 _AT_NOISE = 1.05  # rms of the error over the noise of a sample
-_PHASES = {
-    "initial": "before the first drive", "drive": "while a wire is driven",
-    "rest": "at rest after a drive",
-}
 
 
 def headline(result: Diagnosis) -> str:
     """The verdict in one sentence."""
     first = result.decision.candidates[0]
-    sure = f" (probability {_percent(first.probability)})"
+    sure = f" (probability {percent(first.probability)})"
     if result.decision.verdict == "effect":
         return f"The gap is explained by {_and(result.decision.cause)}{sure}."
     if result.decision.verdict == "ambiguous":
-        tied = ", ".join(f"{c.name} ({_percent(c.probability)})" for c in result.decision.credible)
+        tied = ", ".join(f"{c.name} ({percent(c.probability)})" for c in result.decision.credible)
         return f"The records cannot separate these: {tied}."
     return {
         RECALIBRATION: f"The parameters are off; no effect is missing{sure}.",
@@ -76,8 +64,8 @@ def where_is_it(result: Diagnosis) -> list[str]:
     if result.decision.verdict == UNEXPLAINED:
         missing = result.where[0]
         return [
-            f"What is missing is largest in {_cell(missing)}: {missing.gap:.2g} times the noise, "
-            f"{in_print(missing.signal, missing.rms)} rms. It is most likely of the "
+            f"What is missing is largest in {cell_in_words(missing)}: {missing.gap:.2g} times the "
+            f"noise, {in_print(missing.signal, missing.rms)} rms. It is most likely of the "
             f"{result.stage} stage."
         ]
     top = result.where[0]
@@ -87,12 +75,12 @@ def where_is_it(result: Diagnosis) -> list[str]:
         else "what recalibration changes in the readings"
     )
     said = [
-        f"{_percent(top.share)} of {subject} lies in {_cell(top)}: "
+        f"{percent(top.share)} of {subject} lies in {cell_in_words(top)}: "
         f"{top.gap:.2g} times the noise, {in_print(top.signal, top.rms)} rms."
     ]
     if named:
         stages: list[str] = list(dict.fromkeys(EFFECTS[n].stage for n in named))
-        sure = " and ".join(f"{s} ({_percent(stage_probability(result, s))})" for s in stages)
+        sure = " and ".join(f"{s} ({percent(stage_probability(result, s))})" for s in stages)
         said.append(
             f"The chain breaks at this stage: {sure}. All signals are fitted together, so what an "
             "upstream signal explains is not counted again downstream."
@@ -106,10 +94,7 @@ def which_effect(result: Diagnosis) -> list[str]:
     said = [headline(result)]
     for name in result.decision.cause:
         said.append(f"{name} ({EFFECTS[name].stage}) shows like this: {EFFECTS[name].shows}.")
-    said += _numbers(result)
-    said += _rivals(result)
-    said.append(_left_over(result))
-    return said
+    return [*said, *_numbers(result), *result.why]
 
 
 def how_far(result: Diagnosis) -> list[str]:
@@ -123,7 +108,7 @@ def how_far(result: Diagnosis) -> list[str]:
         said.append(
             f"On data that the fit had not seen, the {quantity}'s error goes from "
             f"{in_print(quantity, s.rmse_before)} to {in_print(quantity, s.rmse_after)} rms "
-            f"(noise {in_print(quantity, s.noise_floor)}): {_percent(s.fraction)} of the gap "
+            f"(noise {in_print(quantity, s.noise_floor)}): {percent(s.fraction)} of the gap "
             f"beyond the noise is gone, 90 % interval {100 * low:.0f} to {100 * high:.0f} %."
         )
     return said
@@ -180,75 +165,11 @@ def estimates(candidate: Candidate) -> list[str]:
     ]
 
 
-def with_error(value: float, std: float) -> str:
-    """`value ± std`, the value to the decimals that the error leaves it."""
-    if not np.isfinite(std) or std <= 0.0:
-        return f"{value:.4g}"
-    size = max(abs(value), std)
-    digits = int(np.clip(np.floor(np.log10(size)) - np.floor(np.log10(std)) + 2, 2, 8))
-    return f"{value:.{digits}g} ± {std:.2g}"
-
-
 def _numbers(result: Diagnosis) -> list[str]:
     return [
         "Estimate: " + "; ".join(estimates(c)) + "."
         for c in result.decision.candidates[:1] if c.effects
     ]
-
-
-def _rivals(result: Diagnosis) -> list[str]:
-    first, *others = result.decision.candidates
-    if not first.effects:
-        ranked = result.search.ranked
-        if not ranked:
-            return []
-        gain = result.search.gain(ranked[0])
-        return [
-            f"The effect that would explain most is {ranked[0]}, with a log evidence of "
-            f"{gain:+.1f} nats over recalibration."
-        ]
-    second = others[0]
-    said = f"Its log evidence is {first.gain:+.1f} nats over moving the parameters alone."
-    if second.effects:
-        said += (
-            f" Next is {second.name} with {second.gain:+.1f} nats (probability "
-            f"{_percent(second.probability)})."
-        )
-    return [said]
-
-
-def _left_over(result: Diagnosis) -> str:
-    search = result.search
-    if result.model.unknowns.effects:
-        left, gain, what = search.left_by_best, search.beyond.gain, "the best model"
-    else:
-        left, gain, what = search.left, search.flexible.gain, "recalibration"
-    signs = []
-    if left.ratio > LEFT_RATIO:
-        signs.append(
-            f"{left.signal} scatters more while the bench moves than while it rests "
-            f"({left.ratio:.1f} standard deviations)"
-        )
-    if left.outlier > LEFT_OUTLIER:
-        signs.append(f"a single event stands out by {left.outlier:.1f} standard deviations")
-    if gain > FLEXIBLE:
-        signs.append(f"a smooth response of free form would gain {gain:.1f} nats")
-    if not signs:
-        return (
-            f"What {what} leaves looks like noise: it does not know when the bench moves, no "
-            "single event stands out, and a smooth response of free form (to drive, temperature, "
-            f"bending and time) would gain {gain:.1f} nats only."
-        )
-    return f"What {what} leaves is not noise alone: {'; '.join(signs)}."
-
-
-def _cell(cell: Cell) -> str:
-    name = cell.signal
-    phase = _PHASES[cell.phase]
-    if name == "deflection":
-        return f"the deflection {phase}, {cell.side} side driven last"
-    channel, _, quantity = name.rpartition(".")
-    return f"the {quantity} of {channel} ({cell.side} side) {phase}"
 
 
 def _sentence(text: str) -> str:
@@ -257,14 +178,6 @@ def _sentence(text: str) -> str:
 
 def _and(names: Iterable[str]) -> str:
     return " and ".join(names)
-
-
-def _percent(share: float) -> str:
-    if 0.0 < share < 0.005:
-        return "below 1 %"
-    if 0.995 < share < 1.0:
-        return "above 99 %"
-    return f"{100.0 * share:.0f} %"
 
 
 # --- The tables of a result, the same on a terminal and on a page.

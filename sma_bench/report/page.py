@@ -13,6 +13,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from sma_bench.border import csv_cell, printable, read_bytes, write_files
+from sma_bench.cards import Card
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.report.drawing import curves_of, policy, script
@@ -61,6 +62,12 @@ caption { font-weight: 600; padding: .8rem 0 .3rem; text-align: left; }
 figure { margin: 1.5rem 0; } figcaption { font-size: .9rem; opacity: .85; }
 figure img { background: #fff; border-radius: 6px; display: block; height: auto; max-width: 100%; }
 .note { background: var(--soft); border-left: 4px solid var(--accent); padding: .5rem 1rem; }
+.card { background: var(--soft); border-left: 6px solid var(--accent); padding: .5rem 1rem; }
+.card p { font-size: 1.15rem; margin: .3rem 0; }
+.card dl {
+  display: grid; gap: .2rem 1rem; grid-template-columns: max-content 1fr; margin: .5rem 0;
+}
+.card dt { font-weight: 600; } .card dt + dd { margin: 0; }
 .view canvas { display: block; height: 10rem; touch-action: pan-y; width: 100%; }
 .view .legend { display: flex; flex-wrap: wrap; font-size: .85rem; gap: 0 1rem; }
 .view .swatch {
@@ -99,6 +106,11 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 <p>{{ summary }}</p>
 {% for section in sections %}
 <h2>{{ section.title }}</h2>
+{% if section.card %}<div class="card"><p><strong>{{ section.card.title }}</strong></p>
+<dl>{% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ text }}</dd>
+{% endfor %}</dl>
+</div>
+{% endif %}
 {% for paragraph in section.paragraphs %}<p>{{ paragraph }}</p>
 {% endfor %}
 {% for note in section.notes %}<p class="note">{{ note }}</p>
@@ -180,13 +192,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """One heading with what stands below it, in this order."""
+    """One heading with what stands below it, in this order; a card first."""
 
     title: str
     paragraphs: Sequence[str] = ()
     notes: Sequence[str] = ()
     tables: Sequence[Table] = ()
     pictures: Sequence[Picture] = field(default_factory=tuple)
+    card: Card | None = None
 
 
 def write_report(

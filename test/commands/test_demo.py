@@ -155,7 +155,9 @@ def answer(*probabilities, cause=(), verdict="effect", **parameters):
             for k, (name, p) in enumerate(probabilities)
         ],
         "where": {"signal": "deflection", "phase": "drive", "side": "front",
-                  "stage": "mechanical", "table": []},
+                  "stage": "mechanical",
+                  "table": [{"signal": "deflection", "phase": "drive", "side": "front",
+                             "gap": 30.0, "share": 0.6, "rms": 3e-3}]},
         "shrinkage": {
             "deflection": {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4,
                            "fraction": 0.94, "ci90": [0.9, 0.97]},
@@ -212,10 +214,10 @@ def test_the_argument_is_printed_whole_on_a_narrow_terminal():
     said = answer(("slack", 0.98), ("ambient_drift", 0.002), cause=["slack"])
     print_argument(console, said)
     printed = console.file.getvalue()
-    assert "explained by slack" in printed
-    assert "deflection, drive, front side, mechanical stage" in printed
+    assert "slack explains the gap (probability 98 %)" in printed
+    assert "deflection while driven, front side" in printed and "(mechanical stage)" in printed
     assert "0.980" in printed and "ambient_drift" not in printed
-    assert "94 %" in printed and "90 to 97 %" in printed
+    assert "94 % [90, 97] of the gap gone" in " ".join(printed.split())
 
 
 @pytest.mark.slow
@@ -245,7 +247,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     assert hidden_effect(hidden) == "slack"
     assert (found.verdict, found.cause) == ("effect", ("slack",))
     verdict, _, truth_told = printed.partition("The truth, from")
-    assert "explained by slack" in " ".join(verdict.split())
+    assert "slack explains the gap" in " ".join(verdict.split())
     assert "The bench hid" not in verdict
     assert "The bench hid slack (mechanical)" in truth_told and ": right." in truth_told
     assert (out / "simulated_gap" / "report" / "index.html").stat().st_size > 100_000

@@ -33,7 +33,7 @@ def test_a_diagnosis_prints_the_argument_and_writes_every_file(lab, tmp_path, ca
         ])
     out = capsys.readouterr().out
     assert status == 0
-    assert out.startswith("effect: The gap is explained by supply_drop (probability ")
+    assert out.startswith("supply_drop explains the gap (probability ")
     assert "…" not in out
     assert f"report {files['page'] / 'index.html'}" in out
     found = json.loads(files["gap.json"].read_text())

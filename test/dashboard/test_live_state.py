@@ -106,11 +106,15 @@ def diagnosis(**changes):
 
 def test_the_last_diagnosis_is_its_verdict_candidates_and_shrinkage():
     said = diagnosis_summary(diagnosis())
-    assert said["verdict"] == "The gap is explained by side_heat_coupling."
+    assert said["verdict"] == "side_heat_coupling explains the gap (probability 93 %)"
     assert said["candidates"] == [{"name": "side_heat_coupling", "probability": 0.93}]
-    assert said["lines"] == [
-        "deflection: error 1.2 mm rms before, 0.2 mm after, noise 0.1 mm", "drive one side",
-    ]  # fmt: skip
+    cause, error, following = said["lines"]
+    assert cause.startswith("cause: side_heat_coupling: ") and "(thermal stage)" in cause
+    assert error == (
+        "error: deflection 1.2 mm as believed -> 0.2 mm with the effect, noise 0.1 mm: 90 % "
+        "[80, 95] of the gap gone"
+    )
+    assert following == "next: drive one side"
 
 
 @pytest.mark.parametrize(

@@ -82,4 +82,4 @@ def test_freedom_alone_settles_nothing_where_neither_would_be_seen():
 
 @pytest.mark.parametrize("chance, settles", [(0.9, True), (WORTH, True), (0.3, False)])
 def test_only_what_settles_the_matter_is_worth_the_bench_s_time(chance, settles):
-    assert NextExperiment("", BOTH, {}, 8.0, chance).settles is settles
+    assert NextExperiment("", BOTH, {}, 8.0, chance, 1.0).settles is settles

@@ -53,7 +53,8 @@ def judged(result, verdict):
 
 def test_the_page_makes_the_argument_in_order(page):
     _, text = page
-    headings = re.findall(r"<h2>(.*?)</h2>", text)
+    answer, *headings = re.findall(r"<h2>(.*?)</h2>", text)
+    assert answer == "The answer"
     assert [h[3:] for h in headings] == [
         "Is there a gap beyond the noise?", "Where is it?", "Which effect, and how sure?",
         "How far does it shrink?", "What next?", "What was looked at",
@@ -163,7 +164,7 @@ def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
 def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
     assert next_experiment_picture(planted_diagnosis, believed()) is None
     proposed = NextExperiment(
-        "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 9.0, 0.8
+        "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 9.0, 0.8, 0.25
     )
     result = replace(planted_diagnosis, next_experiment=proposed)
     assert what_next(result) == ["A long rest separates them."]

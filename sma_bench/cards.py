@@ -1,0 +1,209 @@
+"""The answer of a diagnosis on one card: the same on a terminal, a page and in a notebook.
+
+Made from the result file alone, so that a stored answer shows what a fresh one does.
+"""
+
+import html
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from sma_bench.border import printable
+from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.results import (
+    NO_GAP,
+    DiagnoseResult,
+    Number,
+    Proposed,
+    Shown,
+    Shrunk,
+    in_print,
+    with_error,
+)
+
+_LEAST_NAMED = 0.02  # probability
+_AT_NOISE = 1.05  # rms of the error over the noise of a sample
+_WIDTH = 96
+_PHASES = {"initial": "before the first drive", "drive": "while driven", "rest": "at rest"}
+
+
+class Card(NamedTuple):
+    """The verdict in one line, and rows of a label ("" for that of the row above) and a text."""
+
+    title: str
+    rows: tuple[tuple[str, str], ...]
+
+
+def verdict_card(result: DiagnoseResult) -> Card:
+    """Cause, place, error on unseen data, rivals, and what to type next."""
+    rows = [
+        *(("cause", line) for line in _causes(result)),
+        ("moved", _moved(result)),
+        ("where", _where(result)),
+        *(("error", line) for line in _errors(result)),
+        ("rivals", _rivals(result)),
+        ("left", _remainder(result)),
+        ("next", _next(result)),
+    ]
+    said = [(label, text) for label, text in rows if text]
+    above = ["", *(label for label, _ in said)]
+    return Card(
+        _title(result),
+        tuple(("" if label == a else label, t) for a, (label, t) in zip(above, said, strict=False)),
+    )
+
+
+def card_text(result: DiagnoseResult) -> str:
+    """The card as lines for a terminal, folded, labels once."""
+    card = verdict_card(result)
+    lines = textwrap.wrap(printable(card.title), _WIDTH)
+    for label, text in card.rows:
+        lines += textwrap.wrap(
+            printable(text), _WIDTH, initial_indent=f"{label:8}", subsequent_indent=" " * 8,
+            break_on_hyphens=False,
+        )
+    return "\n".join(lines)
+
+
+def card_html(result: DiagnoseResult) -> str:
+    """The card as a table, every text escaped."""
+    card = verdict_card(result)
+    rows = "".join(
+        f"<tr><th>{label}</th><td>{html.escape(text)}</td></tr>" for label, text in card.rows
+    )
+    title = html.escape(card.title)
+    return f'<div class="card"><p><strong>{title}</strong></p><table>{rows}</table></div>'
+
+
+def _title(result: DiagnoseResult) -> str:
+    if result.verdict == "ambiguous":
+        return f"not settled by these records: {_named(result.candidates)}"
+    verb = "explains" if len(result.cause) == 1 else "explain"
+    said = {
+        "effect": f"{' and '.join(result.cause)} {verb} the gap",
+        "recalibration": "no effect is missing, the parameters are off",
+        NO_GAP: "no gap beyond the noise",
+    }.get(result.verdict, "a gap that no known effect explains")
+    sure = [f" (probability {_percent(c.probability)})" for c in result.candidates[:1]]
+    return "".join([said, *sure])
+
+
+def _causes(result: DiagnoseResult) -> list[str]:
+    """An effect in plain words, its size and the stage where it acts."""
+    numbers = [n for c in result.candidates[:1] for n in c.numbers]
+    return [f"{name}: {_plain(name)} {_size(name, numbers)}".rstrip() for name in result.cause]
+
+
+def _plain(name: str) -> str:
+    effect = EFFECTS.get(name)
+    if effect is None:
+        return ""
+    title = effect.text.strip().partition("\n")[0].rstrip(".")
+    return f"{title[:1].lower()}{title[1:]} ({effect.stage} stage)."
+
+
+def _size(name: str, numbers: Sequence[Number]) -> str:
+    own = [n for n in numbers if n.name.startswith(f"effect.{name}.")]
+    return ", ".join(f"{n.name.rpartition('.')[2]} {_number(n)}" for n in own)
+
+
+def _number(number: Number) -> str:
+    unit = "" if number.unit == "1" else number.unit
+    return f"{with_error(number.value, number.std)} {unit}".strip()
+
+
+def _moved(result: DiagnoseResult) -> str:
+    """Parameters that are surprisingly far off; of a recalibration, that none is, too."""
+    off = next((w for w in result.why if w.startswith("It needs parameters off")), "")
+    if off or result.verdict != "recalibration":
+        return off
+    return next((w for w in result.why if w.startswith("It needs no parameter")), "")
+
+
+def _where(result: DiagnoseResult) -> str:
+    if result.verdict == NO_GAP or not result.where:
+        return ""
+    signal, phase, side, gap, share, rms = result.where[0]
+    place = f"{signal} {_PHASES.get(phase, phase)}, {side} side"
+    size = f"{in_print(signal, rms)} rms, {gap:.3g} times the noise of a reading"
+    return f"{place}: {_percent(share)} of it ({size})"
+
+
+def _errors(result: DiagnoseResult) -> list[str]:
+    """A line a quantity on data that no fit saw, the worst first."""
+    return [_error(s, result) for s in sorted(result.shrinkage, key=_times, reverse=True)]
+
+
+def _times(shrunk: Shrunk) -> float:
+    times = shrunk.before / shrunk.noise if shrunk.noise > 0.0 else math.nan
+    return times if math.isfinite(times) else 0.0
+
+
+def _error(s: Shrunk, result: DiagnoseResult) -> str:
+    if _times(s) < _AT_NOISE:
+        return f"{s.quantity} within its noise as believed ({in_print(s.quantity, s.noise)})"
+    steps = [f"{in_print(s.quantity, s.before)} as believed"]
+    if math.isfinite(s.recalibrated) and result.verdict not in ("recalibration", NO_GAP):
+        steps.append(f"{in_print(s.quantity, s.recalibrated)} recalibrated")
+    if result.verdict != NO_GAP:
+        with_it = "recalibrated" if result.verdict == "recalibration" else "with the best model"
+        with_it = "with the effect" if result.verdict == "effect" else with_it
+        steps.append(f"{in_print(s.quantity, s.after)} {with_it}")
+    said = f"{s.quantity} {' -> '.join(steps)}, noise {in_print(s.quantity, s.noise)}"
+    if result.verdict == NO_GAP or not math.isfinite(s.fraction):
+        return said
+    low, high = s.ci90
+    between = f" [{100 * low:.0f}, {100 * high:.0f}]" if math.isfinite(low) else ""
+    return f"{said}: {_percent(s.fraction)}{between} of the gap gone"
+
+
+def _rivals(result: DiagnoseResult) -> str:
+    difference = next((w for w in result.why if "differ most" in w), "")
+    close = _named(result.candidates[1:])
+    if not close or result.verdict == "ambiguous":
+        return difference
+    return ". ".join(part for part in (close, difference) if part)
+
+
+def _remainder(result: DiagnoseResult) -> str:
+    """What keeps another cause alive, where it is more than nothing."""
+    return next((w for w in result.why if w.startswith("That something else")), "")
+
+
+def _next(result: DiagnoseResult) -> str:
+    if result.next_experiment is not None:
+        return _proposal(result.next_experiment)
+    return {
+        "effect": "the same command with --out improved.yaml, then sma-bench simulate --params "
+                  "improved.yaml --protocol triangle --out simulated",
+        "recalibration": "the same command with --out improved.yaml; load that file in every node",
+        NO_GAP: "nothing to correct; a stronger or longer drive may show more",
+        "ambiguous": "no protocol within the voltage that the bench has stood would settle it: see "
+                     "the remarks",
+    }.get(result.verdict, "the same command with --report page draws the shape of what is missing")
+
+
+def _proposal(proposed: Proposed) -> str:
+    if not proposed.separates:
+        return proposed.why
+    name = f"record {proposed.name} " if proposed.name else "record "
+    minutes = f"({proposed.minutes:.1f} min) " if math.isfinite(proposed.minutes) else ""
+    chance = (
+        f"; it settles the matter with a probability of {_percent(proposed.chance)}"
+        if math.isfinite(proposed.chance) else ""
+    )
+    return f"{name}{minutes}to separate {', '.join(proposed.separates)}{chance}"
+
+
+def _named(candidates: Sequence[Shown]) -> str:
+    close = [c for c in candidates if c.probability >= _LEAST_NAMED]
+    return ", ".join(f"{c.name} ({_percent(c.probability)})" for c in close)
+
+
+def _percent(share: float) -> str:
+    if 0.0 < share < 0.005:
+        return "below 1 %"
+    if 0.995 < share < 1.0:
+        return "above 99 %"
+    return f"{100.0 * share:.0f} %"
