@@ -1,4 +1,4 @@
-"""Records as the rivals use them, and their least squares with a few simulations."""
+"""Records as the rivals use them, and least squares with a few simulations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -193,12 +193,12 @@ def _held_over_bins(time: Array, volts: Array, edges: Array) -> Array:
     return np.asarray(np.vstack([mean, mean[-1:]]), dtype=np.float64)
 
 
-# --- Bounded least squares with a few simulations: Levenberg and Marquardt on finite differences.
+# --- Least squares (scipy's) over some numbers, with finite differences and few simulations.
 
 _STEP = 0.05  # of a finite difference, in scales
 _ROUNDS = 5
+_TRIALS = 2  # a round
 _ENOUGH = 1e-4  # relative gain below which a fit is done
-_DAMPING, _CALMER, _BOLDER, _TRIALS = 1e-4, 10.0, 0.1, 5
 _BACK, _FRONT = "composite.stress_per_deflection_back", "composite.stress_per_deflection_front"
 
 # The numbers of the baseline that may be off. The area acts only together with h, the mass only
@@ -302,13 +302,14 @@ def jacobian(
     Args:
         here: the residuals at `parameters`.
     """
-    columns = []
+    columns = [np.zeros((len(here), 0))]
     for k, knob in enumerate(knobs):
         step = _STEP if parameters[knob.names[0]] + _STEP * knob.scale <= knob.limits[1] else -_STEP
         steps = np.zeros(len(knobs))
         steps[k] = step
-        columns.append((whitened(observed, moved(parameters, knobs, steps)) - here) / step)
-    return np.column_stack(columns)
+        there = whitened(observed, moved(parameters, knobs, steps))
+        columns.append(((there - here) / step)[:, np.newaxis])
+    return np.hstack(columns)
 
 
 def fit(
@@ -324,20 +325,24 @@ def fit(
         observed: records; start: where the knobs stand at first.
         slow: knobs that are fitted too, with their slope at the start, which is kept.
     """
-    parameters, here = start, whitened(observed, start)
-    square, slope = float(here @ here), slow or Slope((), np.zeros((len(here), 0)))
-    every, damping = (*knobs, *slope.knobs), _DAMPING
-    for _ in range(rounds):
-        fast = jacobian(observed, parameters, knobs, here) if knobs else slope.columns[:, :0]
-        columns = np.hstack([fast, slope.columns])
-        found = _step(observed, parameters, every, columns, here, damping)
-        if found is None:
-            break
-        parameters, here, damping = found
-        gain, square = 1.0 - float(here @ here) / square, float(here @ here)
-        if gain < _ENOUGH:
-            break
-    return Fit(parameters, square, every)
+    from scipy.optimize import least_squares  # half a second to load
+
+    kept = slow or Slope((), np.zeros((sum(len(r.at) for o in observed for r in o.readings), 0)))
+    every = (*knobs, *kept.knobs)
+    def residual(steps: Array) -> Array:
+        return whitened(observed, moved(start, every, steps))
+
+    def slopes(steps: Array) -> Array:
+        here = moved(start, every, steps)
+        fast = jacobian(observed, here, knobs, residual(steps))
+        return np.hstack([fast, kept.columns])
+
+    # MINPACK's knows no bounds, but `moved` keeps to them.
+    found = least_squares(
+        residual, np.zeros(len(every)), slopes, method="lm", x_scale="jac", ftol=_ENOUGH,
+        max_nfev=_TRIALS * rounds,
+    )
+    return Fit(moved(start, every, found.x), 2.0 * float(found.cost), every)
 
 
 def slope_at(
@@ -345,24 +350,3 @@ def slope_at(
 ) -> Slope:
     """Slope of some knobs at a point whose residuals are `here`."""
     return Slope(tuple(knobs), jacobian(observed, parameters, knobs, here))
-
-
-def _step(
-    observed: Sequence[Observed],
-    parameters: Parameters,
-    knobs: Sequence[Knob],
-    slope: Array,
-    here: Array,
-    damping: float,
-) -> tuple[Parameters, Array, float] | None:
-    """The least damped step that makes the residuals smaller, these, and the damping to begin
-    the next one with (Marquardt's rule); None if no step does."""
-    normal, gradient = slope.T @ slope, slope.T @ here
-    scale = np.diag(np.diag(normal) + 1e-9 * np.trace(normal) + 1e-12)
-    for _ in range(_TRIALS):
-        trial = moved(parameters, knobs, -np.linalg.solve(normal + damping * scale, gradient))
-        there = whitened(observed, trial)
-        if float(there @ there) < float(here @ here):
-            return trial, there, damping * _BOLDER
-        damping *= _CALMER
-    return None
