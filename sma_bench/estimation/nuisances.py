@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.observation import JUMP_STD, BinnedSignal, Observation
 from sma_bench.estimation.threads import in_threads
 from sma_bench.parameters import Parameters
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
+_LAST = 0.49  # of the time between two samples
 UNITS = {"current": "A", "temperature": "K", "deflection": "m", "elongation": "m", "force": "N"}
 
 
@@ -31,10 +32,12 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
-    """Those of one record: (n, q) `columns` on its rows, one signal after the other."""
+    """Those of one record: (n, q) `columns` on its rows, one signal after the other; linear about
+    the values `about` (q,)."""
 
     items: tuple[Nuisance, ...]
     columns: Array
+    about: Array | float = 0.0
 
     @classmethod
     def none(cls, observation: Observation) -> "Nuisances":
@@ -52,6 +55,20 @@ def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
     )
     columns = [signals[k].sensor.zero_std * (rows == k) for k in own]
     return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
+
+
+def moved_to(observation: Observation, own: Nuisances, z: Array) -> tuple[Observation, Array]:
+    """The record with its jumps and stamps where a fit has found them, which no straight line goes
+    to from where they were; and these values, 0 for what is linear."""
+    kept = np.array([item.kind in (JUMP, DELAY) for item in own.items], dtype=bool) * z
+    of_jumps = [at for at, item in zip(kept, own.items, strict=True) if item.kind == JUMP]
+    place = np.clip(JUMP_STD * np.array(of_jumps), -_LAST, _LAST)
+    delays = {
+        item.subject: float(at * item.std)
+        for at, item in zip(kept, own.items, strict=True) if item.kind == DELAY
+    }
+    kept[[item.kind == JUMP for item in own.items]] = place / JUMP_STD
+    return observation.moved(place, delays), kept
 
 
 def nuisances_about(

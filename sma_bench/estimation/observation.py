@@ -4,8 +4,8 @@ Each bin of each signal is a row of an averaging matrix on what the simulation d
 loads or clamps of a load frame are boundaries of the simulation, on the same grid.
 """
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -36,6 +36,7 @@ _LONG_CELL = 0.1
 _FINE_CELL, _FINE_SPAN = 0.0075, 0.45
 _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
 _FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
+_FAR_APART = 0.03  # s, samples between which a jump needs more than a cell
 _NARROW = 1e-3  # s
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
@@ -48,6 +49,7 @@ _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
 _FEWEST_SAMPLES = 20
 _DRIVEN = 0.02  # of the largest voltage
+JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
 
@@ -89,6 +91,7 @@ class BinnedSignal:
         noise: white noise of a bin of the usual count, from sample to sample.
         average: (b, n) from a course on the simulation's grid to bins; for a current from
             conductance to current.
+        sensor: what is known of its sensor.
     """
 
     name: str
@@ -100,11 +103,7 @@ class BinnedSignal:
     period: float
     noise: float
     average: csr_array
-
-    @property
-    def sensor(self) -> Sensor:
-        """What is known of its sensor."""
-        return SENSORS[self.quantity]
+    sensor: Sensor
 
     @property
     def usual_drift(self) -> float:
@@ -129,6 +128,7 @@ class Observation:
         grid: (n,) s; voltage: (n, w) V held over each cell; drive: the voltages as read.
         left_out: what the record holds that is not compared.
         holds: what a load frame did, empty for the composite and a bare wire.
+        place: (e,) of the jumps between their two samples; delays: s, by quantity, of stamps.
     """
 
     path: str
@@ -140,6 +140,13 @@ class Observation:
     signals: tuple[BinnedSignal, ...]
     left_out: tuple[str, ...]
     holds: tuple[Hold, ...] = ()
+    place: Array | float = 0.0
+    delays: Mapping[str, float] = field(default_factory=dict)
+
+    def moved(self, place: Array, delays: Mapping[str, float]) -> "Observation":
+        """The same record, its jumps and stamps elsewhere."""
+        volts = self.drive.on_grid(self.grid, place)
+        return replace(self, voltage=volts, place=place, delays=delays)
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -192,6 +199,11 @@ class Observation:
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
         """(n,) on the grid: what the signal averages; the conductance for a current."""
+        course = self._course(signal, simulation)
+        delay = self.delays.get(signal.quantity, 0.0)
+        return np.interp(self.grid - delay, self.grid, course) if delay else course
+
+    def _course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
         wire = signal.wire
         if signal.quantity == "deflection":
             return simulation.deflection_reading
@@ -230,14 +242,14 @@ class Observation:
     def jumps(self) -> list[Array]:
         """Voltages (n, w) with one jump's moment moved by a standard deviation, one a jump."""
         count = len(self.drive.early)
-        moved = np.eye(count) / np.sqrt(12.0)
+        moved = self.place + JUMP_STD * np.eye(count)
         return [self.drive.on_grid(self.grid, place) for place in moved]
 
     @cached_property
     def levels(self) -> list[Array]:
         """Voltages (n, w) with one held level moved by a standard deviation, one a level of which
         the converter's steps hide something."""
-        place = np.zeros(len(self.drive.early))
+        place = self.place + np.zeros(len(self.drive.early))
         return [
             self.drive.on_grid(self.grid, place, error) for error in self.drive.level_errors()
         ]
@@ -246,7 +258,7 @@ class Observation:
     def lines(self) -> list[Array]:
         """Voltages (n, w) with the mean or the slope of one straight stretch moved by a standard
         deviation of the voltmeter's noise."""
-        place = np.zeros(len(self.drive.early))
+        place = self.place + np.zeros(len(self.drive.early))
         return [self.drive.on_grid(self.grid, place, e) for e in self.drive.line_errors()]
 
     @property
@@ -303,10 +315,12 @@ class Rig:
     measured: tuple[Measured, ...]
 
 
-def shared_bin(records: Sequence[Record], parameters: Parameters) -> float:
+def shared_bin(
+    records: Sequence[Record], parameters: Parameters, shortest: float = _BIN
+) -> float:
     """Shortest bin [s] that suits every signal of all records: noise is that of a bin."""
     measured = [m for record in records for m in find_rig(record, parameters).measured]
-    return max([_BIN, *(_own_bin(m) for m in measured)])
+    return max([shortest, *(_own_bin(m) for m in measured)])
 
 
 def observe(
@@ -469,10 +483,17 @@ def _grid(rig: Rig, finest: float) -> Array:
     jumps = jumps[(jumps > start) & (jumps < even[-1])]
     after = np.add.outer(rig.voltage.late, fine).ravel()
     others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
+    others = np.concatenate([others, *map(_within, rig.voltage.early, rig.voltage.late)])
     near = _to_the_nearest(jumps, others)
     near[others <= start] = np.inf
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     return grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
+
+
+def _within(early: float, late: float) -> Array:
+    """Points between two samples far apart: heat before a jump has cooled off after it."""
+    cells = int((late - early) / _FINE_CELL) if _FAR_APART < late - early < _LONG_CELL else 1
+    return np.linspace(early, late, cells + 1)[1:-1]
 
 
 def _to_the_nearest(jumps: Array, points: Array) -> Array:
@@ -509,12 +530,13 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     time, value = measured.time, measured.values
     kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
     bins = len(kept)
-    least = SENSORS[measured.quantity].least
-    noise = max(least, noise_floor(value) / float(np.sqrt(np.median(count))))
+    sensor = SENSORS[measured.quantity]
+    noise = max(sensor.least, noise_floor(value) / float(np.sqrt(np.median(count))))
     return BinnedSignal(
         measured.name, measured.quantity, measured.wire,
         np.bincount(which, time, bins) / count, np.bincount(which, value, bins) / count,
         count.astype(np.float64), period, noise, _averaging(measured, rig, grid, which, count),
+        sensor,
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
-from sma_bench.estimation.nuisances import Nuisances, nuisances_about
+from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns
@@ -66,6 +66,17 @@ class Problem:
         )
         return replace(self, nuisances=found)
 
+    def moved(self, parameters: Parameters, z: Array) -> Self:
+        """Nuisances about where a fit has found them (q,) and the model at its parameters."""
+        observations, nuisances, first = [], [], 0
+        for observation, own in zip(self.observations, self.nuisances, strict=True):
+            there, about = moved_to(observation, own, z[first : first + len(own.items)])
+            first += len(own.items)
+            found = nuisances_about(there, parameters, self.voltage_noise)
+            observations.append(there)
+            nuisances.append(replace(found, about=about))
+        return replace(self, observations=tuple(observations), nuisances=tuple(nuisances))
+
     def with_noise(self, residual: Array) -> Self:
         """Noise estimated anew from a residual (n,)."""
         found: dict[str, Noise] = {}
@@ -107,8 +118,10 @@ class Problem:
 
     @cached_property
     def measured(self) -> Array:
-        """(n,) values."""
-        return np.concatenate([block.signal.value for block in self.blocks])
+        """(n,) values, as if the nuisances were linear from 0."""
+        about = np.concatenate([own.about + np.zeros(len(own.items)) for own in self.nuisances])
+        values = np.concatenate([block.signal.value for block in self.blocks])
+        return values + self.nuisance_rows @ about if about.any() else values
 
     def predict(self, parameters: Parameters) -> Array:
         """(n,) readings."""

@@ -7,6 +7,7 @@ last bit: both are errors that a fit may move (nuisances.py).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -273,13 +274,29 @@ class Polygon:
         volts = self.voltage if error is None else self.voltage + error
         order = np.repeat(at, 2)
         time = np.insert(self.time, order, np.repeat(moments, 2))
-        level = np.insert(volts, order, np.column_stack([volts[at - 1], volts[at]]).ravel())
+        # A ramp runs on to the jump that ends it.
+        rising, falling = self._slopes_at_jumps
+        ends = np.column_stack([
+            volts[at - 1] + rising * (moments - self.time[at - 1]),
+            volts[at] + falling * (moments - self.time[at]),
+        ])  # fmt: skip
+        level = np.insert(volts, order, ends.ravel())
         before, after = min(grid[0], time[0]) - 1.0, max(grid[-1], time[-1]) + 1.0
         time = np.concatenate([[before], time, [after]])
         level = np.concatenate([level[:1], level, level[-1:]])
         square = (level[1:] ** 2 + level[1:] * level[:-1] + level[:-1] ** 2) / 3.0
         total = np.concatenate([[0.0], np.cumsum(square * np.diff(time))])
         return np.diff(np.interp(grid, time, total))
+
+    @cached_property
+    def _slopes_at_jumps(self) -> tuple[Array, Array]:
+        """(j,) V/s before and after each jump, 0 where the voltage is not straight there."""
+        slope = np.zeros(len(self.time))
+        for first, last, _ in self.lines:
+            rise, run = (x[last - 1] - x[first] for x in (self.voltage, self.time))
+            slope[first:last] = rise / run
+        knots = self.jumps.astype(np.intp)
+        return slope[knots], slope[knots + 1]
 
     def hidden_levels(self) -> list[tuple[int, int, float]]:
         """First and last knot, and volts, of each held level that is not known to the last bit."""

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
-from sma_bench.identify.thermal.heat_fit import Window, course_from_samples, temperature_rise
+from sma_bench.identify.thermal.ramps import Window
 from sma_bench.identify.thermal.specific_heat import slope_of_rates
 from sma_bench.parameters import Parameters
 
@@ -21,25 +20,6 @@ def found_cp(*records, parameters=KNOWN):
 
 def remarks(found):
     return [f.text for e in found.experiments for f in e.findings]
-
-
-@pytest.mark.parametrize("tau", [0.01, 0.2, 3.0])
-def test_response_to_sampled_voltage_is_that_of_an_independent_solver(tau):
-    rng = np.random.default_rng(1)
-    time = np.sort(rng.uniform(0.0, 15.0, 300))
-    voltage = np.interp(time, [0.0, 3.0, 8.0, 8.001], [0.0, 0.5, 2.7, 0.0])
-    edges = np.flatnonzero(np.diff(voltage) < -1.0)
-    moments = time[edges] + 0.3 * np.diff(time)[edges]
-    course = course_from_samples(time, voltage, edges, moments)
-
-    def rate(t, x):
-        k = max(np.searchsorted(course.start, t, side="right") - 1, 0)
-        v = course.voltage[k] + course.slope[k] * (t - course.start[k])
-        return (-x + 2.2 * v**2) / tau
-
-    at = np.linspace(time[0], time[-1], 200)
-    solved = solve_ivp(rate, (at[0], at[-1]), [1.5], "LSODA", at, max_step=0.01, rtol=1e-8)
-    assert temperature_rise(course, 2.2, tau, 1.5, at) == pytest.approx(solved.y[0], abs=2e-5)
 
 
 def test_specific_heat_comes_back_within_two_errors_of_less_than_one_percent(ramp):
@@ -85,8 +65,9 @@ def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit(ramp
 @pytest.mark.parametrize("delay", [-0.004, 0.02])
 def test_offset_between_the_clocks_is_told_from_thermal_inertia(ramp, sensors, delay):
     found, cp = found_cp(ramp(sensors=sensors(100.0, 80.0, delay=delay), seed=1))
-    told = found.experiments[0].details["delay"]
-    assert abs(told.value - delay) < 2.5 * told.std < 0.004
+    # A camera's lag of some milliseconds looks like a delay: the two are known together.
+    late = [f.numbers for f in found.experiments[0].findings if "delay" in f.numbers][0]
+    assert abs(late["delay"] - delay) < 2.5 * late["delay_std"] < 0.006
     assert abs(cp.value - 350.0) < 2.0 * cp.std
     assert any("pass for thermal inertia" in text for text in remarks(found))
 
@@ -94,7 +75,7 @@ def test_offset_between_the_clocks_is_told_from_thermal_inertia(ramp, sensors, d
 @pytest.mark.parametrize("lag", [0.01, 0.03, 0.1])
 def test_camera_that_lags_puts_the_specific_heat_in_doubt(ramp, lag):
     found, cp = found_cp(ramp(lag=lag, seed=3))
-    assert abs(cp.value - 350.0) < 2.5 * max(cp.std, 0.02 * cp.value)
+    assert abs(cp.value - 350.0) < 2.5 * cp.std
     assert any("pass for thermal inertia" in text for text in remarks(found))
 
 
@@ -128,7 +109,7 @@ def test_ramps_that_contradict_the_known_heat_loss_are_noticed(ramp, wire):
 
 def test_second_thermal_mass_is_noticed_in_the_residuals(ramp):
     found, _ = found_cp(ramp(lag=0.1))
-    assert any("does not follow eq. (2)" in w for w in found.warnings)
+    assert any("two time constants" in w and "does not follow eq. (2)" in w for w in found.warnings)
 
 
 def test_ramps_alone_give_specific_heat_and_coefficient_together(ramp):
@@ -145,6 +126,6 @@ def test_ramp_that_does_not_warm_the_wire_is_an_error(ramp):
 
 def test_ramps_shorter_than_the_filter_are_one_line():
     time = np.arange(4) * 0.01
-    window = Window(time, np.ones(4), time, np.full(4, 300.0), np.array([1]))
+    window = Window(time, np.ones(4), time, np.full(4, 300.0))
     with pytest.raises(InputError, match="longer than the filter"):
         slope_of_rates([window], [300.0], 2.7, 0.1, 1e-4)

@@ -7,16 +7,28 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from sma_bench.estimation.noise_model import noise_floor
 from sma_bench.estimation.voltage import Segment
 from sma_bench.findings import Finding
+from sma_bench.identify.estimate import Array
 from sma_bench.identify.signals import Drive
-from sma_bench.identify.thermal.heat_fit import Window
 from sma_bench.records import Record
 from sma_bench.records.record import samples
 
 BEFORE = 3.0
 AFTER = 12.0
 FEWEST_SAMPLES = 30
+_CLEARLY = 3.0  # of the noise, below A_s: where a cut falls must not hang on the noise
+
+
+@dataclass(frozen=True)
+class Window:
+    """One stretch of a record: a drive with what comes before and after it; s, V, K."""
+
+    voltage_time: Array
+    voltage: Array
+    temperature_time: Array
+    temperature: Array
 
 
 @dataclass(frozen=True)
@@ -32,8 +44,7 @@ def cut_windows(record: Record, drive: Drive, limit: float) -> list[Cut]:
     """Windows around the ramps of one channel, each up to where it becomes too hot."""
     voltage_time, voltage = samples(record, f"{drive.channel}.voltage")
     time, temperature = samples(record, f"{drive.channel}.temperature")
-    jumps = [before for before, _ in drive.segments.edges]
-    edges = np.asarray(np.searchsorted(voltage_time, jumps), dtype=np.intp)
+    clear = limit - _CLEARLY * noise_floor(temperature)
     found = []
     for start, stop in _spans(drive.segments.ramps):
         inside = (time >= start) & (time <= stop)
@@ -43,26 +54,30 @@ def cut_windows(record: Record, drive: Drive, limit: float) -> list[Cut]:
         smooth = median_filter(y, 5, mode="nearest")
         hot = np.flatnonzero(smooth > limit)
         # Once above A_s the latent heat of both ways is in the curve until the wire is cold.
-        kept = int(hot[0]) if len(hot) else len(t)
+        kept = int(np.argmax(smooth > clear)) if len(hot) else len(t)
         stop = float(t[kept - 1]) if kept else start
         first = max(int(np.searchsorted(voltage_time, start)) - 1, 0)
         last = int(np.searchsorted(voltage_time, stop)) + 2
-        own = edges[(edges >= first) & (edges + 1 < min(last, len(voltage_time)))] - first
-        window = Window(
-            voltage_time[first:last], voltage[first:last], t[:kept], y[:kept], own
-        )
+        window = Window(voltage_time[first:last], voltage[first:last], t[:kept], y[:kept])
         found.append(Cut(window, len(t) - kept, float(smooth.max())))
     return found
 
 
 def choose_windows(
     cuts: Sequence[Sequence[Cut]], limit: float, subject: str
-) -> tuple[list[Window], list[Finding]]:
-    """Ramps that stay cold; the cold beginnings of hot ones where there are no others."""
+) -> tuple[list[list[Window]], list[Finding]]:
+    """Ramps of each drive that stay cold; the cold beginnings of hot ones where there are no
+    others."""
     every = [cut for of_drive in cuts for cut in of_drive]
     hot = [cut for cut in every if cut.excluded]
     cold = [cut for cut in every if not cut.excluded]
-    usable = [c.window for c in (cold or hot) if len(c.window.temperature) >= FEWEST_SAMPLES]
+    usable = [
+        [
+            cut.window for cut in of_drive
+            if not (cold and cut.excluded) and len(cut.window.temperature) >= FEWEST_SAMPLES
+        ]
+        for of_drive in cuts
+    ]
     if not hot:
         return usable, []
     highest = max(cut.highest for cut in hot)
