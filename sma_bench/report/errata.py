@@ -7,7 +7,13 @@ import numpy as np
 
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
-from sma_bench.parameters.table import DSC_CYCLES, THERMAL_EXPANSION
+from sma_bench.parameters.table import (
+    DSC_CYCLES,
+    HOLDING_FORCE,
+    THERMAL_EXPANSION,
+    UPFR_FINISH,
+    UPFR_START,
+)
 from sma_bench.physics import bending, phase, stress
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.bending import Beam
@@ -27,7 +33,7 @@ class Erratum:
     """One item.
 
     Attributes:
-        number: 1 to 11; place: in the paper.
+        number: 1 to 19; place: in the paper.
         printed, corrected: the forms, in words or as a formula.
         lines: (quantity, printed, corrected, check) with units, ready to read.
         remark: what follows.
@@ -309,6 +315,234 @@ def purge_gas() -> Erratum:
     )
 
 
+# --- Errata 12 to 19: loads, agreements and laws that do not hold as they are said.
+
+_CURRENT_RANGE, _VOLTAGE_RANGE = 3.0, 10.0  # A, V, section IV
+_PRINTED_STRESS = 13e6  # Pa, section III.B.1
+
+
+def holding_stress(paper: Parameters) -> Erratum:
+    """Item 12: the stress of E6."""
+    diameter = paper["wire.diameter"]
+    needed = float(np.sqrt(4.0 * HOLDING_FORCE / (np.pi * _PRINTED_STRESS)))
+    angles = np.linspace(0.0, 2.0 * np.pi, 20001)
+    x, y = 0.5 * diameter * np.cos(angles), 0.5 * diameter * np.sin(angles)
+    shoelace = 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+    return Erratum(
+        12, "section III.B.1 (UPFR)", "1 N is about 13 MPa", "4F/(π d²) of a 0.3 mm wire",
+        (
+            line("σ under 1 N", "Pa", _PRINTED_STRESS, HOLDING_FORCE / bending.wire_section(paper),
+                 HOLDING_FORCE / shoelace, "area of a polygon of 20000 sides"),
+            ("diameter", f"{1e3 * needed:.3f} mm, if 13 MPa", f"{1e3 * diameter:.3f} mm", ""),
+        ),
+        "Small, but the stress that A_s and A_f are referred to zero with.",
+    )
+
+
+def agreement() -> Erratum:
+    """Item 13: E6 against the DSC."""
+    lines = tuple(
+        (
+            f"{symbol} of the UPFR less that of the DSC, cycle {number}", '"good agreement"',
+            f"{mean - cycle[symbol]:+.2f} K",
+            f"{(mean - cycle[symbol]) / std:+.1f} deviations of the UPFR's repeats",
+        )
+        for symbol, (mean, std) in (("A_s", UPFR_START), ("A_f", UPFR_FINISH))
+        for number, cycle in enumerate(DSC_CYCLES, start=1)
+    )
+    return Erratum(
+        13, "section III.B.1 (UPFR)", '"good agreement" with the DSC',
+        "only A_s of the first cycle agrees", lines,
+        "The UPFR's 14 MPa shift both by +2 K at 7 MPa/K and cannot make A_f fall. The two see "
+        "different specimens, prestrains and tangents.",
+    )
+
+
+def one_symbol() -> Erratum:
+    """Item 14: h_c."""
+    return Erratum(
+        14, "eqs. (5), (14)", "h_c in both", "h in (5), as in (2) to (4)",
+        (
+            ("h_c of eq. (5)", "h_c", "h, W/(m² K)", "(5) is (2) over m: the same coefficient"),
+            ("h_c of eqs. (14) to (17), (22)", "h_c", "h_c, m", "thickness of the matrix"),
+        ),
+        "One symbol for a heat transfer coefficient and for a thickness.",
+    )
+
+
+def omitted_stress(paper: Parameters) -> Erratum:
+    """Item 15: constant load."""
+    sigma = 100e6
+    middles = []
+    for held in (0.0, sigma):
+        kelvin = np.linspace(300.0, 400.0, 100001)
+        xi = phase.heated_fraction(kelvin, held, paper)
+        middles.append(float(np.interp(0.5, xi[::-1], kelvin[::-1])))
+    return Erratum(
+        15, "section III.B.4", '"for constant load conditions σ can be omitted"',
+        "a constant stress shifts the ranges by σ/C_A, σ/C_M",
+        (
+            line("shift of A_s and A_f at 100 MPa", "K", 0.0,
+                 sigma / paper["wire.stress_influence_austenite"], middles[1] - middles[0],
+                 "eq. (10) at ξ = 1/2 with and without"),
+        ),
+        "Constant, but not nothing: only a derivative of it vanishes. C_A is assumed (7 MPa/K), as "
+        "the paper gives none.",
+    )
+
+
+def current_range(paper: Parameters) -> Erratum:
+    """Item 16: volts and amperes of the supply."""
+    ohm = paper["wire.resistance"]
+    return Erratum(
+        16, "section IV", "0 to 10 V and 0 to 3 A", "one limits the other at the wire's resistance",
+        (
+            line("current at 10 V", "A", _CURRENT_RANGE, _VOLTAGE_RANGE / ohm,
+                 float(np.sqrt(_VOLTAGE_RANGE**2 / ohm / ohm)), "√(P/R) of its heat"),
+            line("largest voltage", "V", _VOLTAGE_RANGE, _CURRENT_RANGE * ohm),
+        ),
+        "The supply's range or the wire's: 3 A end at 8.1 V.",
+    )
+
+
+def stressed_reference(paper: Parameters) -> Erratum:
+    """Item 17: eq. (6) from a reference that carries stress."""
+    strain_limit = paper["wire.maximum_recoverable_strain"]
+    kelvin = 340.0
+    first, second = (0.6, 0.02), (0.2, 0.03)  # xi, contraction: reference and state
+
+    def from_rest(xi: float, contraction: float) -> float:
+        return float(stress.stress(kelvin, xi, contraction, paper))
+
+    def e(xi: float) -> float:
+        return float(stress.modulus(xi, paper))
+
+    (xi_0, c_0), (xi, c) = first, second
+    begun = from_rest(*first)
+    printed = begun + e(xi) * (c_0 - c) - strain_limit * e(xi) * (xi - xi_0)
+    # eps and xi count from rest, where the wire is martensite: eps_L (xi - 1) of its length.
+    missing = (e(xi) - e(xi_0)) * (-c_0 - strain_limit * (xi_0 - 1.0))
+    return Erratum(
+        17, "eqs. (6), (7), (9)",
+        "σ - σ_0 = E(ξ)(ε - ε_0) + Θ_T (T - T_0) + Ω(ξ - ξ_0) from any (σ_0, ε_0, ξ_0)",
+        "... + (E(ξ) - E(ξ_0))(ε_0 - ε_L ξ_0)",
+        (
+            line("σ at ξ = 0.2, ε = -3 %, from the state ξ_0 = 0.6, ε_0 = -2 %", "Pa", printed,
+                 printed + missing, from_rest(*second), "from the stress-free reference at once"),
+        ),
+        "With a modulus that changes, (6) holds from a stress-free reference only (ε_0 and ξ_0 "
+        "counted from there); from any other the state would depend on the way to it. The package "
+        "always counts from rest.",
+    )
+
+
+def partial_loops(paper: Parameters) -> Erratum:
+    """Item 18: eqs. (10), (11) without the initial fractions."""
+    a_s, a_f = (paper[f"wire.austenite_{end}_temperature"] for end in ("start", "finish"))
+    m_s, m_f = (paper[f"wire.martensite_{end}_temperature"] for end in ("start", "finish"))
+    turned, later = 0.5 * (a_s + a_f), 0.5 * (a_s + a_f) - 10.0
+
+    def austenite(kelvin: float) -> float:
+        return 0.5 - 0.5 * float(np.cos(np.pi * (kelvin - m_f) / (m_s - m_f)))
+
+    def ramps(kelvin: float) -> tuple[float, float]:
+        return (float(phase.austenite_ramp(kelvin, 0.0, paper)),
+                float(phase.martensite_ramp(kelvin, 0.0, paper)))
+
+    def corrected(kelvin: float) -> float:
+        return phase.fraction_since_reversal(False, 0.5, ramps(turned), ramps(kelvin))
+
+    return Erratum(
+        18, "eqs. (10), (11)", "no initial fractions: ξ is a function of T on each direction",
+        "1 - ξ = (1 - ξ_r) g/g_r on cooling, ξ = ξ_r f/f_r on heating, from the last reversal",
+        (
+            line("ξ as the wire, half transformed, turns to cooling", "", 1.0 - austenite(turned),
+                 corrected(turned), 0.5, "what it was a moment before"),
+            line("ξ 10 K further down", "", 1.0 - austenite(later), corrected(later),
+                 1.0 - 0.5 * austenite(later) / austenite(turned),
+                 "eq. (11) in proportion to what was left"),
+        ),
+        "As printed they hold for full loops only: Liang and Rogers' ξ_M and ξ_A are dropped. The "
+        "paper's own reference says of this law that it \"cannot be used for predicting the shape "
+        "memory effect\": it knows no detwinning.",
+    )
+
+
+def geometry(rig: Parameters) -> Erratum:
+    """Item 19: widths, neutral axis, and a stiffness that counts twice."""
+    beam = Beam.of(rig)
+    wires = sum(side == "front" for side in rig["bench.channel_sides"])
+    layer = wires * beam.wire_section / beam.layer_thickness
+    sheet = _two_layers(beam, beam.width, 1.0)
+    real = _two_layers(beam, layer, 1.0)
+    stiff = wires * rig["wire.austenite_modulus"] / sheet[1]
+    beta, strain = linear.beta(rig), 0.01
+    coupled = strain * sheet[1] * stiff / (beta + stiff)
+    return Erratum(
+        19, "eqs. (12) to (17), (22)",
+        "one w for both layers; a from the centre line; ε of (16) put into (22)",
+        "a width for each layer; the arm reaches to the neutral axis; free and actual strain apart",
+        (
+            line("width of the SMA layer", "mm", 1e3 * beam.width, 1e3 * layer,
+                 1e3 * wires * np.pi * (0.5 * rig["wire.diameter"]) ** 2 / beam.layer_thickness,
+                 "wires times section over thickness"),
+            line("δ per strain, α", "m", sheet[1], real[1], _by_energy(beam, layer),
+                 "least elastic energy"),
+            line("neutral axis above the middle of the matrix, one width", "mm", 0.0,
+                 1e3 * (sheet[0] - 0.5 * beam.thickness),
+                 1e3 * (_neutral_axis(beam, beam.width) - 0.5 * beam.thickness), "parallel axes"),
+            line("δ at a free strain of 1 %", "m", coupled, strain * sheet[1],
+                 strain * _by_energy(beam, beam.width), "least elastic energy, one width"),
+        ),
+        f"With one width the neutral axis lies inside the SMA layer ({1e3 * beam.thickness:.1f} to "
+        f"{1e3 * (beam.thickness + beam.layer_thickness):.1f} mm above the bottom), so the wires "
+        "bend the beam about themselves while a counts from the centre line. The strain of (16) is "
+        "what a free layer would have, that of (22) what the wire has: the beam's stiffness counts "
+        f"twice, {1.0 - coupled / (strain * sheet[1]):.1%} of δ. Slips of words: \"scale "
+        'calorimetry" (scanning), "a decreasing current, from 6.25 to 0 V" (voltage).',
+    )
+
+
+def _two_layers(beam: Beam, layer_width: float, strain: float) -> tuple[float, float]:
+    """Height of the neutral axis above the bottom and deflection, both m, of the matrix with a
+    layer that shrinks by `strain` freely: equilibrium of force and moment."""
+    parts = (
+        (beam.modulus * beam.width, 0.0, beam.thickness, 0.0),
+        (beam.layer_modulus * layer_width, beam.thickness,
+         beam.thickness + beam.layer_thickness, strain),
+    )
+    system, load = np.zeros((2, 2)), np.zeros(2)
+    for stiff, low, high, free in parts:
+        area, first, second = (stiff * (high**k - low**k) / k for k in (1, 2, 3))
+        system += [[area, first], [first, second]]
+        load -= free * np.array([area, first])
+    _, bent = np.linalg.solve(system, load)
+    return float(system[0, 1] / system[0, 0]), float(-0.5 * bent * beam.length**2)
+
+
+def _neutral_axis(beam: Beam, layer_width: float) -> float:
+    layers = (
+        (beam.modulus * beam.width * beam.thickness, 0.5 * beam.thickness),
+        (beam.layer_modulus * layer_width * beam.layer_thickness,
+         beam.thickness + 0.5 * beam.layer_thickness),
+    )
+    return sum(e * z for e, z in layers) / sum(e for e, _ in layers)
+
+
+def _by_energy(beam: Beam, layer_width: float) -> float:
+    """alpha [m]: layers of one curvature and of strains that differ by the curvature times their
+    distance; the energy is least."""
+    matrix = beam.modulus * beam.width * beam.thickness
+    wires = beam.layer_modulus * layer_width * beam.layer_thickness
+    own = (
+        beam.modulus * beam.width * beam.thickness**3
+        + beam.layer_modulus * layer_width * beam.layer_thickness**3
+    ) / 12.0
+    apart = 0.5 * (beam.thickness + beam.layer_thickness)
+    series = matrix * wires / (matrix + wires)
+    return 0.5 * beam.length**2 * series * apart / (own + series * apart**2)
+
+
 # --- The paper's errata: printed and corrected forms side by side, with numbers where there are
 # any.
 #
@@ -340,6 +574,14 @@ def paper_errata() -> list[Erratum]:
         convection(findings["heat transfer"], findings["time constant"]),
         expansion(paper),
         purge_gas(),
+        holding_stress(paper),
+        agreement(),
+        one_symbol(),
+        omitted_stress(paper),
+        current_range(paper),
+        stressed_reference(paper),
+        partial_loops(paper),
+        geometry(rig),
     ]
 
 

@@ -233,16 +233,16 @@ def number(text: str) -> float:
     return float(re.match(r"[-+]?[\d.]+(e[-+]?\d+)?", text)[0])
 
 
-def test_all_eleven_errata_stand_side_by_side():
+def test_all_nineteen_errata_stand_side_by_side():
     errata = paper_errata()
-    assert [erratum.number for erratum in errata] == list(range(1, 12))
+    assert [erratum.number for erratum in errata] == list(range(1, 20))
     for erratum in errata:
         assert erratum.printed != erratum.corrected
         assert erratum.section().tables[0].rows[0][1:3] == (erratum.printed, erratum.corrected)
         assert erratum.lines or erratum.number == 11
 
 
-@pytest.mark.parametrize("item", range(1, 7))
+@pytest.mark.parametrize("item", [*range(1, 7), 12, 15, 16, 17, 18, 19])
 def test_corrected_equation_agrees_with_the_independent_check_and_the_printed_one_does_not(item):
     checked = [line for line in paper_errata()[item - 1].lines if line[3]]
     assert checked
@@ -250,7 +250,8 @@ def test_corrected_equation_agrees_with_the_independent_check_and_the_printed_on
         tolerance = 0.02 if "0.02" in name else 1e-4  # the linearisation itself, off its point
         assert number(corrected) == pytest.approx(number(check), rel=tolerance), name
         if name != "σ at ξ* - 0":
-            assert number(printed) != pytest.approx(number(check), rel=0.1), name
+            apart = 0.02 if item in (12, 18, 19) else 0.1
+            assert number(printed) != pytest.approx(number(check), rel=apart), name
 
 
 def test_printed_stiffness_depends_on_the_unit_it_is_computed_in():
@@ -264,6 +265,54 @@ def test_numbers_that_do_not_fit_are_quantified():
     assert "0.420 m" in said[8] and "0.200 m" in said[8] and "849" in said[8]
     assert "0.196 s" in said[9]
     assert "-0.15 to -0.61 MPa/K" in said[10]
+    # The paper's printed numbers, worked out by hand.
+    assert f"{4.0 / (np.pi * 0.3**2) * 1e6:.5g} Pa" == "1.4147e+07 Pa"
+    assert "1.4147e+07 Pa" in said[12]
+    assert f"{350.65 - 351.29:+.2f} K" in said[13] and f"{361.35 - 371.05:+.2f} K" in said[13]
+    assert f"{350.65 - 331.81:+.2f} K" in said[13] and f"{361.35 - 353.61:+.2f} K" in said[13]
+    assert f"{100.0 / 7.0:.5g} K" in said[15]
+    assert f"{10.0 / 2.6987:.5g} A" in said[16] and f"{3.0 * 2.6987:.5g} V" in said[16]
+
+
+def test_equation_6_from_a_stressed_reference_depends_on_the_way_there():
+    """Three ways from rest to one state of fraction and strain, E(xi) as printed in (7)."""
+    e_m, e_a, eps_l, theta, warmer = 22.8e9, 55.4e9, 0.044, -0.15e6, 340.0 - 296.15
+
+    def e(xi):
+        return e_a + xi * (e_m - e_a)
+
+    def step(sigma, start, end):  # eq. (6) as printed, without a change of temperature
+        return sigma + e(end[0]) * (end[1] - start[1]) - eps_l * e(end[0]) * (end[0] - start[0])
+
+    rest, middle, end = (1.0, 0.0), (0.6, -0.02), (0.2, -0.03)
+    at_once = step(theta * warmer, rest, end)
+    by_way = step(step(theta * warmer, rest, middle), middle, end)
+    missing = (e(end[0]) - e(middle[0])) * (middle[1] - eps_l * (middle[0] - 1.0))
+    ((_, printed, corrected, _),) = paper_errata()[16].lines
+    assert number(printed) == pytest.approx(by_way, rel=1e-4)
+    assert number(corrected) == pytest.approx(at_once, rel=1e-4)
+    assert by_way + missing == pytest.approx(at_once, rel=1e-12)
+
+
+def test_printed_kinetics_jump_where_a_half_transformed_wire_turns():
+    middle = 0.5 * (331.81 + 353.61)
+    jumped = 0.5 + 0.5 * np.cos(np.pi / (353.39 - 325.09) * (middle - 325.09))
+    ((_, printed, corrected, _), _) = paper_errata()[17].lines
+    assert number(printed) == pytest.approx(jumped, rel=1e-4)
+    assert number(corrected) == 0.5
+
+
+def test_geometry_of_two_layers_comes_out_of_a_fine_lattice():
+    """alpha from many thin fibres, each its own width, modulus and free strain."""
+    width = 2 * np.pi / 4 * 0.3e-3**2 / 0.3e-3
+    heights = (np.arange(126_000) + 0.5) * 0.5e-7
+    in_layer = heights > 6e-3
+    stiff = np.where(in_layer, 22.8e9 * width, 1e6 * 0.03) * 0.5e-7
+    mean = np.sum(stiff * heights) / np.sum(stiff)
+    bent = np.sum(stiff * in_layer * (heights - mean)) / np.sum(stiff * (heights - mean) ** 2)
+    said = {name: corrected for name, _, corrected, _ in paper_errata()[18].lines}
+    assert number(said["δ per strain, α"]) == pytest.approx(0.5 * 0.12**2 * bent, rel=1e-3)
+    assert "2.4% of δ" in paper_errata()[18].remark
 
 
 # --- records of one's own -----------------------------------------------------------------------
@@ -370,10 +419,10 @@ def test_one_command_writes_page_pictures_and_tables(tmp_path, capsys):
         (picture,) = out.glob(f"figure_{n:02d}_*.png")
         assert picture.stat().st_size > 20_000
         assert f"Fig. {n}: " in html
-    for n in range(1, 12):
+    for n in range(1, 20):
         assert f"Erratum {n}: " in html
     for table in TABLES:
         assert len((out / f"{table}.csv").read_text().splitlines()) >= 3
     document = json.loads(answer.read_text())
-    assert len(document["errata"]) == 11 and set(document["tables"]) == set(TABLES)
+    assert len(document["errata"]) == 19 and set(document["tables"]) == set(TABLES)
     assert "nan" not in re.sub(r'base64,[^"]*', "", html)
