@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import FILE, OWN, add_output, keep_safe
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -32,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "records", nargs="+", metavar="RECORD", help="bag, or instrument file; each by itself"
     )
     add_parameter_options(parser)
-    parser.add_argument(
-        "--out", metavar="DIR",
+    add_output(
+        parser, "--out", OWN, metavar="DIR",
         help="write NAME.json and NAME.yaml of each record there, as soon as it is done",
     )
     add_json_option(parser, "all results, in the order of the records,")
@@ -55,6 +56,9 @@ def run(args: argparse.Namespace) -> int:
     tasks = [Task(args.kind, path, parameters) for path in paths]
     names = _names(paths)
     if args.out:
+        files = [Path(args.out) / f"{name}{end}" for name in names for end in (".json", ".yaml")]
+        given = [Path(path) for path in (*paths, args.params) if path and Path(path).exists()]
+        keep_safe({str(file): (file, FILE) for file in files}, given, args.force)
         _make(Path(args.out))
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.commands.parser import command_parser, one_of
+from sma_bench.commands.parser import FILE, FOLDER, NEW, add_output, command_parser, one_of
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -65,7 +65,7 @@ def make_cases_arguments(parser: argparse.ArgumentParser) -> None:
         help="1000 to 1999: development, 2000 to 2999: frozen test, others: open",
     )
     parser.add_argument("--n", type=int, default=200, metavar="N", help="cases (default 200)")
-    parser.add_argument("--out", required=True, metavar="DIR", help="new folder")
+    add_output(parser, "--out", NEW, required=True, metavar="DIR", help="new folder")
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="J",
         help="processes (default: one a core); the result does not depend on it",
@@ -213,9 +213,10 @@ def score_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not perform the experiments that ambiguous answers ask for",
     )
     add_json_option(parser, "the result")
-    parser.add_argument("--page", metavar="DIR", help="write an HTML page with figures")
-    parser.add_argument(
-        "--markdown", metavar="FILE", help="write the result page that a repository keeps"
+    add_output(parser, "--page", FOLDER, metavar="DIR", help="write an HTML page with figures")
+    add_output(
+        parser, "--markdown", FILE, metavar="FILE",
+        help="write the result page that a repository keeps"
     )
 
 
@@ -339,7 +340,7 @@ def _print_table(
 
 def draw_figures_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `blind figures`."""
-    parser.add_argument("--out", required=True, metavar="DIR", help="new folder")
+    add_output(parser, "--out", NEW, required=True, metavar="DIR", help="new folder")
     parser.add_argument(
         "--seed", type=int, default=1, metavar="S", help="of the rig and its drive (default 1)"
     )
@@ -372,7 +373,7 @@ def answer_as_rival_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--params", metavar="FILE", required=True)
     parser.add_argument("--hold-out", metavar="RECORD", nargs="+", default=[])
     add_json_option(parser, "the answer to the contract")
-    parser.add_argument("--out", metavar="FILE", help="write the improved parameters")
+    add_output(parser, "--out", FILE, metavar="FILE", help="write the improved parameters")
 
 
 def answer_as_rival(args: argparse.Namespace) -> int:

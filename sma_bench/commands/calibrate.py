@@ -12,7 +12,9 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+from sma_bench.commands.parser import FILE, OWN, add_output, keep_safe
 from sma_bench.commands.terminal import add_json_option, write_json
 from sma_bench.errors import InputError
 from sma_bench.hardware.calibration import SENSORS, SensorFit, fit_sensor
@@ -45,14 +47,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--shift", type=float, metavar="M",
         help="depth of a range sensor's lens behind its face in m (default: the parameter's)",
     )
-    parser.add_argument(
-        "--out", metavar="P.yaml", help="parameter file to write; others' names in it stay"
+    add_output(
+        parser, "--out", OWN, metavar="P.yaml",
+        help="parameter file to write; the other names in one that exists stay",
     )
     add_json_option(parser, "the result")
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, print, write."""
+    kept = _kept(args)
     pairs = _pairs(args)
     readings, known = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     shift = _shift(args)
@@ -65,10 +69,22 @@ def run(args: argparse.Namespace) -> int:
         rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
         write_json(args.json, rest)
     if args.out:
-        kept = read_parameter_names(args.out) if Path(args.out).exists() else {}
         write_named_values(args.out, {**kept, **fit.parameters}, "Calibration of the bench's Uno.")
         print(args.out)
     return 0
+
+
+def _kept(args: argparse.Namespace) -> dict[str, Any]:
+    """What stays in --out; a calibration of this sensor in it goes with --force only."""
+    if not args.out or not Path(args.out).exists():
+        return {}
+    if args.csv:
+        keep_safe({"--out": (Path(args.out), FILE)}, [Path(args.csv)], True)
+    kept = read_parameter_names(args.out)
+    own = [name for name in kept if name.startswith(f"calibration.{args.sensor}.")]
+    if own and not args.force:
+        raise InputError(f"{args.out}: holds {own[0]} already; --force replaces it")
+    return kept
 
 
 def _shift(args: argparse.Namespace) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from sma_bench.commands.parser import NEW, add_output
 from sma_bench.commands.terminal import WorkState, add_json_option, output_console, write_json
 from sma_bench.errors import InputError
 
@@ -18,7 +19,9 @@ _SEEDS = 2**31
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--out", metavar="DIR", help="new folder (default: sma_bench_demo_<time>)")
+    add_output(
+        parser, "--out", NEW, metavar="DIR", help="new folder (default: sma_bench_demo_<time>)"
+    )
     parser.add_argument(
         "--speed", type=float, default=40.0, metavar="X",
         help="at most X times real time (default 40)",

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from sma_bench.border import printable, read_json
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import one_of
+from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -41,9 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "have shown without the others?",
     )
     add_json_option(parser, "the result")
-    parser.add_argument("--report", metavar="DIR", help="write a page with figures")
-    parser.add_argument(
-        "--out", metavar="improved.yaml", help="write a ROS 2 parameter file with the improvement"
+    add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with figures")
+    add_output(
+        parser, "--out", FILE, metavar="improved.yaml",
+        help="write a ROS 2 parameter file with the improvement"
     )
 
 

@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import one_of
+from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -37,11 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "'cold*'), where neither its file nor M_f and A_f of the wire tell",
     )
     parser.add_argument("--namespace", help="where two benches are in one bag: the one to take")
-    parser.add_argument(
-        "--out", metavar="identified.yaml", help="write a ROS 2 parameter file that nodes load"
+    add_output(
+        parser, "--out", FILE, metavar="identified.yaml",
+        help="write a ROS 2 parameter file that nodes load"
     )
     add_json_option(parser, "the result")
-    parser.add_argument("--report", metavar="DIR", help="write a page with figures")
+    add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with figures")
 
 
 def run(args: argparse.Namespace) -> int:

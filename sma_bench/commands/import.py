@@ -2,10 +2,10 @@
 
 import argparse
 import re
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sma_bench.commands.parser import BAG, FILE, OWN, add_output, keep_safe, paths_in
 from sma_bench.commands.terminal import add_json_option, print_findings, write_json
 from sma_bench.errors import InputError
 
@@ -29,11 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--params", metavar="P.yaml",
         help="the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
     )
-    parser.add_argument(
-        "--out", metavar="BAG", required=True,
+    add_output(
+        parser, "--out", OWN, metavar="BAG", required=True,
         help="bag to write (new folder); of several files, a folder with a bag for each",
     )
-    parser.add_argument("--force", action="store_true", help="replace bags and maps that exist")
     add_json_option(parser, "what was imported")
 
 
@@ -76,18 +75,12 @@ def _outputs(files: list[Path], out: Path) -> list[tuple[Path, Path]]:
 
 def _protect(args: argparse.Namespace, outputs: list[tuple[Path, Path]]) -> None:
     """No output replaces a file without --force, and no input ever."""
-    inputs = [Path(name).resolve() for name in (*args.files, args.map_file, args.params) if name]
-    for _, out in outputs:
-        for path in (out, _map_of(out)):
-            here = path.resolve()
-            if any(here == given or here in given.parents for given in inputs) and (
-                path == out or not args.map_file
-            ):
-                raise InputError(f"{path}: an input, or the folder of one, expected a new path")
-        if out.exists() and not args.force:
-            raise InputError(f"{out}: exists already, expected a new path; --force replaces it")
-        if out.exists() and not (out.is_dir() and (out / "metadata.yaml").is_file()):
-            raise InputError(f"{out}: is not a bag; --force replaces bags only")
+    inputs = paths_in([args.files, args.map_file, args.params])
+    targets = {str(out): (out, BAG) for _, out in outputs}
+    if not args.map_file:  # a map that is proposed; one that exists is looked at when it is written
+        inputs_of_maps = {str(_map_of(out)): (_map_of(out), FILE) for _, out in outputs}
+        keep_safe(inputs_of_maps, inputs, True)
+    keep_safe(targets, inputs, args.force)
 
 
 def _map_of(out: Path) -> Path:
@@ -149,18 +142,9 @@ def _write(one: dict[str, Any], force: bool) -> None:
     out = Path(one["bag"])
     if one["text"] is not None:
         _write_map(Path(one["map"]), one["text"], force)
-    old = out.with_name(f".{out.name}.old")
-    if out.exists():
-        out.rename(old)
-    try:
-        write_record(out, one["made"], start_ns=one["start_ns"], provenance={
-            "source": Path(one["source"]).name, "sha256": one["sha256"], "how": one["how"],
-        })  # fmt: skip
-    except BaseException:
-        if old.exists():
-            old.rename(out)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+    write_record(out, one["made"], start_ns=one["start_ns"], replace=force, provenance={
+        "source": Path(one["source"]).name, "sha256": one["sha256"], "how": one["how"],
+    })  # fmt: skip
 
 
 def _print_import(one: dict[str, Any]) -> None:

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import FOLDER, add_output
 from sma_bench.commands.terminal import add_json_option, print_findings, progress, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically
@@ -30,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "records", nargs="*", metavar="RECORD",
         help="bags and instrument files to draw from instead of synthetic data",
     )
-    parser.add_argument("--out", metavar="DIR", required=True, help="folder to write to")
+    add_output(
+        parser, "--out", FOLDER, metavar="DIR", required=True, help="folder to write to"
+    )
     add_json_option(parser, "tables and errata")
     add_parameter_options(parser)
 

@@ -4,6 +4,7 @@ import argparse
 from typing import Any
 
 from sma_bench.border import load_yaml
+from sma_bench.commands.parser import FILE, add_output
 from sma_bench.commands.terminal import add_json_option, output_console, print_table, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_parameter_options(parser)
     parser.add_argument("--markdown", action="store_true", help="print the documentation page")
-    parser.add_argument("--out", metavar="P.yaml", help="write a ROS 2 parameter file")
+    add_output(parser, "--out", FILE, metavar="P.yaml", help="write a ROS 2 parameter file")
     add_json_option(parser, "the table")
 
 

@@ -2,10 +2,11 @@
 
 import argparse
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from sma_bench.errors import InputError
 
@@ -106,7 +107,22 @@ PROGRAM = "sma-bench"
 
 
 class CommandParser(argparse.ArgumentParser):
-    """Raises InputError instead of printing the usage and an error below it."""
+    """Raises InputError instead of printing the usage and an error below it, and before any work
+    where an output would replace what is there."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """The arguments, once no output of theirs endangers a file."""
+        found = super().parse_args(args, namespace)
+        values = vars(found)
+        targets = {
+            "/".join(action.option_strings): (Path(values[action.dest]), action.kind)
+            for action in self._actions
+            if isinstance(action, Output) and values[action.dest] not in (None, STANDARD_OUTPUT)
+        }
+        outputs = {action.dest for action in self._actions if isinstance(action, Output)}
+        inputs = paths_in(value for name, value in values.items() if name not in outputs)
+        keep_safe(targets, inputs, bool(values.get("force")))
+        return found
 
     def error(self, message: str) -> NoReturn:
         """One line that says what was wrong and where help is."""
@@ -122,6 +138,99 @@ def command_parser(name: str, description: str | None) -> CommandParser:
         epilog=example_text(EXAMPLES.get(name, ())),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+# --- What a command may write: no output replaces what exists without --force, and no input ever.
+
+STANDARD_OUTPUT = "-"
+FILE, FOLDER, BAG, NEW, OWN = "file", "folder", "bag", "new folder", "checked by the command"
+_RECORD = "metadata.yaml"
+
+
+class Output(argparse.Action):
+    """An option that names what is written; `kind`: FILE, FOLDER (of files with names of their
+    own), BAG, NEW (never replaced), or OWN (the command calls `keep_safe` when it knows the
+    files)."""
+
+    def __init__(self, *args: Any, kind: str = FILE, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.kind = kind
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Keep the path."""
+        setattr(namespace, self.dest, values)
+
+
+def add_output(parser: argparse.ArgumentParser, option: str, kind: str, **rest: Any) -> None:
+    """Add an option that names what is written, and --force once."""
+    parser.add_argument(option, action=Output, kind=kind, **rest)
+    if kind != NEW and "--force" not in parser._option_string_actions:
+        parser.add_argument(
+            "--force", action="store_true", help="replace outputs that exist (inputs never)"
+        )
+
+
+def keep_safe(
+    targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], force: bool
+) -> None:
+    """Refuse outputs that would replace what is there.
+
+    Args:
+        targets: path and kind of each output, by a name for it.
+        inputs: files and folders that are read; those of a bag count with it.
+        force: whether what exists may be replaced; inputs never.
+
+    Raises:
+        InputError: the line names the output and what is in its way.
+    """
+    seen: dict[Path, str] = {}
+    for option, (path, kind) in targets.items():
+        other = seen.setdefault(path.resolve(), option)
+        if other != option:
+            raise InputError(f"{path}: {other} and {option} name the same, expected two outputs")
+        if not path.exists() or kind == OWN:
+            continue
+        given = next((name for name in inputs if _holds(path, name, kind)), None)
+        if given is not None:
+            raise InputError(f"{path}: an input, or the folder of one, expected a new path")
+        if kind == NEW:
+            raise InputError(f"{path}: exists already, expected a new folder")
+        if kind == FOLDER and not path.is_dir():
+            raise InputError(f"{path}: is not a folder, expected a new one")
+        if kind == FOLDER and not any(path.iterdir()):
+            continue
+        if not force:
+            what = "exists already" if kind != FOLDER else "exists already and is not empty"
+            raise InputError(f"{path}: {what}, expected a new path; --force replaces it")
+        if kind == BAG and not (path.is_dir() and (path / _RECORD).is_file()):
+            raise InputError(f"{path}: is not a bag; --force replaces bags only")
+
+
+def paths_in(values: Iterable[Any]) -> list[Path]:
+    """Files and folders that exist, of the values of a command line."""
+    texts = [text for value in values for text in (value if isinstance(value, list) else [value])]
+    named = [Path(text) for text in texts if isinstance(text, str) and text and len(text) < 4096]
+    return [path for path in named if _exists(path)]
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def _holds(output: Path, given: Path, kind: str) -> bool:
+    """Whether replacing an output takes an input away."""
+    if output.samefile(given):
+        return True
+    if kind != FILE and any(output.samefile(folder) for folder in given.resolve().parents):
+        return True
+    bag = given.is_dir() and (given / _RECORD).is_file()
+    return bag and any(given.samefile(folder) for folder in output.resolve().parents)
 
 
 def one_of(words: Callable[[], Iterable[str]]) -> Callable[[str], str]:

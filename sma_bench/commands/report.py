@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import FOLDER, add_output
 from sma_bench.commands.terminal import add_json_option, progress, say, write_json
 from sma_bench.progress import in_turn, part
 
@@ -17,8 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "inputs", nargs="+", metavar="RECORD|RESULT",
         help="bag, instrument file, or a result of identify or diagnose (.json)",
     )
-    parser.add_argument(
-        "--out", metavar="DIR", required=True,
+    add_output(
+        parser, "--out", FOLDER, metavar="DIR", required=True,
         help="folder for index.html, and its figures (PNG, SVG) and tables (CSV) for papers",
     )
     parser.add_argument("--title", default="SMA bench report", help="head of the page")

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import BAG, add_output
 from sma_bench.commands.terminal import add_json_option, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.progress import part
@@ -17,7 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--protocol", metavar="NAME", help="a protocol's name or .yaml file")
     source.add_argument("--input", metavar="BAG", help="use the voltages measured in a bag")
-    parser.add_argument("--out", metavar="BAG", required=True, help="bag to write (new folder)")
+    add_output(
+        parser, "--out", BAG, metavar="BAG", required=True, help="bag to write (new folder)"
+    )
     parser.add_argument(
         "--rate", metavar="HZ", type=float, default=100.0, help="samples a second of a protocol"
     )
@@ -68,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
             signals = read_signals(signals, args.noise, part(report, *_INSTRUMENTS))
             noise = f"synthetic noise, seed {args.noise}"
         writing = part(report, _INSTRUMENTS[1], 1.0)
-        write_record(Path(args.out), signals, start_ns=start_ns, report=writing)
+        write_record(
+            Path(args.out), signals, start_ns=start_ns, report=writing, replace=args.force
+        )
     if args.json:
         write_json(args.json, {
             "bag": args.out, "protocol": args.protocol, "input": args.input,

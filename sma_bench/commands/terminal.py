@@ -17,6 +17,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from sma_bench.border import printable
+from sma_bench.commands.parser import FILE, STANDARD_OUTPUT, add_output
 from sma_bench.findings import Finding
 from sma_bench.progress import Report
 from sma_bench.results import json_text, write_result
@@ -240,7 +241,6 @@ def _lines(title: str, state: WorkState, over: threading.Event) -> None:
 
 # --- How commands print findings and write results.
 
-STANDARD_OUTPUT = "-"
 _STYLES = {"info": "green", "warning": "yellow", "error": "red"}
 
 
@@ -264,8 +264,8 @@ def finding_line(finding: Finding) -> str:
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --json [FILE]; `what` it holds."""
-    parser.add_argument(
-        "--json", metavar="FILE", nargs="?", const=STANDARD_OUTPUT,
+    add_output(
+        parser, "--json", FILE, metavar="FILE", nargs="?", const=STANDARD_OUTPUT,
         help=f"write {what} as JSON; without FILE, or to -, on standard output and nothing else "
         "there",
     )

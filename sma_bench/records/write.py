@@ -33,6 +33,7 @@ def write_record(
     markers: Iterable[tuple[float, str]] = (),
     provenance: Mapping[str, Any] | None = None,
     report: Report = silent,
+    replace: bool = False,
 ) -> None:
     """Write a record, or signals, as a bag; the bag appears whole or not at all.
 
@@ -52,10 +53,11 @@ def write_record(
         provenance: where the signals come from, kept in metadata.yaml (`source`, `sha256`, `how`
             and whatever else, as JSON) and told by `read_record`.
         report: told how far it is.
+        replace: a bag that lies at the path, once the new one is whole.
 
     Raises:
-        InputError: the path exists or cannot be written, a signal has no place in the contract or
-            times that cannot be stamped.
+        InputError: the path exists (and is not to be replaced) or cannot be written, a signal has
+            no place in the contract or times that cannot be stamped.
     """
     path = Path(path)
     signals, start, texts = _unpack(source, start_ns, markers)
@@ -67,7 +69,7 @@ def write_record(
         raise InputError(f"{path}: no signals to write, expected at least one")
     custom = {PROVENANCE: json.dumps(dict(provenance))} if provenance else None
     with (
-        _beside(path) as temporary,
+        _beside(path, replace) as temporary,
         BagWriter(temporary, storage, flush_every=inf, custom_data=custom) as writer,
     ):
         _write_streams(writer, streams, report)
@@ -85,9 +87,9 @@ def _unpack(
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[Path]:
+def _beside(path: Path, replace: bool) -> Iterator[Path]:
     """A path to write to that becomes `path` when all went well."""
-    if path.exists():
+    if path.exists() and not replace:
         raise InputError(f"{path}: exists already, expected a new path for the bag")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,9 +98,17 @@ def _beside(path: Path) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     try:
         yield folder / path.name
-        if path.exists():
+        if path.exists() and not replace:
             raise InputError(f"{path}: exists already, expected a new path for the bag")
-        (folder / path.name).rename(path)
+        old = folder / f"{path.name}.replaced"
+        if path.exists():
+            path.rename(old)
+        try:
+            (folder / path.name).rename(path)
+        except OSError:
+            if old.exists():
+                old.rename(path)
+            raise
     except InputError as error:
         # Of a bag that appears whole or not at all nothing is left to read.
         text = str(error).replace(str(folder / path.name), str(path)).removesuffix(STILL_READABLE)

@@ -268,7 +268,8 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
     assert "sma-bench blind make --seed 5 --n 3 --out cases" in text
     assert "sma-bench blind run cases --rival rmse" in text
     markdown.write_text(text + "\n## Notes\n\nMissed because of the wind.\n")
-    assert main(arguments) == 0
+    assert main(arguments) == 2
+    assert main([*arguments, "--force"]) == 0
     assert markdown.read_text() == text + "\n## Notes\n\nMissed because of the wind.\n"
 
 

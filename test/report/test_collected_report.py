@@ -190,7 +190,7 @@ def test_figures_and_tables_are_there_for_papers(tmp_path, bag, results, capsys)
 
 def test_a_second_report_replaces_the_first(tmp_path, bag, results, capsys):
     report(tmp_path, bag)
-    out = report(tmp_path, results[0])
+    out = report(tmp_path, results[0], "--force")
     assert "Identification" in Page(out / "index.html").text
     assert [path.name for path in out.iterdir() if path.name.startswith(".")] == []
 
@@ -270,7 +270,7 @@ def test_a_folder_that_cannot_be_written_keeps_the_last_report(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("sma_bench.border.os.replace", full)
-    assert main(["report", str(results[0]), "--out", str(out)]) == 2
+    assert main(["report", str(results[0]), "--out", str(out), "--force"]) == 2
     assert "No space left" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
@@ -278,7 +278,7 @@ def test_a_folder_that_cannot_be_written_keeps_the_last_report(
 def test_a_target_that_is_a_file_is_one_line(tmp_path, bag, capsys):
     (tmp_path / "out").write_text("mine")
     assert main(["report", str(bag), "--out", str(tmp_path / "out")]) == 2
-    assert "cannot write the report" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
     assert (tmp_path / "out").read_text() == "mine"
 
 

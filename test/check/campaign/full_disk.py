@@ -104,7 +104,7 @@ def _fill_with_a_bag(path: Path) -> str:
 _COMMANDS = {
     "simulate": ["simulate", "--params", "{params}", "--protocol", "quick_ramp", "--out", "{out}"],
     "simulate --json": ["simulate", "--protocol", "quick_ramp", "--out", "{bag}", "--json",
-                        "{out}"],
+                        "{out}", "--force"],
     "write": [],
 }  # fmt: skip
 
