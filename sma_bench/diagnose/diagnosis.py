@@ -30,7 +30,8 @@ from sma_bench.parameters import Parameters, audit
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.records.record import Record
+from sma_bench.records.check import check_response
+from sma_bench.records.record import Record, fingerprint
 from sma_bench.results import DiagnoseResult, diagnosis_from, json_text
 
 Array = NDArray[np.float64]
@@ -156,11 +157,17 @@ def diagnose(
         quantities: that are compared, of current, temperature and deflection.
 
     Raises:
-        InputError: no records, or one that cannot be compared with the model.
+        InputError: no records, one that cannot be compared with the model, or one that is both
+            fitted and held out.
     """
     if not records:
         raise InputError("diagnose: no record, expected at least one")
+    _refuse_fitted(records, hold_out)
     progress("records")
+    unrelated = [
+        replace(f, subject=f"{record.path}, {f.subject}")
+        for record in (*records, *hold_out) for f in check_response(record)
+    ]
     if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
         records, hold_out = (list(map(_without_force, some)) for some in (records, hold_out))
     shortest = shared_bin([*records, *hold_out], parameters)
@@ -174,7 +181,7 @@ def diagnose(
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     blind = _fitted_to(fitted, model)
     moved = blind if model is found.recalibrated else _fitted_to(fitted, found.recalibrated)
-    following = _next(decision, [*seen, *unseen], parameters, progress)
+    following, remarks = _next(decision, [*seen, *unseen], parameters, progress)
     return Diagnosis(
         parameters, decision, found, model, improved,
         tuple(_where(found, model, decision.verdict)),
@@ -184,7 +191,7 @@ def diagnose(
             unfitted, parameters, moved.parameters, _believable(blind, decision, parameters), model
         ),
         (*seen, *unseen), tuple(fitted), tuple(unfitted), tuple(why(decision, found, model)),
-        (*audit(parameters), *_missing([*seen, *unseen], parameters), *_inseparable(following)),
+        (*unrelated, *audit(parameters), *_missing([*seen, *unseen], parameters), *remarks),
         following if following and following.settles else None,
     )
 
@@ -196,11 +203,28 @@ def _without_force(record: Record) -> Record:
 def _next(
     decision: Decision, observations: Sequence[Observation], parameters: Parameters,
     progress: Progress,
-) -> NextExperiment | None:
+) -> tuple[NextExperiment | None, list[Finding]]:
+    """The proposal and what there is to say of it; one that is refused costs no diagnosis."""
     if decision.verdict != "ambiguous":
-        return None
+        return None, []
     progress("the next experiment")
-    return next_experiment(decision.candidates, observations, parameters)
+    try:
+        following = next_experiment(decision.candidates, observations, parameters)
+    except InputError as error:
+        return None, [Finding("warning", "next experiment", f"none is proposed: {error}")]
+    return following, _inseparable(following)
+
+
+def _refuse_fitted(records: Sequence[Record], hold_out: Sequence[Record]) -> None:
+    """A record that is fitted shows nothing of what a model predicts."""
+    seen = {fingerprint(record): record.path for record in records}
+    for record in hold_out:
+        fitted = seen.get(fingerprint(record))
+        if fitted is not None:
+            same = "is" if fitted == record.path else f"holds the samples of {fitted}, which is"
+            raise InputError(
+                f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
+            )
 
 
 def _inseparable(following: NextExperiment | None) -> list[Finding]:

@@ -31,6 +31,7 @@ from sma_bench.identify.signals import FEWEST_LEVELS, Drive
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
+from sma_bench.records.check import check_response
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import Phase, TensileRecord
@@ -153,7 +154,9 @@ def identify(
         raise InputError("no record to identify from")
     run = Run(parameters, wanted, asked=experiments is not None)
     bags = [r for r in records if isinstance(r, Record)]
-    run.notes.extend(f for record in bags for f in record.findings)
+    run.notes.extend(
+        f for record in bags for f in (*record.findings, *check_response(record))
+    )
     whole = _whole_model(run, bags, report)
     told = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     # Wires that move a load are identified by the whole model alone: their staircases bend it.

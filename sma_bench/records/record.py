@@ -1,6 +1,7 @@
 """The record of one experiment: named signals with units, each on its own clock."""
 
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,16 @@ class Record:
     def duration(self) -> float:
         """Time of the last sample in s; 0 for a record without signals."""
         return max((float(s.time[-1]) for s in self.signals.values() if len(s)), default=0.0)
+
+
+def fingerprint(record: Record) -> bytes:
+    """Hash of what was recorded, whatever the file, storage or compression it lies in."""
+    found = sha256()
+    for name, signal in sorted(record.signals.items()):
+        found.update(name.encode())
+        found.update(np.ascontiguousarray(signal.time).tobytes())
+        found.update(np.ascontiguousarray(signal.values).tobytes())
+    return found.digest()
 
 
 def samples(record: Record, name: str) -> tuple[FloatArray, FloatArray]:

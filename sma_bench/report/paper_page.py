@@ -32,9 +32,10 @@ from sma_bench.report.composite_figures import (
     bench_picture,
     composite_deflection_picture,
     composite_voltage_picture,
+    errata_picture,
 )
 from sma_bench.report.drawing import FAINT
-from sma_bench.report.errata import Erratum, errata_picture, errata_sections
+from sma_bench.report.errata import Erratum, errata_sections
 from sma_bench.report.experiment_figures import (
     dsc_overview_picture,
     heat_transfer_picture,

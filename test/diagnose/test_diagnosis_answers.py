@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,15 @@ from sma_bench.blind.case_files import checked_answer
 from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
 from sma_bench.physics import simulate
+from sma_bench.protocols import parse_protocol
+from sma_bench.records import read_record
+from sma_bench.records.write import write_record
 from sma_bench.results import json_text
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+LOW = {"kind": "rest", "duration": 5.0}
+HIGH = {"kind": "ramp", "start": 2.0, "stop": 2.0, "duration": 5.0}
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +111,33 @@ def test_a_sensor_that_is_missing_is_named_with_what_it_would_add(tmp_path):
     missing = {f.subject: f.text for f in result.findings if f.text.startswith("not compared")}
     assert set(missing) == {"current", "temperature"}
     assert "thermal and mechanical" in missing["temperature"]
+
+
+def test_a_hold_out_that_is_fitted_too_is_refused(tmp_path):
+    record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
+    with pytest.raises(InputError, match="bag: is fitted too; a hold-out must be of a run"):
+        diagnose([record], believed(), [record])
+    # The same samples under another name, in another storage.
+    write_record(tmp_path / "copy", record, storage="sqlite3")
+    copy = read_record(tmp_path / "copy")
+    with pytest.raises(InputError, match=r"copy: holds the samples of .*bag, which is fitted too"):
+        diagnose([record], believed(), [copy])
+
+
+def test_a_record_whose_runs_are_swapped_is_told(wire_rig, tmp_path):
+    made = [
+        planted_record(
+            tmp_path / f"bag_{k}", quantities=("current", "temperature"), bench=wire_rig,
+            protocol=parse_protocol({"name": "rise", "steps": steps}, wire_rig),
+        )
+        for k, steps in enumerate(([LOW, HIGH, LOW], [HIGH, LOW, HIGH]))
+    ]
+    swapped = replace(
+        made[0], signals={**made[0].signals, "wire.temperature": made[1]["wire.temperature"]}
+    )
+    with few_effects(()):
+        result = diagnose([swapped], wire_rig)
+    assert any("stored runs or channels swapped" in f.text for f in result.findings)
 
 
 def test_no_record_is_refused():

@@ -4,6 +4,7 @@ import pytest
 from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
+from sma_bench.errors import InputError
 from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
@@ -33,6 +34,20 @@ def test_the_proposed_experiment_breaks_the_tie_when_it_is_run(short_record, tmp
     protocol = parse_protocol(proposed.protocol, believed())
     longer = planted_record(tmp_path / "bag", WARMING, protocol=protocol, seed=3, **ONLY)
     assert diagnosed([short_record, longer]).decision.cause == ("ambient_drift",)
+
+
+def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
+    short_record, monkeypatch
+):
+    def refused(*_):
+        raise InputError("protocol separate: step 2: 12 V, expected at most 10 V")
+
+    monkeypatch.setattr(next_experiment, "parse_protocol", refused)
+    tied = diagnosed([short_record])
+    assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
+    (remark,) = [f for f in tied.findings if f.subject == "next experiment"]
+    assert remark.severity == "warning" and "expected at most 10 V" in remark.text
+    assert tied.to_json()["next_experiment"] is None
 
 
 def test_a_protocol_that_separates_nothing_is_not_proposed(short_record, monkeypatch):

@@ -189,3 +189,35 @@ def test_a_record_on_two_clocks_is_told_and_a_stalled_recorder_is_not():
         steps = tuple((k * period, f"ramp/{k % 2}") for k in range(100))
         said = found(replace(orderly, markers=steps)).get("experiment/marker", "")
         assert said.startswith("100 steps, 98 times back") is told
+
+
+@pytest.mark.parametrize("rig", ["wire", "composite"])
+def test_stored_runs_swapped_are_noticed_and_the_right_ones_are_not(shared_data, rig):
+    """The voltages of one run beside the readings of another of the same bench."""
+    runs = sorted((shared_data / "foreign" / rig).glob("*/metadata.yaml"))
+    one, other = (read_record(path.parent) for path in runs)
+    for command, response in ((one, other), (other, one)):
+        voltages = {n: s for n, s in command.signals.items() if n.endswith("voltage")}
+        readings = {n: s for n, s in response.signals.items() if not n.endswith("voltage")}
+        told = found(replace(command, signals={**voltages, **readings}))
+        for channel in command.channels:
+            assert "stored runs or channels swapped" in told[f"{channel}.temperature"]
+        assert not any("swapped" in text for text in found(command).values())
+
+
+def test_channels_swapped_at_the_plug_are_noticed(shared_data):
+    triangle = read_record(shared_data / "foreign/composite/triangle")
+    front, back = (triangle.signals[f"{side}_1.temperature"] for side in ("front", "back"))
+    crossed = triangle.signals | {
+        "front_1.temperature": replace(back, name="front_1.temperature"),
+        "back_1.temperature": replace(front, name="back_1.temperature"),
+    }
+    told = found(replace(triangle, signals=crossed))
+    assert set(told) == {"front_1.temperature", "back_1.temperature"}
+    assert all("swapped" in text for text in told.values())
+
+
+def test_noise_alone_and_a_bench_at_rest_say_nothing_of_what_belongs_together():
+    noise = 296.0 + 0.1 * np.random.default_rng(1).standard_normal(len(CLOCK))
+    assert found(record(wire_voltage=TRIANGLE, wire_temperature=noise)) == {}
+    assert found(record(wire_voltage=0.0 * TRIANGLE, wire_temperature=settling())) == {}
