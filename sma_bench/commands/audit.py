@@ -11,6 +11,11 @@ from sma_bench.parameters import audit
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("file", nargs="?", metavar="P.yaml", help="ROS 2 parameter file")
+    parser.add_argument(
+        "--paper", action="store_true",
+        help="findings on numbers that are all the paper's one by one too, not in one line "
+        "(default without P.yaml and --set)",
+    )
     add_parameter_options(parser)
     add_json_option(parser, "the findings")
 
@@ -20,7 +25,8 @@ def run(args: argparse.Namespace) -> int:
     if args.file and args.params:
         raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")
     args.params = args.params or args.file
-    findings = audit(parameters_from_options(args))
+    parameters = parameters_from_options(args)
+    findings = audit(parameters, papers_own=args.paper or not parameters.given)
     if args.json:
         write_json(args.json, {"findings": [finding.to_json() for finding in findings]})
     print_findings(findings)

@@ -191,7 +191,10 @@ def diagnose(
             unfitted, parameters, moved.parameters, _believable(blind, decision, parameters), model
         ),
         (*seen, *unseen), tuple(fitted), tuple(unfitted), tuple(why(decision, found, model)),
-        (*unrelated, *audit(parameters), *_missing([*seen, *unseen], parameters), *remarks),
+        (
+            *unrelated, *audit(parameters, papers_own=False),
+            *_missing([*seen, *unseen], parameters), *remarks,
+        ),
         following if following and following.settles else None,
     )
 

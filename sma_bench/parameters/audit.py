@@ -1,9 +1,11 @@
 """Do the numbers of a lab fit each other, and physics? The first suspect of any gap is here."""
 
 import math
+from collections.abc import Callable, Sequence
 
 from sma_bench.findings import Finding
-from sma_bench.parameters.parameters import Parameters
+from sma_bench.parameters.parameters import Parameters, load_kind
+from sma_bench.parameters.table import BY_NAME
 
 NITI_DENSITY = 6450.0  # kg/m3
 NITI_RESISTIVITY = (70e-8, 110e-8)  # ohm m, martensite 76 to 80, austenite 82 to 100 microohm cm
@@ -11,26 +13,45 @@ NITI_EXPANSION = (6.6e-6, 11e-6)  # 1/K, martensite, austenite
 GRAVITY = 9.81  # m/s2
 STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
 WIRE_EMISSIVITY = (0.2, 0.9)  # bright to oxidised
+# J/(kg K): calorimetry of NiTi outside its transformation gives 440 to 550; data sheets have 322
+# (0.077 cal/(g K), Nitinol Devices & Components) and 837 (0.2 cal/(g K), Dynalloy).
+NITI_SPECIFIC_HEAT = (400.0, 650.0)
+NITI_WORKING_STRESS = 250e6  # Pa, data sheets advise 170 to 200 for many cycles
+NITI_STRENGTH = 800e6  # Pa, where austenite of most wires slips
 LENGTH_TOLERANCE = 0.10
 CONVECTION_FACTOR = 1.5
 
 
-def audit(parameters: Parameters) -> list[Finding]:
+def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
     """Check a lab's own numbers against each other and against correlations.
+
+    Args:
+        papers_own: whether findings on numbers that are all the paper's stand one by one; else
+            they are one line.
 
     Returns:
         Findings: "warning" where numbers clash (the text says which and by how much), "info"
-        where a check passed. PAPER_NOTES items 7 to 10 are the warnings on the paper's numbers.
+        where a check passed. PAPER_NOTES items 7 to 10 and 16 are the warnings on the paper's
+        numbers.
     """
-    findings = [
-        _lengths(parameters),
-        _resistivity(parameters),
-        _heat_transfer(parameters),
-        _time_constant(parameters),
-        _transition_order(parameters),
-        _thermal_expansion(parameters),
+    found = [
+        (finding, _are_papers(parameters, names))
+        for check, names in CHECKS if (finding := check(parameters)) is not None
     ]
+    findings = [finding for finding, papers in found if papers_own or not papers]
+    clashes = [f.subject for f, papers in found if papers and f.severity != "info"]
+    if not papers_own and any(papers for _, papers in found):
+        text = (
+            f"{sum(papers for _, papers in found)} checks rest on the paper's own numbers, "
+            f"{len(clashes)} of them clash"
+        )
+        text += f" ({', '.join(clashes)}); sma-bench audit --paper lists them" if clashes else ""
+        findings.append(Finding("info", "the paper's numbers", text))
     return findings
+
+
+def _are_papers(parameters: Parameters, names: Sequence[str]) -> bool:
+    return all(parameters[name] == BY_NAME[name].default for name in names)
 
 
 def wire_length(parameters: Parameters) -> float:
@@ -150,8 +171,7 @@ def _heat_transfer(parameters: Parameters) -> Finding:
     if h > high * CONVECTION_FACTOR:
         numbers["factor"] = h / high
         text += (
-            f": {h / high:.1f} times the highest; a temperature read low (an infrared spot wider "
-            "than the wire), moving air, a wire in contact, or too small an area would do that"
+            f": {h / high:.1f} times the highest; what would explain it is weighed below"
         )
         return Finding("warning", "heat transfer", text, numbers)
     if h < low / CONVECTION_FACTOR:
@@ -231,3 +251,147 @@ def _thermal_expansion(parameters: Parameters) -> Finding:
 
 def _wire(parameters: Parameters) -> str:
     return f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
+
+
+def _specific_heat(parameters: Parameters) -> Finding:
+    heat = parameters["wire.specific_heat"]
+    low, high = NITI_SPECIFIC_HEAT
+    numbers = {"specific_heat": heat, "low": low, "high": high}
+    text = (
+        f"wire.specific_heat {heat:.4g} J/(kg K) against {low:g} to {high:g} of NiTi outside its "
+        "transformation"
+    )
+    if low <= heat <= high:
+        return Finding("info", "specific heat", text + ": plausible", numbers)
+    numbers["factor"] = heat / (low if heat < low else high)
+    side = "lowest" if heat < low else "highest"
+    text += f": {numbers['factor']:.2f} times the {side}"
+    hint = (
+        "; a temperature read high or a mass stated too large would make it so"
+        if heat < low else
+        "; a temperature read low, a mass stated too small, a matrix or a holder heated along, or "
+        "latent heat would make it so"
+    )
+    return Finding("warning", "specific heat", text + hint, numbers)
+
+
+def _current(parameters: Parameters) -> Finding | None:
+    if parameters["bench.drive"] == "current":
+        return None
+    duty = parameters["bench.drive"] == "duty"
+    name = "bench.supply_voltage" if duty else "bench.maximum_voltage"
+    volts, limit = parameters[name], parameters["bench.maximum_current"]
+    ohm = parameters["wire.resistance"] + parameters["bench.lead_resistance"]
+    current = volts / ohm
+    numbers = {"current": current, "limit": limit, "largest_voltage": limit * ohm}
+    text = f"{name} {volts:g} V over {ohm:.4g} ohm is {current:.2f} A a wire"
+    if current <= limit:
+        return Finding("info", "current", f"{text}, within bench.maximum_current {limit:g} A",
+                       numbers)
+    text += (
+        f", above bench.maximum_current {limit:g} A, which is reached at {limit * ohm:.2f} V: the "
+        "outputs will be switched off there"
+    )
+    return Finding("warning", "current", text, numbers)
+
+
+def _force(parameters: Parameters) -> Finding | None:
+    """Stress of the load that is held, and at full stroke of a spring."""
+    kind = load_kind(parameters)
+    if kind not in ("force", "spring", "antagonist"):
+        return None
+    force = abs(parameters["load.force"]) + abs(parameters["load.preload"])
+    section = _cross_section(parameters) * parameters["wire.count"]
+    stroke = parameters["wire.maximum_recoverable_strain"] * wire_length(parameters)
+    pull = force + parameters["load.stiffness"] * stroke
+    stress, most = force / section, pull / section
+    shift = most / parameters["wire.stress_influence_austenite"]
+    numbers = {"force": force, "stress": stress, "stress_at_full_stroke": most, "shift": shift}
+    text = (
+        f"{force:.4g} N on {_wire(parameters)} is {stress / 1e6:.1f} MPa at rest and "
+        f"{most / 1e6:.1f} MPa at the full stroke of {stroke * 1e3:.3g} mm, where A_f lies "
+        f"{shift:.1f} K higher"
+    )
+    if most > NITI_STRENGTH:
+        text += f": above {NITI_STRENGTH / 1e6:g} MPa the wire slips before it gets there"
+        return Finding("warning", "force", text, numbers)
+    if most > NITI_WORKING_STRESS:
+        text += f": above {NITI_WORKING_STRESS / 1e6:g} MPa it lasts few cycles"
+        return Finding("warning", "force", text, numbers)
+    return Finding("info", "force", text + ": plausible", numbers)
+
+
+def _explanations(parameters: Parameters) -> Finding | None:
+    """What would explain a heat transfer coefficient that still air does not give: each error is
+    undone in the numbers and all are checked again."""
+    before = _heat_transfer(parameters)
+    if before.severity == "info":
+        return None
+    h, heat = parameters["wire.heat_transfer_coefficient"], parameters["wire.specific_heat"]
+    low, high = still_air_range(parameters)
+    factor = h / high if h > high else h / low
+    area = math.pi * parameters["wire.diameter"] * wire_length_from_mass(parameters)
+    grown = parameters["wire.surface_area"] / area
+    mass = wire_length_from_area(parameters) / wire_length_from_mass(parameters)
+    # What is measured stays: h A_c by E2, c_p m by E3, both per kelvin that the sensor says.
+    undone = {
+        f"a temperature read {'low' if factor > 1.0 else 'high'} by a factor {factor:.1f}": {
+            "wire.heat_transfer_coefficient": h / factor, "wire.specific_heat": heat / factor},
+        "an area of the mass's length": {
+            "wire.surface_area": area, "wire.heat_transfer_coefficient": h * grown},
+        "a mass of the area's length": {
+            "wire.mass": parameters["wire.mass"] * mass, "wire.specific_heat": heat / mass},
+    }
+    judged = {"heat transfer": _heat_transfer, "time constant": _time_constant,
+              "specific heat": _specific_heat}
+    clashing = [name for name, check in judged.items() if check(parameters).severity != "info"]
+    told, numbers = [], {"factor": factor}
+    for what, changed in undone.items():
+        values = {name: _clipped(name, value) for name, value in changed.items()}
+        then = [n for n, check in judged.items()
+                if check(parameters.replace(values)).severity != "info"]
+        mended = [name for name in clashing if name not in then]
+        left = f"leaves {_listed(then)}" if then else "leaves nothing"
+        c_p = values.get("wire.specific_heat", heat)
+        told.append(f"{what} mends {_listed(mended) or 'none of it'} and {left} (c_p {c_p:.0f})")
+        numbers[f"left by {what.partition(' by ')[0]}"] = float(len(then))
+    rest = [name for name in clashing if name not in ("heat transfer", "time constant")]
+    told.append(
+        "moving air or a wire in contact explain heat transfer and time constant"
+        + (f" and leave {_listed(rest)}" if rest else "")
+    )
+    return Finding("info", "heat transfer explained", "; ".join(told), numbers)
+
+
+def _clipped(name: str, value: float) -> float:
+    low, high = BY_NAME[name].low, BY_NAME[name].high
+    return min(max(value, low if low is not None else value), high if high is not None else value)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+_TEMPERATURES = tuple(
+    f"wire.{phase}_{end}_temperature" for phase in ("austenite", "martensite")
+    for end in ("start", "finish")
+)
+_HEAT = (
+    "wire.heat_transfer_coefficient", "wire.specific_heat", "wire.mass", "wire.surface_area",
+    "wire.diameter",
+)
+# Each check with the parameters that it rests on.
+CHECKS: tuple[tuple[Callable[[Parameters], Finding | None], tuple[str, ...]], ...] = (
+    (_lengths, ("wire.mass", "wire.surface_area", "wire.diameter")),
+    (_resistivity, ("wire.resistance", "wire.mass", "wire.surface_area", "wire.diameter")),
+    (_heat_transfer, ("wire.heat_transfer_coefficient", "wire.diameter")),
+    (_time_constant, _HEAT),
+    (_explanations, _HEAT),
+    (_specific_heat, ("wire.specific_heat",)),
+    (_transition_order, _TEMPERATURES),
+    (_thermal_expansion, ("wire.thermal_expansion_factor", "wire.martensite_modulus",
+                          "wire.austenite_modulus")),
+    (_current, ("bench.maximum_voltage", "bench.maximum_current", "bench.supply_voltage",
+                "bench.lead_resistance", "wire.resistance")),
+    (_force, ("load.force", "load.preload", "load.stiffness", "wire.diameter", "wire.count")),
+)
