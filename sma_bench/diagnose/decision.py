@@ -144,23 +144,34 @@ def _effect_logit(search: Search, name: str, gain: float, gap: float, scale: flo
 def signs_of_unexplained(search: Search) -> dict[str, float]:
     """Log odds, in words, that the best candidate is not the whole truth: what it leaves knows when
     the bench moves, or holds a single event or a smooth response; it needs a sensor that drifts as
-    none does, or parameters that nobody believes in."""
+    none does, or parameters that nobody believes in.
+
+    Where an effect was found, a sign that recalibration shows too is weighed by the share of it
+    that the effect leaves: a hundredth of what was explained speaks for the effect's equation being
+    inexact, not for another cause.
+    """
     left, best = search.left_by_best, search.best.evidence - search.recalibrated.evidence
     moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
+    smooth = (search.beyond.gain - FLEXIBLE) / 2.0
+    surprise = min((search.best.surprise - SURPRISE) / 4.0, SURPRISE_SIGN)
     if best <= THRESHOLD:
         moving += _worth(left.size, LEFT_SIZE, 4.0)
     else:
-        share = left.size / max(search.left.size, 1e-3)
-        moving = min(moving, 4.0 * np.log(max(share, 1e-3) / LEFT_SHARE))
+        moving = min(moving, _remaining(left.size, search.left.size))
+        smooth = min(smooth, _remaining(search.beyond.gain, search.flexible.gain))
+        surprise = min(surprise, _remaining(search.best.surprise, search.recalibrated.surprise))
     return {
         f"{left.signal or 'what is left'} scatters more in motion than at rest": moving,
         "a single event stands out": 2.0 * (left.outlier - LEFT_OUTLIER),
-        "a smooth response of free form is left": (search.beyond.gain - FLEXIBLE) / 2.0,
+        "a smooth response of free form is left": smooth,
         "a sensor would have to drift as none does": left.drift - LEFT_DRIFT,
-        "parameters are needed that nobody believes in": min(
-            (search.best.surprise - SURPRISE) / 4.0, SURPRISE_SIGN
-        ),
+        "parameters are needed that nobody believes in": surprise,
     }
+
+
+def _remaining(left: float, before: float) -> float:
+    """Log odds of a sign of which an effect leaves so much, beside what was there before."""
+    return 4.0 * float(np.log(max(left / max(before, 1e-3), 1e-3) / LEFT_SHARE))
 
 
 def _unexplained_logit(search: Search, logits: Mapping[str, float], best: float) -> float:

@@ -1,0 +1,50 @@
+"""From signs and gains to probabilities, without a fit."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from sma_bench.diagnose.decision import signs_of_unexplained
+from sma_bench.diagnose.left_over import Left
+
+SMOOTH = "a smooth response of free form is left"
+BELIEF = "parameters are needed that nobody believes in"
+
+
+def searched(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0)):
+    """What a search found: gain of the best, and each sign before (recalibrated) and after."""
+    return SimpleNamespace(
+        recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
+        best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
+        flexible=SimpleNamespace(gain=flexible), beyond=SimpleNamespace(gain=beyond),
+        left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
+        left_by_best=Left(9.0, "deflection", sizes[1], 3.0, 0.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "little", "much"),
+    [
+        (SMOOTH, {"flexible": 400.0, "beyond": 40.0}, {"flexible": 400.0, "beyond": 300.0}),
+        (BELIEF, {"surprise": (900.0, 70.0)}, {"surprise": (90.0, 70.0)}),
+        ("deflection scatters more in motion than at rest", {"sizes": (5.0, 0.5)},
+         {"sizes": (5.0, 4.0)}),
+    ],
+)
+def test_a_sign_counts_by_the_share_of_it_that_an_effect_leaves(name, little, much):
+    assert signs_of_unexplained(searched(2000.0, **little))[name] < -2.0
+    assert signs_of_unexplained(searched(2000.0, **much))[name] > 0.0
+
+
+def test_where_no_effect_was_found_a_sign_counts_whole():
+    found = signs_of_unexplained(searched(1.0, flexible=400.0, beyond=40.0, sizes=(5.0, 5.0)))
+    assert found[SMOOTH] == pytest.approx(5.0)
+    assert found["deflection scatters more in motion than at rest"] == pytest.approx(3.5, abs=0.01)
+
+
+def test_a_single_event_and_an_impossible_drift_are_never_weighed_against_what_was_explained():
+    search = searched(5000.0)
+    search.left_by_best = Left(0.0, "", 0.0, 12.0, 11.0)
+    found = signs_of_unexplained(search)
+    assert found["a single event stands out"] == pytest.approx(8.0)
+    assert found["a sensor would have to drift as none does"] == pytest.approx(6.0)
