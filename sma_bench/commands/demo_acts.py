@@ -99,7 +99,8 @@ SHARE = 0.5
 
 
 class Promise(NamedTuple):
-    """Numbers within so many stated errors of the truth, and these below a share of the value."""
+    """Numbers within so many stated errors of the truth, and these, but for what the scales of the
+    sensors may be off by, below a share of the value."""
 
     sigmas: float
     relative_std: float
@@ -165,7 +166,7 @@ def promise_holds(promise: Promise, estimates: Mapping[str, Any], truth: Paramet
     return all(
         name in estimates
         and abs(deviation(estimates[name], truth[name])) <= promise.sigmas
-        and estimates[name]["std"] <= promise.relative_std * estimates[name]["value"]
+        and estimates[name]["statistical"] <= promise.relative_std * estimates[name]["value"]
         for name in TABLE_ONE
     )
 
@@ -181,7 +182,7 @@ def _print_promise(
     """Print whether the promise holds; the same."""
     holds = promise_holds(promise, estimates, truth)
     console.print(
-        f"within {promise.sigmas:g} standard errors of the truth, errors under "
+        f"within {promise.sigmas:g} standard errors of the truth, statistical errors under "
         f"{promise.relative_std:.0%}: {'yes' if holds else 'NO'}"
     )
     return holds

@@ -87,13 +87,13 @@ def print_result(result: "Identification") -> None:
     """A table of the numbers, and below it every remark on them."""
     rows = [
         (
-            name, f"{e.value:.6g}", f"{e.std:.2g}", e.unit, f"{100.0 * e.informed:.0f} %",
-            str(e.n), result.origin(name),
+            name, f"{e.value:.6g}", f"{e.std:.2g}", f"{e.systematic:.2g}", e.unit,
+            f"{100.0 * e.informed:.0f} %", str(e.n), result.origin(name),
         )
         for name, e in result.estimates.items()
     ]
-    headings = ("parameter", "value", "std", "unit", "informed", "n", "from")
-    print_table(output_console(), headings, rows, right=(1, 2, 4, 5))
+    headings = ("parameter", "value", "std", "systematic", "unit", "informed", "n", "from")
+    print_table(output_console(), headings, rows, right=(1, 2, 3, 5, 6))
     print_findings(result.notes)
     for experiment in result.experiments:
         say(f"\n{experiment.name} {experiment.title} ({experiment.source})")

@@ -4,8 +4,8 @@ A factor of a product that records know only as a whole (`Unknown.partner`) is t
 other by the priors alone; both are given here, with what that leaves open.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -15,6 +15,14 @@ from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import PRODUCTS, Unknown
 from sma_bench.parameters.table import BY_NAME
+from sma_bench.records.contract import CELSIUS_ZERO
+
+OF_EXCESS = ("sensor.temperature.emissivity", "sensor.temperature.spot_share")
+SCALES = dict.fromkeys(OF_EXCESS, "temperature") | {
+    f"sensor.{quantity}.gain": quantity
+    for quantity in ("current", "voltage", "temperature", "deflection")
+}
+_UP = 1e-3
 
 _SAME = 3.0  # nats below the best within which a start has ended at the same place
 _NEAR = 0.5  # standard deviations
@@ -30,6 +38,7 @@ class Number:
         moved: prior deviations from what was believed.
         informed: share of its information that came from the records: 1 - variance/prior variance.
         at_end: whether it stands at an end of its range.
+        shares: what the scale of each sensor adds to its error, one standard deviation, signed.
     """
 
     name: str
@@ -40,6 +49,7 @@ class Number:
     moved: float
     informed: float
     at_end: bool
+    shares: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -80,20 +90,26 @@ class Result:
         return int(sum(block.signal.count.sum() for block in self.fit.problem.blocks))
 
 
-def result_of(fitted: Fit, tried: Sequence[Fit]) -> Result:
-    """Numbers of a fit, which is the best of those `tried` carried to its end."""
+def result_of(
+    fitted: Fit, tried: Sequence[Fit], scales: Mapping[str, Array] | None = None
+) -> Result:
+    """Numbers of a fit, which is the best of those `tried` carried to its end.
+
+    `scales`: of `scale_errors`, where the errors are to hold those of the sensors' scales.
+    """
     apart = _factors(fitted)
     covariance = apart.turn @ block_diag(fitted.covariance, np.eye(apart.open)) @ apart.turn.T
     sigma = np.sqrt(np.diag(covariance))
     moved = apart.turn[:, : len(fitted.x)] @ fitted.x
     low, high = fitted.unknowns.bounds()
     at_end = (fitted.x - low < _AT_END) | (high - fitted.x < _AT_END)
+    shifts = {name: apart.turn[:, : len(x)] @ x for name, x in (scales or {}).items()}
     numbers = tuple(
-        _number(item, at, error, bool(at_end[k]))
-        for item, at, error, k in zip(
+        _number(item, at, error, bool(at_end[k]), {n: float(x[i]) for n, x in shifts.items()})
+        for i, (item, at, error, k) in enumerate(zip(
             apart.items, moved.tolist(), sigma.tolist(), apart.origin, strict=True
-        )
-    )
+        ))
+    )  # fmt: skip
     best = max(tried, key=lambda one: one.evidence)
     return Result(
         fitted, numbers, covariance / np.outer(sigma, sigma), _products(fitted), _off(fitted),
@@ -158,12 +174,57 @@ def _factor(name: str, std: float, item: Unknown, fitted: Fit) -> Unknown:
     )
 
 
-def _number(item: Unknown, moved: float, sigma: float, at_end: bool) -> Number:
+def _number(
+    item: Unknown, moved: float, sigma: float, at_end: bool,
+    shifts: Mapping[str, float] | None = None,
+) -> Number:
     informed = float(np.clip(1.0 - sigma**2, 0.0, 1.0))
     # By its logarithm, a number that has grown has a larger error than a believed one.
     std = min(item.slope(moved) * sigma, item.std)
     value = item.value(moved)
-    return Number(item.name, value, std, item.mean, item.std, moved, informed, at_end)
+    shares = {name: item.slope(moved) * shift for name, shift in (shifts or {}).items()}
+    return Number(item.name, value, std, item.mean, item.std, moved, informed, at_end, shares)
+
+
+def scale_errors(fitted: Fit) -> dict[str, Array]:
+    """(k,) by sensor's scale: how far the unknowns go, in prior deviations, with one standard
+    deviation of it, when every signal of its quantity is off alike."""
+    problem, parameters = fitted.problem, fitted.parameters
+    rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
+    gain = fitted.joint[: len(fitted.x)] @ rows.T
+    columns = {name: _off_by(name, fitted) for name in SCALES if parameters.std(name) > 0.0}
+    return {name: gain @ problem.whiten(c) for name, c in columns.items() if c.any()}
+
+
+def _off_by(name: str, fitted: Fit) -> Array:
+    """(n,) by which measured less predicted changes with one standard deviation of a scale."""
+    problem, parameters = fitted.problem, fitted.parameters
+    quantity, std = SCALES[name], parameters.std(name) / parameters[name]
+    if quantity == "voltage":
+        return std * _volts_up(fitted)
+    # A camera's scale is that of the Celsius degrees, its spot and emissivity that of the excess.
+    zero = {"temperature": CELSIUS_ZERO}.get(quantity, 0.0)
+    if name in OF_EXCESS:
+        zero = parameters["environment.ambient_temperature"]
+    column = np.zeros(len(problem.measured))
+    for block in problem.blocks:
+        if block.signal.quantity == quantity:
+            column[block.rows] = std * (block.signal.value - zero)
+    return column
+
+
+def _volts_up(fitted: Fit) -> Array:
+    """(n,) d(measured - predicted)/d(log of all voltages)."""
+    found = []
+    for one in fitted.problem.observations:
+        there, here = (
+            one.readings(one.simulate(fitted.parameters, one.voltage * factor))
+            for factor in (1.0 + _UP, 1.0)
+        )
+        for signal, up, now in zip(one.signals, there, here, strict=True):
+            own = now if signal.quantity == "current" else 0.0  # a current is read off its volts
+            found.append(-(up - now) / _UP - own)
+    return np.concatenate(found)
 
 
 def _products(fitted: Fit) -> tuple[Number, ...]:

@@ -1,7 +1,7 @@
 """What an experiment yields: numbers with their errors, remarks, and curves to draw."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,7 +23,8 @@ class Estimate:
     """A number with one standard deviation, both in `unit`; `n` measured points stand behind it.
 
     `systematic` is the part of `std` that more of the same records would not lower; `informed` the
-    share of the number's information that came from the records.
+    share of the number's information that came from the records; `shares` of the systematic part,
+    in `unit`, by what is behind them, which other numbers may share.
     """
 
     value: float
@@ -33,10 +34,29 @@ class Estimate:
     n: int
     systematic: float = 0.0
     informed: float = 1.0
+    shares: Mapping[str, float] = field(default_factory=dict)
+
+    def with_shares(self, shares: Mapping[str, float]) -> "Estimate":
+        """The same with these systematic errors, one standard deviation each, and no others."""
+        systematic = math.hypot(*shares.values())
+        std = math.hypot(self.statistical, systematic) if systematic else self.statistical
+        return replace(self, std=std, systematic=systematic, shares=dict(shares))
+
+    def capped(self, std: float) -> "Estimate":
+        """The same, no less sure than `std`."""
+        if self.std <= std:
+            return self
+        statistical = min(self.statistical, std)
+        systematic = math.sqrt(std**2 - statistical**2)
+        ratio = systematic / self.systematic if self.systematic else 0.0
+        shares = {name: ratio * share for name, share in self.shares.items()}
+        return replace(self, std=std, systematic=systematic, shares=shares)
 
     @property
     def statistical(self) -> float:
         """Standard deviation without the systematic part."""
+        if not self.systematic:
+            return self.std
         return math.sqrt(max(self.std**2 - self.systematic**2, 0.0))
 
     @property
@@ -115,19 +135,20 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     if len(estimates) == 1:
         return estimates[0]
     values = np.array([e.value for e in estimates])
-    weights = np.array([1.0 / e.std**2 for e in estimates])
+    weights = np.array([1.0 / max(e.statistical, 1e-12 * e.std) ** 2 for e in estimates])
     mean = float(np.sum(weights * values) / np.sum(weights))
     birge = math.sqrt(float(np.sum(weights * (values - mean) ** 2)) / (len(estimates) - 1))
-    first = estimates[0]
+    statistical = max(1.0, birge) / math.sqrt(float(np.sum(weights)))
     # What is the same in every record does not average out.
-    systematic = max(e.systematic for e in estimates)
+    last = max(estimates, key=lambda e: e.systematic)
     return Estimate(
         value=mean,
-        std=max(max(1.0, birge) / math.sqrt(float(np.sum(weights))), systematic),
-        unit=first.unit,
-        method=f"{first.method}; weighted mean of {len(estimates)} records",
+        std=math.hypot(statistical, last.systematic),
+        unit=last.unit,
+        method=f"{estimates[0].method}; weighted mean of {len(estimates)} records",
         n=sum(e.n for e in estimates),
-        systematic=systematic,
+        systematic=last.systematic,
+        shares=last.shares,
     )
 
 
@@ -136,11 +157,14 @@ def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estim
 
     A measurement that is surer counts alone: it was made to replace what was known. One that is
     less sure is joined with it, unless they contradict each other and nobody stated the number.
+    What nobody stated is no match for a measurement that only the sensors' scales make unsure.
     """
     if prior.std <= 0.0:
         return measured, ""
-    if measured.std <= prior.std:
-        return replace(measured, informed=1.0 - (measured.std / prior.std) ** 2), ""
+    sure = measured.std if stated else measured.statistical
+    if sure <= prior.std:
+        told = measured.capped(prior.std)
+        return replace(told, informed=1.0 - (sure / prior.std) ** 2), ""
     apart = (measured.value - prior.value) / math.hypot(measured.std, prior.std)
     remark = "" if abs(apart) < _CONTRADICTS else (
         f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit} is {apart:+.1f} "
@@ -154,4 +178,5 @@ def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estim
         measured, value=prior.value + weight * (measured.value - prior.value), std=std,
         method=f"{measured.method}, joined with what was known",
         systematic=min(weight * measured.systematic, std), informed=weight,
+        shares={name: weight * share for name, share in measured.shares.items()},
     ), remark

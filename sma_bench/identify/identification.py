@@ -27,7 +27,7 @@ from sma_bench.identify.run import (
     run_resistance,
     run_specific_heat,
 )
-from sma_bench.identify.signals import FEWEST_LEVELS, Drive
+from sma_bench.identify.signals import FEWEST_LEVELS, Drive, as_calibrated
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
@@ -84,8 +84,11 @@ class Identification:
 
     @property
     def correlation(self) -> Correlation:
-        """Of the errors of all estimates; 0 between those of different experiments."""
+        """Of the errors of all estimates; between those of different experiments as far as the
+        same sensors are behind them."""
         names = list(self.estimates)
+        told = list(self.estimates.values())
+        sources = sorted({source for e in told for source in e.shares})
         matrix = np.eye(len(names))
         for own in (e for e in self.experiments if e.correlation is not None):
             assert own.correlation is not None
@@ -96,6 +99,12 @@ class Identification:
             if chosen:
                 here, there = np.array(chosen).T
                 matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
+        std = np.array([max(e.std, 1e-300) for e in told])
+        own_parts = np.array([e.statistical for e in told]) / std
+        shares = [[e.shares.get(s, 0.0) for s in sources] for e in told]
+        common = np.array(shares).reshape(len(told), len(sources)) / std[:, np.newaxis]
+        matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
+        np.fill_diagonal(matrix, 1.0)
         return Correlation(tuple(names), matrix)
 
     @property
@@ -153,7 +162,7 @@ def identify(
     if not records:
         raise InputError("no record to identify from")
     run = Run(parameters, wanted, asked=experiments is not None)
-    bags = [r for r in records if isinstance(r, Record)]
+    bags = [as_calibrated(r, parameters) for r in records if isinstance(r, Record)]
     run.notes.extend(
         f for record in bags for f in (*record.findings, *check_response(record))
     )

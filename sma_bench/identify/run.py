@@ -92,7 +92,9 @@ class Run:
             if whole is not None and estimate is whole.estimates.get(name):
                 continue
             prior = Estimate(self.given[name], self.given.std(name), estimate.unit, "given", 0)
-            self.estimates[name], remark = with_prior(estimate, prior, name in self.given.given)
+            self.estimates[name], remark = with_prior(
+                estimate, prior, name in self.given.given_uncertainty
+            )
             if remark:
                 self.notes.append(Finding("warning", name, remark))
 

@@ -1,7 +1,7 @@
 """What a record offers to each experiment."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,10 +15,13 @@ from sma_bench.estimation.noise_model import (
 )
 from sma_bench.estimation.voltage import Segment, Segments, find_segments, protocol_spans
 from sma_bench.findings import Finding
+from sma_bench.parameters import Parameters
 from sma_bench.records import Record
+from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import has_samples, samples
 
 SHORTEST_PLATEAU = 2.0
+_CALIBRATED = ("current", "voltage", "temperature", "deflection")
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,25 @@ def find_drives(record: Record) -> tuple[Drive, ...]:
             raise InputError(f"{record.path}: {channel}.{error}") from None
         drives.append(Drive(channel, segments, _staircases(record, channel, segments)))
     return tuple(drives)
+
+
+def as_calibrated(record: Record, parameters: Parameters) -> Record:
+    """The record with its readings put right by the sensors' gains, offsets and spot."""
+    corrected = {}
+    for name, signal in record.signals.items():
+        quantity = name.rpartition(".")[2]
+        if quantity not in _CALIBRATED or name.startswith("ambient."):
+            continue
+        gain, offset = (parameters[f"sensor.{quantity}.{k}"] for k in ("gain", "offset"))
+        hot = quantity == "temperature"
+        share = parameters["sensor.temperature.spot_share"] if hot else 1.0
+        if (gain, offset, share) == (1.0, 0.0, 1.0):
+            continue
+        zero = CELSIUS_ZERO if hot else 0.0
+        values = gain * (signal.values - zero) + offset + zero
+        room = parameters["environment.ambient_temperature"] if hot else 0.0
+        corrected[name] = replace(signal, values=room + (values - room) / share)
+    return replace(record, signals={**record.signals, **corrected}) if corrected else record
 
 
 def missing_findings(record: Record, channel: str) -> tuple[Finding, ...]:

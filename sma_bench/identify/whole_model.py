@@ -3,7 +3,6 @@
 It is the fit that the diagnosis calls recalibration, from more starts.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,13 +20,13 @@ from sma_bench.estimation.observation import (
     shared_bin,
 )
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.result import Number, Off, Result, result_of
+from sma_bench.estimation.result import Number, Off, Result, result_of, scale_errors
 from sma_bench.estimation.solver import recalibrate
 from sma_bench.estimation.unknowns import PRODUCTS, SHAPES, Unknowns, unknowns_of_records
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Correlation, Estimate, Experiment
+from sma_bench.identify.thermal.resistance import LEADS, lead_std
 from sma_bench.identify.thermal.resistance import PARAMETER as RESISTANCE
-from sma_bench.identify.thermal.resistance import SCALE_STD, lead_std
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, silent
@@ -119,7 +118,7 @@ def fit_whole_model(
     tries = starts(unknowns)
     problem = Problem.of(observations, voltage_noise=True)
     fitted, tried = recalibrate(problem, parameters, unknowns, tries, report)
-    return result_of(fitted, tried)
+    return result_of(fitted, tried, scale_errors(fitted))
 
 
 def unknowns_of_observations(
@@ -152,16 +151,14 @@ def _is_told(number: Number) -> bool:
 def _estimate(number: Number, method: str, n: int, parameters: Parameters) -> Estimate:
     informed = number.informed >= _UNINFORMED
     words = method if informed else f"{method}: mostly the prior, the records add little"
-    systematic = 0.0
+    shares = dict(number.shares)
     if number.name == RESISTANCE:
-        leads = parameters["wire.count"] * lead_std(parameters)
-        systematic = math.hypot(SCALE_STD * number.value, leads)
+        shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
     # What nobody measured better is not known better: sensors' scales are in what was known, too.
-    std = min(math.hypot(number.std, systematic), number.prior_std)
-    return Estimate(
-        number.value, std, BY_NAME[number.name].unit, words, n, min(systematic, std),
-        number.informed,
+    told = Estimate(
+        number.value, number.std, BY_NAME[number.name].unit, words, n, informed=number.informed
     )
+    return told.with_shares(shares).capped(number.prior_std)
 
 
 def details(result: Result) -> dict[str, Estimate]:

@@ -273,7 +273,71 @@ BENCH = (
     ),
 )
 
-TABLE: tuple[Parameter, ...] = (*WIRE, *ENVIRONMENT, *COMPOSITE, *LOAD, *BENCH, *EFFECT_TABLE)
+_CAMERA = "Optris PI and Xi: +-2 K or +-2 % of the degrees Celsius, limits of a rectangle"
+SENSORS = (
+    Parameter(
+        "sensor.current.gain", "1", 1.0,
+        "True current over the reading, its offset taken off.",
+        "data sheet of the ACS712: total output error 1.5 %", 0.5, 2.0, uncertainty=0.015,
+    ),
+    Parameter(
+        "sensor.voltage.gain", "1", 1.0,
+        "True voltage over the reading, its offset taken off.",
+        "data sheet: divider of resistors of 1 % before a converter whose reference is the supply",
+        0.5, 2.0, uncertainty=0.01,
+    ),
+    Parameter(
+        "sensor.temperature.gain", "1", 1.0,
+        "True temperature over the reading, both in degrees Celsius.", _CAMERA, 0.5, 2.0,
+        uncertainty=0.0115,
+    ),
+    Parameter(
+        "sensor.deflection.gain", "1", 1.0,
+        "True deflection over the reading.",
+        "assumed: 1 % is left by a calibration against gauge blocks", 0.5, 2.0, uncertainty=0.01,
+    ),
+    Parameter(
+        "sensor.current.offset", "A", 0.0,
+        "True current where the reading is zero.",
+        "data sheet of the ACS712: zero within 40 mV, set at every start", -1.0, 1.0,
+        uncertainty=0.005,
+    ),
+    Parameter(
+        "sensor.voltage.offset", "V", 0.0,
+        "True voltage where the reading is zero.",
+        "assumed: half a step of a 10 bit converter", -1.0, 1.0, uncertainty=0.005,
+    ),
+    Parameter(
+        "sensor.temperature.offset", "K", 0.0,
+        "True temperature less the reading at 0 degC.", _CAMERA, -50.0, 50.0, uncertainty=1.15,
+    ),
+    Parameter(
+        "sensor.deflection.offset", "m", 0.0,
+        "True deflection where the reading is zero.",
+        "assumed: the tip at rest is zero", -0.1, 0.1, uncertainty=5e-4,
+    ),
+    Parameter(
+        "sensor.temperature.emissivity", "1", 0.95,
+        "Of the wire, as the camera was told; a wrong one scales what the wire is warmer by.",
+        "matt black paint: 0.93 to 0.97", 0.05, 1.0, uncertainty=0.02,
+    ),
+    Parameter(
+        "sensor.temperature.spot_share", "1", 1.0,
+        "Of the camera's spot that is wire; the reading's excess over the room goes with it.",
+        "assumed: the size of a pixel is known to 2 %", 0.05, 1.0, uncertainty=0.02,
+    ),
+    Parameter(
+        "sensor.temperature.lag", "s", 0.0,
+        "Time constant of the camera.",
+        "assumed: a microbolometer of 10 ms", 0.0, 20.0, uncertainty=0.01,
+    ),
+)
+# Uncertainties of sensors whose scales are known, as those of a simulated bench are.
+EXACT_SENSORS = {p.name: 0.0 for p in SENSORS if not p.name.endswith(".lag")}
+
+TABLE: tuple[Parameter, ...] = (
+    *WIRE, *ENVIRONMENT, *COMPOSITE, *LOAD, *BENCH, *SENSORS, *EFFECT_TABLE
+)
 BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}
 
 

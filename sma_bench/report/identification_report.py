@@ -78,7 +78,8 @@ def _correlation_picture(found: Correlation) -> Picture:
     figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
     caption = (
         "Numbers whose errors hang together are known better as a product, a quotient or a "
-        "difference than one by one. Numbers of different experiments count as independent."
+        "difference than one by one. Numbers of different experiments share what the "
+        "scales of their sensors may be off by."
     )
     return Picture("correlation", "Which errors hang together", caption, figure)
 

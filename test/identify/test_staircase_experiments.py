@@ -8,10 +8,11 @@ import pytest
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import EXACT_SENSORS
 
 R, H, T0 = "wire.resistance", "wire.heat_transfer_coefficient", "environment.ambient_temperature"
 CP = "wire.specific_heat"
-PARAMETERS = Parameters.defaults()
+PARAMETERS = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
 
 
 def result(*records, experiments=("E1", "E2")):
@@ -102,10 +103,13 @@ def test_slow_noise_of_the_camera_widens_the_errors(staircase, sensors):
 
 
 def test_two_staircases_join_into_a_smaller_error_but_not_below_the_sensors_scale(staircase):
-    one = result(staircase(seed=1)).estimates[R]
-    both = result(staircase(seed=1), staircase(seed=2)).estimates[R]
+    known = PARAMETERS.replace(uncertainty={"sensor.voltage.gain": 1e-3})
+    one = identify([staircase(seed=1)], known, ["E1"]).estimates[R]
+    both = identify([staircase(seed=1), staircase(seed=2)], known, ["E1"]).estimates[R]
     assert both.n == 2 * one.n
-    assert 1.4e-4 * 2.75 < both.std < one.std
+    assert both.statistical < 0.8 * one.statistical
+    assert both.systematic == pytest.approx(2.75e-3, rel=0.01)
+    assert 2.75e-3 < both.std < one.std
 
 
 def test_ambient_that_contradicts_the_stated_one_is_noticed(staircase):

@@ -10,13 +10,17 @@ from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment, Mask
 from sma_bench.identify.signals import AVERAGE, SETTLE, Means, Staircase, means, same_level
 from sma_bench.identify.straight_line import LinearFit, fit_linear
+from sma_bench.identify.thermal.resistance import VOLTAGE
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
+from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import has_samples, samples
 
 PARAMETER = "wire.heat_transfer_coefficient"
 GAIN = "thermal_gain"
 AMBIENT = "environment.ambient_temperature"
+CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
+          "sensor.temperature.spot_share")  # fmt: skip
 _SIGNIFICANT = 3.0
 _SIGNIFICANT_DRIFT = 4.0
 _LARGE_DRIFT = 0.01
@@ -126,7 +130,9 @@ def identify_heat_transfer(
     thermal_gain = Estimate(gain, gain_std, "K/V2", "steady temperature over squared voltage", n)
     estimates = {
         PARAMETER: coefficient(thermal_gain, resistance, parameters),
-        AMBIENT: Estimate(ambient, ambient_std, "K", "steady temperature at zero voltage", n),
+        AMBIENT: Estimate(
+            ambient, ambient_std, "K", "steady temperature at zero voltage", n
+        ).with_shares(_of_the_zero(ambient, parameters)),
     }
     line = np.linspace(0.0, float(v.value.max()), 100)
     curves = {
@@ -143,13 +149,34 @@ def identify_heat_transfer(
 
 
 def coefficient(gain: Estimate, resistance: Estimate, parameters: Parameters) -> Estimate:
-    """h = 1/(gain R A_c) from a thermal gain in K/V^2; the errors of gain and R are independent."""
+    """h = 1/(gain R A_c) from a thermal gain in K/V^2; the errors of gain and R are independent
+    but for the scales of their sensors."""
     area = parameters["wire.surface_area"]
     value = 1.0 / (gain.value * resistance.value * area)
+    std = math.hypot(gain.relative_std, resistance.statistical / resistance.value)
+    shares = {name: -share / resistance.value for name, share in resistance.shares.items()}
+    for name, share in scale_of_gain(parameters).items():
+        shares[name] = shares.get(name, 0.0) - share
     return Estimate(
-        value, value * math.hypot(gain.relative_std, resistance.relative_std), "W/(m2 K)",
+        value, value * std, "W/(m2 K)",
         f"{gain.method}, A_c = {area * 1e6:.2f} mm2 taken as exact", gain.n,
-    )
+    ).with_shares({name: value * share for name, share in shares.items()})
+
+
+def scale_of_gain(parameters: Parameters) -> dict[str, float]:
+    """Systematic errors of a rise in temperature over a squared voltage, relative."""
+    spread = {name: parameters.std(name) / parameters[name] for name in (*CAMERA, VOLTAGE)}
+    # The excess over the room goes with what the camera makes of it, the heat with V^2.
+    return {
+        name: (-2.0 if name == VOLTAGE else 1.0) * share for name, share in spread.items()
+    }
+
+
+def _of_the_zero(ambient: float, parameters: Parameters) -> dict[str, float]:
+    return {
+        "sensor.temperature.offset": parameters.std("sensor.temperature.offset"),
+        CAMERA[0]: parameters.std(CAMERA[0]) * (ambient - CELSIUS_ZERO),
+    }
 
 
 def _moving(points: _Points) -> Mask:

@@ -18,9 +18,7 @@ from sma_bench.records.record import samples
 PARAMETER = "wire.resistance"
 LEADS = "bench.lead_resistance"
 CHANNEL = "channel"
-# Assumed, not measured: no record shows the gain errors of its own two sensors. Half a step of a
-# 10-bit converter at full scale, taken as uniform, is the least that a calibration leaves.
-SCALE_STD = 0.5 / (1023.0 * math.sqrt(12.0))
+VOLTAGE, CURRENT = "sensor.voltage.gain", "sensor.current.gain"
 _SIGNIFICANT = 3.0
 # A quiet converter errs alike at neighbouring levels, which bends a line a little by itself.
 _SIGNIFICANT_BEND = 4.0
@@ -66,10 +64,10 @@ def identify_resistance(
     holds it as it is; the leads of `bench.lead_resistance` are taken off the estimate.
 
     The line has an intercept, so an offset of the current sensor does no harm. Gain errors of the
-    two sensors go straight into the resistance and no line can show them: `SCALE_STD` stands for
-    what the best calibration leaves. The estimate joins both directions where they agree within
-    two standard errors. Where they do not, it is the heating slope, as in the paper, and half the
-    difference joins its error.
+    two sensors go straight into the resistance and no line can show them: the uncertainties of
+    `sensor.voltage.gain` and `sensor.current.gain`. The estimate joins both directions where they
+    agree within two standard errors. Where they do not, it is the heating slope, as in the paper,
+    and half the difference joins its error.
 
     Args:
         record: holds `<channel>.voltage` in V and `<channel>.current` in A.
@@ -128,31 +126,34 @@ def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Esti
         return resistance
     leads, error = count * parameters[LEADS], count * lead_std(parameters)
     ratio = (wire + leads) / wire
-    own = math.sqrt(max(resistance.std**2 - error**2, 0.0)) if measured else resistance.std
-    std = math.hypot(
-        own * (1.0 - (leads / wire) ** 2), error * (ratio**2 if measured else 2.0 * ratio)
-    )
-    return replace(resistance, value=value, std=std)
+    slope = 1.0 - (leads / wire) ** 2
+    shares = {name: slope * share for name, share in resistance.shares.items()}
+    shares[LEADS] = error * (ratio**2 if measured else 2.0 * ratio)
+    own = slope * resistance.statistical
+    return replace(resistance, value=value, std=own, systematic=0.0).with_shares(shares)
 
 
 def _of_one_wire(channel: Estimate, parameters: Parameters, record: Record) -> Estimate:
     count, leads = parameters["wire.count"], parameters[LEADS]
+    scales = {VOLTAGE: 1.0, CURRENT: -1.0}
+    shares = {
+        name: count * sign * parameters.std(name) * channel.value for name, sign in scales.items()
+    }
     if count == 1 and leads == 0.0:
-        return channel
+        return channel.with_shares(shares)
     if channel.value <= leads:
         raise InputError(
             f"{record.path}: {channel.value:.4g} ohm between the voltmeter's leads, expected more "
             f"than bench.lead_resistance, {leads:g} ohm"
         )
-    error = lead_std(parameters)
+    shares[LEADS] = -count * lead_std(parameters)
     words = f"{channel.method}, less {leads:g} ohm of leads" if leads else channel.method
     return replace(
         channel,
         value=count * (channel.value - leads),
-        std=count * math.hypot(channel.std, error),
-        systematic=count * math.hypot(channel.systematic, error),
+        std=count * channel.std,
         method=f"{words}, {count} wires in parallel" if count > 1 else words,
-    )
+    ).with_shares(shares)
 
 
 def _estimate(
@@ -185,7 +186,6 @@ def _estimate(
         findings.append(_bend_finding(bend, bend_error, resistance))
         # The slope is uniform over the range as far as one number can tell.
         std = math.hypot(std, bend / math.sqrt(12.0))
-    std = math.hypot(std, SCALE_STD * resistance)
     offset = -details["intercept"].value / resistance
     offset_std = details["intercept"].std / resistance
     if abs(offset) > _SIGNIFICANT * offset_std:
@@ -196,8 +196,7 @@ def _estimate(
         findings.append(
             Finding("info", "current", text, {"offset": offset, "offset_std": offset_std})
         )
-    systematic = SCALE_STD * resistance
-    return Estimate(resistance, std, "ohm", method, n, systematic), details, findings
+    return Estimate(resistance, std, "ohm", method, n), details, findings
 
 
 def _details(joint: LinearFit, n: int) -> dict[str, Estimate]:

@@ -17,6 +17,7 @@ from sma_bench.estimation.unknowns import Unknown, Unknowns
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.identify.signals import Drive
+from sma_bench.identify.thermal.heat_transfer import scale_of_gain
 from sma_bench.identify.thermal.ramps import (
     FEWEST_SAMPLES,
     Window,
@@ -36,7 +37,8 @@ AUSTENITE_START = "wire.austenite_start_temperature"
 LAG = "effect.temperature_lag.time_constant"
 _SMALLEST_RISE = 10.0
 _AMBIENT_STD = 2.0  # K; of the camera's zero in each record, too
-_LAG_STD = 0.01  # s, of a microbolometer
+_CAMERA_LAG = "sensor.temperature.lag"
+_LEAST = 1e-6  # s
 _ANY = 1.0  # of the logarithm of what nobody knows
 _STARTS = (0.0, -1.0, 1.0)
 _NEAR = 3.0  # prior deviations
@@ -115,7 +117,7 @@ def identify_specific_heat(
         h = _number(result, COEFFICIENT)
         estimates[COEFFICIENT] = Estimate(
             h.value, h.std, "W/(m2 K)", "output-error fit of eq. (2) to the ramps", n
-        )
+        ).with_shares(_scales(h.value, heat_loss, parameters))
     return Experiment(
         "E3", "Specific heat", estimates, (*findings, *remarks),
         _curves(windows, models) | rates, "; ".join(sources), details,
@@ -190,14 +192,14 @@ def _fitted(
 ) -> tuple[Result, Result | None]:
     """By the ramps alone, with the noise that this leaves; and with what is known of h beside."""
     cold = float(np.median([np.percentile(w.temperature, 5) for w in windows]))
-    camera = _LAG_STD
+    camera = _lag(parameters)[1]
     free = _unknowns(parameters, heat_loss, cold, camera, known=False)
     place = free.names.index(PARAMETER)
     starts = [np.where(np.arange(len(free.items)) == place, x, 0.0) for x in _STARTS]
     problem = Problem.of(observations, voltage_noise=True)
     blind, tried = recalibrate(problem, free.parameters(starts[0]), free, starts)
     lag = float(free.values(blind.x)[free.names.index(LAG)])
-    if lag > parameters[LAG] + _SIGNIFICANT * camera:
+    if lag > _lag(parameters)[0] + _SIGNIFICANT * camera:
         # A camera as slow as that is not one of those that were thought of.
         camera, old = lag, free
         free = _unknowns(parameters, heat_loss, cold, camera, known=False)
@@ -212,22 +214,34 @@ def _fitted(
     return result_of(known, [known]), result_of(blind, tried)
 
 
+def _lag(parameters: Parameters) -> tuple[float, float]:
+    """What is believed of the camera's, s."""
+    mean = float(parameters[LAG] or parameters[_CAMERA_LAG])
+    return mean, max(parameters.std(_CAMERA_LAG), _LEAST)
+
+
 def _unknowns(
     parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_std: float, known: bool
 ) -> Unknowns:
     """Where E2 has measured the gain, the ramps share it whatever R is: R is held, its error
     added in the end."""
     loss, gain = heat_loss.coefficient, heat_loss.gain
-    of_h = (gain or loss).relative_std if known else _ANY
+    told = gain or loss
+    of_h = told.statistical / told.value if known else _ANY
+    if known and not gain:
+        of_h = told.relative_std
     believed = {
         COEFFICIENT: (loss.value, of_h * loss.value),
         PARAMETER: (float(parameters[PARAMETER]), _ANY * parameters[PARAMETER]),
         AMBIENT: (ambient, _AMBIENT_STD),
-        LAG: (float(parameters[LAG]), lag_std),
+        LAG: (_lag(parameters)[0], lag_std),
     }
     if gain is None:
         r = float(parameters[RESISTANCE])
-        believed[RESISTANCE] = (r, heat_loss.resistance.relative_std * r)
+        own = heat_loss.resistance
+        # What the scales of these sensors do to R they do to h too, where these ramps tell it.
+        of_r = own.relative_std if known else own.statistical / own.value
+        believed[RESISTANCE] = (r, of_r * r)
     items = tuple(
         Unknown(
             name, mean, std, float(BY_NAME[name].low or 0.0), float(BY_NAME[name].high or np.inf),
@@ -292,11 +306,12 @@ def _estimate(
         check_delay(result, tau), check_lag(result, tau, parameters), check_misfit(result, tau)
     ]
     if blind is not None:
-        checks.append(check_gain(result, blind))
+        other = 0.0 if heat_loss.gain else math.hypot(*scale_of_gain(parameters).values())
+        checks.append(check_gain(result, blind, other))
     # Random errors grow with the misfit; what the checks doubt besides comes on top.
     relative = math.sqrt(float(_logs(result, PARAMETER)[0, 0]))
     relative *= max(check.factor for check in checks)
-    of_r = heat_loss.resistance.relative_std if heat_loss.gain else 0.0
+    of_r = heat_loss.resistance.statistical / heat_loss.resistance.value if heat_loss.gain else 0.0
     relative = math.hypot(relative, of_r, *(check.doubt for check in checks))
     findings = [check.finding for check in checks if check.finding is not None]
     value = _number(result, PARAMETER).value
@@ -305,7 +320,21 @@ def _estimate(
         f"m = {parameters['wire.mass'] * 1e3:.4g} g taken as exact"
     )
     n = sum(len(w.temperature) for w in windows)
-    return Estimate(value, value * relative, "J/(kg K)", method, n), findings
+    estimate = Estimate(value, value * relative, "J/(kg K)", method, n)
+    return estimate.with_shares(_scales(value, heat_loss, parameters)), findings
+
+
+def _scales(value: float, heat_loss: HeatLoss, parameters: Parameters) -> dict[str, float]:
+    """Systematic errors of c_p, or of h by ramps alone: time is told well, so m c_p goes with
+    h A_c as these sensors make it. With an h of others they have no part in it."""
+    if heat_loss.known:
+        loss = heat_loss.coefficient
+        return {name: value * share / loss.value for name, share in loss.shares.items()}
+    resistance = heat_loss.resistance
+    shares = {name: -share / resistance.value for name, share in resistance.shares.items()}
+    for name, share in scale_of_gain(parameters).items():
+        shares[name] = shares.get(name, 0.0) - share
+    return {name: value * share for name, share in shares.items()}
 
 
 def _curves(windows: Sequence[Window], models: Sequence[Array]) -> dict[str, Array]:
@@ -368,7 +397,7 @@ def check_delay(result: Result, tau: float) -> Check:
     )
     if abs(late) >= max(_SIGNIFICANT * std, _SMALL_DELAY):
         text += "; taken at face value they would pass for thermal inertia"
-    far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _LAG_STD)
+    far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _lag(result.fit.parameters)[1])
     return Check(Finding("warning" if far else "info", "temperature", text, numbers))
 
 
@@ -389,8 +418,8 @@ def _lateness(result: Result) -> tuple[float, float]:
 def check_lag(result: Result, tau: float, parameters: Parameters) -> Check:
     """Whether a second time constant was found: it may be the camera's, or the wire's own."""
     lag = _number(result, LAG)
-    believed = float(parameters[LAG])
-    if abs(lag.value - believed) < max(_SIGNIFICANT * max(lag.std, _LAG_STD), _SMALL * tau):
+    believed, std = _lag(parameters)
+    if abs(lag.value - believed) < max(_SIGNIFICANT * max(lag.std, std), _SMALL * tau):
         return Check()
     swapped = lag.value / tau * _number(result, PARAMETER).value
     text = (
@@ -405,15 +434,16 @@ def check_lag(result: Result, tau: float, parameters: Parameters) -> Check:
     return Check(Finding("warning", SUBJECT, text, numbers), doubt=doubt)
 
 
-def check_gain(result: Result, blind: Result) -> Check:
+def check_gain(result: Result, blind: Result, scales: float) -> Check:
     """Whether the ramps by themselves ask for the steady rise that E2 measured.
 
     Args:
-        result: with what is known of h; blind: without.
+        result: with what is known of h; blind: without; scales: relative error of those of
+            these sensors, where others have measured h.
     """
     known, free = _number(result, COEFFICIENT), _number(blind, COEFFICIENT)
     difference = math.log(known.believed / free.value)
-    error = math.hypot(free.std / free.value, known.prior_std / known.believed)
+    error = math.hypot(free.std / free.value, known.prior_std / known.believed, scales)
     if abs(difference) < max(_SIGNIFICANT * error, _SMALL):
         return Check()
     cp, other = _number(result, PARAMETER), _number(blind, PARAMETER)

@@ -7,6 +7,7 @@ import numpy as np
 
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY
+from sma_bench.parameters.table import EXACT_SENSORS
 
 CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 SIDES = ("front", "front", "back", "back")
@@ -71,7 +72,9 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
     values.update(_transitions(random, values["environment.ambient_temperature"]))
     rig = {"bench.channels": CHANNELS, "bench.channel_sides": SIDES}
     truth = Parameters({**values, **rig})
-    std = {name: _std(name, truth) for name in IDENTIFIED} | dict.fromkeys(EXACT, 0.0)
+    # The simulated instruments have noise and steps, but no scale of their own.
+    exact = dict.fromkeys(EXACT, 0.0) | EXACT_SENSORS
+    std = {name: _std(name, truth) for name in IDENTIFIED} | exact
     while True:
         nominal = {
             name: truth[name] + std[name] * _within(random, _FARTHEST) for name in IDENTIFIED

@@ -1,0 +1,122 @@
+"""What a sensor's scale may be off by is in the errors, and shared by the numbers that it made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sma_bench.identify import identify
+from sma_bench.identify.whole_model import fit_whole_model, observe_all
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import EXACT_SENSORS
+
+R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
+TRUTH = {R: 2.75, H: 410.0, CP: 350.0}
+AMBIENT, ZERO = 297.3, 273.15
+VOLTS, AMPERES = "sensor.voltage.gain", "sensor.current.gain"
+# What an instrument does to its readings: gains at their data sheets' limits, and a few more.
+FAULTS = {
+    "current 1.5 % low": {"current": lambda x: x / 1.015},
+    "current 1.5 % high": {"current": lambda x: x * 1.015},
+    "voltage 1 % high": {"voltage": lambda x: x * 1.01},
+    "camera 5 % high": {"temperature": lambda x: (x - ZERO) * 1.05 + ZERO},
+    "camera 2 % low": {"temperature": lambda x: (x - ZERO) * 0.98 + ZERO},
+    "camera 2 K high": {"temperature": lambda x: x + 2.0},
+    "emissivity 5 % off": {"temperature": lambda x: AMBIENT + 0.95 * (x - AMBIENT)},
+}
+
+
+def read_by(fault, record):
+    signals = {
+        name: replace(s, values=fault.get(name.split(".")[1], lambda x: x)(s.values))
+        for name, s in record.signals.items()
+    }
+    return replace(record, signals=signals)
+
+
+def records(staircase, ramp, seed=3):
+    return staircase(seed=seed), ramp(seed=seed)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_scale_that_no_record_shows_is_in_the_errors_of_the_data_sheets(staircase, ramp, fault):
+    read = [read_by(FAULTS[fault], one) for one in records(staircase, ramp)]
+    found = identify(read, Parameters.defaults())
+    for name, truth in TRUTH.items():
+        estimate = found.estimates[name]
+        assert abs(estimate.value - truth) < 3.0 * estimate.std, name
+        assert estimate.std <= Parameters.defaults().std(name) * (1.0 + 1e-9)
+        assert estimate.std**2 == pytest.approx(estimate.statistical**2 + estimate.systematic**2)
+    # A wire at rest reads off by as much as its camera's zero.
+    room = found.experiments[1].estimates["environment.ambient_temperature"]
+    assert abs(room.value - AMBIENT) < 3.0 * room.std
+
+
+def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
+    known = Parameters.defaults().replace(
+        uncertainty={**EXACT_SENSORS, AMPERES: 5e-3, "sensor.temperature.spot_share": 4e-3}
+    )
+    found = identify(records(staircase, ramp), known)
+    of_r, of_h, of_cp = (found.estimates[name] for name in (R, H, CP))
+    assert of_r.systematic / of_r.value == pytest.approx(5e-3, rel=0.02)
+    assert of_h.systematic / of_h.value == pytest.approx(np.hypot(5e-3, 4e-3), rel=0.02)
+    assert of_cp.systematic / of_cp.value == pytest.approx(of_h.systematic / of_h.value, rel=0.02)
+    correlation = found.correlation
+    at = [correlation.names.index(name) for name in (R, H, CP)]
+    matrix = correlation.matrix[np.ix_(at, at)]
+    # A current read low makes R large, and h and c_p small.
+    assert matrix[0, 1] == pytest.approx(-5e-3 / np.hypot(5e-3, 4e-3), abs=0.05)
+    assert matrix[1, 2] > 0.9
+    assert np.linalg.eigvalsh(correlation.matrix).min() > -1e-9
+
+
+def test_the_slope_of_every_scale_is_what_a_scaled_record_gives(staircase, ramp):
+    known = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+    plain = identify(records(staircase, ramp), known).estimates
+    for gain, fault in ((AMPERES, {"current": lambda x: x * 0.99}),
+                        (VOLTS, {"voltage": lambda x: x * 0.99})):  # fmt: skip
+        off = identify([read_by(fault, r) for r in records(staircase, ramp)], known).estimates
+        stated = identify(records(staircase, ramp), known.replace(uncertainty={gain: 0.01}))
+        for name in TRUTH:
+            # 1 % more than was read is one standard error up.
+            expected = stated.experiments[(R, H, CP).index(name)].estimates[name].shares[gain]
+            assert plain[name].value - off[name].value == pytest.approx(expected, rel=0.1), name
+
+
+def test_a_calibration_puts_the_readings_right(staircase, ramp):
+    wrong = {
+        "current": lambda x: (x - 0.02) / 1.05, "voltage": lambda x: x / 0.97,
+        "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT),
+    }
+    known = Parameters.defaults().replace({
+        AMPERES: 1.05, "sensor.current.offset": 0.02, VOLTS: 0.97,
+        "sensor.temperature.spot_share": 0.8, "environment.ambient_temperature": AMBIENT,
+    }, EXACT_SENSORS)  # fmt: skip
+    found = identify([read_by(wrong, one) for one in records(staircase, ramp)], known).estimates
+    for name, truth in TRUTH.items():
+        assert abs(found[name].value - truth) < 3.0 * found[name].std < 0.03 * truth, name
+
+
+def test_what_nobody_stated_is_no_match_for_a_measurement_of_unsure_scale(staircase):
+    found = identify([staircase(seed=4)], Parameters.defaults(), ["E1"]).estimates[R]
+    assert found.value == pytest.approx(2.75, abs=0.003)
+    stated = Parameters.defaults().replace({R: 2.70}, {R: 0.01})
+    joined = identify([staircase(seed=4)], stated, ["E1"]).estimates[R]
+    assert 2.70 < joined.value < 2.71
+    assert joined.std < 0.01
+
+
+def test_the_whole_model_has_the_errors_of_scales_that_scaled_records_give(ramp):
+    known = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+    stated = known.replace(uncertainty={AMPERES: 0.01, VOLTS: 0.01})
+
+    def numbers(record, parameters):
+        result = fit_whole_model(observe_all([record], parameters), parameters)
+        return {n.name: n for n in result.numbers}
+
+    here = numbers(ramp(seed=1), stated)
+    for gain, quantity in ((AMPERES, "current"), (VOLTS, "voltage")):
+        off = numbers(read_by({quantity: lambda x: x * 0.99}, ramp(seed=1)), known)
+        for name in TRUTH:
+            apart, share = here[name].value - off[name].value, here[name].shares[gain]
+            assert apart == pytest.approx(share, rel=0.1, abs=0.1 * here[name].std)
