@@ -1,7 +1,7 @@
 """One identification under way: what the records gave so far, and why something is missing."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
@@ -14,6 +14,7 @@ from sma_bench.identify.thermal.heat_transfer import (
     identify_heat_transfer,
 )
 from sma_bench.identify.thermal.resistance import CHANNEL, heated, identify_resistance
+from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
@@ -97,6 +98,20 @@ class Run:
             )
             if remark:
                 self.notes.append(Finding("warning", name, remark))
+            self._wonder(name, estimate)
+
+    def _wonder(self, name: str, estimate: Estimate) -> None:
+        """A camera's spot that is half filled shows in nothing but the size of h and c_p."""
+        ratio = estimate.value / self.given[name] if name in _OF_CAMERA else 1.0
+        if 1.0 / _WRONG < ratio < _WRONG:
+            return
+        text = (
+            f"{estimate.value:.4g} {estimate.unit} is {ratio:.2g} times the "
+            f"{self.given[name]:.4g} that were {'stated' if name in self.given.given else 'taken'}"
+            ": another wire or air, or a camera whose spot or emissivity is off by as much "
+            "(sensor.temperature.spot_share)"
+        )
+        self.notes.append(Finding("warning", name, text, {"ratio": ratio}))
 
     def missing(self, names: Sequence[str]) -> list[str]:
         """The wanted ones of `names` without a result."""
@@ -107,6 +122,9 @@ class Run:
 
 RESISTANCE = "wire.resistance"
 COEFFICIENT = "wire.heat_transfer_coefficient"
+_SIGNIFICANT, _SMALL = 3.0, 0.01
+_OF_CAMERA = (COEFFICIENT, SPECIFIC_HEAT)
+_WRONG = 1.5  # a factor
 
 
 def find_all_drives(run: Run, records: Sequence[Record]) -> list[tuple[Record, Drive]]:
@@ -150,7 +168,26 @@ def run_resistance(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
             run.experiments.append(identify_resistance(record, staircase, run.given))
         except InputError as error:
             run.fail("E1", str(error))
+    _compare(run, RESISTANCE, [e.estimates[RESISTANCE] for e in run.of("E1")])
     run.join("E1")
+
+
+def _compare(run: Run, parameter: str, found: Sequence[Estimate]) -> None:
+    """Whether repeated measurements are of one thing, before they are pooled."""
+    if len(found) < 2:
+        return
+    mean = combine(found).value
+    far = max(found, key=lambda e: abs(e.value - mean) / e.statistical)
+    apart = abs(far.value - mean) / mean
+    if apart < max(_SIGNIFICANT * far.statistical / mean, _SMALL):
+        return
+    low, high = (100.0 * (end(e.value for e in found) / mean - 1.0) for end in (min, max))
+    text = (
+        f"{len(found)} staircases lie {low:+.1f} to {high:+.1f} % about their mean, more than "
+        "their errors explain: another air flow, another wire or another camera? They were pooled "
+        "all the same, with an error that holds the scatter"
+    )
+    run.notes.append(Finding("warning", parameter, text, {"low": low, "high": high}))
 
 
 def _heated(run: Run) -> Estimate:
@@ -178,7 +215,9 @@ def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     found = run.of("E2")
     if found:
         # The gains are independent of each other; the coefficients share one resistance.
-        gain = combine([e.details[GAIN] for e in found])
+        gains = [e.details[GAIN] for e in found]
+        _compare(run, COEFFICIENT, gains)
+        gain = combine(gains)
         run.estimates[COEFFICIENT] = coefficient(gain, _heated(run), run.given)
         run.estimates[AMBIENT] = combine([e.estimates[AMBIENT] for e in found])
 
@@ -207,9 +246,17 @@ def run_specific_heat(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
         known=measured,
     )
     try:
-        run.experiments.append(
-            identify_specific_heat(usable, run.improved(), heat_loss)
-        )
+        experiment = identify_specific_heat(usable, run.improved(), heat_loss)
+        run.experiments.append(replace(experiment, findings=(*experiment.findings, *_doubts(run))))
     except InputError as error:
         run.fail("E3", str(error))
     run.join("E3")
+
+
+def _doubts(run: Run) -> list[Finding]:
+    """What is wrong with the heat loss is wrong with c_p, which goes with it."""
+    return [
+        Finding("warning", SPECIFIC_HEAT, f"goes with the heat loss, of which E2 says: {f.text}")
+        for e in run.of("E2") for f in e.findings
+        if f.severity == "warning" and f.subject == COEFFICIENT
+    ]

@@ -9,6 +9,7 @@ from sma_bench.identify import identify
 from sma_bench.identify.whole_model import fit_whole_model, observe_all
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
+from sma_bench.records import Signal
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
 TRUTH = {R: 2.75, H: 410.0, CP: 350.0}
@@ -120,3 +121,90 @@ def test_the_whole_model_has_the_errors_of_scales_that_scaled_records_give(ramp)
         for name in TRUTH:
             apart, share = here[name].value - off[name].value, here[name].shares[gain]
             assert apart == pytest.approx(share, rel=0.1, abs=0.1 * here[name].std)
+
+
+# --- What the record can show, it says.
+
+KNOWN = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+ROOM = "environment.ambient_temperature"
+
+
+def drifting(record, kelvin, recorded=False):
+    """A room that warms by so much over the record, perhaps with a thermometer in it."""
+    wire = record["wire.temperature"]
+    rise = kelvin * wire.time / wire.time[-1]
+    signals = {**record.signals, wire.name: replace(wire, values=wire.values + rise)}
+    if recorded:
+        signals["ambient.temperature"] = Signal(
+            "ambient.temperature", "K", wire.time[::50], AMBIENT + rise[::50]
+        )
+    return replace(record, signals=signals)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_room_that_drifts_is_in_the_errors_or_taken_off(staircase, recorded):
+    found = identify([drifting(staircase(seed=5, dwell=12.0), 1.5, recorded)], KNOWN)
+    h, room = found.estimates[H], found.estimates[ROOM]
+    assert abs(h.value - 410.0) < 3.0 * h.std
+    assert h.statistical < 0.01 * 410.0
+    # The mean over the plateaus' windows, which lie at their ends.
+    assert abs(room.value - (AMBIENT + 0.75)) < 3.0 * room.std + 0.01
+    said = [f for e in found.experiments for f in e.findings if "drift" in f.numbers]
+    assert len(said) == (0 if recorded else 1)
+    if said:
+        assert said[0].numbers["drift"] == pytest.approx(1.5, rel=0.1)
+
+
+def test_a_still_room_is_not_said_to_drift(staircase):
+    for seed in range(4):
+        found = identify([staircase(seed=seed, dwell=12.0)], KNOWN, ["E1", "E2"])
+        assert not [f for e in found.experiments for f in e.findings if "drift" in f.numbers]
+        assert found.warnings == ()
+
+
+def test_staircases_in_different_air_are_not_pooled_without_a_word(staircase, wire):
+    still, moved = (staircase(wire(coefficient=h), seed=7, dwell=12.0) for h in (410.0, 492.0))
+    found = identify([still, moved], KNOWN, ["E1", "E2"])
+    assert any(H in w and "2 staircases lie" in w for w in found.warnings)
+    alike = identify([still, staircase(seed=8, dwell=12.0)], KNOWN, ["E1", "E2"])
+    assert alike.warnings == ()
+
+
+def test_a_doubt_about_the_heat_loss_is_one_about_the_specific_heat(staircase, ramp, wire):
+    bent = identify([staircase(wire(bend=2e-3), dwell=12.0), ramp()], KNOWN)
+    assert any(CP in w and "of which E2 says" in w for w in bent.warnings)
+
+
+def test_a_lag_of_a_second_is_found_or_doubted(ramp):
+    known = KNOWN.replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4})
+    found = identify([ramp(lag=1.0, rest=20.0)], known, ["E3"])
+    cp = found.estimates[CP]
+    assert any(CP in w and "two time constants" in w for w in found.warnings)
+    assert abs(cp.value - 350.0) < 3.0 * cp.std
+
+
+def test_clean_ramps_raise_no_warning(staircase, ramp):
+    for seed in range(5):
+        found = identify([staircase(seed=seed, dwell=12.0), ramp(seed=seed)], Parameters.defaults())
+        assert found.warnings == ()
+
+
+def test_slow_ramps_without_a_jump_have_no_bias_from_the_noise_of_their_voltage(ramp, sensors):
+    known = KNOWN.replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4})
+    off = []
+    for seed in range(4):
+        slow = ramp(top=5.0, rise=25.0, rest=10.0, repeat=2, seed=seed, sensors=sensors(50.0, 50.0))
+        found = identify([slow], known, ["E3"]).experiments[0]
+        cp = found.estimates[CP]
+        off.append(cp.value / 350.0 - 1.0)
+        assert abs(cp.value - 350.0) < 3.0 * cp.std
+    assert abs(np.mean(off)) < 0.04
+
+
+@pytest.mark.parametrize("share", [0.5, 0.6])
+def test_a_spot_that_the_wire_fills_in_part_is_wondered_at(staircase, ramp, share):
+    seen = {"temperature": lambda x: AMBIENT + share * (x - AMBIENT)}
+    found = identify([read_by(seen, one) for one in records(staircase, ramp)], KNOWN)
+    for name in (H, CP):
+        assert any(name in w and "spot_share" in w for w in found.warnings)
+    assert abs(found.estimates[R].value - 2.75) < 3.0 * found.estimates[R].std

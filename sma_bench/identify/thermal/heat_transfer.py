@@ -1,7 +1,7 @@
 """E2, heat transfer coefficient: steady temperature over voltage (eq. 4, Fig. 3)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,10 @@ _SIGNIFICANT_DRIFT = 4.0
 _LARGE_DRIFT = 0.01
 _SMALLEST_DRIFT = 0.1
 _LARGE_BEND = 0.02
+_ROOM = "ambient.temperature"
+_DRIFT_STD, _DRIFT_TIME = 1.0, 600.0  # K to either side in so many s, and slower than that
+_SMALL_DRIFT = 2e-3  # of the rise
+_FEWEST_TO_DRIFT = 8
 _ITERATIONS = 3
 
 
@@ -34,6 +38,7 @@ class _Points:
     voltage: Means
     temperature: Means
     shared: Array
+    drift: Array  # (p,) K, one standard deviation of what the room may have done
 
     @property
     def square(self) -> Array:
@@ -45,7 +50,8 @@ class _Points:
         sensitivity = 2.0 * gain * self.voltage.value
         noise = self.temperature.noise**2 + (sensitivity * self.voltage.noise) ** 2
         hidden = np.outer(sensitivity, sensitivity) * self.voltage.hidden**2 * self.shared
-        return np.diag(noise + self.temperature.hidden**2) + hidden
+        room = np.outer(self.drift, self.drift)
+        return np.diag(noise + self.temperature.hidden**2) + hidden + room
 
     def fit(self, temperature: Array) -> LinearFit:
         """Straight line of temperature (p,) in K over V^2: (T_inf, 1/(R h A_c))."""
@@ -77,12 +83,14 @@ def identify_heat_transfer(
 ) -> Experiment:
     """Heat transfer coefficient and ambient temperature from a voltage staircase.
 
-    Fits T = T_inf + V^2/(R h A_c) with free T_inf. The area is taken as exact: h scales with 1/A_c,
-    and only the product h A_c enters the heat equation. `details` holds the thermal gain
+    Fits T = T_inf + V^2/(R h A_c) with free T_inf, which may drift where nobody recorded the room;
+    where somebody did, what the room does is taken off. The area is taken as exact: h scales with
+    1/A_c, and only the product h A_c enters the heat equation. `details` holds the thermal gain
     1/(R h A_c) in K/V^2, which depends on neither R nor A_c.
 
     Args:
-        record: holds `<channel>.voltage` in V and `<channel>.temperature` in K.
+        record: holds `<channel>.voltage` in V and `<channel>.temperature` in K, perhaps
+            `ambient.temperature`.
         staircase: the plateaus.
         parameters: wire.surface_area and, to compare with, environment.ambient_temperature.
         resistance: V^2 over the heat of a wire, with its error: R, where there are no leads.
@@ -97,17 +105,23 @@ def identify_heat_transfer(
     channel = staircase.channel
     v = means(*samples(record, f"{channel}.voltage"), bounds, f"{channel}.voltage")
     t = means(*samples(record, f"{channel}.temperature"), bounds, f"{channel}.temperature")
-    points = _Points(v, t, same_level(v.value, staircase.tolerance))
-    fit = points.fit(t.value)
-    if fit.beta[1] * np.ptp(points.square) < 10.0 * float(np.median(t.noise)):
+    room, drift = _room(record, bounds)
+    t = replace(t, value=t.value - room)
+    points = _Points(v, t, same_level(v.value, staircase.tolerance), drift)
+    slope = float(np.polyfit(points.square, t.value, 1)[0])
+    if slope * np.ptp(points.square) < 10.0 * float(np.median(t.noise)):
         raise InputError(
             f"{record.path}: {channel}.temperature rises by {np.ptp(t.value):.2g} K over "
             f"{np.ptp(v.value):.3g} V, expected it to follow the voltage"
         )
+    fit = points.fit(t.value)
     gain, gain_std = float(fit.beta[1]), float(fit.std[1])
     ambient, ambient_std = float(fit.beta[0]), float(fit.std[0])
     remarks = list(findings)
 
+    drifted, finding = _drifted(points, gain)
+    if finding is not None:
+        remarks.append(finding)
     moving = _moving(points)
     if moving.any():
         moved = points.fit(t.value + np.where(moving, t.drift, 0.0))
@@ -132,7 +146,7 @@ def identify_heat_transfer(
         PARAMETER: coefficient(thermal_gain, resistance, parameters),
         AMBIENT: Estimate(
             ambient, ambient_std, "K", "steady temperature at zero voltage", n
-        ).with_shares(_of_the_zero(ambient, parameters)),
+        ).with_shares(_of_the_zero(ambient, parameters) | {"drift of the room": drifted}),
     }
     line = np.linspace(0.0, float(v.value.max()), 100)
     curves = {
@@ -177,6 +191,38 @@ def _of_the_zero(ambient: float, parameters: Parameters) -> dict[str, float]:
         "sensor.temperature.offset": parameters.std("sensor.temperature.offset"),
         CAMERA[0]: parameters.std(CAMERA[0]) * (ambient - CELSIUS_ZERO),
     }
+
+
+def _room(record: Record, bounds: Array) -> tuple[Array, Array]:
+    """(p,) K: what the room did from plateau to plateau as recorded, or one standard deviation of
+    what it may have done."""
+    middle = bounds.mean(axis=1)
+    if has_samples(record, _ROOM):
+        told = np.interp(middle, *samples(record, _ROOM))
+        return told - told.mean(), np.zeros(len(middle))
+    duration = float(np.ptp(middle))
+    size = _DRIFT_STD * min(1.0, duration / _DRIFT_TIME)
+    return np.zeros(len(middle)), size * (middle - middle.mean()) / (0.5 * duration)
+
+
+def _drifted(points: _Points, gain: float) -> tuple[float, Finding | None]:
+    """How far (K) the room went to either side of its mean, as the staircase shows it."""
+    size = float(np.max(np.abs(points.drift)))
+    if size == 0.0 or len(points.square) < _FEWEST_TO_DRIFT:
+        return 0.0, None
+    design = np.column_stack([np.ones(len(points.square)), points.square, points.drift / size])
+    fit = fit_linear(
+        design, points.temperature.value, replace(points, drift=0.0 * points.drift).covariance(gain)
+    )
+    went, error = float(fit.beta[2]), float(fit.std[2])
+    rise = gain * float(np.ptp(points.square))
+    if abs(went) < max(_SIGNIFICANT * error, _SMALL_DRIFT * rise):
+        return 0.0, None
+    text = (
+        f"the wire's temperature without heating went by {2.0 * went:+.2f} +- {2.0 * error:.2f} K "
+        "over the staircase: the room drifts, and nobody recorded it; it is allowed for"
+    )
+    return abs(went), Finding("info", AMBIENT, text, {"drift": 2.0 * went, "std": 2.0 * error})
 
 
 def _moving(points: _Points) -> Mask:

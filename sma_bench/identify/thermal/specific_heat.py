@@ -201,9 +201,11 @@ def _fitted(
     lag = float(free.values(blind.x)[free.names.index(LAG)])
     if lag > _lag(parameters)[0] + _SIGNIFICANT * camera:
         # A camera as slow as that is not one of those that were thought of.
-        camera, old = lag, free
+        found = dict(zip(free.names, free.values(blind.x).tolist(), strict=True))
+        values = _camera_or_wire(found, parameters)
+        camera = values[LAG]
         free = _unknowns(parameters, heat_loss, cold, camera, known=False)
-        blind = fit(blind.problem, free, free.x_of(old.values(blind.x)))
+        blind = fit(blind.problem, free, free.x_of(values.values()))
     for _ in range(_MOVES):
         blind = fit(blind.problem.moved(blind.parameters, blind.z), free, blind.x, rounds=2)
     if not heat_loss.known:
@@ -212,6 +214,15 @@ def _fitted(
     first = np.clip(unknowns.x_of(free.values(blind.x)), -_NEAR, _NEAR)
     known = fit(blind.problem, unknowns, first, keep_noise=True)
     return result_of(known, [known]), result_of(blind, tried)
+
+
+def _camera_or_wire(values: dict[str, float], parameters: Parameters) -> dict[str, float]:
+    """Of two time constants in a row no reading says which is the wire's: that whose c_p is nearer
+    to what is known of it."""
+    loss = values[COEFFICIENT] * parameters["wire.surface_area"] / parameters["wire.mass"]
+    swapped = {**values, PARAMETER: values[LAG] * loss, LAG: values[PARAMETER] / loss}
+    known = float(parameters[PARAMETER])
+    return min(values, swapped, key=lambda v: abs(math.log(v[PARAMETER] / known)))
 
 
 def _lag(parameters: Parameters) -> tuple[float, float]:
@@ -425,8 +436,8 @@ def check_lag(result: Result, tau: float, parameters: Parameters) -> Check:
     text = (
         f"the temperature follows with two time constants, {tau:.3g} s and {lag.value:.3g} +- "
         f"{lag.std:.1g} s: a camera that lags, whose lag would pass for thermal inertia, or a wire "
-        "that does not follow eq. (2) with one. Taken for the camera's is the second; were it the "
-        f"first, c_p would be {swapped:.4g} J/(kg K)"
+        "that does not follow eq. (2) with one. Taken for the wire's is the first, whose c_p is "
+        f"nearer to what was known; were it the second, c_p would be {swapped:.4g} J/(kg K)"
     )
     # Where the two differ clearly, a lag is the smaller one; near each other they trade places.
     doubt = min(lag.value / tau, tau / lag.value) ** 2
