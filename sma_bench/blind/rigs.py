@@ -11,6 +11,8 @@ from sma_bench.blind.reality import Outcome, World, happen
 from sma_bench.blind.sensors import Sensors, readings
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.simulate import Simulation
 
 Array = npt.NDArray[np.float64]
@@ -20,6 +22,12 @@ Array = npt.NDArray[np.float64]
 
 CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 SIDES = ("front", "front", "back", "back")
+
+_ONE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
+_WIRES: dict[str, dict[str, Any]] = {
+    "force": _ONE, "spring": _ONE,
+    "antagonist": {"bench.channels": ("front", "back"), "bench.channel_sides": ("front", "back")},
+}
 
 # Of two equal stiffnesses the owners know one number.
 FRONT = "composite.stress_per_deflection_front"
@@ -39,8 +47,12 @@ _RELATIVE: dict[str, tuple[float, float, float]] = {
     "wire.thermal_expansion_factor": (-0.12e6, 0.10, 0.10),
     "wire.stress_influence_austenite": (7.3e6, 0.10, 0.06),
     "wire.stress_influence_martensite": (8.0e6, 0.10, 0.06),
-    "composite.deflection_per_strain": (1.01, 0.10, 0.03),
-    FRONT: (4.9e9, 0.10, 0.05),
+}
+_OF_LOAD: dict[str, dict[str, tuple[float, float, float]]] = {
+    "beam": {"composite.deflection_per_strain": (1.01, 0.10, 0.03), FRONT: (4.9e9, 0.10, 0.05)},
+    "force": {"load.force": (6.0, 0.30, 0.02)},
+    "spring": {"load.stiffness": (700.0, 0.30, 0.03), "load.preload": (5.0, 0.30, 0.05)},
+    "antagonist": {"load.stiffness": (250.0, 0.30, 0.05), "load.preload": (6.0, 0.30, 0.05)},
 }
 _ABSOLUTE: dict[str, tuple[float, float, float]] = {
     "wire.austenite_start_temperature": (334.0, 4.0, 0.5),
@@ -49,7 +61,7 @@ _ABSOLUTE: dict[str, tuple[float, float, float]] = {
     "wire.martensite_finish_temperature": (307.5, 3.0, 0.5),
     "environment.ambient_temperature": (293.5, 2.5, 0.2),
 }
-BELIEVED = (*_RELATIVE, *_ABSOLUTE)
+BELIEVED = (*_RELATIVE, *_OF_LOAD["beam"], *_ABSOLUTE)
 # Only together do the area and h, the mass and c_p act; the owners have weighed and measured the
 # wire well, so a wrong number hides in the other one.
 RECALIBRATED = tuple(n for n in BELIEVED if n not in ("wire.mass", "wire.surface_area"))
@@ -78,24 +90,26 @@ def stage_of_parameter(name: str) -> str:
     return STAGE_OF_PARAMETER.get(name, "mechanical")
 
 
-def draw_truth(rng: np.random.Generator) -> Parameters:
-    """The true numbers of one composite rig of the population."""
+def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
+    """The true numbers of one rig of the population, a composite or wires with another load."""
     values: dict[str, float] = {}
-    for name, (middle, spread, _) in _RELATIVE.items():
+    for name, (middle, spread, _) in (_RELATIVE | _OF_LOAD[load]).items():
         values[name] = float(middle * (1.0 + spread * rng.uniform(-1.0, 1.0)))
     for name, (middle, spread, _) in _ABSOLUTE.items():
         values[name] = float(middle + spread * rng.uniform(-1.0, 1.0))
-    return _rig(values, {})
+    return _rig(values, {}, load)
 
 
 def true_values(truth: Parameters) -> dict[str, float]:
     """The numbers that the owners of a rig have an opinion on."""
-    return {name: float(truth[name]) for name in BELIEVED}
+    names = (*_RELATIVE, *_OF_LOAD[load_kind(truth)], *_ABSOLUTE)
+    return {name: float(truth[name]) for name in names}
 
 
 def stated_std(name: str, value: float) -> float:
     """The standard deviation that the owners state for a number that they believe in."""
-    spread = abs(value) * _RELATIVE[name][2] if name in _RELATIVE else _ABSOLUTE[name][2]
+    relative = {**_RELATIVE, **{n: row for own in _OF_LOAD.values() for n, row in own.items()}}
+    spread = abs(value) * relative[name][2] if name in relative else _ABSOLUTE[name][2]
     return float(f"{spread:.{_DIGITS}g}")
 
 
@@ -117,7 +131,7 @@ def draw_nominal(
         values[name] = true + sigmas * stated_std(name, true)
         # From the believed number: the true one must not follow from its uncertainty.
         stds[name] = stated_std(name, values[name])
-    return _rig(values, stds)
+    return _rig(values, stds, load_kind(truth))
 
 
 def draw_wrong(rng: np.random.Generator) -> dict[str, float]:
@@ -132,7 +146,10 @@ def rig_of(values: Mapping[str, float]) -> Parameters:
     return _rig(dict(values), {})
 
 
-def _rig(values: dict[str, float], stds: dict[str, float]) -> Parameters:
+def _rig(values: dict[str, float], stds: dict[str, float], load: str = "beam") -> Parameters:
+    if load != "beam":
+        wires = {"load.kind": load, "wire.diameter": 0.3e-3, **_WIRES[load]}
+        return Parameters({**wires, **values}, stds)
     both = {BACK: values[FRONT]}
     std_of_both = {BACK: stds[FRONT]} if stds else {}
     layout = {
@@ -180,14 +197,14 @@ class Drive:
     duration: float
     pulses: tuple[Pulse, ...]
 
-    def voltage(self, time: Array) -> Array:
-        """(n, 4) V at the wires, held since the last command."""
+    def voltage(self, time: Array, of: tuple[str, ...] = SIDES) -> Array:
+        """(n, w) V at the wires of these sides, held since the last command."""
         commanded = np.floor(time / COMMAND_PERIOD + 1e-6) * COMMAND_PERIOD
         sides = {side: np.zeros(len(time)) for side in ("front", "back")}
         for pulse in self.pulses:
             volts = np.interp(commanded, pulse.times, pulse.volts, left=0.0, right=0.0)
             sides[pulse.side] += volts
-        return np.column_stack([sides[side] for side in SIDES])
+        return np.column_stack([sides[side] for side in of])
 
     def grid(self, period: float) -> Array:
         """(n,) times from 0 to the end."""
@@ -212,14 +229,16 @@ def draw_drives(truth: Parameters, rng: np.random.Generator) -> dict[str, Drive]
     """Drives of a record and of the one to hold out, of two different families."""
     families = rng.choice(FAMILIES, size=2, replace=False)
     return {
-        name: _draw_drive(str(family), truth, rng)
+        name: draw_drive(str(family), truth, rng)
         for name, family in zip(("record", "hold_out"), families, strict=True)
     }
 
 
-def _draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Drive:
+def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Drive:
+    """Full, nested and partial strokes of one of FAMILIES."""
     duration = float(np.round(rng.uniform(*DURATIONS), 1))
-    side = str(rng.choice(["front", "back"]))
+    sides = tuple(dict.fromkeys(truth["bench.channel_sides"]))
+    side = str(rng.choice(sides))
     # Both sides finish a cycle first; a loop inside a loop and a partial cycle are in every drive.
     plan = ["full", "full", "nested", *rng.permutation(["partial", "partial", "full"])]
     start, pulses = float(rng.uniform(*_FIRST)), []
@@ -229,7 +248,7 @@ def _draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Dri
             break
         pulses.append(pulse)
         start = pulse.times[-1] + float(rng.uniform(*_REST))
-        side = "back" if side == "front" else "front"
+        side = sides[(sides.index(side) + 1) % len(sides)]
     return Drive(family, duration, tuple(pulses))
 
 
@@ -297,16 +316,29 @@ def _with_dip(corners: _Corners, low: float, rng: np.random.Generator) -> _Corne
 
 def hottest(truth: Parameters) -> float:
     """K at which the last martensite is gone, at full contraction of one side."""
-    alpha = truth["composite.deflection_per_strain"]
-    beta = truth["composite.stress_per_deflection_front"]
     modulus, strain = truth["wire.austenite_modulus"], truth["wire.maximum_recoverable_strain"]
-    wires = len(CHANNELS) // 2
-    deflection = wires * strain * modulus / (beta + wires * modulus / alpha)
-    stress = beta * deflection / wires
+    wires, load, stiffness = _pulled(truth)
+    own = wires * modulus
+    # sum sigma = n E_A (eps_L + eps_0 - e) = load + K e
+    drawn = load / (wires * truth["wire.martensite_modulus"])
+    contraction = (own * (strain + drawn) - load) / (own + stiffness)
+    stress = (load + stiffness * contraction) / wires
     return float(
         truth["wire.austenite_finish_temperature"]
         + stress / truth["wire.stress_influence_austenite"]
     )
+
+
+def _pulled(truth: Parameters) -> tuple[int, float, float]:
+    """Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against."""
+    if load_kind(truth) == "beam":
+        alpha = truth["composite.deflection_per_strain"]
+        return len(CHANNELS) // 2, 0.0, alpha * truth[FRONT]
+    section = np.pi * truth["wire.diameter"] ** 2 / 4.0
+    stiffness = truth["load.stiffness"] * wire_length(truth) / section
+    if load_kind(truth) == "antagonist":
+        stiffness += truth["wire.martensite_modulus"]
+    return 1, (truth["load.preload"] + truth["load.force"]) / section, stiffness
 
 
 def _martensite_middle(truth: Parameters) -> float:

@@ -297,8 +297,10 @@ def measure(
     clock = ticks["joint_states"]
     values = np.interp(clock.time, outcome.time, clean["deflection"])
     read = _read("deflection", values, clock, sensors, rng)
-    signals.append(_signal("deflection", "deflection", clock, read))
-    return [s for s in signals if s.name.rpartition(".")[2] in ("voltage", *quantities)]
+    name = "deflection" if world.load in ("beam", "antagonist") else "elongation"
+    signals.append(_signal(name, "deflection", clock, read))
+    kept = ("voltage", *quantities, *(["elongation"] if "deflection" in quantities else []))
+    return [s for s in signals if s.name.rpartition(".")[2] in kept]
 
 
 def _held(at: Array, time: Array, values: Array) -> Array:

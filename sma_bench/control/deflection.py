@@ -1,4 +1,4 @@
-"""Deflection control of the composite: feed-forward by the inverse model, feedback by the linear.
+"""Deflection control: feed-forward by the inverse model, feedback by the linear one.
 
 Feed-forward. A nominal bench runs along in software. For the wanted deflection of the side in
 charge (the other side's remaining deflection added), the inverse of the model on the present
@@ -9,7 +9,9 @@ Feedback. A PI on nominal minus measured deflection adds to that power. Where th
 cannot follow, the feedback does not ask for it. Gains are Skogestad's for the linearised model,
 its gain interpolated along the branch between operating points.
 
-Positive deflections are the front wires' work, negative ones the back wires'; at zero both rest.
+Positive deflections are the front wires' work, negative ones the back wires'; at zero both rest. A
+wire with a load only shortens: its deflection is its elongation, 0 or less. Antagonists pull
+against each other as they are at the moment.
 """
 
 import math
@@ -23,12 +25,22 @@ from numpy.typing import NDArray
 from sma_bench.control.temperature import PI, Gains, HeatBudget, Heating, OutputLimits
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.effect_table import EFFECT_TABLE
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import Bench, side_names
-from sma_bench.physics.boundary import require_load
-from sma_bench.physics.linearised import linearise
-from sma_bench.physics.operating_point import Branch, OperatingPoint, SideModel, maximum_deflection
+from sma_bench.physics.linearised import SMOOTHER, linearise
+from sma_bench.physics.operating_point import (
+    Branch,
+    OperatingPoint,
+    SideModel,
+    maximum_deflection,
+    side_toward,
+)
 
 Array = NDArray[np.float64]
+
+BEYOND = (*EFFECT_TABLE, *(BY_NAME[name] for name in SMOOTHER))
 
 # Operating points of the gain schedule, as parts of the largest deflection.
 _SCHEDULE = np.linspace(0.02, 0.98, 13)
@@ -50,6 +62,8 @@ class _Side:
 
     @classmethod
     def of(cls, parameters: Parameters, name: str, loss: float) -> Self:
+        # The linear model is the paper's; effects that were identified are the nominal bench's.
+        parameters = parameters.replace({p.name: p.default for p in BEYOND})
         model = SideModel.of(parameters, name)
         largest = maximum_deflection(parameters, name)
         sign = math.copysign(1.0, model.lever)
@@ -57,7 +71,7 @@ class _Side:
         branches: tuple[Branch, ...] = ("heating", "cooling")
         for branch in branches:
             gains = [
-                _gain(OperatingPoint.at_deflection(parameters, sign * part * largest, branch))
+                _gain(OperatingPoint.at_deflection(parameters, sign * part * largest, branch), name)
                 for part in _SCHEDULE
             ]
             middle = gains[len(gains) // 2]
@@ -71,8 +85,9 @@ class _Side:
         return float(np.interp(deflection, *self.schedule[branch]))
 
 
-def _gain(point: OperatingPoint) -> float:
-    return float(np.abs(linearise(point).deflection_per_kelvin[point.voltage > 0.0]).sum())
+def _gain(point: OperatingPoint, side: str) -> float:
+    own = np.array(point.parameters["bench.channel_sides"]) == side
+    return float(np.abs(linearise(point).deflection_per_kelvin[own]).sum())
 
 
 class DeflectionController:
@@ -96,11 +111,10 @@ class DeflectionController:
             feedback: False leaves the feed-forward alone, an open loop.
 
         Raises:
-            InputError: the rig does not bend, or a number out of range.
+            InputError: the rig does not move, or a number out of range.
         """
         if not 0.0 < period < math.inf:
             raise InputError(f"deflection control: period is {period} s, expected above 0")
-        require_load(parameters, "deflection control", ("beam",))
         self.parameters = parameters
         self.heating = Heating.of(parameters, maximum_power, power_rate)
         self._sides = {
@@ -110,6 +124,7 @@ class DeflectionController:
         self.gains = Gains.simc(
             1.0, self.heating.time_constant, 0.5 * period + delay, closed_loop_time
         )
+        self._coupled = load_kind(parameters) == "antagonist"
         self._feedback = feedback
         self.reset()
 
@@ -166,15 +181,19 @@ class DeflectionController:
     def _side_of(self, goal: float) -> _Side | None:
         if goal == 0.0:
             return None
-        return self._sides.get("front" if goal > 0.0 else "back")
+        toward = [side for side in self._sides.values() if side.sign * goal > 0.0]
+        return toward[0] if toward else None
 
     def _feedforward(self, side: _Side, goal: float, dt: float) -> tuple[float, Branch]:
         """Power [W] of each wire toward a deflection [m] of this side, and the branch taken."""
-        model, wire = side.model, int(np.argmax(side.wires))
+        model, wire, others = side.model, int(np.argmax(side.wires)), 0.0
         names = list(self._sides)
         now = self._nominal.contraction
-        others = sum(now[k] for k, name in enumerate(names) if name != side.name)
-        wanted = goal / abs(model.lever) + max(float(others), 0.0)
+        if self._coupled:
+            model = SideModel.of(self.parameters, side.name, state=self._nominal.state)
+        else:
+            others = float(sum(now[k] for k, name in enumerate(names) if name != side.name))
+        wanted = goal / abs(model.lever) + max(others, 0.0)
         wanted = min(wanted, _LAST_REACHABLE * model.largest_contraction())
         branch: Branch = "heating" if wanted >= now[names.index(side.name)] else "cooling"
         state = self._nominal.state
@@ -202,9 +221,12 @@ def deflection_reference_fault(reference: Sequence[float], parameters: Parameter
     (metres,) = reference
     if not math.isfinite(metres):
         return f"reference is {metres} m, expected a finite deflection"
-    side = "front" if metres > 0.0 else "back"
     if metres == 0.0:
         return ""
+    try:
+        side = side_toward(parameters, metres)
+    except InputError as error:
+        return f"reference: {error}"
     if side not in parameters["bench.channel_sides"]:
         return f"reference is {metres:g} m, but there is no wire on the {side}"
     largest = maximum_deflection(parameters, side)

@@ -10,8 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import require_plain_drive
-from sma_bench.physics.heat import heat_loss, time_constant
+from sma_bench.physics.heat import (
+    heat_loss,
+    heated_resistance,
+    heating_voltage,
+    time_constant,
+)
 
 # --- A PI controller with anti-windup, and the rule that tunes it.
 #
@@ -164,7 +168,8 @@ class Heating:
     """Constants of one heated wire.
 
     Attributes:
-        resistance: ohm; ambient: K; loss: h A_c [W/K]; time_constant: s.
+        resistance: ohm, by which direct volts heat; supply: V of a duty, else 0; ambient: K;
+            loss: h A_c [W/K]; time_constant: s.
         maximum_power: W; power_rate: W/s; maximum_temperature: K.
     """
 
@@ -175,6 +180,7 @@ class Heating:
     maximum_power: float
     power_rate: float
     maximum_temperature: float
+    supply: float = 0.0
 
     @classmethod
     def of(
@@ -192,9 +198,15 @@ class Heating:
         for name, value in (("maximum_power", maximum_power), ("power_rate", power_rate)):
             if not 0.0 <= value < math.inf:
                 raise InputError(f"heating: {name} is {value}, expected 0 or more")
-        ohm = parameters["wire.resistance"]
+        ohm, drive = heated_resistance(parameters), parameters["bench.drive"]
+        through = parameters["wire.resistance"] / parameters["wire.count"]  # of a channel
+        if drive != "current":
+            through += parameters["bench.lead_resistance"]
         ampere = CURRENT_SHARE * parameters["bench.maximum_current"]
-        volt = min(parameters["bench.maximum_voltage"], ohm * ampere)
+        highest = heating_voltage(parameters["bench.maximum_voltage"], parameters)
+        volt = min(float(highest), through * ampere)
+        if drive == "duty":
+            volt = min(volt, parameters["bench.supply_voltage"])
         return cls(
             resistance=ohm,
             ambient=parameters["environment.ambient_temperature"],
@@ -203,11 +215,13 @@ class Heating:
             maximum_power=min(volt**2 / ohm, maximum_power or math.inf),
             power_rate=power_rate or math.inf,
             maximum_temperature=parameters["bench.maximum_temperature"] - TEMPERATURE_MARGIN,
+            supply=parameters["bench.supply_voltage"] if drive == "duty" else 0.0,
         )
 
     def voltage(self, power: ArrayLike) -> Array:
-        """V that heat with P [W]."""
-        return np.sqrt(np.asarray(power, float) * self.resistance)
+        """V, commanded, that heat with P [W]."""
+        square = np.asarray(power, float) * self.resistance
+        return np.asarray(square / self.supply if self.supply else np.sqrt(square))
 
     def holding_power(self, temperature: ArrayLike) -> Array:
         """P [W] that holds T [K]."""
@@ -276,7 +290,6 @@ class TemperatureController:
         """
         if not 0.0 < period < math.inf:
             raise InputError(f"temperature control: period is {period} s, expected above 0")
-        require_plain_drive(parameters, "temperature control")
         self._wires = len(parameters["bench.channels"])
         self.heating = Heating.of(parameters, maximum_power, power_rate)
         self.gains = Gains.simc(

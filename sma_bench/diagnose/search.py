@@ -88,7 +88,7 @@ def search(
     recalibrated, _ = recalibrate(fresh, parameters, baseline, starts)
     problem = replace(fresh, nuisances=recalibrated.problem.nuisances)
     # As believed: every parameter exact.
-    nominal = fit(problem, unknowns_of(parameters, (), shapes=False), np.zeros(0), rounds=2)
+    nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
     possible = _possible(parameters, quantities)
     singles = _singles(baseline, recalibrated, possible, progress)
     better = _again(problem, baseline, recalibrated, singles)

@@ -22,7 +22,13 @@ from sma_bench.estimation.observation import (
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Number, Off, Result, result_of, scale_errors
 from sma_bench.estimation.solver import recalibrate
-from sma_bench.estimation.unknowns import PRODUCTS, SHAPES, Unknowns, unknowns_of_records
+from sma_bench.estimation.unknowns import (
+    PRODUCTS,
+    SHAPES,
+    UNMODELLED,
+    Unknowns,
+    unknowns_of_records,
+)
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Correlation, Estimate, Experiment
 from sma_bench.identify.thermal.resistance import LEADS, lead_std
@@ -34,6 +40,7 @@ from sma_bench.records.record import Record, has_samples
 
 NAME = "E10"
 TITLE = "Whole model of a bench that moves"
+_NUISANCES = (*SHAPES, *UNMODELLED)
 _MOTIONS = ("deflection", "elongation")
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _DRAWN, _SEED = 2, 17  # further starts, drawn from the prior
@@ -129,6 +136,7 @@ def unknowns_of_observations(
     return unknowns_of_records(
         parameters, quantities, load_frame=any(one.holds for one in observations),
         own_load=any(not one.holds for one in observations), sides_apart=True,
+        unmodelled=True,
     )
 
 
@@ -145,7 +153,7 @@ def starts(unknowns: Unknowns) -> list[Array]:
 
 def _is_told(number: Number) -> bool:
     """A shape of the kinetics that is the cosine's is not worth a line."""
-    return number.name not in SHAPES or number.value != BY_NAME[number.name].default
+    return number.name not in _NUISANCES or number.value != BY_NAME[number.name].default
 
 
 def _estimate(number: Number, method: str, n: int, parameters: Parameters) -> Estimate:
@@ -214,7 +222,8 @@ def findings(result: Result) -> tuple[Finding, ...]:
 
 def _uninformed(result: Result) -> list[Finding]:
     remarks = []
-    which = [n.name for n in result.numbers if n.informed < _UNINFORMED and n.name not in SHAPES]
+    told = [n for n in result.numbers if n.name not in _NUISANCES]
+    which = [n.name for n in told if n.informed < _UNINFORMED]
     if which:
         text = (
             f"the records hardly improve what was known of {', '.join(which)}: value and error "
@@ -261,7 +270,7 @@ def _surprising(numbers: Sequence[Number]) -> list[Finding]:
 def _at_end(numbers: Sequence[Number]) -> list[Finding]:
     return [
         Finding("warning", n.name, f"the fit stopped at an end of its range, {n.value:.6g}")
-        for n in numbers if n.at_end and n.name not in SHAPES
+        for n in numbers if n.at_end and n.name not in _NUISANCES
     ]
 
 

@@ -1,4 +1,4 @@
-"""Bends the composite as wanted: the deflection of joint_states to voltage_command."""
+"""Moves a bench as wanted: the position in joint_states to voltage_command."""
 
 import math
 import time
@@ -13,6 +13,7 @@ from sma_bench.hardware.safety import Freshness
 from sma_bench.nodes.base import run_node
 from sma_bench.nodes.controller import Controller
 from sma_bench.nodes.experiment import NEWEST, seconds
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols.reading import DEFLECTION, TIP
 
 
@@ -24,7 +25,8 @@ class DeflectionControllerNode(Controller):
     def __init__(self) -> None:
         super().__init__("deflection_controller", Float64)
         self._deflection = math.nan
-        self._tip = Freshness(f"joint_states {TIP}", self._feedback_timeout)
+        self._joint = TIP if moves_tip(self.parameters) else "wire"
+        self._tip = Freshness(f"joint_states {self._joint}", self._feedback_timeout)
         self.create_subscription(JointState, "joint_states", self._on_joints, NEWEST)
 
     def design(self) -> DeflectionController:
@@ -52,9 +54,9 @@ class DeflectionControllerNode(Controller):
         return self._law.step(wanted[0], self._deflection, self._period, upcoming[0]).tolist()
 
     def _on_joints(self, message: JointState) -> None:
-        if TIP not in message.name:
+        if self._joint not in message.name:
             return
-        index = message.name.index(TIP)
+        index = message.name.index(self._joint)
         if index < len(message.position) and math.isfinite(message.position[index]):
             self._deflection = message.position[index]
             self._tip.seen(seconds(message), time.monotonic())

@@ -15,6 +15,8 @@ from std_srvs.srv import Trigger
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import BenchNode, run_node
 from sma_bench.nodes.twin_topics import TwinTopics
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.twin import Twin, compile_model
 from sma_bench.twin.twin import NANOSECONDS
 from sma_bench.twin.verdict import GAP, GREW, StageState
@@ -36,8 +38,9 @@ class TwinNode(BenchNode):
     def __init__(self) -> None:
         super().__init__("twin")
         channels = self.parameters["bench.channels"]
-        self._joint = "tip" if len(channels) > 1 else "wire"
-        self._topics = TwinTopics(self, channels)
+        self._joint = "tip" if moves_tip(self.parameters) else "wire"
+        self._moves = load_kind(self.parameters) != "clamped"
+        self._topics = TwinTopics(self, channels, self._joint, self._moves)
         compile_model(self.parameters)
         self._twin = Twin(
             self.parameters, self.settings, self._topics.predict, self._topics.residual
@@ -79,7 +82,7 @@ class TwinNode(BenchNode):
             return
         k = list(message.name).index(self._joint)
         position = message.position[k] if k < len(message.position) else math.nan
-        if self._joint == "tip":
+        if self._moves:
             self._twin.mechanics(_stamp(message), position)
         elif k < len(message.effort):
             elongation = 0.0 if math.isnan(position) else position

@@ -24,9 +24,10 @@ PREDICTED, RESIDUAL, ENERGY = "twin", "twin/residual", "twin/energy"
 class TwinTopics:
     """Publishers below `twin/`, relative names."""
 
-    def __init__(self, node: Node, channels: Sequence[str]) -> None:
+    def __init__(self, node: Node, channels: Sequence[str], joint: str, moves: bool) -> None:
+        """`joint`: of joint_states; `moves`: its position is compared, else its effort."""
         self._node, self._channels = node, channels
-        self._bends = len(channels) > 1
+        self._name, self._moves = joint, moves
         self._predicted = self._of(PREDICTED)
         self._residual = self._of(RESIDUAL)
         self._energy = {
@@ -72,9 +73,9 @@ class TwinTopics:
                 self._energy[state.stage].publish(Float64(data=state.energy))
 
     def _joint(self, value: float, elongation: float) -> JointState:
-        if self._bends:
-            return JointState(name=["tip"], position=[value])
-        return JointState(name=["wire"], position=[elongation], effort=[value])
+        if self._moves:
+            return JointState(name=[self._name], position=[value])
+        return JointState(name=[self._name], position=[elongation], effort=[value])
 
 
 def _power(channel: str, volt: float, ampere: float) -> BatteryState:

@@ -42,7 +42,7 @@ class VirtualBench:
         """`settings` are the simulator node's own parameters."""
         self.channels: tuple[str, ...] = parameters["bench.channels"]
         self.composite = moves_tip(parameters)
-        self._clamped = load_kind(parameters) == "clamped"
+        self.moves = load_kind(parameters) != "clamped"
         # The first step may compile the physics for seconds: not between two readings.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
         self._bench = Bench(parameters)
@@ -137,6 +137,6 @@ class VirtualBench:
 
     def _read_load_frame(self, _: tuple[float, ...]) -> list[float]:
         elongation = 0.0  # where the frame holds the clamps
-        if not self._clamped:
+        if self.moves:
             elongation = self._range[0].read(self._bench.deflection_reading)
         return [elongation, self._force.read(float(self._bench.force.sum()))]

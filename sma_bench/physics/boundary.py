@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
-from sma_bench.parameters.parameters import load_kind, require_plain_drive
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.bending import bending_coefficients, channel_section
 
 SIDE_SIGNS = {"front": 1.0, "back": -1.0}  # of the deflection, contract section 4
@@ -122,24 +122,6 @@ class Boundary:
 def moves_tip(parameters: Parameters) -> bool:
     """Whether the bench shows a deflection to both sides (`tip`), not one wire's elongation."""
     return load_kind(parameters) in ("beam", "antagonist")
-
-
-def require_load(parameters: Parameters, what: str, kinds: tuple[str, ...]) -> None:
-    """Refuse a bench that `what` would answer wrongly.
-
-    Raises:
-        InputError: another load than of `kinds`, one wire on a beam, several on a wire's load, or
-            a drive that is not plain.
-    """
-    kind, channels = load_kind(parameters), len(parameters["bench.channels"])
-    if kind not in kinds:
-        raise InputError(f"{what}: load.kind is {kind}, expected {' or '.join(kinds)} so far")
-    if (channels > 1) != (kind == "beam"):
-        wanted = "two or more" if kind == "beam" else "one"
-        raise InputError(
-            f"{what}: load.kind {kind} with {channels} of bench.channels, expected {wanted} so far"
-        )
-    require_plain_drive(parameters, what)
 
 
 def side_names(parameters: Parameters) -> tuple[str, ...]:

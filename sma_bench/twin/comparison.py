@@ -9,6 +9,7 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.stats import chi2
 
 from sma_bench.estimation.noise_model import Noise, estimate_noise, resolution, white_noise_level
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.boundary import side_of_channels
 from sma_bench.physics.simulate import TemperatureDriven
 from sma_bench.twin.free_run import FreeRun
@@ -246,8 +247,8 @@ class Comparison:
     def __init__(self, run: FreeRun, drift: float) -> None:
         """Begin where the run is now; `drift` K that a thermometer may have."""
         parameters, wires = run.parameters, len(run.parameters["bench.channels"])
-        self._bends = wires > 1
-        mechanics = "deflection" if self._bends else "force"
+        self._moves = load_kind(parameters) != "clamped"
+        mechanics = "deflection" if self._moves else "force"
         self.currents = [SignalBins("current", k) for k in range(wires)]
         self.temperatures = [SignalBins("temperature", k) for k in range(wires)]
         self.driven, self.free = SignalBins(mechanics, 0), SignalBins(mechanics, 0)
@@ -407,4 +408,4 @@ class Comparison:
 
     def _mechanics_of(self, bench: TemperatureDriven, time: Array, kelvin: Array) -> Array:
         deflection, force = bench.run(time, kelvin)
-        return deflection if self._bends else force[:, 0]
+        return deflection if self._moves else force[:, 0]

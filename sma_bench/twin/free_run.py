@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
@@ -201,7 +202,7 @@ class FreeRun:
 
     def _take(self, parameters: Parameters) -> None:
         self.parameters = parameters
-        self._bends = len(parameters["bench.channels"]) > 1
+        self._moves = load_kind(parameters) != "clamped"
         self._cold = float(parameters["wire.martensite_finish_temperature"])
         self._settling = 10.0 * float(time_constant(parameters))
 
@@ -213,7 +214,7 @@ class FreeRun:
         conductance = current(
             self.parameters, 1.0, run.temperature, run.martensite_fraction
         )
-        mechanics = run.deflection_reading if self._bends else run.force[:, 0]
+        mechanics = run.deflection_reading if self._moves else run.force[:, 0]
         # Voltages noise around 0 in a rest: what counts is what heats.
         drives = run.voltage.max(axis=1) > _OFF
         newest = np.maximum.accumulate(np.where(drives, np.arange(len(time)), -1))

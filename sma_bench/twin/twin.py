@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
-from sma_bench.physics.boundary import require_load, side_names
+from sma_bench.parameters.parameters import as_recorded
+from sma_bench.physics.boundary import side_names
 from sma_bench.twin.comparison import BIN, Comparison
 from sma_bench.twin.free_run import FreeRun, MeasuredVoltages
 from sma_bench.twin.verdict import LEARNING, Judge, Rules, Verdict
@@ -67,8 +68,7 @@ class Twin:
         on_residual: Callable[[Residual], None],
     ) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output."""
-        require_load(parameters, "twin", ("clamped", "beam"))
-        self._parameters = parameters
+        self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]
         self._wires = len(self._channels)
@@ -119,7 +119,7 @@ class Twin:
         self._queue(TEMPERATURE, wire, time, stamp, kelvin, std=std)
 
     def mechanics(self, stamp: int, value: float, elongation: float = 0.0) -> None:
-        """A deflection [m], or the force [N] of a wire elongated by so much [m]."""
+        """A deflection [m], or the force [N] of a clamped wire elongated by so much [m]."""
         if not math.isfinite(value) or abs(elongation) > _CLAMPED:
             self._ignored += 1
             return
@@ -127,9 +127,9 @@ class Twin:
 
     def change(self, parameters: Parameters) -> None:
         """Go on with other parameters of the same channels; the last minute is lived again."""
-        self._parameters = parameters
+        self._parameters = as_recorded(parameters)
         if self._run is not None:
-            self._run.change(parameters)
+            self._run.change(self._parameters)
             self._comparison = Comparison(self._run, self._rules.allowed["temperature"])
             self._unjudged = 0
             self.verdict = Verdict(LEARNING, "learning: parameters have changed")
@@ -256,7 +256,7 @@ class Twin:
 def compile_model(parameters: Parameters) -> None:
     """Compile what a twin runs, which may take seconds, before readings arrive."""
     wires = len(parameters["bench.channels"])
-    run = FreeRun(parameters, 0.0, np.full(wires, math.nan), np.zeros(wires))
+    run = FreeRun(as_recorded(parameters), 0.0, np.full(wires, math.nan), np.zeros(wires))
     run.advance(np.array([BIN]), np.zeros((1, wires)))
     estimate_noise([np.zeros(2)], 1.0, BIN)
 

@@ -54,6 +54,33 @@ def test_wires_of_a_side_that_go_different_ways_follow_the_baseline_model_too() 
         assert np.max(np.abs(getattr(outcome, name) - getattr(model, name))) < most
 
 
+LOADS = {
+    "force": {"load.kind": "force", "load.force": 6.0},
+    "spring": {"load.kind": "spring", "load.stiffness": 700.0, "load.preload": 5.0},
+    "antagonist": {"load.kind": "antagonist", "load.stiffness": 300.0, "load.preload": 6.0},
+}  # fmt: skip
+
+
+@needs_numba
+@pytest.mark.parametrize("load", LOADS)
+def test_wires_with_a_load_are_the_baseline_models_too(load: str) -> None:
+    wires = 2 if load == "antagonist" else 1
+    own = {
+        "bench.channels": ("a", "b")[:wires], "bench.channel_sides": ("front", "back")[:wires],
+        "wire.length": 0.2,
+    }
+    rig = COMPOSITE.replace({**own, **LOADS[load]})
+    time, voltage = drive("nested")
+    voltage = 1.15 * voltage[:, ::2][:, :wires]
+    model = simulate(rig, time, voltage)
+    still = {"detwinning_stress": 1e9}  # the model's martensite does not yield
+    outcome = happen(World(rig, still), time, voltage, 16.0)
+    assert np.ptp(model.martensite_fraction[:, 0]) > 0.3 and np.ptp(model.deflection) > 5e-4
+    for name, most in LEFT.items():
+        here, there = getattr(outcome, name), getattr(model, name)
+        assert np.max(np.abs(here - there)) < 3.0 * most, name
+
+
 def test_drives_transform_wholly_and_in_part() -> None:
     for shape in DRIVES:
         outcome = happen(World(COMPOSITE), *drive(shape))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from closed_loops import rmse, run_deflection, run_voltages
 
-from sma_bench.control.deflection import DeflectionController
+from sma_bench.control.deflection import DeflectionController, deflection_reference_fault
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
@@ -178,3 +178,54 @@ def test_without_a_reading_the_feedforward_goes_on() -> None:
 def test_bad_number_is_quoted(build: object, quoted: str) -> None:
     with pytest.raises(InputError, match=quoted):
         build()
+
+
+PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
+LOADS = {
+    "force": {"load.kind": "force", "load.force": 8.0, "bench.drive": "duty"},
+    "spring": {"load.kind": "spring", "load.stiffness": 800.0, "load.preload": 5.0,
+               "bench.lead_resistance": 0.3},
+    "antagonist": {**PAIR, "load.kind": "antagonist", "load.stiffness": 200.0,
+                   "load.preload": 6.0, "bench.drive": "current"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_wires_with_a_load_follow_a_wave_of_their_position(load: str) -> None:
+    rig = Parameters.defaults().replace(LOADS[load])
+    largest = maximum_deflection(rig)
+    part = np.array([0.0, 1.0, 0.4, 0.9, 0.0, -1.0 if load == "antagonist" else 0.8, 0.0])
+    sign = 1.0 if load == "antagonist" else -1.0
+
+    def wave(t: float) -> float:
+        return sign * 0.5 * largest * float(np.interp(t, np.arange(7.0) * 5.0, part))
+
+    random = np.random.default_rng(3)
+    names = [n for n in UNCERTAIN if n.startswith("wire.") and n != "wire.mass"]
+    off = rig.replace({n: rig[n] + 0.5 * rig.std(n) * random.standard_normal() for n in names})
+    exact, wrong, blind = (
+        run_deflection(bench, DeflectionController(rig, PERIOD, feedback=feedback), wave, 30.0,
+                       Loop(PERIOD, noise=2e-5))
+        for bench, feedback in ((rig, True), (off, True), (off, False))
+    )
+    assert error(exact) < 0.01 * largest
+    assert error(wrong) < 0.04 * largest and error(wrong) < 0.7 * error(blind)
+    assert np.all(exact.voltage >= 0.0)
+
+
+def test_a_bench_as_identified_with_its_effects_is_followed_too() -> None:
+    found = {"effect.latent_heat.heat": 6e3, "wire.transition_spread": 1.0}
+    rig = Parameters.defaults().replace({**LOADS["spring"], **found})
+
+    def wave(t: float) -> float:
+        return -3e-3 * (1.0 - np.cos(0.8 * t)) / 2.0
+
+    run = run_deflection(rig, DeflectionController(rig, PERIOD), wave, 12.0, Loop(PERIOD))
+    assert error(run) < 0.05e-3
+
+
+def test_a_wire_with_a_load_is_not_asked_to_become_longer() -> None:
+    rig = Parameters.defaults().replace(LOADS["spring"])
+    assert "a wire with a load only shortens" in deflection_reference_fault([1e-3], rig)
+    assert deflection_reference_fault([-1e-3], rig) == ""
+    assert "expected at most" in deflection_reference_fault([-0.05], rig)

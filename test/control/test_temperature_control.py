@@ -10,6 +10,7 @@ from sma_bench.control.temperature import HeatBudget, Heating, TemperatureContro
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
+from sma_bench.physics.heat import direct_reading
 from sma_bench.synthetic.bench_records import Loop, run_temperature
 
 WIRE = Parameters.defaults()
@@ -154,3 +155,20 @@ def test_heat_budget_holds_the_highest_temperature() -> None:
 def test_bad_number_is_quoted(build: object, quoted: str) -> None:
     with pytest.raises(InputError, match=quoted):
         build()
+
+
+@pytest.mark.parametrize("drive", [
+    {"bench.drive": "duty", "bench.supply_voltage": 12.0, "bench.lead_resistance": 0.4},
+    {"bench.drive": "current", "wire.count": 2, "bench.maximum_current": 8.0},
+])
+def test_any_drive_holds_a_temperature_and_stays_within_the_current(drive) -> None:
+    rig = WIRE.replace(drive)
+    controller = TemperatureController(rig, PERIOD)
+    run = run_temperature(rig, controller, lambda _: np.array([325.0]), 4.0, Loop(PERIOD))
+    assert run.actual[-1, 0] == pytest.approx(325.0, abs=0.05)
+    assert run.actual.max() < 325.4  # the model's power is the right one
+    hardest = controller.heating.voltage(controller.heating.maximum_power)
+    through = simulate(rig, [0.0, 1e-3], np.full(2, float(hardest)))
+    volts, amperes = direct_reading(rig, through.voltage, through.current)
+    assert amperes[0, 0] <= 0.9 * rig["bench.maximum_current"] * (1.0 + 1e-9)
+    assert float(hardest) <= rig["bench.maximum_voltage"] and volts[0, 0] <= 12.0

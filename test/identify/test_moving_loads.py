@@ -1,5 +1,6 @@
 """Wires that pull a weight, a spring or each other: identified from motion and voltage alone."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,9 @@ from sma_bench.identify.whole_model import (
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
+import loads  # noqa: E402
 
 PAIR = {"bench.channels": ("left", "right"), "bench.channel_sides": ("front", "back")}
 RIGS = {
@@ -131,3 +135,12 @@ def test_a_spring_bench_without_its_motion_says_what_is_missing():
     record = recorded(believed, "triangle", 1, ("voltage",))
     with pytest.raises(InputError, match="expected currents, temperatures or a deflection"):
         identify_moving_bench([record], believed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", loads.LOADS)
+def test_two_runs_of_another_reality_predict_five_of_other_shapes(load):
+    """Of which the wire has latent heat, free convection and a resistance that changes."""
+    found = loads.try_bench((load, 7, True))
+    assert np.median(found["believed"]) > 5.0 * np.median(found["unseen"])
+    assert np.median(found["unseen"]) < loads.MEDIAN and max(found["unseen"]) < loads.TAIL

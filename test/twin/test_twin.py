@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planted import true_bench
+from planted import ONE_WIRE, true_bench
 from scipy.signal import lfilter
 
 from sma_bench.nodes.virtual_bench import VirtualBench
@@ -82,8 +82,10 @@ class Stream:
                 self.twin.temperature(wire, stamp, celsius + 273.15)
         elif reading.kind == "mechanics":
             first, second = values
-            value = 0.5 * (second - first) if self.bench.composite else second
-            self.twin.mechanics(stamp, value)
+            if self.bench.composite:
+                self.twin.mechanics(stamp, 0.5 * (second - first))
+            else:
+                self.twin.mechanics(stamp, first if self.bench.moves else second)
 
     def states(self):
         return {verdict.state for verdict in self.said}
@@ -108,6 +110,30 @@ def test_a_clamped_wire_that_does_as_believed_is_never_called_a_gap():
     verdict = stream.run(40.0)
     assert stream.states() == {LEARNING, QUIET}
     assert [s.stage for s in verdict.measured] == ["electrical", "thermal", "mechanical"]
+
+
+LOADS = {
+    "force": {"load.kind": "force", "load.force": 6.0, "bench.drive": "duty"},
+    "spring": {"load.kind": "spring", "load.stiffness": 800.0, "load.preload": 5.0,
+               "bench.lead_resistance": 0.3},
+    "antagonist": {"load.kind": "antagonist", "load.stiffness": 200.0, "load.preload": 6.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_wires_with_a_load_are_quiet_until_they_do_otherwise(load):
+    belief = (BENCH if load == "antagonist" else BENCH.replace(ONE_WIRE)).replace(LOADS[load])
+    spoilt = belief.replace({"effect.residual_strain.share": 0.2})
+
+    def drive(time):
+        volts = [1.2 * volt for volt in (by_turns if load == "antagonist" else one_wire)(time)]
+        return [v**2 / 10.0 if load == "force" else v for v in volts]  # a duty of 10 V
+
+    quiet, grown = Stream(belief, belief, drive), Stream(spoilt, belief, drive)
+    quiet.run(45.0)
+    grown.run(45.0)
+    assert quiet.states() == {LEARNING, QUIET}
+    assert {v.stages for v in grown.said if v.state == GREW} == {("mechanical",)}
 
 
 @pytest.mark.parametrize(

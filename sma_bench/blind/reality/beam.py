@@ -1,14 +1,18 @@
 # mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
-"""Equilibrium of the beam: the wires of both sides, the silicone, and what they remember.
+"""Equilibrium of the bench: the wires of both sides, the silicone or the load, what they remember.
 
 For the wires i of side s, whose deflection towards itself is d_s, against the other side o:
 
     contraction of the side     e_s = (d_s - opposing d_o)/alpha
     stress, eq. (6)             sigma_i = E(xi_i)[eps_L a_i - p_i - t_i - e_s] + Theta_T (T_i - T_0)
-    balance, eqs. (12), (13)    sum sigma_i = beta_s [(1 - m) d_s + m/2 (q_1 + q_2)] (+ stiffening)
+    balance, eqs. (12), (13)    sum sigma_i = load_s + beta_s [(1 - m) d_s + m/2 (q_1 + q_2)]
+                                              (+ stiffening)
     relaxation (Prony)          dq_j/dt = dd_s/dt - q_j/tau_j
 
-with a the transformed share (1 - xi, or what of it has stayed), p plastic strain and t detwinned
+Wires with a load are stretched by it at rest, which is in sigma_i. Antagonists are two sides that
+oppose each other fully, so that d_front - d_back is the slider's way.
+
+With a the transformed share (1 - xi, or what of it has stayed), p plastic strain and t detwinned
 strain. With all features off, a = 1 - xi, p = t = 0, and this is the contract's bending. All
 unknowns are solved together by Newton's method, xi as a linear function of stress in the step
 (transformation.py); the relaxation is exact for a deflection that is linear within the step.
@@ -22,6 +26,7 @@ from numpy.typing import NDArray
 
 from sma_bench.blind.reality.world import World
 from sma_bench.compiled import inlined
+from sma_bench.parameters.audit import wire_length
 
 Array = NDArray[np.float64]
 
@@ -30,6 +35,7 @@ CONVERGED = 1e-9  # of a strain; the error left is of the order of its square
 HARDENING = 0.05  # of the modulus, while martensite detwins
 LEAST_MARTENSITE = 0.05
 LEAST_DAMPING = 0.1
+IDLE = 1e12  # Pa/m, of the wires behind a weight or a spring, which are never heated
 RELAXATION_TIMES = (1.0 / math.sqrt(10.0), math.sqrt(10.0))  # of relaxation_time
 
 # Rows of the scratch array: of the sides, then of the wires.
@@ -42,6 +48,8 @@ class Beam(NamedTuple):
 
     side: NDArray[np.int64]
     stiffness: Array
+    load: Array
+    prestretch: Array
     lever: float
     stiffening: float
     opposing: float
@@ -83,17 +91,15 @@ class Pull(NamedTuple):
 
 
 def beam(world: World) -> Beam:
-    """The beam of a world."""
+    """What the wires of a world pull against."""
     p = world.parameters
-    betas = [p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back")]
-    asymmetry = world.feature("stiffness_asymmetry")
-    sides = [0 if side == "front" else 1 for side in p["bench.channel_sides"]]
+    sides = np.array([0 if side == "front" else 1 for side in world.sides], dtype=np.int64)
+    lever, stiffness, load, opposing = _composite(world) if world.load == "beam" else _load(world)
     return Beam(
-        np.array(sides, dtype=np.int64),
-        np.array([betas[0] * (1.0 + asymmetry), betas[1] * (1.0 - asymmetry)]),
-        p["composite.deflection_per_strain"],
+        sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
+        lever,
         world.feature("stiffening"),
-        world.feature("opposing"),
+        opposing,
         world.feature("matrix_relaxation"),
         world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
         p["wire.austenite_modulus"],
@@ -107,9 +113,33 @@ def beam(world: World) -> Beam:
     )
 
 
-def pull_at_rest(wires: int) -> Pull:
-    """Straight, free of stress, all martensite."""
+def _composite(world: World) -> tuple[float, Array, Array, float]:
+    """Lever [m], stiffness [Pa/m] and load [Pa] of each side, and how they oppose each other."""
+    p = world.parameters
+    betas = [p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back")]
+    asymmetry = world.feature("stiffness_asymmetry")
+    stiffness = np.array([betas[0] * (1.0 + asymmetry), betas[1] * (1.0 - asymmetry)])
+    return p["composite.deflection_per_strain"], stiffness, np.zeros(2), world.feature("opposing")
+
+
+def _load(world: World) -> tuple[float, Array, Array, float]:
+    """The same of wires with a load, whose lever is their length."""
+    p = world.parameters
+    section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
+    stiffness, preload = p["load.stiffness"] / section, p["load.preload"] / section
+    if world.load == "antagonist":
+        return wire_length(p), np.full(2, stiffness), np.full(2, preload), 1.0
+    held = p["load.force"] / section
+    if world.load == "spring":
+        return wire_length(p), np.array([stiffness, IDLE]), np.array([preload + held, 0.0]), 0.0
+    return wire_length(p), np.array([0.0, IDLE]), np.array([held, 0.0]), 0.0
+
+
+def pull_at_rest(beam: Beam) -> Pull:
+    """At rest, all martensite, bearing what the load is."""
+    wires = len(beam.side)
     rest = np.zeros((7, wires))
+    rest[2] = (beam.load / np.bincount(beam.side))[beam.side]
     by_wire = (np.ones(wires), rest[0], rest[1], rest[2], rest[3], rest[4], rest[5], rest[6])
     return Pull(*by_wire, np.zeros(2), np.zeros(2), np.zeros((2, 2)))
 
@@ -125,6 +155,7 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
     modulus = beam.austenite_modulus + xi * beam.modulus_change
     thermal = beam.expansion * (temperature - beam.rest_temperature)
     stretch = beam.recoverable * share - pull.elongation[i] - pull.detwinned[i] - contraction
+    stretch += beam.prestretch[beam.side[i]]
     strain = stretch + thermal / modulus
     loose = min(max(strain, 0.0), beam.slack)
     stress = modulus * (strain - loose)
@@ -188,11 +219,11 @@ def balance(beam, pull, temperature, step, scratch):
     """
     wires = len(beam.side)
     for s in range(2):
-        scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], 0.0
+        scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]
         if beam.relaxing > 0.0:
             worth, shift = memory_of_silicone(beam, pull, step, s)
             scratch[STIFF, s] *= 1.0 - beam.relaxing + beam.relaxing * worth
-            scratch[LOAD, s] = beam.stiffness[s] * beam.relaxing * shift
+            scratch[LOAD, s] += beam.stiffness[s] * beam.relaxing * shift
     front, back = pull.deflection[0] + pull.change[0], pull.deflection[1] + pull.change[1]
     for i in range(wires):
         scratch[BEFORE, i] = pull.stress[i]

@@ -59,7 +59,8 @@ def radiation(excess: Array, air: float) -> Array:
 def relative_film(world: World) -> Array:
     """(m,) conductance of the film over the baseline's, by excess in steps of EXCESS_STEP."""
     air = world.parameters["environment.ambient_temperature"]
-    diameter = world.parameters["composite.thickness"]
+    surface = "composite.thickness" if world.load == "beam" else "wire.diameter"
+    diameter = world.parameters[surface]
     excess = np.maximum(np.arange(0.0, LARGEST_EXCESS, EXCESS_STEP), 1e-3)
     both = free_convection(excess, air, diameter) + radiation(excess, air)
     share = world.feature("convection_by_correlation")

@@ -270,7 +270,8 @@ class Outcome:
         current: (n, w) A; temperature: (n, w) K of the wires.
         surface: (n, w) K of the silicone beside each wire, which an infrared spot sees too.
         martensite_fraction: (n, w); stress: (n, w) Pa.
-        deflection: (n,) m of the tip, positive to the front; side_deflection: (n, 2) m, what
+        deflection: (n,) m of the tip or the slider, positive to the front, or elongation of a wire
+            with a weight or a spring; side_deflection: (n, 2) m, what
             front and back do, each towards itself.
         ambient: (n,) K of the air.
     """
@@ -301,25 +302,26 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     warn_if_plain()
     inputs = _inputs(world, np.array(time, dtype=float), np.array(voltage, dtype=float), fine)
     samples, wires = inputs.voltage.shape
-    rig = _rig(world)
+    rig, driven = _rig(world), len(world.parameters["bench.channels"])
     still = float(world.parameters["environment.ambient_temperature"])
     field = np.full((len(rig.pairs), NODES), still)
     values = np.zeros((samples, QUANTITIES, wires))
     tip, sides = np.zeros(samples), np.zeros((samples, 2))
     grains = grains_at_rest(wires, len(rig.classes.weight))
     run(
-        rig, inputs, field, grains, pull_at_rest(wires), wires_at_rest(wires, still),
+        rig, inputs, field, grains, pull_at_rest(rig.beam), wires_at_rest(wires, still),
         scratch_for(wires), values, tip, sides,
     )
+    values = values[:, :, :driven]
     return Outcome(
         time=inputs.time,
-        voltage=inputs.voltage,
+        voltage=inputs.voltage[:, :driven],
         current=values[:, CURRENT],
         temperature=values[:, TEMPERATURE],
         surface=values[:, SURFACE],
         martensite_fraction=values[:, MARTENSITE],
         stress=values[:, STRESS],
-        deflection=tip,
+        deflection=tip if world.load in ("beam", "antagonist") else -tip,
         side_deflection=sides,
         ambient=inputs.ambient,
     )
@@ -341,13 +343,13 @@ def _inputs(world: World, time: Array, voltage: Array, fine: float) -> Inputs:
     if not 0.0 < fine < math.inf:
         raise InputError(f"happen: fine is {fine:g}, expected above 0")
     steps = np.ceil(gap * (fine / LONGEST_STEP) - ROUNDING).astype(np.int64)
-    return Inputs(
-        time, voltage, ambient(world, time), gusts(world, time), np.maximum(steps, 1)
-    )
+    idle = np.zeros((len(time), len(world.sides) - wires))
+    volts = np.hstack([voltage, idle])
+    return Inputs(time, volts, ambient(world, time), gusts(world, time), np.maximum(steps, 1))
 
 
 def _rig(world: World) -> Rig:
-    sides = world.parameters["bench.channel_sides"]
+    sides = world.sides
     front, back = ([i for i, s in enumerate(sides) if s == side] for side in ("front", "back"))
     return Rig(
         circuit(world),

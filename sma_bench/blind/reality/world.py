@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
 
 # --- Every departure of the reality from the baseline model; all of them off is the baseline.
 #
@@ -263,11 +264,11 @@ _BENDING = (
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One composite bench as it really is.
+    """One bench as it really is: a composite, or wires with a load.
 
     Attributes:
-        parameters: true numbers of the baseline; both sides have equally many wires, and the
-            bending coefficients are given.
+        parameters: true numbers of the baseline; of a composite both sides have equally many wires
+            and the bending coefficients are given; a weight or a spring has wires on one side.
         features: values by name of FEATURES; what is absent is off.
 
     Raises:
@@ -281,8 +282,14 @@ class World:
         object.__setattr__(
             self, "features", {name: _checked(name, v) for name, v in self.features.items()}
         )
-        sides = self.parameters["bench.channel_sides"]
+        sides = self.sides
         front, back = sides.count("front"), sides.count("back")
+        if self.load == "antagonist" and not (
+            self.parameters["load.stiffness"] > 0.0 == self.parameters["load.force"]
+        ):
+            raise InputError("world: antagonists without load.stiffness, or with load.force")
+        if self.load != "beam":
+            return
         if front != back:
             raise InputError(
                 f"world: {front} wires in front and {back} behind, expected equally many"
@@ -290,6 +297,20 @@ class World:
         for name in _BENDING:
             if not self.parameters[name] > 0.0:
                 raise InputError(f"world: {name} is not given, expected a value above 0")
+
+    @property
+    def load(self) -> str:
+        """`load.kind`."""
+        kind = load_kind(self.parameters)
+        if kind == "clamped":
+            raise InputError("world: load.kind is clamped, expected one that moves")
+        return kind
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Of all wires; those of a weight or a spring have others behind them that do nothing."""
+        sides = tuple(self.parameters["bench.channel_sides"])
+        return sides if self.load in ("beam", "antagonist") else sides + ("back",) * len(sides)
 
     def feature(self, name: str) -> float:
         """Value of a feature; its `off` where the world does not name it."""
