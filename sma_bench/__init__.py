@@ -50,6 +50,11 @@ def _on_first_use(name: str) -> property:
     return property(get, put)
 
 
+def __dir__() -> list[str]:
+    """What completion offers: the public names."""
+    return ["__version__", *__all__]
+
+
 for _name in __all__:
     setattr(_Package, _name, _on_first_use(_name))
 sys.modules[__name__].__class__ = _Package

@@ -1,4 +1,4 @@
-"""The answer of a diagnosis on one card: the same on a terminal, a page and in a notebook.
+"""An answer on one card: the same on a terminal, a page and in a notebook.
 
 Made from the result file alone, so that a stored answer shows what a fresh one does.
 """
@@ -14,6 +14,7 @@ from sma_bench.parameters.effect_table import EFFECTS
 from sma_bench.results import (
     NO_GAP,
     DiagnoseResult,
+    IdentifyResult,
     Number,
     Proposed,
     Shown,
@@ -76,6 +77,35 @@ def card_html(result: DiagnoseResult) -> str:
     return f'<div class="card"><p><strong>{title}</strong></p><table>{rows}</table></div>'
 
 
+def identification_text(result: IdentifyResult) -> str:
+    """What was identified, a number a line, and how much there is to be read beside it."""
+    rows = [(n.name, _number(n), n.method) for n in result.parameters]
+    wide = [max((len(row[k]) for row in rows), default=0) for k in range(2)]
+    lines = [
+        textwrap.shorten(f"{method}", max(_WIDTH - sum(wide) - 4, 20), placeholder=" ...")
+        for _, _, method in rows
+    ]
+    said = [
+        f"{name:{wide[0]}}  {number:{wide[1]}}  {line}".rstrip()
+        for (name, number, _), line in zip(rows, lines, strict=True)
+    ]
+    count = len(result.warnings)
+    if count:
+        said.append(f"{count} warning{'s' if count > 1 else ''}, the first: {result.warnings[0]}")
+    return "\n".join(printable(line) for line in said) or "nothing identified"
+
+
+def identification_html(result: IdentifyResult) -> str:
+    """The same as a table, every text escaped."""
+    rows = "".join(
+        f"<tr><th>{html.escape(n.name)}</th><td>{html.escape(_number(n))}</td>"
+        f"<td>{html.escape(n.method)}</td></tr>"
+        for n in result.parameters
+    )
+    warnings = "".join(f"<li>{html.escape(w)}</li>" for w in result.warnings)
+    return f"<table>{rows}</table>" + (f"<ul>{warnings}</ul>" if warnings else "")
+
+
 def _title(result: DiagnoseResult) -> str:
     if result.verdict == "ambiguous":
         return f"not settled by these records: {_named(result.candidates)}"
@@ -109,8 +139,12 @@ def _size(name: str, numbers: Sequence[Number]) -> str:
 
 
 def _number(number: Number) -> str:
+    """The value with its error, of which a part may be the sensors'."""
     unit = "" if number.unit == "1" else number.unit
-    return f"{with_error(number.value, number.std)} {unit}".strip()
+    shown = f"{with_error(number.value, number.std)} {unit}".strip()
+    if not number.systematic > 0.0:
+        return shown
+    return f"{shown} ({number.systematic:.2g} of the sensors)"
 
 
 def _moved(result: DiagnoseResult) -> str:

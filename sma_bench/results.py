@@ -60,7 +60,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Number:
-    """A number with one standard deviation, both in `unit`."""
+    """A number with one standard deviation, both in `unit`; `systematic` is the part of it that
+    more of the same records would not lower."""
 
     name: str
     value: float
@@ -68,6 +69,7 @@ class Number:
     unit: str
     method: str
     n: int
+    systematic: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,11 @@ def read_result(path: str | Path) -> IdentifyResult | DiagnoseResult:
     if "parameters" not in document:
         raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
                          "verdict in it")
+    return identification_from(path, document)
+
+
+def identification_from(path: Path, document: Any) -> IdentifyResult:
+    """An identification from what its JSON held; `path` leads the line of an InputError."""
     return _checked(_identification, path, document)
 
 
@@ -236,6 +243,7 @@ def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:
         Number(
             name, _number(entry["value"]), _number(entry["std"]), _text(entry["unit"]),
             _text(entry.get("method", "")), int(entry.get("n", 0)),
+            _number(entry.get("systematic", 0.0)),
         )
         for name, entry in found.items()
     )

@@ -30,7 +30,7 @@ ARROWS = {
     "physics": LEAVES | {"parameters"},
     "records": LEAVES | {"parameters"},
     "estimation": LEAVES | {"records", "physics", "parameters"},
-    "identify": LEAVES | {"estimation", "records", "physics", "parameters"},
+    "identify": LEAVES | {"estimation", "records", "physics", "parameters", "results", "cards"},
     "control": LEAVES | {"parameters", "physics"},
     "hardware": LEAVES | {"parameters"},
     "emulation": LEAVES | {"parameters", "physics", "share"},

@@ -1,13 +1,16 @@
 """From records to parameters: finds out what each record holds and runs the experiments."""
 
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sma_bench.cards import identification_html, identification_text
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify import load_frame, whole_model
@@ -35,6 +38,7 @@ from sma_bench.records.check import check_response
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import Phase, TensileRecord
+from sma_bench.results import IdentifyResult, identification_from, json_text
 
 NEEDS = {
     "E1": f"E1 a staircase of {FEWEST_LEVELS} voltages or more with current",
@@ -118,6 +122,19 @@ class Identification:
             if finding.severity != "info"
         ]
         return tuple(dict.fromkeys(lines))
+
+    def __str__(self) -> str:
+        """A number a line."""
+        return identification_text(self._shown)
+
+    def _repr_html_(self) -> str:
+        """A table in a notebook."""
+        return identification_html(self._shown)
+
+    @property
+    def _shown(self) -> IdentifyResult:
+        document = json.loads(json_text(self.to_json()))
+        return identification_from(Path("identification"), document)
 
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""

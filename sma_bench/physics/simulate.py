@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import columns as at
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary, per_side, side_names
@@ -22,7 +23,7 @@ from sma_bench.physics.kernel import Kernel, State
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation:
     """What a bench does under given voltages.
 
@@ -50,6 +51,12 @@ class Simulation:
     temperature_reading: Array
     final: State
     started: float = 0.0
+
+    def __repr__(self) -> str:
+        span = f"{self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self.time) else "no time"
+        channels = ", ".join(self.parameters["bench.channels"])
+        load = load_kind(self.parameters)
+        return f"<Simulation of {channels} ({load}): {len(self.time)} samples, {span}>"
 
     @cached_property
     def clock(self) -> Array:

@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 _LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Signal:
     """One measured or commanded quantity.
 
@@ -46,6 +46,10 @@ class Signal:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __repr__(self) -> str:
+        span = f", {self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self) else ""
+        return f"<Signal {self.name} [{self.unit}]: {len(self)} samples{span}>"
+
     @property
     def period(self) -> float:
         """Median time between samples in s; NaN for fewer than two samples."""
@@ -61,7 +65,7 @@ class Topic:
     signals: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record:
     """Everything read from one bag, or simulated in its place.
 
@@ -80,6 +84,11 @@ class Record:
     markers: tuple[tuple[float, str], ...] = ()
     topics: dict[str, Topic] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        ends = [s.time[-1] for s in self.signals.values() if len(s)]
+        names = ", ".join(sorted(self.signals)) or "no signals"
+        return f"<Record {self.path}: {max(ends, default=0.0):.4g} s; {names}>"
 
     def __getitem__(self, name: str) -> Signal:
         """The signal called `name`.
