@@ -1,6 +1,7 @@
 """./bench sets up its environment once, survives interruption, and fails in short words."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+from sma_bench.cli import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
@@ -164,7 +167,21 @@ def test_help_needs_no_setup(tmp_path: Path) -> None:
     house = make_house(tmp_path / "house")
     code, out, err = bench(house)
     assert (code, err) == (0, "")
-    assert all(command in out for command in ("demo", "test", "perf", "check", "run", "identify"))
+    assert all(command in out for command in ("demo", "test", "perf", "check", "run", "python"))
+    assert not list(house.glob(".venv-*"))
+
+
+def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_setup(
+    tmp_path: Path,
+) -> None:
+    house = make_house(tmp_path / "house")
+    shutil.copy2(ROOT / "sma_bench" / "cli.py", house / "sma_bench" / "cli.py")
+    _, out, _ = bench(house)
+    for name, text in COMMANDS.items():
+        said = "" if name in ("demo", "run", "call") else re.escape(text)
+        assert re.search(rf"^  {name} .*{said}$", out, re.MULTILINE)
+    code, _, err = bench(house, "identfy")
+    assert (code, err.count("\n")) == (2, 1) and "did you mean identify?" in err
     assert not list(house.glob(".venv-*"))
 
 

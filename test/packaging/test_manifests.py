@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 import sma_bench
 
@@ -67,6 +68,8 @@ MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 
 def test_version_is_the_same_everywhere() -> None:
     assert MANIFEST.findtext("version") == sma_bench.__version__
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert cited["version"] == sma_bench.__version__ and cited["license"] == "Apache-2.0"
 
 
 def test_every_import_is_pinned_and_declared() -> None:
