@@ -239,14 +239,16 @@ def unknowns_of_records(
         load_frame: records of a wire under held loads or between clamps are among them;
             own_load: so are some of wires that move what `load.kind` names.
         sides_apart: front and back are two numbers even where they are believed alike.
-        unmodelled: of wires with a load, what the paper's model leaves out of every one.
+        unmodelled: of wires with a load, what the paper's model leaves out of every one; what of
+            it is believed in is unknown in any case.
     """
     names, shapes = [*HEAT], SHAPES
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:
-            shapes = SHAPES | (_of_table(UNMODELLED) if unmodelled else {})
+            found = [n for n in UNMODELLED if unmodelled or parameters[n] != 0.0]
+            shapes = SHAPES | _of_table(found)
             names += [*own, "wire.diameter"]
             names += [] if parameters["wire.length"] else ["wire.mass"]
         elif "deflection" in quantities:

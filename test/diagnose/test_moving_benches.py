@@ -7,6 +7,7 @@ import pytest
 from planted import few_effects
 
 from sma_bench.diagnose import diagnose, search
+from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records import Record, Signal
@@ -93,6 +94,17 @@ def test_what_was_planted_is_named_from_motion_and_voltage(load, effect, drive):
     ]
     assert found.shrinkage["deflection"].fraction > 0.8
     assert {o.quantities for o in found.observations} == {("deflection",)}
+
+
+def test_what_was_identified_beside_the_model_is_moved_and_no_candidate():
+    name = "effect.latent_heat.heat"
+    rig = Parameters({**LAB, **LOADS["spring"], name: 6e3}, {name: 400.0})
+    unknowns = unknowns_of_records(rig, ("deflection",))
+    (heat,) = [item for item in unknowns.items if item.name == name]
+    assert (heat.mean, heat.std) == (6e3, 400.0)
+    assert "latent_heat" not in search._possible(rig, ("deflection",))
+    plain = unknowns_of_records(Parameters({**LAB, **LOADS["spring"]}), ("deflection",))
+    assert name not in plain.names
 
 
 @pytest.mark.parametrize("load", LOADS)
