@@ -10,30 +10,14 @@ import warnings
 from collections.abc import Sequence
 
 from sma_bench import __version__
-from sma_bench.commands.parser import CommandParser, command_parser, terminated_as_interrupted
+from sma_bench.commands.parser import (
+    COMMANDS,
+    CommandParser,
+    command_parser,
+    terminated_as_interrupted,
+)
 from sma_bench.errors import InputError
 from sma_bench.lifeline import end_with_parent
-
-COMMANDS = {
-    "info": "what a record holds and whether it can be trusted",
-    "import": "tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
-    "identify": "parameters of Table I from bags and instrument files",
-    "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
-    "batch": "many records, each identified or diagnosed by itself, on all cores or a cluster",
-    "report": "records and results as one page, with figures, tables and provenance",
-    "audit": "do a lab's own numbers fit each other, and physics?",
-    "parameters": "every parameter with unit, default, range and source",
-    "effects": "what the paper's model leaves out: stage, size, how it shows",
-    "simulate": "the paper's model on a protocol or on the voltages of a bag",
-    "blind": "cases with withheld effects: make, examine, score",
-    "paper": "the paper's figures, tables and errata redrawn from data",
-    "calibrate": "gain and offset of a sensor of the Uno from known loads",
-    "dashboard": "a bench live in the browser, with a stop that works",
-    "call": "call a service of a running node: sma-bench call experiment/start",
-    "run": "run a node: sma-bench run NODE [--ros-args ...]",
-    "demo": "simulated benches, bags, identification, diagnosis, in one go",
-    "completion": "a script that completes commands and options in bash or zsh",
-}
 
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
 _BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

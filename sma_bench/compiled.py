@@ -29,6 +29,7 @@ except ImportError:
 COMPILES = numba is not None
 PACKAGE = Path(__file__).resolve().parent
 
+_turns: set[Path] = set()
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 
@@ -188,10 +189,7 @@ def compile_here() -> None:
     function = getattr(import_module(module), name)
     signature = tuple(map(_type_of, described))
     folder = _cache_folder(_room(Path(function.py_func.__code__.co_filename).resolve()))
-    if folder is None:
-        return  # nothing could be kept
-    with open(folder / "compiling", "wb") as turn:  # of several nodes one compiles
-        fcntl.flock(turn, fcntl.LOCK_EX)
+    if folder is not None:  # else nothing could be kept
         function.compile(signature)
 
 
@@ -220,7 +218,39 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[.
     if folder is None:
         return numba.njit(function, **options)
     with _cached_in(folder):
-        return numba.njit(function, cache=True, **options)
+        return _compiled_once(numba.njit(function, cache=True, **options), folder)
+
+
+def _compiled_once(function: Any, folder: Path) -> Any:
+    """Of several processes that need a function one compiles; the others then read what it kept."""
+    compile_it = function.compile
+
+    def compile_in_turn(signature: Any) -> Any:
+        if signature in function.overloads or _on_disk(function, signature):
+            return compile_it(signature)
+        with _turn(folder):
+            return compile_it(signature)
+
+    function.compile = compile_in_turn
+    return function
+
+
+@contextmanager
+def _turn(folder: Path) -> Iterator[None]:
+    """The compiler's own lock first: who has it may come here again, for what a function calls."""
+    from numba.core.compiler_lock import global_compiler_lock
+
+    with global_compiler_lock:
+        if folder in _turns:
+            yield
+            return
+        with open(folder / "compiling", "wb") as turn:
+            fcntl.flock(turn, fcntl.LOCK_EX)
+            _turns.add(folder)
+            try:
+                yield
+            finally:
+                _turns.discard(folder)
 
 
 def _room(source: Path) -> Path:

@@ -13,7 +13,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-from sma_bench.nodes.discovery import USERS_VARIABLES, choose_discovery
+from sma_bench.ros.discovery import USERS_VARIABLES, choose_discovery
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,6 +32,16 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A busy machine is no failure; what hangs is seen all the same.
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
+
+# Some 20 s each and more, on the wall.
+LONGEST = (
+    "commands/test_demo", "nodes/test_bridge_faults", "identify/test_campaign",
+    "nodes/test_twin_node", "nodes/test_serial_bridge", "docs/test_documented_pages",
+    "perf/test_perf", "nodes/test_controllers", "reliability/test_campaigns",
+    "identify/test_composite", "batch/test_batch", "nodes/test_launch_files",
+    "blind/test_making_cases", "packaging/test_bench_script", "packaging/test_installing",
+    "identify/test_constitutive", "identify/test_load_frame", "diagnose/test_next_experiment",
+)
 
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
 DOMAINS = range(10, 102)
@@ -56,9 +66,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "ros_domain" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.flaky(reruns=2))
-    # Files with long tests first, lest one worker is left with them at the end.
+    # The longest files first, lest one worker is left with them at the end; then whatever has long
+    # tests.
     long = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in long)
+    order = {ROOT / "test" / f"{name}.py": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path, len(LONGEST) + (item.path not in long)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Of `-n auto`: one more than there are processors, as tests of nodes wait half of their time
+    for what goes on in real time."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.fixture(autouse=True)

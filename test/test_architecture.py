@@ -49,6 +49,8 @@ ARROWS = {
     },
     "tasks": LEAVES
     | {"diagnose", "estimation", "identify", "records", "parameters", "report", "results"},
+    # What a running bench does, without ROS.
+    "live": LEAVES | {"parameters", "physics", "protocols", "records", "control", "hardware"},
     "dashboard": LEAVES | {"results", "cards"},
     "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
     "api": LEAVES
@@ -57,9 +59,17 @@ ARROWS = {
         "parameters",
     },
     "": {"api"},  # `import sma_bench` itself
+    # Its context, who may reach it, a bench's client: what nodes and commands share.
+    "ros": LEAVES | {"parameters", "records", "live", "dashboard", "share"},
 }
-ABOVE_ALL = {"nodes", "commands", "cli"}  # these use everything, and nothing below uses them
-USES_ROS = "nodes"
+_BELOW = {room for room in ARROWS if room not in ("", "api")}
+# Nodes and commands use everything but each other, and nothing below uses them.
+ARROWS |= {
+    "nodes": _BELOW - {"report", "blind", "diagnose", "identify", "estimation", "synthetic"},
+    "commands": _BELOW - {"live"} | {"api"},
+    "cli": {"commands", *LEAVES, ""},
+}
+USES_ROS = {"nodes", "ros"}
 ROS = {"rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py"}
 ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 
@@ -108,19 +118,18 @@ def violations(root: Path, arrows: dict[str, set[str]] = ARROWS) -> list[str]:
     broken = []
     for name, path in known.items():
         here = room(name)
-        if here and here not in arrows and here not in ABOVE_ALL:
+        if here and here not in arrows:
             broken.append(f"{name}: the room {here} is not in the table of arrows")
             continue
         graph[name] = set()
         for target in imports(name, path, known):
-            if is_ros(target) and here != USES_ROS:
-                broken.append(f"{name} imports {target}: only {USES_ROS} knows ROS")
+            if is_ros(target) and here not in USES_ROS:
+                broken.append(f"{name} imports {target}: only {' and '.join(USES_ROS)} know ROS")
             if target.partition(".")[0] != PACKAGE:
                 continue
             graph[name].add(target)
             there = room(target)
-            free = here in ABOVE_ALL or there in ("", here)
-            if not free and there not in arrows.get(here, set()):
+            if there not in ("", here) and there not in arrows.get(here, set()):
                 broken.append(f"{name} imports {target}: no arrow from {here} to {there}")
         broken += _shape(name, path)
     return broken + _circles(graph)
@@ -173,13 +182,21 @@ BAD_TREES = {
         {"records/read.py": "def f():\n    import sma_bench.cli"},
         "no arrow from records to cli",
     ),
+    "a node that knows a command": (
+        {"nodes/twin.py": "from sma_bench.commands import call", "commands/call.py": ""},
+        "no arrow from nodes to commands",
+    ),
+    "a command that knows a node": (
+        {"commands/call.py": "def f():\n    from sma_bench.nodes.twin import Twin"},
+        "no arrow from commands to nodes",
+    ),
     "room named by its package": (
         {"physics/heat.py": "from .. import nodes", "nodes/__init__.py": ""},
         "no arrow from physics to nodes",
     ),
     "ROS below the nodes": (
         {"hardware/link.py": "def f():\n    from sensor_msgs.msg import Temperature"},
-        "only nodes knows ROS",
+        "know ROS",
     ),
     "circle of two modules": (
         {"physics/a.py": "from .b import y", "physics/b.py": "from . import a"},
@@ -207,7 +224,8 @@ def test_a_tidy_tree_passes(tmp_path: Path) -> None:
         "physics/heat.py": "import numpy\nfrom ..errors import InputError\nfrom . import phase",
         "physics/phase.py": "from sma_bench import __version__",
         "nodes/simulator.py": "import rclpy\nfrom sma_bench.physics import warm",
-        "cli.py": "from sma_bench.nodes import simulator",
+        "cli.py": "from sma_bench.commands import run",
+        "commands/run.py": "from sma_bench.physics import warm",
     }
     assert violations(make_tree(tmp_path, files)) == []
 

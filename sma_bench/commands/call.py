@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _call(args: argparse.Namespace, node: str, service: str, settings: dict[str, Any]) -> str:
     try:
-        from sma_bench.nodes.bench_client import BenchClient
+        from sma_bench.ros.bench_client import BenchClient
         from sma_bench.tasks.jobs import told_share
     except ModuleNotFoundError as error:
         raise InputError(f"call: {error.name} is not installed, nodes need ROS 2") from None

@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 def completion_script(shell: str) -> str:
     """The whole script; it has to be made again for another version."""
-    from sma_bench.cli import COMMANDS
+    from sma_bench.commands.parser import COMMANDS
 
     names = [n for n in COMMANDS if n not in ("run", "blind")]
     parsers = {

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0 <= args.port <= _LARGEST_PORT:
         raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
     try:
-        importlib.import_module("sma_bench.nodes.dashboard")
+        importlib.import_module("sma_bench.ros.dashboard")
         importlib.import_module("sma_bench.dashboard.server")
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sma_bench"):
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 async def _serve(args: argparse.Namespace) -> int:
     from sma_bench.dashboard.live_state import LiveState
     from sma_bench.dashboard.server import DashboardServer, is_loopback
-    from sma_bench.nodes.dashboard import listening_node
+    from sma_bench.ros.dashboard import listening_node
 
     loop = asyncio.get_running_loop()
     end: asyncio.Future[Any] = loop.create_future()

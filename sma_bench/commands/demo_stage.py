@@ -59,8 +59,8 @@ class Stage:
 
     def __enter__(self) -> Self:
         try:
-            from sma_bench.nodes.bench_client import BenchClient
-            from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
+            from sma_bench.ros.bench_client import BenchClient
+            from sma_bench.ros.processes import NodeProcesses, private_ros_environment
         except ModuleNotFoundError as error:
             raise InputError(f"demo: {error.name} is not installed, the demo needs ROS 2") from None
         private_ros_environment()

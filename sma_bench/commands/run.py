@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 from sma_bench.commands.parser import EXAMPLES, example_text
 from sma_bench.errors import InputError
-from sma_bench.nodes.start import start
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 NETWORK_OPTION = "--network"
@@ -40,7 +39,9 @@ def run(arguments: Sequence[str]) -> int:
             f"run: {error.name} is not installed: source a ROS 2 Jazzy setup file, or use ./bench"
         ) from None
     if network:
-        from sma_bench.nodes.discovery import choose_discovery
+        from sma_bench.ros.discovery import choose_discovery
 
         choose_discovery(network=True)
-    return start(name, rest[network:])
+    # By its name, as ROS would: commands know of nodes as little as these of commands.
+    status: int = importlib.import_module("sma_bench.nodes.start").start(name, rest[network:])
+    return status

@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 
 from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.device import DeviceIdentity
+from sma_bench.hardware.device import DeviceIdentity, LinkStatus, Reading
 from sma_bench.hardware.expectation import SharedWatch
-from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits
 from sma_bench.hardware.self_test import NEEDED, Finding, Link, self_test
 from sma_bench.hardware.serial_messages import TIMEOUT_CAUSE, State

@@ -57,7 +57,7 @@ class Conversation:
         return self._splitter.damaged
 
     def expect(self, binary: bool) -> None:
-        """The device was told to send frames (`binary`) or lines."""
+        """The device was commanded to send frames (`binary`) or lines."""
         self._splitter.expect(binary)
 
     def close(self) -> None:

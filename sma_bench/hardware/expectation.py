@@ -25,7 +25,7 @@ _RATE_BASE = 0.05
 # A reading may belong to any of the last commands.
 _COMMANDS = 10
 _LEAST_READINGS = 5
-# s between two readings whose difference tells what a step of the voltage did to the power; much
+# s between two readings whose difference is what a step of the voltage did to the power; much
 # less than a phase change takes.
 _STEP_BASE = 0.05
 _LEAST_STEP = 0.5  # V^2
@@ -336,7 +336,7 @@ class SharedWatch:
         if self._pairs < _LEAST_PAIRS:
             return ""
         excited = np.diag(self._squares)
-        # Steps that were all alike tell nobody which wire they were; this keeps it finite.
+        # From steps that were all alike no wire is identifiable; this keeps it finite.
         ridge = _RIDGE * float(excited.max())
         inverse = np.linalg.inv(self._squares + ridge * np.eye(len(excited)))
         conductance = inverse @ self._products
@@ -345,8 +345,8 @@ class SharedWatch:
         for k, channel in enumerate(self._channels):
             share = conductance[k] * model.circuit
             std = math.sqrt(noise * inverse[k, k]) * model.circuit
-            told_apart = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
-            if told_apart and share < _OPEN and share + 3.0 * std < _SURELY:
+            identifiable = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
+            if identifiable and share < _OPEN and share + 3.0 * std < _SURELY:
                 return (
                     f"open: {channel} takes {max(share, 0.0):.0%} of its current where the "
                     f"voltages step, beside {self._channels[1 - k]}"

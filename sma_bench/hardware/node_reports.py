@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from sma_bench.hardware.bench_driver import BenchDriver
-from sma_bench.hardware.link_status import LinkStatus
+from sma_bench.hardware.device import LinkStatus
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_wire import WireReading
 
@@ -28,7 +28,7 @@ class Tally:
 
 
 def link_values(status: LinkStatus) -> dict[str, str]:
-    """What the link counts, in units that its names tell."""
+    """What the link counts, in the units of its names."""
     values = {
         "connections": str(status.connections),
         "frames": str(status.telemetry),

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.link_status import LinkStatus
+from sma_bench.hardware.device import LinkStatus
 
 _MOST_CURRENT_AT_REST = 0.15
 _MOST_CLOCK_UNCERTAINTY = 2e-3

@@ -17,8 +17,13 @@ from itertools import pairwise
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import Conversation, LinkError
-from sma_bench.hardware.device import HANDSHAKE_LINES, DeviceClock, DeviceIdentity
-from sma_bench.hardware.link_status import LinkStatus, Reading
+from sma_bench.hardware.device import (
+    HANDSHAKE_LINES,
+    DeviceClock,
+    DeviceIdentity,
+    LinkStatus,
+    Reading,
+)
 from sma_bench.hardware.serial_messages import (
     CHANNELS,
     STOP,
@@ -371,7 +376,7 @@ class SerialLink:
             news = self._status.connected or problem != self._status.problem
             self._status.connected, self._status.problem = False, problem
             self._changed.notify_all()
-        # After the reason is known: the driver's next command must not be told "not armed" instead.
+        # After the reason is known: the driver's next command must not get "not armed".
         if self._session is not None:
             self.stop()
         if news:

@@ -9,7 +9,6 @@ from enum import IntEnum
 LINE_END = b"\n"
 FRAME_END = b"\0"
 _CHECKSUM_BYTES = 2
-_CHECKSUM_DIGITS = 4
 # Far above any message: what is longer has lost its end.
 _LONGEST = 512
 

@@ -18,7 +18,7 @@ Frame = NDArray[np.uint16]
 
 ENCODING = "mono16"
 _BYTES_A_PIXEL = 2
-# Every so many pixels each way tell whether a frame is one uniform surface.
+# Every so many pixels each way show whether a frame is one uniform surface.
 _SPARSE = 4
 
 

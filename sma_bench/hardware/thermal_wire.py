@@ -111,7 +111,7 @@ class Ridge:
     Attributes:
         centre: (lines,) pixel across, from the region's border, where the wire crosses each line.
         slope: (lines,) pixels across per line.
-        seen: (lines,) where the wire can be told from its surroundings and lies in the region.
+        seen: (lines,) where the wire stands out of its surroundings and lies in the region.
         clearness: mean height of the ridge in standard deviations of its surroundings.
         dark: it is a valley.
     """

@@ -6,16 +6,18 @@ time, building messages would cost more than the physics.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
+from std_msgs.msg import String
 
-from sma_bench.nodes.base import MEASURED
+from sma_bench.live.recording import RECORDER, recorder_failure
+from sma_bench.ros.node import LATCHED, MEASURED
 
 if TYPE_CHECKING:  # brings the model and its compiler, which a bridge does without
-    from sma_bench.nodes.virtual_bench import Reading
+    from sma_bench.live.virtual_bench import Reading
 
 NANOSECONDS = 1_000_000_000
 
@@ -114,7 +116,7 @@ def _load_frame_sender(node: Node) -> Callable[[list, int], None]:
     return send
 
 
-def _send(publisher: Publisher, message: object, stamp: int) -> None:
+def _send(publisher: Publisher, message: Any, stamp: int) -> None:
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
     publisher.publish(message)
 
@@ -153,3 +155,10 @@ def _range(side: str) -> Range:
     message = Range(radiation_type=Range.INFRARED, min_range=_NEAREST, max_range=_FARTHEST)
     message.header.frame_id = f"{side}_range"
     return message
+
+
+def follow_recorder(node: Node, note: Callable[[str], None]) -> None:
+    """Call `note` with why the namespace's recorder failed, or with "" when it records."""
+    node.create_subscription(
+        String, RECORDER, lambda message: note(recorder_failure(message.data)), LATCHED
+    )

@@ -6,9 +6,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from sma_bench.nodes.base import LATCHED, run_node
+from sma_bench.nodes.base import run_node
 from sma_bench.nodes.job_node import JobNode, job_executor
 from sma_bench.results import GapState, gap_states
+from sma_bench.ros.node import LATCHED
 from sma_bench.tasks.jobs import DiagnosisJob, output_inside
 
 

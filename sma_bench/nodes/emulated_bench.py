@@ -17,7 +17,8 @@ from sma_bench.emulation.emulated_bench import emulated_bench
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.nodes.base import MEASURED, BenchNode, run_node
+from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.ros.node import MEASURED
 
 _MOST_LAG = 0.05
 # s; the emulator's thread needs its turn every half a millisecond.

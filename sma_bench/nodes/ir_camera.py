@@ -18,8 +18,9 @@ from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_settings import frame_format, frame_judge, wire_gauges
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.hardware.wire_gauge import ExpectedWarmth
-from sma_bench.nodes.base import MEASURED, run_node
+from sma_bench.nodes.base import run_node
 from sma_bench.nodes.managed_node import ACTIVE, ManagedNode
+from sma_bench.ros.node import MEASURED
 
 # A late picture is worth less than the next one.
 _NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -67,7 +68,7 @@ class IrCamera(ManagedNode):
         return self.create_publisher(Temperature, f"{channel}/temperature", MEASURED), message
 
     def _listen_to_flag(self) -> None:
-        """The Optris driver tells when the camera's flag is closed, in a type of its own."""
+        """The Optris driver says when the camera's flag is closed, in a type of its own."""
         try:
             flag_type = importlib.import_module("optris_drivers2.msg").Flag
         except ImportError:

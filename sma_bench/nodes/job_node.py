@@ -6,6 +6,7 @@ The request waits for it in one of the executor's threads, so that parameters, a
 
 import threading
 from abc import ABC, abstractmethod
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -14,7 +15,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED, BenchNode
+from sma_bench.nodes.base import BenchNode
+from sma_bench.ros.node import LATCHED
 from sma_bench.tasks.jobs import CANCELLED, Job, JobProcess, busy
 
 # One request at work, one that is refused, and the node's other callbacks.
@@ -48,7 +50,7 @@ class JobNode(BenchNode, ABC):
     def job(self) -> Job:
         """What is asked for, from the parameters of this moment; InputError where it cannot be."""
 
-    def on_result(self, job: Job, result: str) -> None:
+    def on_result(self, job: Any, result: str) -> None:
         """What else to do with the result of a job."""
 
     def health(self) -> list[DiagnosticStatus]:
@@ -56,7 +58,7 @@ class JobNode(BenchNode, ABC):
         failed = bool(self._failure) and not self._busy.locked()
         return [self.status(
             "work", DiagnosticStatus.WARN if failed else DiagnosticStatus.OK,
-            self._failure if failed else self._told, {"requests": self._requests},
+            self._failure if failed else self._state_text, {"requests": self._requests},
         )]  # fmt: skip
 
     def close(self) -> None:
@@ -84,7 +86,7 @@ class JobNode(BenchNode, ABC):
         self._tell_state(busy(share, what))
 
     def _tell_state(self, state: str) -> None:
-        self._told = state
+        self._state_text = state
         self._state.publish(String(data=state))
 
     def _answer(self, response: Trigger.Response) -> None:

@@ -22,17 +22,17 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.device import Reading
 from sma_bench.hardware.node_reports import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port
-from sma_bench.nodes.base import LATCHED, run_node
-from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics
-from sma_bench.nodes.commander import COMMAND, COMMANDED, Commanders, layout_fault
+from sma_bench.nodes.base import run_node
+from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics, follow_recorder
 from sma_bench.nodes.managed_node import ACTIVE, INACTIVE, ManagedNode
-from sma_bench.nodes.recorder_state import follow_recorder
 from sma_bench.parameters.parameters import require_plain_drive
+from sma_bench.ros.commander import COMMAND, COMMANDED, Commanders, layout_fault
+from sma_bench.ros.node import LATCHED
 
 _NANOSECONDS = 1e9
 _TICK = 0.005
@@ -70,7 +70,7 @@ class SerialBridge(ManagedNode):
         self._arrived: deque[Reading] = deque()
         self._events: deque[str] = deque()
         self._tally = Tally()
-        self._told = ""
+        self._last_state = ""
         self._let_go = False
         # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
         self._to_ros = 0
@@ -165,7 +165,7 @@ class SerialBridge(ManagedNode):
             self.trigger_deactivate()
         self._tell_state()
         while self._events:
-            if (event := self._events.popleft()) != self._told:
+            if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
 
     def _relate_clocks(self) -> None:
@@ -244,8 +244,8 @@ class SerialBridge(ManagedNode):
 
     def _tell_state(self) -> None:
         state = self._driver.state
-        if state != self._told:
-            self._told = state
+        if state != self._last_state:
+            self._last_state = state
             self._state.publish(String(data=state))
             self.get_logger().info(state)
 

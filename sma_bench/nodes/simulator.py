@@ -7,6 +7,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
+from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
@@ -14,10 +15,10 @@ from std_msgs.msg import Float64MultiArray
 from sma_bench.errors import InputError
 from sma_bench.hardware.lockstep import REAL_TIME, Lockstep
 from sma_bench.hardware.safety import CommandGate, Limits
+from sma_bench.live.virtual_bench import NANOSECONDS, VirtualBench
 from sma_bench.nodes.base import BenchNode, run_node
 from sma_bench.nodes.bench_topics import BenchTopics
-from sma_bench.nodes.commander import COMMAND, COMMANDED, Commanders, layout_fault
-from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
+from sma_bench.ros.commander import COMMAND, COMMANDED, Commanders, layout_fault
 
 # A bench in real time answers a command within 10 ms, the period of its power readings.
 _REAL_TIME_SLICE = 0.01
@@ -108,8 +109,9 @@ class Simulator(BenchNode):
                 break
             self._run_slice()
         # /clock is best effort at its readers: a lost one must not stop the lockstep.
-        if self._fast and time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
-            self._publish_clock()
+        clock = self._clock_publisher
+        if clock and time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
+            self._publish_clock(clock)
 
     def _run_slice(self) -> None:
         voltage = self._gate.outputs(self._now / NANOSECONDS)
@@ -117,13 +119,13 @@ class Simulator(BenchNode):
         for reading in self._bench.advance(voltage, until):
             self._topics.publish(reading, self._epoch)
         self._now = until
-        if self._fast:
-            self._publish_clock()
+        if self._clock_publisher:
+            self._publish_clock(self._clock_publisher)
 
-    def _publish_clock(self) -> None:
+    def _publish_clock(self, publisher: Publisher) -> None:
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(self._epoch + self._now, NANOSECONDS)
-        self._clock_publisher.publish(message)
+        publisher.publish(message)
         self._clock_sent = time.monotonic()
 
     def health(self) -> list[DiagnosticStatus]:

@@ -1,4 +1,4 @@
-"""Stands in for an infrared camera: synthetic pictures of wires whose true temperature it is told.
+"""Stands in for an infrared camera: synthetic pictures of wires of a given true temperature.
 
 Takes `<channel>/true_temperature`, to which a simulated bench's `<channel>/temperature` is
 remapped, and publishes `thermal_image` as the Optris drivers do. In real time only.

@@ -23,7 +23,7 @@ _NAMES = (
 
 
 def is_frame(thing: object) -> bool:
-    """Whether something is a pandas DataFrame, told without importing pandas."""
+    """Whether something is a pandas DataFrame, found without importing pandas."""
     return all(hasattr(thing, name) for name in ("columns", "index", "to_numpy", "attrs"))
 
 

@@ -86,7 +86,7 @@ class DscRecord:
 
     @property
     def endothermic_up(self) -> bool | None:
-        """Whether heat into the sample counts positive; None if the run cannot tell.
+        """Whether heat into the sample counts positive; None where the run does not show it.
 
         The file does not say. Heating a sample takes heat and cooling it gives heat back, so the
         mean of heat flow less baseline over the heating scans lies on the endothermic side of that

@@ -51,8 +51,8 @@ def write_record(
         start_ns: epoch time of t = 0 in ns; the record's own, else 0.
         markers: (time in s, text), added to the record's own.
         provenance: where the signals come from, kept in metadata.yaml (`source`, `sha256`, `how`
-            and whatever else, as JSON) and told by `read_record`.
-        report: told how far it is.
+            and whatever else, as JSON) and given back by `read_record`.
+        report: called with how far it is.
         replace: a bag that lies at the path, once the new one is whole.
 
     Raises:

@@ -32,9 +32,9 @@ from sensor_msgs.msg import BatteryState
 from sma_bench.emulation.emulated_bench import emulated_bench
 from sma_bench.emulation.emulated_uno import START_UP, missing_tools
 from sma_bench.hardware.serial_messages import Splitter, Telemetry, decode
-from sma_bench.nodes.base import MEASURED
-from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
 from sma_bench.parameters import Parameters
+from sma_bench.ros.node import MEASURED
+from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
 NAMESPACE = "/check_bridge"
 FAST, SLOW = 500, 100

@@ -24,9 +24,9 @@ from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.hardware.thermal_settings import regions_side_by_side
 from sma_bench.nodes.base import BenchNode
 from sma_bench.nodes.managed_node import ManagedNode
-from sma_bench.nodes.processes import private_ros_environment
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.ros.processes import private_ros_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 POLICY = ROOT / "config" / "sros2" / "policy.xml"

@@ -36,7 +36,7 @@ from sma_bench.emulation.emulated_uno import (
 )
 from sma_bench.hardware.bench_sensors import BenchSensors
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.thermal_settings import synthetic_camera, wire_gauges
 from sma_bench.identify import identify

@@ -10,9 +10,9 @@ import pytest
 from virtual_host import VirtualHost
 
 from sma_bench.emulation.emulated_uno import EmulatedUno, Relay, Reset, Switch
+from sma_bench.hardware.bench_sensors import PowerCalibration, channel_powers
 from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch, WireModel
-from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
 from sma_bench.hardware.serial_messages import (
     CAUSES,
     REASONS,

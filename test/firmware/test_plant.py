@@ -7,8 +7,8 @@ import pytest
 from virtual_host import VirtualHost
 
 from sma_bench.emulation.emulated_bench import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
+from sma_bench.hardware.bench_sensors import PowerCalibration, channel_powers
 from sma_bench.hardware.calibration import fit_range_calibration
-from sma_bench.hardware.power_channels import PowerCalibration, channel_powers
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
 

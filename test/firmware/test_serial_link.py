@@ -18,7 +18,7 @@ from host_firmware import HostFirmware
 from sma_bench.emulation.emulated_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_messages import State, Telemetry, line
 from sma_bench.hardware.serial_port import find_port, open_port

@@ -8,7 +8,7 @@ import pytest
 from virtual_port import VirtualPort
 
 from sma_bench.emulation.emulated_uno import START_UP, EmulatedUno
-from sma_bench.hardware.link_status import Reading
+from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_messages import State, Telemetry
 

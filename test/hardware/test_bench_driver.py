@@ -6,9 +6,8 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import BenchSensors, device_channels
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.device import DeviceIdentity
+from sma_bench.hardware.device import DeviceIdentity, LinkStatus, Reading
 from sma_bench.hardware.expectation import SharedWatch
-from sma_bench.hardware.link_status import LinkStatus, Reading
 from sma_bench.hardware.safety import Guard, Limits
 from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry
 from sma_bench.parameters import Parameters

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.calibration import Calibration, fit_calibration, fit_range_calibration
-from sma_bench.hardware.power_channels import (
+from sma_bench.hardware.bench_sensors import (
     PowerCalibration,
     channel_powers,
     commanded_millivolts,
 )
+from sma_bench.hardware.calibration import Calibration, fit_calibration, fit_range_calibration
 from sma_bench.hardware.serial_messages import Telemetry
 
 

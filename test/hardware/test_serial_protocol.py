@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.device import DeviceIdentity
-from sma_bench.hardware.link_status import LinkStatus
+from sma_bench.hardware.device import DeviceIdentity, LinkStatus
 from sma_bench.hardware.serial_messages import (
     Accepted,
     Named,

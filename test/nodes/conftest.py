@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from sma_bench.nodes.base import LATCHED  # noqa: E402
+from sma_bench.ros.node import LATCHED  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "/bench"

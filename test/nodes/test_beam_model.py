@@ -6,7 +6,7 @@ from xml.etree import ElementTree as Xml
 
 import pytest
 
-from sma_bench.nodes.beam_model import PIECES, beam_urdf
+from sma_bench.nodes.bench_plan import PIECES, beam_urdf
 from sma_bench.parameters import Parameters
 
 COMPOSITE = Parameters({

@@ -15,7 +15,7 @@ import tornado.websocket
 from emulated_rig import bridged_rig
 from std_msgs.msg import Float64MultiArray, String
 
-from sma_bench.nodes.base import LATCHED
+from sma_bench.ros.node import LATCHED
 
 # s; the host shares the machine with the emulator, and with others.
 LIMIT, LOADED = 0.1, 0.5

@@ -14,11 +14,12 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension  # noqa: E402
 from sma_bench.dashboard.live_state import LiveState  # noqa: E402
 from sma_bench.errors import InputError  # noqa: E402
 from sma_bench.nodes.arguments import check_arguments  # noqa: E402
-from sma_bench.nodes.base import BenchNode, OneThreadExecutor  # noqa: E402
-from sma_bench.nodes.bench_client import BenchClient  # noqa: E402
-from sma_bench.nodes.commander import layout_fault, voltage_command  # noqa: E402
-from sma_bench.nodes.dashboard import listening_node  # noqa: E402
+from sma_bench.nodes.base import BenchNode  # noqa: E402
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
+from sma_bench.ros.bench_client import BenchClient  # noqa: E402
+from sma_bench.ros.commander import layout_fault, voltage_command  # noqa: E402
+from sma_bench.ros.dashboard import listening_node  # noqa: E402
+from sma_bench.ros.node import OneThreadExecutor  # noqa: E402
 
 # Made by rclpy before a node's parameters can be.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")

@@ -12,9 +12,9 @@ from std_msgs.msg import String
 from sma_bench.border import COUNTS, NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
 from sma_bench.dashboard.live_state import LiveState, Seen, diagnosis_summary
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED
-from sma_bench.nodes.dashboard import _PROGRESS, _one_line
-from sma_bench.nodes.recorder_state import recorder_failure, recorder_state
+from sma_bench.live.recording import recorder_failure, recorder_state
+from sma_bench.ros.dashboard import _PROGRESS, _one_line
+from sma_bench.ros.node import LATCHED
 
 BRACKETS = "[" * 100_000
 HOSTILE = [

@@ -6,7 +6,7 @@ from planted import believed, true_bench
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
+from sma_bench.live.virtual_bench import NANOSECONDS, VirtualBench
 from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics.effects import active_effects

@@ -16,11 +16,11 @@ from std_msgs.msg import String
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
 from sma_bench.nodes.bench_plan import ANTAGONIST, COMPOSITE, SPRING, WEIGHT, WIRE, plan_bench
-from sma_bench.nodes.discovery import PROFILE, RANGE, USERS_VARIABLES
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.protocols import load_protocol
+from sma_bench.ros.discovery import PROFILE, RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGS = {"wire_bench": WIRE, "composite_bench": COMPOSITE}

@@ -13,9 +13,9 @@ from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED
 from sma_bench.nodes.recorder import Recorder
 from sma_bench.records import read_record
+from sma_bench.ros.node import LATCHED
 
 BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -132,7 +132,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
 def test_the_diagnostics_tell_of_a_disk_that_fills(monkeypatch, free, failure, level, message):
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
     recorder = SimpleNamespace(
-        _output="bag", _said="recording", _messages={"/bench/wire/power": 3}, failure=failure,
+        _recording=SimpleNamespace(output="bag", total=3), _said="recording", failure=failure,
         status=lambda *said: said,
     )
     [(_, found, words, values)] = Recorder.health(recorder)

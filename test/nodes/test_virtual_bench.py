@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
-from sma_bench.nodes.virtual_bench import NANOSECONDS, VirtualBench
+from sma_bench.live.virtual_bench import NANOSECONDS, VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate

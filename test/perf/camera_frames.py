@@ -70,7 +70,7 @@ def _in_processes(name: str, channels: tuple[str, ...], seconds: float) -> list[
     import rclpy
     from sensor_msgs.msg import Temperature
 
-    from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
+    from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
     private_ros_environment()
     rig = CONFIG / ("wire_rig.yaml" if len(channels) == 1 else "composite_rig.yaml")

@@ -36,7 +36,7 @@ def measure(tiny: bool = False) -> list[Outcome]:
         import rclpy
     except ImportError:
         return [Skipped("first start of nodes", "rclpy is not installed")]
-    from sma_bench.nodes.processes import private_ros_environment
+    from sma_bench.ros.processes import private_ros_environment
 
     private_ros_environment()
     rclpy.init(args=[])
@@ -68,7 +68,7 @@ def _first(node: str, folder: Path, started: list[subprocess.Popen[bytes]]) -> l
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-    from sma_bench.nodes.base import LATCHED
+    from sma_bench.ros.node import LATCHED
 
     listener = rclpy.create_node(f"listener_{node}", namespace=_NAMESPACE)
     heard: list[Any] = []

@@ -22,7 +22,7 @@ def measure(tiny: bool = False) -> list[Outcome]:
         import rclpy
     except ImportError:
         return [Skipped("nodes", "no ROS 2 (rclpy) here")]
-    from sma_bench.nodes.processes import private_ros_environment
+    from sma_bench.ros.processes import private_ros_environment
 
     private_ros_environment()
     outcomes: list[Outcome] = []
@@ -77,7 +77,7 @@ class _Listener:
 def _simulator(rate: float, seconds: float) -> list[Outcome]:
     import rclpy
 
-    from sma_bench.nodes.processes import NodeProcesses
+    from sma_bench.ros.processes import NodeProcesses
 
     listener = _Listener()
     case = f"simulator at {rate:g} Hz"

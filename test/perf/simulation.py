@@ -60,8 +60,8 @@ def measure(tiny: bool = False) -> list[Outcome]:
     """Ratios to the solvers and to C; many parameter sets on all cores."""
     outcomes: list[Outcome] = []
     for case, parameters in benches().items():
-        outcomes += _beside_solvers(case, parameters, 401 if tiny else 10_001, tiny)
-        outcomes += _beside_c(case, parameters, 2000 if tiny else 200_000, tiny)
+        outcomes += _beside_solvers(case, parameters, 161 if tiny else 10_001, tiny)
+        outcomes += _beside_c(case, parameters, 1000 if tiny else 200_000, tiny)
     return outcomes + _many_sets(1000 if tiny else 40_000)
 
 

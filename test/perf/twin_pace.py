@@ -60,7 +60,7 @@ def _node(case: str, rig: Path, seconds: float) -> list[Outcome]:
         from diagnostic_msgs.msg import DiagnosticArray
     except ImportError:
         return [Skipped(f"twin node, {case}", "no ROS 2 (rclpy) here")]
-    from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
+    from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
     private_ros_environment()
     rclpy.init(args=[])

@@ -68,17 +68,40 @@ print(first == powers())
 """
 
 
-def test_a_fresh_install_computes_at_once_while_another_process_compiles(tmp_path):
+@pytest.fixture
+def fresh(tmp_path):
+    """Environment of a package that has no machine code yet."""
     source = Path(compiled.__file__).parent
     shutil.copytree(
         source, tmp_path / "sma_bench", ignore=shutil.ignore_patterns("__pycache__", "*.html")
     )
     (tmp_path / "package.xml").symlink_to(source.parent / "package.xml")
+    return {**compiled.os.environ, "PYTHONPATH": str(tmp_path)}
+
+
+def test_a_fresh_install_computes_at_once_while_another_process_compiles(fresh):
     done = subprocess.run(
-        [sys.executable, "-P", "-c", FRESH], capture_output=True, text=True, check=False,
-        env={**compiled.os.environ, "PYTHONPATH": str(tmp_path)},
+        [sys.executable, "-P", "-c", FRESH], capture_output=True, text=True, check=False, env=fresh
     )
     assert done.stdout.splitlines() == ["2 True True", "True"], done.stderr
+
+
+AT_ONCE = """
+import numpy as np
+from sma_bench.estimation import noise_model as noise
+
+function = noise._add_powers
+function(np.arange(5.0), *(np.array([0.5]) for _ in range(4)), np.zeros(1))
+print(sum(function.stats.cache_misses.values()))
+"""
+
+
+def test_of_processes_that_need_a_function_at_once_one_compiles(fresh):
+    running = [
+        subprocess.Popen([sys.executable, "-P", "-c", AT_ONCE], stdout=subprocess.PIPE, env=fresh)
+        for _ in range(2)
+    ]
+    assert sum(int(process.communicate()[0]) for process in running) == 1
 
 
 def test_plain_python_and_machine_code_give_the_same_numbers(monkeypatch):

@@ -1,6 +1,5 @@
 """Every section of `./bench check reliability`, small: what it found once stays mended."""
 
-import os
 import random
 import sys
 from pathlib import Path
@@ -26,8 +25,8 @@ def failed(outcomes):
 
 
 def test_damaged_bags_are_read_up_to_the_damage_and_the_loss_is_stated(tmp_path):
-    outcomes = damaged_bags(108, 5, tmp_path)
-    assert [outcome.tried for outcome in outcomes] == [18] * 6 + [1]
+    outcomes = damaged_bags(54, 5, tmp_path)
+    assert [outcome.tried for outcome in outcomes] == [9] * 6 + [1]
     assert failed(outcomes) == []
 
 
@@ -48,7 +47,7 @@ def test_a_full_disk_costs_one_line_and_nothing_good(tmp_path):
 
 
 def test_parsers_take_anything(tmp_path):
-    outcomes = fuzzed_parsers(25, 1, tmp_path)
+    outcomes = fuzzed_parsers(10, 1, tmp_path)
     assert len(outcomes) == len(targets()) + 1
     assert failed(outcomes) == []
 
@@ -84,7 +83,9 @@ def test_killed_recorders_lose_a_second_at_most(ros_domain, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from campaign.killed_recorder import killed_recorder
 
-    assert failed(killed_recorder(8, random.Random(os.urandom(4)).randrange(100), tmp_path)) == []
+    seed = random.SystemRandom().randrange(100)
+    print(f"killed_recorder(8, {seed})")  # shown where it fails
+    assert failed(killed_recorder(8, seed, tmp_path)) == []
 
 
 @pytest.mark.slow

@@ -18,8 +18,8 @@ import rclpy  # noqa: E402
 from campaign.soak import LIMIT, judge, slope  # noqa: E402
 from sensor_msgs.msg import BatteryState  # noqa: E402
 
-from sma_bench.nodes.base import MEASURED  # noqa: E402
 from sma_bench.nodes.recorder import Recorder  # noqa: E402
+from sma_bench.ros.node import MEASURED  # noqa: E402
 
 MESSAGES_AN_HOUR = 3600 * 281  # of a wire's bench: 100, 80, 100 and 1 Hz
 HOURS = np.linspace(0.0, 3.0, 1500)

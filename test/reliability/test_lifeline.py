@@ -25,7 +25,7 @@ time.sleep(600)
 _STARTS_A_NODE = """
 import sys, time
 from pathlib import Path
-from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
+from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 private_ros_environment()
 nodes = NodeProcesses("/killed", Path(sys.argv[1]))
 nodes.start("recorder", {"output": sys.argv[1] + "/bag"})

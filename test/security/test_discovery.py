@@ -7,25 +7,26 @@ from pathlib import Path
 import pytest
 
 from sma_bench.nodes.bench_plan import ARGUMENTS, COMPOSITE, WIRE
-from sma_bench.nodes.discovery import (
+from sma_bench.ros.discovery import (
     PROFILE,
     RANGE,
     USERS_VARIABLES,
     choose_discovery,
     discovery_variables,
 )
-from sma_bench.nodes.processes import private_ros_environment
+from sma_bench.ros.processes import private_ros_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 SAYS = f"""
 import os, sys
 import sma_bench.commands.run as command
+import sma_bench.nodes.start as starting
 def start(name, rest):
-    from sma_bench.nodes.discovery import choose_discovery
+    from sma_bench.ros.discovery import choose_discovery
     choose_discovery()
     print(os.environ.get("{RANGE}"), rest)
     return 0
-command.start = start
+starting.start = start
 command.run(sys.argv[1:])
 """
 

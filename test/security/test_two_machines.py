@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from sma_bench.nodes.discovery import RANGE, USERS_VARIABLES
+from sma_bench.ros.discovery import RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH, STRANGER = "10.77.16.1", "10.77.16.2"

@@ -9,7 +9,7 @@ import pytest
 from planted import ONE_WIRE, true_bench
 from scipy.signal import lfilter
 
-from sma_bench.nodes.virtual_bench import VirtualBench
+from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin import Twin

@@ -13,11 +13,11 @@ from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from sma_bench.nodes.base import LATCHED
-from sma_bench.nodes.processes import NodeProcesses, private_ros_environment
-from sma_bench.nodes.virtual_bench import VirtualBench
+from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.ros.node import LATCHED
+from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
 NAMESPACE = "/campaign"
 # The machine may be busy with much else: what is judged is never how soon a node is up.

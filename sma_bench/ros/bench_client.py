@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED, OverridableNode, start_ros
-from sma_bench.nodes.recorder_state import recorder_state
+from sma_bench.live.recording import recorder_state
+from sma_bench.ros.node import LATCHED, OverridableNode, start_ros
 
 _SPIN = 0.05
 _MATCHING = 0.3

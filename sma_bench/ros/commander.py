@@ -1,8 +1,8 @@
-"""Who a voltage command is from: rclpy does not tell, so that a commander signs what it sends.
+"""Who a voltage command is from: rclpy does not say, so a commander signs what it sends.
 
 The label of the message's only dimension is the channels' names, `@`, the node's name and a number
 of its own; two nodes of one name, started by mistake, are two commanders. What is not signed, from
-`ros2 topic pub` or a script, is told apart by the graph alone: it is taken while there is one such
+`ros2 topic pub` or a script, is identified by the graph alone: it is taken while there is one such
 publisher.
 """
 
@@ -49,9 +49,9 @@ def layout_fault(message: Float64MultiArray, channels: Sequence[str]) -> str:
     if layout.data_offset or len(layout.dim) > 1:
         return "voltage_command has another layout, expected one dimension, no offset"
     for dim in layout.dim:
-        told = dim.label.partition(_SIGNED)[0]
-        if told not in ("", names):
-            return f"voltage_command is for {shown(told, 80)!r}, expected {names!r}"
+        names_given = dim.label.partition(_SIGNED)[0]
+        if names_given not in ("", names):
+            return f"voltage_command is for {shown(names_given, 80)!r}, expected {names!r}"
         if dim.size not in (0, len(channels)):
             return f"voltage_command has a dimension of {dim.size}, expected {len(channels)}"
     return ""

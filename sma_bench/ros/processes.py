@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
-from sma_bench.nodes.discovery import RANGE, THIS_MACHINE, USERS_VARIABLES
+from sma_bench.ros.discovery import RANGE, THIS_MACHINE, USERS_VARIABLES
 
 _PATIENCE = 8.0
 _PRIVATE_DOMAINS = range(120, 220)

@@ -1,6 +1,6 @@
 """The bench in software: physics behind instruments, sampled at the hardware's rates. No ROS."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,7 +55,7 @@ class VirtualBench:
         self._pulses = 0
         self._driven = False
         self._build_instruments()
-        self._readers = {
+        self._readers: dict[str, Callable[[tuple[float, ...]], list[Any]]] = {
             "power": self._read_power,
             "temperature": self._read_temperature,
             "mechanics": self._read_ranges if self.composite else self._read_load_frame,

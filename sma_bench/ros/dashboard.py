@@ -36,10 +36,10 @@ from sma_bench.dashboard.live_state import (
     shown_limits,
 )
 from sma_bench.errors import InputError
-from sma_bench.nodes.base import LATCHED, OneThreadExecutor, OverridableNode, start_ros
-from sma_bench.nodes.commander import COMMAND, signature, voltage_command
-from sma_bench.nodes.recorder_state import recorder_state
+from sma_bench.live.recording import recorder_state
 from sma_bench.records.contract import place_of
+from sma_bench.ros.commander import COMMAND, signature, voltage_command
+from sma_bench.ros.node import LATCHED, OneThreadExecutor, OverridableNode, start_ros
 
 _LOOK_EVERY = 0.5
 _ASK_EVERY = 2.0
@@ -71,7 +71,7 @@ class DashboardNode(OverridableNode):
         self._listened: set[str] = set()
         self._stops: dict[str, Client] = {}
         self._askable: dict[str, Client] = {}
-        self._told: dict[str, dict[str, Any]] = {}
+        self._reported: dict[str, dict[str, Any]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
         self._command = self.create_publisher(Float64MultiArray, COMMAND, 10)
@@ -167,26 +167,27 @@ class DashboardNode(OverridableNode):
     def _ask(self) -> None:
         for name, client in self._askable.items():
             if not client.service_is_ready():
-                self._told.pop(name, None)
+                self._reported.pop(name, None)
                 continue
             answer = client.call_async(GetParameters.Request(names=_ASKED))
             answer.add_done_callback(partial(self._on_answer, name))
         limits = {
-            limit: min(told[limit] for told in self._told.values() if limit in told)
+            limit: min(values[limit] for values in self._reported.values() if limit in values)
             for limit in LIMITS
-            if any(limit in told for told in self._told.values())
+            if any(limit in values for values in self._reported.values())
         }
-        told_by = sorted(name for name, told in self._told.items() if set(told) & set(LIMITS))
-        self.state.show("limits", {"values": shown_limits(limits), "of": told_by})
+        reported_by = sorted(n for n, found in self._reported.items() if set(found) & set(LIMITS))
+        self.state.show("limits", {"values": shown_limits(limits), "of": reported_by})
 
     def _on_answer(self, name: str, answer: rclpy.Future) -> None:
         response = answer.result()
         if response is None:
             return
         values = zip(_ASKED, response.values, strict=False)
-        told = {key: v for key, value in values if (v := _value_of(value)) is not None}
-        self._told[name] = told
-        if channels := told.get(_CHANNELS):
+        found = {key: v for key, value in values if (v := _value_of(value)) is not None}
+        self._reported[name] = found
+        channels = found.get(_CHANNELS)
+        if isinstance(channels, tuple) and channels:
             self._channels = channels
             self.state.show("channels", channels)
 
@@ -247,7 +248,7 @@ class DashboardNode(OverridableNode):
 
 @contextmanager
 def listening_node(
-    namespace: str, state: LiveState, on_failure: Callable[[Exception], None],
+    namespace: str, state: LiveState, on_failure: Callable[[Exception], Any],
     ros_arguments: Sequence[str] = (),
 ) -> Iterator[DashboardNode]:
     """A node that listens in a thread of its own; `on_failure` is called there if it dies.
@@ -313,11 +314,11 @@ def _value_of(value: ParameterValue) -> float | tuple[str, ...] | None:
 
 def _one_line(text: str) -> str:
     """A node's state for people: that of the recorder is JSON."""
-    told = recorder_state(text)
-    if told is None:
+    state = recorder_state(text)
+    if state is None:
         return shown(text)
-    count = sum(told["messages"].values())
-    return shown(f"{told['state']}: {told['output']}, {count} messages")
+    count = sum(state["messages"].values())
+    return shown(f"{state['state']}: {state['output']}, {count} messages")
 
 
 def _is_new(name: str, known: Mapping[str, Client]) -> bool:

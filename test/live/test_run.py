@@ -1,0 +1,299 @@
+"""A run without ROS: it follows what is planned, and leaves the wire cold."""
+
+import json
+import math
+
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.hardware.safety import Freshness, Guard, Limits
+from sma_bench.live.closed_loop import DeflectionLoop, TemperatureLoop
+from sma_bench.live.recording import BRIDGE, RECORDER, Beside
+from sma_bench.live.run import OpenLoop, Run, Surroundings
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.protocols import parse_protocol
+from sma_bench.protocols.reading import TIP
+
+PARAMETERS = Parameters.defaults()
+LIMITS = Limits.from_parameters(PARAMETERS)
+RESISTANCE = PARAMETERS["wire.resistance"]
+PERIOD = 0.02
+LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
+SHORT = {
+    "name": "short",
+    "steps": [
+        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 1.0},
+        {"kind": "rest", "name": "cool", "duration": 0.5},
+    ],
+}
+
+
+class Bench:
+    """A run's outputs, and a wire that gets what is commanded or else what the test wants."""
+
+    def __init__(self, protocol=LONG, parameters=PARAMETERS, loop=None, require_recorder=False):
+        self.parameters = parameters
+        self.celsius, self.ampere, self.deaf, self.frozen = 25.0, None, False, False
+        self.sent, self.marks, self.states, self.shown = [], [], [], []
+        self.around = Surroundings()
+        self.now = 100.0
+        self.stamp = 0.0
+        channels = parameters["bench.channels"]
+        self.guard = Guard(channels, ("power", "temperature"), 0.5)
+        self.beside = Beside(require_recorder)
+        self.run = Run(self, loop or OpenLoop(), self.guard, self.beside, len(channels))
+        self.plan = lambda: parse_protocol(protocol, parameters)
+
+    def surroundings(self):
+        return self.around
+
+    def send(self, voltage):
+        self.sent.append(voltage)
+
+    def mark(self, step):
+        self.marks.append(step)
+
+    def enter(self, state):
+        self.states.append(state)
+
+    def show(self, progress):
+        self.shown.append(progress)
+
+    @property
+    def state(self):
+        return self.states[-1]
+
+    def read(self):
+        """The readings of one moment."""
+        if not self.frozen:
+            self.stamp = self.now
+        for k, channel in enumerate(self.parameters["bench.channels"]):
+            volt = 0.0 if self.deaf or not self.sent else self.sent[-1][k]
+            ampere = volt / RESISTANCE if self.ampere is None else self.ampere
+            self.guard.power(channel, volt, ampere, self.stamp, self.now, LIMITS)
+            self.guard.temperature(channel, self.celsius + 273.15, self.stamp, self.now, LIMITS)
+
+    def spend(self, seconds):
+        for _ in range(round(seconds / PERIOD)):
+            self.now += PERIOD
+            self.read()
+            self.run.tick(self.now, self.now)
+            self.run.watch(self.now, self.plan)
+
+    def start(self):
+        self.read()
+        return self.run.start(self.now, self.plan)
+
+
+@pytest.fixture
+def bench():
+    """One that drives the wire with 3 V."""
+    bench = Bench()
+    assert bench.start() == (True, "long: 1000 s")
+    bench.spend(0.5)
+    assert bench.state == "running: long" and bench.sent[-1] == [3.0]
+    return bench
+
+
+def assert_cold(bench, reason):
+    assert bench.state.startswith(f"aborted: {reason}")
+    before = len(bench.sent)
+    bench.spend(0.2)
+    assert len(bench.sent) > before + 5
+    assert not any(map(any, bench.sent[before - 1 :]))
+
+
+def test_steps_are_marked_and_sent_after_a_lead_in_and_0_v_ends_it():
+    bench = Bench(SHORT)
+    bench.start()
+    bench.spend(0.2)
+    assert bench.sent == [[0.0]] * 10 and bench.marks == []  # a simulation gets into step
+    bench.spend(2.5)
+    assert bench.marks == ["short/warm", "short/cool", "short/done"]
+    assert bench.state == "done: short"
+    begun = bench.sent.index([2.0])
+    assert bench.sent[begun : begun + 50] == [[2.0]] * 50
+    assert bench.sent[begun + 50 :] == [[0.0]] * (len(bench.sent) - begun - 50)
+    assert {p["duration"] for p in bench.shown} == {1.5}
+    assert 4 <= len(bench.shown) <= 7
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"celsius": 160.0}, "over-temperature: wire at 160.0 degC"),
+        ({"ampere": 3.5}, "over-current: wire at 3.50 A, limit 3 A"),
+        ({"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25 V"),
+        ({"frozen": True}, "stale feedback: nothing new from wire/"),
+        ({"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
+    ],
+)
+def test_what_is_wrong_with_the_readings_aborts(bench, wrong, reason):
+    vars(bench).update(wrong)
+    bench.spend(2.0)
+    assert_cold(bench, reason)
+
+
+def test_an_abort_is_latched_until_a_reset(bench):
+    bench.celsius = 160.0
+    bench.spend(0.1)
+    bench.celsius = 25.0
+    started, why = bench.start()
+    assert not started and why.startswith("aborted: over-temperature") and "reset first" in why
+    assert bench.run.reset() == (True, "idle")
+    assert bench.start()[0]
+
+
+def test_a_stop_is_latched_and_a_running_protocol_neither_started_nor_reset(bench):
+    assert bench.run.reset() == (False, "running: stop first")
+    assert bench.start() == (False, "already running long")
+    assert bench.run.stop() == (True, "aborted: stopped on request")
+    assert_cold(bench, "stopped on request")
+    assert bench.run.reset() == (True, "idle")
+
+
+def test_the_end_of_the_node_leaves_0_v(bench):
+    bench.run.close()
+    assert bench.sent[-1] == [0.0] and bench.state == "aborted: the node was ended"
+
+
+def test_without_feedback_or_listeners_or_time_there_is_no_start():
+    bench = Bench()
+    refused = bench.run.start(bench.now, bench.plan)
+    assert refused == (False, "no feedback: wire/power was never received")
+    bench.read()
+    for around, why in (
+        (Surroundings(commands_heard=False), "nothing listens to voltage_command"),
+        (Surroundings(has_time=False), "use_sim_time is set, but there is no /clock"),
+    ):
+        bench.around = around
+        assert bench.start() == (False, why)
+
+
+def test_a_protocol_that_cannot_be_read_any_more_is_the_answer_or_ends_the_autostart():
+    bench = Bench()
+
+    def missing():
+        raise InputError("p.yaml: no such file")
+
+    bench.read()
+    assert bench.run.start(bench.now, missing) == (False, "p.yaml: no such file")
+    late = Run(bench, OpenLoop(), bench.guard, bench.beside, 1, autostart=True)
+    late.watch(bench.now, missing)
+    assert bench.state == "aborted: not started: p.yaml: no such file"
+
+
+def test_a_recorder_that_fails_ends_the_run_and_a_reset_goes_on_without_it(bench):
+    bench.guard.recorder("bag: cannot be written: No space left on device")
+    bench.spend(0.1)
+    assert_cold(bench, "recording failed: bag: cannot be written")
+    assert not bench.start()[0]
+    assert bench.run.reset()[0]
+    assert bench.start()[0]
+
+
+def recorder_says(bench, state, messages, failure=""):
+    said = {"state": state, "output": "bag", "failure": failure, "messages": messages}
+    bench.beside.recorder(json.dumps(said), bench.now)
+
+
+def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothing_records():
+    bench = Bench(require_recorder=True)
+    assert "no recorder is there" in bench.start()[1]
+    bench.around = Surroundings(present={RECORDER}, published=lambda: ["/a", "/b", "/c"])
+    assert bench.start() == (False, "the recorder has not said its state")
+    recorder_says(bench, "recording", {"/a": 1})
+    assert bench.start() == (
+        True, "starts as soon as all is recorded: the recorder does not hear /b, /c yet"
+    )
+    bench.spend(0.5)
+    assert bench.states == []
+    recorder_says(bench, "recording", {"/a": 1, "/b": 0, "/c": 9})
+    bench.spend(0.5)
+    assert bench.state == "running: long"
+    recorder_says(bench, "closed", {"/a": 1})
+    bench.spend(0.1)
+    assert_cold(bench, "the recorder does not record: closed")
+
+
+def test_a_start_does_not_wait_for_the_recorder_for_ever_and_a_silent_one_ends_the_run():
+    bench = Bench(require_recorder=True)
+    bench.around = Surroundings(present={RECORDER}, published=lambda: ["/a"])
+    recorder_says(bench, "recording", {})
+    assert bench.start()[0]
+    for _ in range(11):
+        recorder_says(bench, "recording", {})
+        bench.spend(1.0)
+    assert_cold(bench, "not started: the recorder does not hear /a yet")
+    bench.run.reset()
+    recorder_says(bench, "recording", {"/a": 1})
+    assert bench.start()[0]
+    bench.spend(9.0)
+    assert bench.state == "running: long"
+    bench.spend(2.0)
+    assert_cold(bench, "the recorder has been silent for 10 s")
+
+
+def test_no_run_without_the_bridge_and_the_bridges_own_reason_when_it_stops():
+    bench = Bench()
+    bench.around = Surroundings(present={BRIDGE})
+    assert bench.start() == (False, "serial_bridge is not enabled: it has not said its state")
+    bench.beside.bridge("idle")
+    assert bench.start() == (False, "serial_bridge is not enabled: idle")
+    bench.beside.bridge("enabled")
+    assert bench.start()[0]
+    bench.spend(0.5)
+    bench.beside.bridge("stopped: supply at 5.1 V")
+    bench.run.check(bench.now)
+    assert_cold(bench, "serial_bridge: stopped: supply at 5.1 V")
+
+
+# --- controllers --------------------------------------------------------------------------------
+
+
+def settings(node, **changes):
+    return {parameter.name: parameter.default for parameter in NODE_TABLES[node]} | changes
+
+
+def test_a_reference_from_the_topic_is_followed_within_reach_and_only_while_it_runs():
+    set_points = []
+    given = settings("temperature_controller", reference="", feedback=("power", "temperature"))
+    loop = TemperatureLoop(given, PARAMETERS, set_points.append)
+    bench = Bench(loop=loop)
+    bench.plan = lambda: loop.plan(given, PARAMETERS)
+    assert loop.ask([330.0], None, PARAMETERS) == "the reference is not taken from the topic now"
+    loop.measured("wire", 298.15)
+    assert bench.start()[0] and math.isinf(bench.run.protocol.duration)
+    bench.spend(0.5)
+    assert set_points[-1] == [PARAMETERS["environment.ambient_temperature"]]
+    assert bench.sent[-1] == [0.0]
+    assert loop.ask([330.0], bench.run.protocol, PARAMETERS) == ""
+    loop.measured("wire", math.nan)  # the shutter: the last reading stays
+    bench.spend(0.1)
+    assert set_points[-1] == [330.0] and bench.sent[-1][0] > 0.5
+    assert "expected" in loop.ask([3300.0], bench.run.protocol, PARAMETERS)
+    assert bench.shown[-1]["duration"] is None
+
+
+def test_temperature_control_without_temperatures_is_refused():
+    with pytest.raises(InputError, match="cannot do without temperature"):
+        TemperatureLoop(
+            settings("temperature_controller", feedback=("power",)), PARAMETERS, print
+        )
+
+
+def test_a_deflection_that_stays_away_aborts(pytestconfig):
+    rig = read_parameters(pytestconfig.rootpath / "config" / "composite_rig.yaml")
+    given = settings("deflection_controller")
+    loop = DeflectionLoop(
+        given, rig, lambda levels: None, freshness=Freshness(f"joint_states {TIP}", 0.5)
+    )
+    bench = Bench(parameters=rig, loop=loop)
+    bench.plan = lambda: loop.plan(given, rig)
+    assert bench.start() == (False, f"no feedback: joint_states {TIP} was never received")
+    loop.measured(0.0, 1.0, bench.now)
+    assert bench.start()[0]
+    loop.measured(math.nan, 2.0, bench.now)  # is no reading
+    bench.spend(0.6)
+    assert_cold(bench, f"stale feedback: nothing new from joint_states {TIP}")
