@@ -30,7 +30,7 @@ from sma_bench.identify.run import (
     run_resistance,
     run_specific_heat,
 )
-from sma_bench.identify.signals import FEWEST_LEVELS, Drive, as_calibrated
+from sma_bench.identify.signals import FEWEST_LEVELS, Drive, as_calibrated, sensors_of
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
@@ -178,8 +178,9 @@ def identify(
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
-    run = Run(parameters, wanted, asked=experiments is not None)
     bags = [as_calibrated(r, parameters) for r in records if isinstance(r, Record)]
+    known = sensors_of(bags, parameters)
+    run = Run(known, wanted, asked=experiments is not None)
     run.notes.extend(
         f for record in bags for f in (*record.findings, *check_response(record))
     )

@@ -18,9 +18,13 @@ from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 from sma_bench.records.contract import CELSIUS_ZERO
-from sma_bench.records.record import has_samples, samples
+from sma_bench.records.record import Signal, has_samples, samples
 
 SHORTEST_PLATEAU = 2.0
+_COLDEST, _HOTTEST = 5.0, 95.0  # %
+# What scales the wire's excess over the room.
+CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
+          "sensor.temperature.spot_share")  # fmt: skip
 _CALIBRATED = ("current", "voltage", "temperature", "deflection")
 
 
@@ -99,6 +103,36 @@ def as_calibrated(record: Record, parameters: Parameters) -> Record:
         room = parameters["environment.ambient_temperature"] if hot else 0.0
         corrected[name] = replace(signal, values=room + (values - room) / share)
     return replace(record, signals={**record.signals, **corrected}) if corrected else record
+
+
+def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
+    """What the camera's own messages state of its scale, where nobody has stated it otherwise:
+    their error at the wire's coldest is its zero's, what comes on top is that of its scale."""
+    found = [_stated(s) for r in records for n, s in r.signals.items() if _is_stated(n, s)]
+    if not found:
+        return parameters
+    zero, scale = np.max(found, axis=0).tolist()
+    stated = dict.fromkeys(CAMERA, 0.0) | {CAMERA[-1]: scale, "sensor.temperature.offset": zero}
+    known = parameters.given_uncertainty
+    return parameters.replace(
+        uncertainty={name: std for name, std in stated.items() if name not in known}
+    )
+
+
+def _is_stated(name: str, signal: Signal) -> bool:
+    wire = name.endswith(".temperature") and not name.startswith("ambient.")
+    return wire and signal.std is not None and len(signal) > 0
+
+
+def _stated(signal: Signal) -> tuple[float, float]:
+    """Of the zero, K, and of the scale, relative."""
+    assert signal.std is not None
+    low, high = (np.percentile(signal.values, p) for p in (_COLDEST, _HOTTEST))
+    (cold, at_cold), (hot, at_hot) = (
+        (float(np.median(signal.values[these])), float(np.median(signal.std[these])))
+        for these in (signal.values <= low, signal.values >= high)
+    )
+    return at_cold, float(np.sqrt(max(at_hot**2 - at_cold**2, 0.0)) / max(hot - cold, 1e-9))
 
 
 def missing_findings(record: Record, channel: str) -> tuple[Finding, ...]:

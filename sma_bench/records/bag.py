@@ -248,7 +248,9 @@ def _measured(
         samples.remark("info", text, nan=count)
     keep = ~missing if count else slice(None)
     time, received = _seconds(samples.stamp, start), _seconds(samples.received, start)
-    return Signal(name, unit, time[keep], values[keep], received[keep], samples.topic)
+    stated = samples.columns.get("variance", np.zeros(0))
+    std = np.sqrt(np.maximum(stated[keep], 0.0)) if np.nanmax(stated, initial=0.0) > 0.0 else None
+    return Signal(name, unit, time[keep], values[keep], received[keep], samples.topic, std)
 
 
 def _remark_on_ranges(samples: Samples) -> None:

@@ -31,7 +31,7 @@ _HEADER: tuple[_Field, ...] = (
 # Fields in order, up to the last one used. "x[]" is a sequence; "text" is a string whose content
 # matters, "string" one that is passed over; "dim[]" is std_msgs/MultiArrayDimension[].
 FIELDS: dict[str, tuple[_Field, ...]] = {
-    contract.TEMPERATURE: (*_HEADER, ("temperature", "f8")),
+    contract.TEMPERATURE: (*_HEADER, ("temperature", "f8"), ("variance", "f8")),
     contract.BATTERY_STATE: (
         *_HEADER,
         ("voltage", "f4"),

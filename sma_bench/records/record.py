@@ -27,6 +27,7 @@ class Signal:
         values: (n,) or (n, k); a bag's missing values (NaN) are left out, not kept.
         received: (n,) s, when the recorder got the message, on the same zero; None if unknown.
         topic: where it came from, empty for a computed signal.
+        std: (n,) standard deviation that each reading's own message states; None if none does.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Signal:
     values: FloatArray
     received: FloatArray | None = None
     topic: str = ""
+    std: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or len(self.values) != len(self.time):

@@ -199,7 +199,7 @@ def _texts(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -
 
 _COLUMNS: dict[str, _Take] = {
     contract.BATTERY_STATE: _scalars("voltage", "current"),
-    contract.TEMPERATURE: _scalars("temperature"),
+    contract.TEMPERATURE: _scalars("temperature", "variance"),
     contract.RANGE: _scalars("range", "min_range", "max_range"),
     contract.JOINT_STATE: _joints,
     contract.MULTI_ARRAY: _array,

@@ -208,3 +208,18 @@ def test_a_spot_that_the_wire_fills_in_part_is_wondered_at(staircase, ramp, shar
     for name in (H, CP):
         assert any(name in w and "spot_share" in w for w in found.warnings)
     assert abs(found.estimates[R].value - 2.75) < 3.0 * found.estimates[R].std
+
+
+def test_what_the_cameras_messages_state_takes_the_data_sheets_place(staircase, ramp):
+    read = []
+    for record in records(staircase, ramp):
+        wire = record["wire.temperature"]
+        std = np.hypot(0.3, 0.01 * (wire.values - AMBIENT))
+        read.append(replace(record, signals={**record.signals, wire.name: replace(wire, std=std)}))
+    known = Parameters.defaults().replace(uncertainty={AMPERES: 0.0, VOLTS: 0.0})
+    found = identify(read, known).estimates
+    for name in (H, CP):
+        assert found[name].systematic == pytest.approx(0.01 * found[name].value, rel=0.1)
+    assert found[ROOM].shares["sensor.temperature.offset"] == pytest.approx(0.3, rel=0.1)
+    stated = known.replace(uncertainty=EXACT_SENSORS)
+    assert identify(read, stated).estimates[H].systematic == pytest.approx(0.0, abs=1e-9)

@@ -41,12 +41,14 @@ class Messages:
         return bytes(TYPES.serialize_cdr(message, message.__msgtype__))
 
     @staticmethod
-    def temperature(stamp_ns: int, celsius: float, frame: str = "wire") -> Any:
+    def temperature(
+        stamp_ns: int, celsius: float, frame: str = "wire", variance: float = 0.0
+    ) -> Any:
         return ros(
             "sensor_msgs/msg/Temperature",
             header=header(stamp_ns, frame),
             temperature=celsius,
-            variance=0.0,
+            variance=variance,
         )
 
     @staticmethod

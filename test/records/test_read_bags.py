@@ -279,3 +279,19 @@ def test_channels_leave_out_the_ambient(tmp_path, write_bag, messages, ramp):
     record = read_record(write_bag(tmp_path / "bag", content))
     assert record.channels == ("wire",)
     assert record["ambient.temperature"].values == pytest.approx([296.15])
+
+
+def test_variance_of_a_camera_comes_with_its_readings_and_none_is_none(
+    tmp_path, write_bag, messages
+):
+    stamps = [messages.start + k * 10**8 for k in range(4)]
+    for name, variances in (("stated", (0.25, 0.25, 1.0, 0.0)), ("silent", (0.0,) * 4)):
+        content = [
+            ("/b/wire/temperature", messages.temperature(t, 30.0, variance=v), t)
+            for t, v in zip(stamps, variances, strict=True)
+        ]
+        signal = read_record(write_bag(tmp_path / name, content))["wire.temperature"]
+        if name == "stated":
+            assert signal.std.tolist() == [0.5, 0.5, 1.0, 0.0]
+        else:
+            assert signal.std is None

@@ -8,7 +8,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment, Mask
-from sma_bench.identify.signals import AVERAGE, SETTLE, Means, Staircase, means, same_level
+from sma_bench.identify.signals import AVERAGE, CAMERA, SETTLE, Means, Staircase, means, same_level
 from sma_bench.identify.straight_line import LinearFit, fit_linear
 from sma_bench.identify.thermal.resistance import VOLTAGE
 from sma_bench.parameters import Parameters
@@ -19,8 +19,6 @@ from sma_bench.records.record import has_samples, samples
 PARAMETER = "wire.heat_transfer_coefficient"
 GAIN = "thermal_gain"
 AMBIENT = "environment.ambient_temperature"
-CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
-          "sensor.temperature.spot_share")  # fmt: skip
 _SIGNIFICANT = 3.0
 _SIGNIFICANT_DRIFT = 4.0
 _LARGE_DRIFT = 0.01
