@@ -184,6 +184,21 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, reference):
     np.testing.assert_array_equal(sent[:, 0], sent[:, 1])
 
 
+def test_a_wire_against_a_spring_is_moved_by_its_position(bench, reference):
+    rig = COMPOSITE_RIG.with_name("spring_rig.yaml")
+    pull = reference(
+        name="pull", unit="m",
+        steps=[{"kind": "triangle", "peak": -0.004, "rise": 3.0, "fall": 3.0},
+               {"kind": "rest", "duration": 2.0}],
+    )  # fmt: skip
+    wire = bench.listen("joint_states", JointState, 5000)
+    bench.start("simulator", rig, **FAST)
+    bench.start("deflection_controller", rig, use_sim_time=True, reference=pull)
+    run_to_the_end(bench, "deflection_controller", "pull")
+    metres = np.array([m.position[0] for m in wire])
+    assert metres.min() == pytest.approx(-0.004, abs=3e-4) and wire[-1].name == ["wire"]
+
+
 def test_temperatures_come_from_a_topic_in_celsius_and_bad_ones_are_refused(bench):
     fake = FakeBench(bench, "temperature_controller")
     node = bench.start("temperature_controller", **UNHEATED, reference="''", autostart=True)
