@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sma_bench.cli import main
 from sma_bench.commands import identify as command
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
@@ -172,12 +173,11 @@ def test_command_writes_both_files_and_prints_a_table(shared_data, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["identified.yaml", "result.json"]
 
 
-def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_path):
+def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_path, capsys):
     step = shared_data / "foreign" / "composite" / "step"
     for arguments in ([step], [tmp_path / "absent"], [step, "--params", tmp_path / "no.yaml"]):
-        done = run_command(*arguments)
-        assert done.returncode == 2
-        assert len(done.stderr.strip().splitlines()) == 1
+        assert main(["identify", *map(str, arguments)]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 def test_unwritable_folder_is_one_line_and_leaves_no_file(staircase, tmp_path, monkeypatch):
