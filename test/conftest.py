@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if item.get_closest_marker("acceptance"):
                 item.add_marker(reason)
     # Real nodes and the wall's clock share the machine with whatever else it does. What fails once
-    # and passes afresh was the machine; pytest tells of every such rerun.
+    # and passes afresh was the machine; the summary names every such rerun.
     for item in items:
         if "ros_domain" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.flaky(reruns=2))
