@@ -9,10 +9,17 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
+from sma_bench.identify import identify
+from sma_bench.identify.estimate import Estimate, Experiment
+from sma_bench.identify.instruments.isobaric import identify_isobaric
+from sma_bench.identify.instruments.tensile import identify_tensile
+from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
+from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
 from sma_bench.identify.load_frame import holds_frame, is_clamped_wire, isobaric_tests
 from sma_bench.identify.signals import find_drives
 from sma_bench.identify.whole_model import moves
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
@@ -30,8 +37,6 @@ from sma_bench.report.paper_page import (
     Outcome,
     PaperPage,
     Row,
-    identified_parameters,
-    identify_lab,
     table_rows,
 )
 from sma_bench.synthetic import paper_specimens as specimens
@@ -139,6 +144,98 @@ def _wire_group(record: Record, channel: str, parameters: Parameters) -> list[st
     return ["validation"]
 
 
+# --- From a laboratory's sorted records to the results of its experiments.
+
+# One wire record need not hold all three; the first choice that it holds counts.
+_THERMAL_CHOICES = (THERMAL, ("E1", "E2"), ("E3",), ("E1",), ("E2",))
+
+
+def identify_lab(
+    records: LabRecords, parameters: Parameters, *, synthetic: bool
+) -> tuple[dict[str, Outcome], list[Finding]]:
+    """Run every experiment that the records allow.
+
+    Args:
+        parameters: what is known beforehand.
+        synthetic: whether the records are.
+
+    Returns:
+        Outcomes by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing.
+    """
+    found: dict[str, Outcome] = {}
+    notes: list[Finding] = []
+    if records.thermal:
+        found.update(_thermal(records.thermal, parameters, synthetic, notes))
+    wanted: tuple[tuple[str, Sequence[object], Callable[[], Experiment]], ...] = (
+        ("E5", records.dsc, lambda: identify_heating_rates(records.dsc)),
+        ("E6", records.upfr, lambda: identify_isobaric(records.upfr, parameters)),
+        (
+            "E6 stresses", records.isobaric,
+            lambda: identify_isobaric(records.isobaric, parameters),
+        ),
+        (
+            "E7", records.tensile,
+            lambda: identify_tensile(
+                records.tensile, identified_parameters(parameters, list(found.values()))
+            ),
+        ),
+        ("E8", records.clamped, lambda: _thermal_expansion(records.clamped, parameters)),
+    )
+    for kind, given, run in wanted:
+        if not given:
+            continue
+        try:
+            experiment = run()
+        except InputError as error:
+            notes.append(Finding("warning", kind, str(error)))
+        else:
+            found[kind] = Outcome((experiment,), experiment.estimates, synthetic)
+    return found, notes
+
+
+def _thermal(
+    records: Sequence[Record], parameters: Parameters, synthetic: bool, notes: list[Finding]
+) -> dict[str, Outcome]:
+    reasons: list[str] = []
+    for choice in _THERMAL_CHOICES:
+        try:
+            result = identify(records, parameters, choice)
+        except InputError as error:
+            reasons.append(str(error))
+            continue
+        notes.extend(note for note in result.notes if note.severity != "info")
+        return {kind: _outcome(result.experiments, result.estimates, kind, synthetic)
+                for kind in choice}
+    notes.append(Finding("warning", "E1 to E3", reasons[0]))
+    return {}
+
+
+def _thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
+    channel = records[0].channels[0]
+    return identify_thermal_expansion(
+        records, parameters, temperature=f"{channel}.temperature"
+    )
+
+
+def _outcome(
+    experiments: Sequence[Experiment], estimates: Mapping[str, Estimate], kind: str,
+    synthetic: bool,
+) -> Outcome:
+    mine = tuple(e for e in experiments if e.name == kind)
+    names = {name for e in mine for name in e.estimates}
+    return Outcome(mine, {n: e for n, e in estimates.items() if n in names}, synthetic)
+
+
+def identified_parameters(parameters: Parameters, outcomes: Sequence[Outcome]) -> Parameters:
+    """The given parameters with what the outcomes identified put in."""
+    estimates = {name: e for outcome in outcomes for name, e in outcome.estimates.items()}
+    return parameters.replace(
+        {name: e.value for name, e in estimates.items()},
+        {name: e.std for name, e in estimates.items()},
+        "identified",
+    )
+
+
 # --- What sma-bench paper draws: records given, synthetic ones for the rest, compared with print.
 
 _MEASURED, _SYNTHESISED = 0.1, 0.9
@@ -152,8 +249,8 @@ def paper_page(
 
     Args:
         records: the user's, already read; none for a page of synthetic data.
-        parameters: what is known of the bench that they come from. Synthetic data are made of the
-            paper's own numbers.
+        parameters: what is known of the bench that they come from. Synthetic data beside records
+            are made of the paper's own numbers; without records, of these.
         report: called with how far it is.
 
     Raises:
@@ -164,19 +261,28 @@ def paper_page(
     outcomes, reasons = identify_lab(measured, parameters, synthetic=False)
     notes += reasons
     validation = _validation(measured, parameters, outcomes, notes)
-    runs = _runs(measured, parameters, notes)
+    several = len(parameters["bench.channels"]) > 1
+    runs = _runs(measured, parameters if several else composite_rig(parameters), notes)
     if records and not (outcomes or validation or runs):
         raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
-    paper = Parameters.defaults()
+    paper = Parameters.defaults() if records else parameters
     outcomes |= _synthetic_outcomes(paper, outcomes, part(report, _MEASURED, _SYNTHESISED))
     report(_SYNTHESISED, "composite")
     made = synthetic_records(paper, ["validation", "composite"])
     drawn = validation or _validation(made, paper, outcomes, notes, synthetic=True)
     assert drawn is not None
+    is_drawn = bool(runs)
+    runs = runs or _runs(made, composite_rig(paper), notes, synthetic=True)
     return PaperPage(
-        outcomes, drawn, validation is None, runs or _runs(made, paper, notes), not runs,
-        {name: table_rows(name, outcomes) for name in TABLES}, paper_errata(), notes,
+        outcomes, drawn, validation is None, runs, not is_drawn,
+        {name: table_rows(name, outcomes) for name in TABLES}, paper_errata(),
+        parameters if _bends(parameters) else composite_rig(parameters), notes,
+        bool(paper.given),
     )
+
+
+def _bends(parameters: Parameters) -> bool:
+    return load_kind(parameters) == "beam" and "front" in parameters["bench.channel_sides"]
 
 
 def _synthetic_outcomes(
@@ -209,14 +315,12 @@ def _validation(
 
 
 def _runs(
-    records: LabRecords, parameters: Parameters, notes: list[Finding]
+    records: LabRecords, rig: Parameters, notes: list[Finding], *, synthetic: bool = False
 ) -> list[CompositeRun]:
-    several = len(parameters["bench.channels"]) > 1
-    rig = parameters if several else composite_rig(parameters)
     found = []
     for record in records.composite:
         try:
-            found.append(composite_run(record, rig))
+            found.append(composite_run(record, rig, with_rest_deflection=synthetic))
         except InputError as error:
             notes.append(Finding("warning", "E12", str(error)))
     return found

@@ -20,6 +20,7 @@ COMMANDS = {
     "audit": "do a lab's own numbers fit each other, and physics?",
     "parameters": "every parameter with unit, default, range and source",
     "effects": "what the paper's model leaves out: stage, size, how it shows",
+    "linearise": "the linearised model (E11) about any operating point, printed and corrected",
     "simulate": "the paper's model on a protocol or on the voltages of a bag",
     "blind": "cases with withheld effects: make, examine, score",
     "paper": "the paper's figures, tables and errata redrawn from data",
@@ -69,6 +70,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "effects": (
         "effects",
         "effects --json effects.json",
+    ),
+    "linearise": (
+        "linearise --params config/composite_rig.yaml",
+        "linearise --params lab.yaml --deflection 0.02 --branch cooling --report tangent",
+        "linearise --params lab.yaml --voltage 4.6 --json linear.json",
     ),
     "simulate": (
         "simulate --protocol composite_triangle --params config/composite_rig.yaml --out made",

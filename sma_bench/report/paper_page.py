@@ -3,17 +3,11 @@
 import csv
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
-from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify import identify
 from sma_bench.identify.estimate import Estimate, Experiment
-from sma_bench.identify.instruments.isobaric import identify_isobaric
-from sma_bench.identify.instruments.tensile import identify_tensile
-from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
-from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import (
     BY_NAME,
@@ -29,7 +23,6 @@ from sma_bench.records.record import Record
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.report.composite_figures import (
     CompositeRun,
-    bench_picture,
     composite_deflection_picture,
     composite_voltage_picture,
     errata_picture,
@@ -48,12 +41,11 @@ from sma_bench.report.experiment_figures import (
     upfr_picture,
 )
 from sma_bench.report.page import Picture, Section, Table
+from sma_bench.report.setup_figures import setup_pictures
 
 # --- What the figures and tables of the paper are drawn from: records in, experiments out.
 
 THERMAL = ("E1", "E2", "E3")
-# One wire record need not hold all three; the first choice that it holds counts.
-_THERMAL_CHOICES = (THERMAL, ("E1", "E2"), ("E3",), ("E1",), ("E2",))
 
 
 @dataclass(frozen=True)
@@ -104,92 +96,6 @@ KINDS = {
     "tensile": ("E7",),
     "clamped": ("E8",),
 }
-
-
-def identify_lab(
-    records: LabRecords, parameters: Parameters, *, synthetic: bool
-) -> tuple[dict[str, Outcome], list[Finding]]:
-    """Run every experiment that the records allow.
-
-    Args:
-        parameters: what is known beforehand.
-        synthetic: whether the records are.
-
-    Returns:
-        Outcomes by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing.
-    """
-    found: dict[str, Outcome] = {}
-    notes: list[Finding] = []
-    if records.thermal:
-        found.update(_thermal(records.thermal, parameters, synthetic, notes))
-    wanted: tuple[tuple[str, Sequence[object], Callable[[], Experiment]], ...] = (
-        ("E5", records.dsc, lambda: identify_heating_rates(records.dsc)),
-        ("E6", records.upfr, lambda: identify_isobaric(records.upfr, parameters)),
-        (
-            "E6 stresses", records.isobaric,
-            lambda: identify_isobaric(records.isobaric, parameters),
-        ),
-        (
-            "E7", records.tensile,
-            lambda: identify_tensile(
-                records.tensile, identified_parameters(parameters, list(found.values()))
-            ),
-        ),
-        ("E8", records.clamped, lambda: _thermal_expansion(records.clamped, parameters)),
-    )
-    for kind, given, run in wanted:
-        if not given:
-            continue
-        try:
-            experiment = run()
-        except InputError as error:
-            notes.append(Finding("warning", kind, str(error)))
-        else:
-            found[kind] = Outcome((experiment,), experiment.estimates, synthetic)
-    return found, notes
-
-
-def _thermal(
-    records: Sequence[Record], parameters: Parameters, synthetic: bool, notes: list[Finding]
-) -> dict[str, Outcome]:
-    reasons: list[str] = []
-    for choice in _THERMAL_CHOICES:
-        try:
-            result = identify(records, parameters, choice)
-        except InputError as error:
-            reasons.append(str(error))
-            continue
-        notes.extend(note for note in result.notes if note.severity != "info")
-        return {kind: _outcome(result.experiments, result.estimates, kind, synthetic)
-                for kind in choice}
-    notes.append(Finding("warning", "E1 to E3", reasons[0]))
-    return {}
-
-
-def _thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
-    channel = records[0].channels[0]
-    return identify_thermal_expansion(
-        records, parameters, temperature=f"{channel}.temperature"
-    )
-
-
-def _outcome(
-    experiments: Sequence[Experiment], estimates: Mapping[str, Estimate], kind: str,
-    synthetic: bool,
-) -> Outcome:
-    mine = tuple(e for e in experiments if e.name == kind)
-    names = {name for e in mine for name in e.estimates}
-    return Outcome(mine, {n: e for n, e in estimates.items() if n in names}, synthetic)
-
-
-def identified_parameters(parameters: Parameters, outcomes: Sequence[Outcome]) -> Parameters:
-    """The given parameters with what the outcomes identified put in."""
-    estimates = {name: e for outcome in outcomes for name, e in outcome.estimates.items()}
-    return parameters.replace(
-        {name: e.value for name, e in estimates.items()},
-        {name: e.std for name, e in estimates.items()},
-        "identified",
-    )
 
 
 # --- Tables I to III of the paper, and its numbers outside the tables, beside identified values.
@@ -372,6 +278,37 @@ def _origin(row: Row) -> str:
     return f"{row.printed.kind.partition(' ')[0]}, {data}"
 
 
+_FAR = 3.0  # standard errors
+# What is known of numbers that do not come out as printed; others are a plain remark.
+_REASONS = {
+    "R, cooling": "the model has one resistance and the synthetic wire with it; the paper's two "
+    "differ by 0.32 %, as a resistance does that depends on the phase "
+    "(effect phase_dependent_resistance)",
+    "Θ_T": "the printed value is not believable, erratum 10",
+}
+
+
+def row_remarks(rows: Sequence[Row]) -> list[str]:
+    """A line for every number of the paper's synthetic wire that lies far from the printed one, by
+    the errors of both; another wire's numbers are its own."""
+    found = []
+    for row in rows:
+        printed = row.printed
+        if not row.synthetic or not row.std > 0.0 or math.isnan(printed.value):
+            continue
+        error = math.hypot(row.std, 0.0 if math.isnan(printed.std) else printed.std)
+        apart = (row.value - printed.value) / error
+        if abs(apart) <= _FAR:
+            continue
+        reason = _REASONS.get(printed.symbol)
+        text = (
+            f"{printed.symbol} ({printed.description}): {row.value:.6g} {printed.unit}, "
+            f"{apart:+.0f} standard errors from the paper's {printed.value:g}"
+        )
+        found.append(f"{text}: {reason}" if reason else text)
+    return found
+
+
 def csv_text(rows: Sequence[Row]) -> str:
     """The rows as CSV, one number a line, full precision."""
     text = io.StringIO()
@@ -406,6 +343,7 @@ EXPERIMENT_FIGURES = (
 )
 _SECTIONS = (
     # (title, figures, table)
+    ("Set-up for the identification, section II.B", (1,), None),
     ("Resistance, section II.B.1", (2,), None),
     ("Heat transfer coefficient, section II.B.2", (3,), None),
     ("Specific heat, section II.B.3", (4, 5), None),
@@ -416,9 +354,11 @@ _SECTIONS = (
     ("Young's modulus, section III.B.2", (9,), "table_3"),
     ("Thermal expansion factor, section III.B.3", (10,), None),
     ("Numbers outside the tables", (), "numbers_in_the_text"),
-    ("Test bench of the composite, section IV", (11,), None),
+    ("Test bench of the composite, section IV", (11, 12), None),
+    ("Bending and block diagram, section IV.A", (13, 14), None),
     ("Simulation and experiment of the composite, section IV.C", (15, 16), None),
 )
+DRAWINGS = (1, 11, 12, 13, 14)
 # Synthetic data: what of it is the package's model and what is made up beside it.
 ORIGINS = {
     2: "protocol staircase on the simulated wire rig: physics behind the simulator's sensors",
@@ -453,6 +393,8 @@ class PaperPage:
         composite: runs of Figs. 15 and 16; composite_synthetic: whether they are.
         tables: rows by name of TABLES.
         errata, notes: at the end and at the beginning.
+        drawn_from: parameters of the composite in Figs. 1 and 11 to 14.
+        own: whether the synthetic data are of another wire than the paper's.
     """
 
     outcomes: Mapping[str, Outcome]
@@ -462,7 +404,9 @@ class PaperPage:
     composite_synthetic: bool
     tables: Mapping[str, Sequence[Row]]
     errata: Sequence[Erratum]
+    drawn_from: Parameters
     notes: Sequence[Finding] = ()
+    own: bool = False
 
     def pictures(self) -> dict[int, list[Picture]]:
         """Pictures by figure number of the paper, captions with equation and data source."""
@@ -475,8 +419,8 @@ class PaperPage:
                 for k, picture in enumerate(drawn)
             ]
         found[6] = [captioned(6, self.validation, self.validation_synthetic)]
-        bench = bench_picture()
-        found[11] = [replace(bench, title=f"Fig. 11: {bench.title}")]
+        for number, drawing in setup_pictures(self.drawn_from).items():
+            found[number] = [replace(drawing, title=f"Fig. {number}: {drawing.title}")]
         for number, draw_runs in (
             (15, composite_voltage_picture), (16, composite_deflection_picture),
         ):
@@ -493,8 +437,9 @@ class PaperPage:
             tables = [html_table(table, self.tables[table])] if table else []
             shown = [picture for number in numbers for picture in pictures[number]]
             heading = f"{TABLES[table][0]}" if table and not numbers else title
-            sections.append(Section(heading, tables=tables, pictures=shown,
-                                    notes=self._remarks(numbers)))
+            rows = self.tables[table] if table else ()
+            notes = [*self._remarks(numbers), *([] if self.own else row_remarks(rows))]
+            sections.append(Section(heading, tables=tables, pictures=shown, notes=notes))
         sections.append(self._beyond())
         errata = errata_sections(self.errata)
         errata[0] = replace(errata[0], pictures=[errata_picture()])
@@ -503,15 +448,18 @@ class PaperPage:
     def _contents(self, pictures: Mapping[int, Sequence[Picture]]) -> Section:
         rows = []
         equations = {number: text for number, _, text, _ in EXPERIMENT_FIGURES}
-        equations |= {6: "eq. (2)", 11: "", 15: "eq. (2)", 16: "eqs. (15), (17)"}
+        equations |= {
+            1: "", 6: "eq. (2)", 11: "", 12: "", 13: "eqs. (12) to (14)",
+            14: "eqs. (2) to (17)", 15: "eq. (2)", 16: "eqs. (15), (17)",
+        }
         for number, drawn in pictures.items():
-            data = "drawing" if number == 11 else self._data(number)
+            data = "drawing" if number in DRAWINGS else self._data(number)
             rows.append((f"Fig. {number}", drawn[0].title.partition(": ")[2], equations[number],
                          data))
         return Section(
             "Contents", tables=[Table(("", "shows", "of", "data"), rows)],
-            paragraphs=["Figures 1 and 12 to 14 of the paper show set-ups and diagrams, no data. "
-                        "Tables are written as CSV, figures as PNG beside this page."],
+            paragraphs=["Figures 1 and 11 to 14 show set-ups and diagrams, drawn from the "
+                        "parameters. Tables are written as CSV, figures as PNG beside this page."],
             notes=[str(note) for note in self.notes],
         )
 

@@ -1,15 +1,18 @@
 """The paper's experiments on synthetic specimens: protocols, cycles and repeats as it did them."""
 
+import math
+
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import (
     AUSTENITE_TEST_TEMPERATURE,
     DSC_CYCLES,
+    HOLDING_FORCE,
     MARTENSITE_TEST_TEMPERATURE,
     TRANSITIONS,
     UPFR_FINISH,
     UPFR_START,
 )
-from sma_bench.physics.bending import bending_coefficients
+from sma_bench.physics.bending import bending_coefficients, wire_section
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.record import Record
@@ -22,22 +25,28 @@ COMPOSITE_SIDES = ("front", "front", "back", "back")
 # The paper says that its specimen is stiffer on one side, not by how much.
 BACK_STIFFNESS = 3.0
 REPEATS = (-1.0, 0.0, 1.0)  # in standard deviations: their sample deviation is 1
-_TEMPERATURES = {
-    "martensite": MARTENSITE_TEST_TEMPERATURE, "austenite": AUSTENITE_TEST_TEMPERATURE,
-}
+_WELL_INSIDE = 15.0  # K beyond M_f or A_f
 STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
+
+
+def is_papers_wire(parameters: Parameters) -> bool:
+    """Whether the transition temperatures are those of Table II, cycle 2."""
+    return all(parameters[name] == DSC_CYCLES[1][symbol] for symbol, name in TRANSITIONS.items())
 
 
 def wire_rig(parameters: Parameters) -> Parameters:
     """One clamped wire (Fig. 1)."""
-    return parameters.replace({"bench.channels": ("wire",), "bench.channel_sides": ("front",)})
+    return parameters.replace({
+        "bench.channels": ("wire",), "bench.channel_sides": ("front",), "load.kind": "clamped",
+    })
 
 
 def composite_rig(parameters: Parameters) -> Parameters:
     """Four wires, two a side (Figs. 11, 12); the back stiffer unless both are given."""
-    rig = parameters.replace(
-        {"bench.channels": COMPOSITE_CHANNELS, "bench.channel_sides": COMPOSITE_SIDES}
-    )
+    rig = parameters.replace({
+        "bench.channels": COMPOSITE_CHANNELS, "bench.channel_sides": COMPOSITE_SIDES,
+        "load.kind": "beam",
+    })
     if "composite.stress_per_deflection_back" in parameters.given:
         return rig
     _, _, back = bending_coefficients(rig)
@@ -56,7 +65,9 @@ def validation_record(parameters: Parameters) -> Record:
 
 
 def dsc_record(parameters: Parameters) -> DscRecord:
-    """E5: two heating cycles, of Table II."""
+    """E5: two heating cycles, of Table II; of another wire both are its own."""
+    if not is_papers_wire(parameters):
+        return dsc_run([parameters, parameters], 5)
     cycles = [
         parameters.replace({TRANSITIONS[symbol]: value for symbol, value in cycle.items()})
         for cycle in DSC_CYCLES
@@ -65,13 +76,33 @@ def dsc_record(parameters: Parameters) -> DscRecord:
 
 
 def upfr_records(parameters: Parameters) -> tuple[IsobaricRecord, ...]:
-    """E6: three specimens with the paper's mean and deviation; first cycle, as prestrained."""
+    """E6: three specimens with the paper's mean and deviation; first cycle, as prestrained. Those
+    of another wire deviate as much from its own temperatures."""
+    if not is_papers_wire(parameters):
+        wire = wire_rig(parameters)
+        ends = [_tangent_ends(wire, end) for end in (0, 1)]
+        return upfr_tests(
+            wire, *(
+                [end + deviation * k for k in REPEATS]
+                for end, (_, deviation) in zip(ends, (UPFR_START, UPFR_FINISH), strict=True)
+            ),
+        )
     cooling = {TRANSITIONS[symbol]: DSC_CYCLES[0][symbol] for symbol in ("M_s", "M_f")}
     return upfr_tests(
         wire_rig(parameters).replace(cooling),
         [UPFR_START[0] + UPFR_START[1] * k for k in REPEATS],
         [UPFR_FINISH[0] + UPFR_FINISH[1] * k for k in REPEATS],
     )
+
+
+def _tangent_ends(wire: Parameters, end: int) -> float:
+    """Where the tangents of a heating under the holding force meet, K: start (0) or finish (1)."""
+    start, finish = (
+        wire[f"wire.austenite_{which}_temperature"] for which in ("start", "finish")
+    )
+    shift = HOLDING_FORCE / wire_section(wire) / wire["wire.stress_influence_austenite"]
+    inward = (0.5 - 1.0 / math.pi) * (finish - start)
+    return float((start + inward, finish - inward)[end] + shift)
 
 
 def isobaric_records(parameters: Parameters) -> tuple[IsobaricRecord, ...]:
@@ -93,10 +124,20 @@ def tensile_records(parameters: Parameters) -> tuple[TensileRecord, ...]:
                 for name in ("wire.martensite_modulus", "wire.austenite_modulus")
             }
         )
-        for phase, kelvin in _TEMPERATURES.items():
+        for phase, kelvin in _test_temperatures(parameters).items():
             name = f"synthetic {phase} {k + 1} at {kelvin:.2f} K"
             tests.append(tensile_test(specimen, kelvin, name, 20 + k))
     return tuple(tests)
+
+
+def _test_temperatures(parameters: Parameters) -> dict[str, float]:
+    """Of Table III, as far as this wire is martensite and austenite there."""
+    cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
+    hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
+    return {
+        "martensite": min(MARTENSITE_TEST_TEMPERATURE, cold),
+        "austenite": max(AUSTENITE_TEST_TEMPERATURE, hot),
+    }
 
 
 def clamped_record(parameters: Parameters) -> Record:

@@ -24,7 +24,7 @@ WORDS = {
     "batch": ["identify", "IN"], "report": ["IN", "--out", "OUT"], "audit": ["IN"],
     "parameters": ["--params", "IN"], "effects": [], "simulate": ["--input", "IN", "--out", "OUT"],
     "paper": ["IN", "--out", "OUT"], "calibrate": ["supply", "--csv", "IN"], "call": ["a/b"],
-    "demo": [], "dashboard": [], "completion": ["bash"],
+    "demo": [], "linearise": ["--params", "IN"], "dashboard": [], "completion": ["bash"],
     "blind make": ["--seed", "1", "--out", "OUT"], "blind run": ["IN"], "blind score": ["IN"],
     "blind figures": ["--out", "OUT"], "blind rival": ["bic", "IN", "--params", "IN"],
 }

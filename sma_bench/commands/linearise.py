@@ -1,0 +1,150 @@
+"""sma-bench linearise: the paper's linearised model (E11) about any operating point of any rig."""
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
+from sma_bench.commands.parser import FOLDER, add_output
+from sma_bench.commands.terminal import (
+    add_json_option,
+    output_console,
+    print_table,
+    say,
+    write_json,
+)
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+
+if TYPE_CHECKING:
+    from sma_bench.physics.linearised import Linearised
+    from sma_bench.physics.operating_point import OperatingPoint
+
+BRANCHES = ("heating", "cooling")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--deflection", type=float, metavar="M",
+        help="signed deflection, or angle, of the point, its side driven evenly (default: half of "
+        "the largest to the front, as the paper)",
+    )
+    where.add_argument(
+        "--voltage", type=float, nargs="+", metavar="V",
+        help="held commands, one for all wires or one each, on a full loop",
+    )
+    where.add_argument(
+        "--temperature", type=float, nargs="+", metavar="K",
+        help="wire temperatures, one for all or one each, on a full loop",
+    )
+    parser.add_argument(
+        "--branch", choices=BRANCHES, default="heating", help="of the changes to come"
+    )
+    parser.add_argument("--latent-heat", type=float, default=0.0, metavar="J/KG",
+                        help="of eq. (1); 0 as in the paper's eq. (2)")
+    add_json_option(parser, "point, coefficients and state space")
+    add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with the figure")
+    add_parameter_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print point, coefficients as printed and corrected, gains; write what was asked for."""
+    from sma_bench.physics.linearised import linearise
+
+    parameters = parameters_from_options(args)
+    point = _point(args, parameters)
+    model = linearise(point, args.latent_heat)
+    if args.json:
+        write_json(args.json, document(model))
+    _print(model)
+    if args.report:
+        from sma_bench.report.page import Section, write_report
+        from sma_bench.report.setup_figures import operating_point_picture
+
+        picture = operating_point_picture(model)
+        page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
+                            [Section("Operating point", pictures=[picture])])
+        say(f"report {page}")
+    return 0
+
+
+def _point(args: argparse.Namespace, parameters: Parameters) -> "OperatingPoint":
+    from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
+
+    wires = len(parameters["bench.channels"])
+    for name in ("voltage", "temperature"):
+        given = getattr(args, name)
+        if given is None:
+            continue
+        if len(given) not in (1, wires):
+            raise InputError(f"--{name}: {len(given)} numbers, expected 1 or {wires}")
+        at = OperatingPoint.at_voltage if name == "voltage" else OperatingPoint.at_temperature
+        return at(parameters, given[0] if len(given) == 1 else given, args.branch)
+    deflection = args.deflection
+    if deflection is None:
+        deflection = 0.5 * maximum_deflection(parameters)
+    return OperatingPoint.at_deflection(parameters, deflection, args.branch)
+
+
+def document(model: "Linearised") -> dict[str, Any]:
+    """Everything as plain numbers in SI units."""
+    import numpy as np
+
+    from sma_bench.physics.linearised import coefficient_table
+
+    point, space = model.point, model.state_space()
+    channels = point.parameters["bench.channels"]
+    return {
+        "operating_point": {
+            "branch": point.branch, "deflection": point.deflection,
+            "voltage": dict(zip(channels, point.voltage.tolist(), strict=True)),
+            "temperature": dict(zip(channels, point.temperature.tolist(), strict=True)),
+            "martensite_fraction": dict(
+                zip(channels, point.martensite_fraction.tolist(), strict=True)),
+            "stress": dict(zip(channels, point.stress.tolist(), strict=True)),
+        },
+        "coefficients": {
+            row.name: {"equation": row.equation, "unit": row.unit, "printed": row.printed,
+                       "corrected": row.corrected, "remark": row.remark}
+            for row in coefficient_table(point, _wire(model))
+        },
+        "state_space": {
+            "states": [f"{channel}.temperature" for channel in channels],
+            "inputs": [f"{channel}.voltage" for channel in channels],
+            "outputs": list(model.output_names),
+            **{name: getattr(space, name).tolist() for name in "ABCD"},
+        },
+        "poles": np.linalg.eigvals(space.A).real.tolist(),
+        "deflection_per_volt": dict(
+            zip(channels, model.deflection_per_volt().tolist(), strict=True)),
+    }
+
+
+def _wire(model: "Linearised") -> int:
+    """The wire whose coefficients are shown: the warmest."""
+    return int(model.point.temperature.argmax())
+
+
+def _print(model: "Linearised") -> None:
+    from sma_bench.physics.linearised import coefficient_table
+
+    point, console = model.point, output_console()
+    channels = point.parameters["bench.channels"]
+    gains = model.deflection_per_volt()
+    rows = [
+        (channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
+         f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
+         f"{1e3 * gains[k]:.4g}")
+        for k, channel in enumerate(channels)
+    ]
+    headings = ("wire", "V", "K", "xi", "MPa", "mm/V (mrad/V)")
+    title = f"operating point on {point.branch}, deflection {1e3 * point.deflection:.4g} mm (mrad)"
+    print_table(console, headings, rows, right=(1, 2, 3, 4, 5), title=title)
+    table = [
+        (row.name, row.equation, f"{row.printed:.5g}", f"{row.corrected:.5g}", row.unit, row.remark)
+        for row in coefficient_table(point, _wire(model))
+    ]
+    console.print()
+    print_table(console, ("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong"),
+                table, right=(2, 3))

@@ -1,0 +1,78 @@
+"""sma-bench linearise: E11 about any operating point."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sma_bench.cli import main
+from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.physics import simulate
+from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
+from sma_bench.synthetic.paper_specimens import composite_rig
+
+RIG = composite_rig(Parameters.defaults())
+
+
+@pytest.fixture
+def rig(tmp_path):
+    path = tmp_path / "rig.yaml"
+    write_parameters(path, RIG)
+    return str(path)
+
+
+def answered(tmp_path, *words):
+    path = tmp_path / "linear.json"
+    assert main(["linearise", *words, "--json", str(path), "--force"]) == 0
+    return json.loads(path.read_text())
+
+
+def test_half_of_the_largest_deflection_is_the_papers_point(rig, tmp_path, capsys):
+    found = answered(tmp_path, "--params", rig)
+    assert found["operating_point"]["deflection"] == pytest.approx(0.5 * maximum_deflection(RIG))
+    printed = capsys.readouterr().out
+    assert "b_1 of stress" in printed and "operating point on heating" in printed
+
+
+@pytest.mark.parametrize("branch", ["heating", "cooling"])
+def test_gain_is_the_slope_of_the_steady_states(rig, tmp_path, branch):
+    found = answered(tmp_path, "--params", rig, "--deflection", "-0.012", "--branch", branch)
+    point = found["operating_point"]
+    assert point["deflection"] == pytest.approx(-0.012)
+    volts = np.array(list(point["voltage"].values()))
+    step = np.where(volts > 0.0, 1e-4, 0.0)
+    low, high = (
+        OperatingPoint.at_voltage(RIG, volts + sign * step, branch).deflection for sign in (-1, 1)
+    )
+    gains = [found["deflection_per_volt"][c] for c, v in point["voltage"].items() if v > 0.0]
+    assert sum(gains) == pytest.approx((high - low) / 2e-4, rel=1e-3)
+
+
+def test_pole_is_the_rate_at_which_the_simulated_wire_settles(rig, tmp_path):
+    found = answered(tmp_path, "--params", rig, "--voltage", "4.6")
+    volts = np.array(list(found["operating_point"]["voltage"].values()))
+    time = np.arange(0.0, 6.0, 0.002)
+    voltage = np.where((time > 4.0)[:, None], volts + 0.02, volts)
+    run = simulate(RIG, time, voltage)
+    kelvin = run.temperature[:, 0]
+    rise = (kelvin[-1] - kelvin)[(time > 4.05) & (time < 4.4)]
+    rate = np.polyfit(time[(time > 4.05) & (time < 4.4)], np.log(rise), 1)[0]
+    assert found["poles"][0] == pytest.approx(rate, rel=0.02)
+
+
+def test_a_report_shows_the_tangent(rig, tmp_path):
+    words = ["--params", rig, "--temperature", "345", "345", "296.15", "296.15"]
+    assert main(["linearise", *words, "--report", str(tmp_path / "page")]) == 0
+    assert (tmp_path / "page" / "linearised.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["--deflection", "3.0"], "deflection is 3 m, expected at most"),
+    (["--voltage", "1", "2"], "--voltage: 2 numbers, expected 1 or 4"),
+    (["--temperature", "200"], "lies below ambient"),
+    (["--set", "effect.latent_heat.heat=1e4"], "is on, expected eqs. (10), (11) as they are"),
+])
+def test_a_point_that_cannot_be_is_one_line(words, said, rig, capsys):
+    assert main(["linearise", "--params", rig, *words]) == 2
+    printed = capsys.readouterr().err
+    assert said in printed and printed.count("\n") == 1
