@@ -210,7 +210,7 @@ def _next(result: DiagnoseResult) -> str:
         return _proposal(result.next_experiment)
     return {
         "effect": "the same command with --out improved.yaml, then sma-bench simulate --params "
-                  "improved.yaml --protocol triangle --out simulated",
+                  "improved.yaml --input RECORD --out simulated",
         "recalibration": "the same command with --out improved.yaml; load that file in every node",
         NO_GAP: "nothing to correct; a stronger or longer drive may show more",
         "ambiguous": "no protocol within the voltage that the bench has stood would settle it: see "

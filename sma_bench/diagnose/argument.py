@@ -85,13 +85,17 @@ def _evidence(decision: Decision, search: Search) -> list[str]:
 
 def _difference(decision: Decision) -> list[str]:
     """Where the two most probable models differ most."""
-    models = [c for c in decision.candidates if c.fit is not None and c.name != NO_GAP][:2]
+    models = [c for c in decision.candidates if c.fit is not None and c.name != NO_GAP]
     if len(models) < 2 or decision.verdict in (NO_GAP, UNEXPLAINED):
         return []
-    one, other = (_fit(c) for c in models)
+    first = models[0]
+    # One that only adds to the first is no rival of it.
+    own = set(first.effects)
+    rival = next((c for c in models[1:] if not (own and own <= set(c.effects))), models[1])
+    one, other = _fit(first), _fit(rival)
     cell = locate(one.problem, one.predicted - other.predicted)[0]
     return [
-        f"{models[0].name} and {models[1].name}, each at its best, differ most in "
+        f"{first.name} and {rival.name}, each at its best, differ most in "
         f"{cell_in_words(cell)}: by {cell.gap:.2g} times the noise."
     ]
 

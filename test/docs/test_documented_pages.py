@@ -7,6 +7,8 @@ import pytest
 from page_runner import ROOT, PageRunner, blocks_of, is_command, runs_in_a_test
 
 from sma_bench import compiled
+from sma_bench.cards import verdict_card
+from sma_bench.results import diagnosis_from
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Pages that another test plays, or whose text a command writes, which cannot carry comments.
@@ -47,7 +49,11 @@ def test_page_can_be_played(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert PageRunner(tmp_path).play(page) > 0
     if name_of(page) == "docs/tutorials/first_diagnosis.md":
-        check_first_diagnosis(json.loads((tmp_path / "gap.json").read_text()))
+        answer = json.loads((tmp_path / "gap.json").read_text())
+        check_first_diagnosis(answer)
+        card = verdict_card(diagnosis_from(tmp_path, answer))
+        for shown in (page, ROOT / "README.md"):
+            assert card.title in shown.read_text()
 
 
 def check_first_diagnosis(answer):
