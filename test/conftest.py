@@ -4,6 +4,7 @@ import fcntl
 import os
 import random
 import shutil
+import signal
 import tempfile
 import time
 from collections.abc import Iterator
@@ -28,6 +29,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.pop("COLUMNS", None)
 # Before anything imports numpy, as the command line does: small matrices, idle threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Tests end processes by the end of their terminal too, which nohup would have every one ignore.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # A busy machine is no failure; what hangs is seen all the same.
 hypothesis.settings.register_profile("any machine", deadline=None)
