@@ -8,7 +8,7 @@ counted, the true rate is below the last column with 95 % confidence (Poisson). 
 extrapolated. The same of the minute after a start, and delays of real steps beside. A week of all
 drifts takes ten minutes.
 
-    ./bench check twin_alarms [--weeks 8] [--seed 1]
+    ./bench check twin_alarms [--weeks 8] [--seed 1] [--drift 1 --time 200]
 """
 
 import argparse
@@ -146,6 +146,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--weeks", type=int, default=8, help="of a bench, of every kind of drift")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--drift", type=float, nargs="+", default=(0.5, 1.0), metavar="SHARE",
+                        help="of what is allowed; with --time one row, for more weeks of it")
+    parser.add_argument("--time", type=float, nargs="+", default=TIMES, metavar="SECONDS")
     options = parser.parse_args(argv)
     random = np.random.default_rng(options.seed)
     print(f"alarms a week, of {options.weeks} weeks of a bench with {SIGNALS} signals; the twin's "
@@ -153,8 +156,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     print("drift [allowed]  time [s]  " + "  ".join(f"limit {limit:3g}" for limit in LIMITS)
           + "  at most (95 %)")
     worst = 0.0
-    for share in (0.5, 1.0):
-        for time in TIMES:
+    for share in options.drift:
+        for time in options.time:
             found = alarms(random, options.weeks, share * ALLOWED, time)
             bound = at_most(found[-1]) / options.weeks
             worst = max(worst, bound)
@@ -162,7 +165,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                   + "  ".join(f"{count / options.weeks:9.3g}" for count in found)
                   + f"  {bound:14.2f}", flush=True)
     print(f"\nof {STARTS} starts of a signal, those with an alarm in the first minute")
-    for time in TIMES:
+    for time in options.time:
         found_at = alarms_at_starts(random, STARTS, ALLOWED, time)
         print(f"{1.0:15g}  {time:8g}  {found_at:9d}", flush=True)
     print(f"\nseconds until a step is named, median of {TRIALS} (share that is within a minute)")

@@ -60,7 +60,7 @@ def test_a_number_out_of_its_range_is_named_and_ends_nothing_else():
 
 def fitted(parameters, x, covariance):
     """A fit of the heat loss alone, x prior deviations up."""
-    unknowns = unknowns_of(parameters, [LOSS], shapes=False)
+    unknowns = unknowns_of(parameters, [LOSS], shapes={})
     problem = SimpleNamespace(observations=(), nuisances=(), blocks=())
     fit = SimpleNamespace(
         unknowns=unknowns, x=np.array([x]), z=np.zeros(0), problem=problem, evidence=0.0,

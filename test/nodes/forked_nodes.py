@@ -91,9 +91,10 @@ def serve(requests: socket.socket) -> None:
             os.read(waking, 4096)
             _report_ended(running)
         if requests in ready:
-            data, (log, answers), *_ = socket.recv_fds(requests, _LONGEST_REQUEST, 2)
+            data, handles, *_ = socket.recv_fds(requests, _LONGEST_REQUEST, 2)
             if not data:
                 return
+            log, answers = handles
             pid = os.fork()
             if pid == 0:
                 signal.set_wakeup_fd(-1)

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import pytest
 
-from sma_bench.cli import COMMANDS
+from sma_bench.commands.parser import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
+COMMANDS_FILE = "sma_bench/commands/parser.py"
 COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
 SETUP = """from setuptools import setup
 setup(name="sma_bench", version="0", packages=["sma_bench"])
@@ -35,6 +36,7 @@ def make_house(folder: Path, requirements: str = ONE_SMALL_PACKAGE) -> Path:
         "package.xml": "",
         "sma_bench/__init__.py": "",
         "sma_bench/cli.py": COMMAND_LINE,
+        COMMANDS_FILE: "",
         "test/check/units.py": COMMAND_LINE,
     }
     for name, text in texts.items():
@@ -175,7 +177,8 @@ def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_s
     tmp_path: Path,
 ) -> None:
     house = make_house(tmp_path / "house")
-    shutil.copy2(ROOT / "sma_bench" / "cli.py", house / "sma_bench" / "cli.py")
+    (house / COMMANDS_FILE).unlink()
+    shutil.copy2(ROOT / COMMANDS_FILE, house / COMMANDS_FILE)
     _, out, _ = bench(house)
     for name, text in COMMANDS.items():
         said = "" if name in ("demo", "run", "call") else re.escape(text)

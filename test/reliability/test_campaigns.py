@@ -25,8 +25,8 @@ def failed(outcomes):
 
 
 def test_damaged_bags_are_read_up_to_the_damage_and_the_loss_is_stated(tmp_path):
-    outcomes = damaged_bags(54, 5, tmp_path)
-    assert [outcome.tried for outcome in outcomes] == [9] * 6 + [1]
+    outcomes = damaged_bags(72, 5, tmp_path)
+    assert [outcome.tried for outcome in outcomes] == [12] * 6 + [1]
     assert failed(outcomes) == []
 
 
