@@ -4,8 +4,9 @@ The real firmware on an emulated Uno, the real serial link and sensors' arithmet
 synthetic camera read as `ir_camera` reads them, a bag, and the identification: what `./bench demo
 --hardware` does through nodes in real time, for several wires drawn at random, each with its own
 noise. The bench is no ideal one: the supply has 0.1 ohm, and USB gives one wire 4.75 V, the next
-5 V, the third 5.1 V. z is the estimate less the truth in stated standard errors: it should scatter
-by about one. A minute or two a wire.
+5 V, the third 5.1 V. z is the estimate less the truth in stated statistical errors (the scales of
+this bench's sensors are right, which the systematic part does not know): it should scatter by about
+one. A minute or two a wire.
 
     ./bench check table_one [--wires 6] [--json table_one.json]
 """
@@ -191,9 +192,9 @@ def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[st
     found = identify(bags, Parameters.defaults()).to_json()["parameters"]
     return {
         name: {
-            "truth": truth[name], "value": found[name]["value"], "std": found[name]["std"],
+            "truth": truth[name], "value": found[name]["value"], "std": found[name]["statistical"],
             "off": found[name]["value"] / truth[name] - 1.0,
-            "z": (found[name]["value"] - truth[name]) / found[name]["std"],
+            "z": (found[name]["value"] - truth[name]) / found[name]["statistical"],
         }
         for name in TABLE_ONE
     }
