@@ -12,7 +12,12 @@ from typing import NamedTuple
 from sma_bench.border import printable
 from sma_bench.parameters.effect_table import EFFECTS
 from sma_bench.results import (
+    AT_NOISE,
+    DIFFER_MOST,
+    NEEDS_NONE,
+    NEEDS_OFF,
     NO_GAP,
+    SOMETHING_ELSE,
     DiagnoseResult,
     IdentifyResult,
     Number,
@@ -20,11 +25,11 @@ from sma_bench.results import (
     Shown,
     Shrunk,
     in_print,
+    percent,
     with_error,
 )
 
 _LEAST_NAMED = 0.02  # probability
-_AT_NOISE = 1.05  # rms of the error over the noise of a sample
 _WIDTH = 96
 _PHASES = {"initial": "before the first drive", "drive": "while driven", "rest": "at rest"}
 
@@ -44,7 +49,7 @@ def verdict_card(result: DiagnoseResult) -> Card:
         ("where", _where(result)),
         *(("error", line) for line in _errors(result)),
         ("rivals", _rivals(result)),
-        ("left", _remainder(result)),
+        ("left", _said(result, SOMETHING_ELSE)),
         ("next", _next(result)),
     ]
     said = [(label, text) for label, text in rows if text]
@@ -115,7 +120,7 @@ def _title(result: DiagnoseResult) -> str:
         "recalibration": "no effect is missing, the parameters are off",
         NO_GAP: "no gap beyond the noise",
     }.get(result.verdict, "a gap that no known effect explains")
-    sure = [f" (probability {_percent(c.probability)})" for c in result.candidates[:1]]
+    sure = [f" (probability {percent(c.probability)})" for c in result.candidates[:1]]
     return "".join([said, *sure])
 
 
@@ -149,10 +154,8 @@ def _number(number: Number) -> str:
 
 def _moved(result: DiagnoseResult) -> str:
     """Parameters that are surprisingly far off; of a recalibration, that none is, too."""
-    off = next((w for w in result.why if w.startswith("It needs parameters off")), "")
-    if off or result.verdict != "recalibration":
-        return off
-    return next((w for w in result.why if w.startswith("It needs no parameter")), "")
+    off = _said(result, NEEDS_OFF)
+    return off if off or result.verdict != "recalibration" else _said(result, NEEDS_NONE)
 
 
 def _where(result: DiagnoseResult) -> str:
@@ -161,7 +164,7 @@ def _where(result: DiagnoseResult) -> str:
     signal, phase, side, gap, share, rms = result.where[0]
     place = f"{signal} {_PHASES.get(phase, phase)}, {side} side"
     size = f"{in_print(signal, rms)} rms, {gap:.3g} times the noise of a reading"
-    return f"{place}: {_percent(share)} of it ({size})"
+    return f"{place}: {percent(share)} of it ({size})"
 
 
 def _errors(result: DiagnoseResult) -> list[str]:
@@ -175,7 +178,7 @@ def _times(shrunk: Shrunk) -> float:
 
 
 def _error(s: Shrunk, result: DiagnoseResult) -> str:
-    if _times(s) < _AT_NOISE:
+    if _times(s) < AT_NOISE:
         return f"{s.quantity} within its noise as believed ({in_print(s.quantity, s.noise)})"
     steps = [f"{in_print(s.quantity, s.before)} as believed"]
     if math.isfinite(s.recalibrated) and result.verdict not in ("recalibration", NO_GAP):
@@ -189,20 +192,20 @@ def _error(s: Shrunk, result: DiagnoseResult) -> str:
         return said
     low, high = s.ci90
     between = f" [{100 * low:.0f}, {100 * high:.0f}]" if math.isfinite(low) else ""
-    return f"{said}: {_percent(s.fraction)}{between} of the gap gone"
+    return f"{said}: {percent(s.fraction)}{between} of the gap gone"
 
 
 def _rivals(result: DiagnoseResult) -> str:
-    difference = next((w for w in result.why if "differ most" in w), "")
+    difference = _said(result, DIFFER_MOST)
     close = _named(result.candidates[1:])
     if not close or result.verdict == "ambiguous":
         return difference
     return ". ".join(part for part in (close, difference) if part)
 
 
-def _remainder(result: DiagnoseResult) -> str:
-    """What keeps another cause alive, where it is more than nothing."""
-    return next((w for w in result.why if w.startswith("That something else")), "")
+def _said(result: DiagnoseResult, words: str) -> str:
+    """The sentence of `why` with these words, "" without one."""
+    return next((sentence for sentence in result.why if words in sentence), "")
 
 
 def _next(result: DiagnoseResult) -> str:
@@ -224,7 +227,7 @@ def _proposal(proposed: Proposed) -> str:
     name = f"record {proposed.name} " if proposed.name else "record "
     minutes = f"({proposed.minutes:.1f} min) " if math.isfinite(proposed.minutes) else ""
     chance = (
-        f"; it settles the matter with a probability of {_percent(proposed.chance)}"
+        f"; it settles the matter with a probability of {percent(proposed.chance)}"
         if math.isfinite(proposed.chance) else ""
     )
     return f"{name}{minutes}to separate {', '.join(proposed.separates)}{chance}"
@@ -232,12 +235,4 @@ def _proposal(proposed: Proposed) -> str:
 
 def _named(candidates: Sequence[Shown]) -> str:
     close = [c for c in candidates if c.probability >= _LEAST_NAMED]
-    return ", ".join(f"{c.name} ({_percent(c.probability)})" for c in close)
-
-
-def _percent(share: float) -> str:
-    if 0.0 < share < 0.005:
-        return "below 1 %"
-    if 0.995 < share < 1.0:
-        return "above 99 %"
-    return f"{100.0 * share:.0f} %"
+    return ", ".join(f"{c.name} ({percent(c.probability)})" for c in close)

@@ -42,6 +42,15 @@ def in_print(signal: str, value: float) -> str:
     return f"{factor * value:.3g} {unit}"
 
 
+def percent(share: float) -> str:
+    """A share; what is nearly nothing or all is not rounded to it."""
+    if 0.0 < share < 0.005:
+        return "below 1 %"
+    if 0.995 < share < 1.0:
+        return "above 99 %"
+    return f"{100.0 * share:.0f} %"
+
+
 def with_error(value: float, std: float) -> str:
     """`value ± std`, the value to the decimals that the error leaves it."""
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
@@ -52,6 +61,11 @@ def with_error(value: float, std: float) -> str:
 
 
 # --- Result files of `sma-bench identify` and `diagnose`, read back and checked (docs/topics.md).
+
+# How sentences of `why` begin, or what is in them, by which a card finds them.
+DIFFER_MOST = "differ most in"
+NEEDS_NONE, NEEDS_OFF = "It needs no parameter", "It needs parameters off"
+SOMETHING_ELSE = "That something else is at work"
 
 LARGEST = 1 << 24
 _LARGEST_NUMBER = 1e100
@@ -281,7 +295,7 @@ def _number(found: Any) -> float:
 # --- What a result says of the gap, in lines of `~/gap`.
 
 NO_GAP = "no_gap"
-_AT_NOISE = 1.05  # rms of the error over the noise of a sample
+AT_NOISE = 1.05  # rms of the error over the noise of a sample: nothing to shrink
 
 
 @dataclass(frozen=True)
@@ -325,7 +339,7 @@ def _of(quantity: str, shrinkage: Mapping[str, Any], is_gap: bool) -> GapState:
     # JSON has null for a number that does not exist.
     numbers = {key: math.nan if value is None else value for key, value in shrinkage.items()}
     times = numbers["rmse_before"] / numbers["noise_floor"]
-    shown = is_gap and times > _AT_NOISE
+    shown = is_gap and times > AT_NOISE
     message = f"{times:.1f} times the noise"
     if shown:
         message += f", {100.0 * numbers['fraction']:.0f} % of the gap gone with the improvement"

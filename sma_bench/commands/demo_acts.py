@@ -492,7 +492,6 @@ def _diagnosed(
 
 def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
     """The verdict card and the candidates."""
-    card = card_text(diagnosis_from(Path("diagnosis"), answer))
-    console.print(card, markup=False, soft_wrap=True)
-    console.print()
-    print_tables(console, answer, ("candidates_table",))
+    result = diagnosis_from(Path("diagnosis"), answer)
+    console.print(f"{card_text(result)}\n", markup=False, soft_wrap=True)
+    print_tables(console, result, ("candidates_table",))

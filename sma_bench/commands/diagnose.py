@@ -2,12 +2,11 @@
 
 import argparse
 from collections.abc import Container
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from sma_bench.border import printable, read_json
+from sma_bench.border import printable
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
 from sma_bench.commands.terminal import (
@@ -19,10 +18,10 @@ from sma_bench.commands.terminal import (
     say,
     write_json,
 )
-from sma_bench.results import LARGEST, diagnosis_from, json_text
 
 if TYPE_CHECKING:
     from sma_bench.diagnose import Diagnosis
+    from sma_bench.results import DiagnoseResult
 
 _CELLS_SHOWN = 6
 
@@ -81,17 +80,17 @@ def print_result(result: "Diagnosis") -> None:
     """The card, then the argument in a few tables."""
     console = output_console()
     console.print(f"{result}\n", markup=False, soft_wrap=True)
-    print_tables(console, read_json(json_text(result.to_json()), "result", LARGEST))
+    print_tables(console, result.shown)
     for sentence in result.why:
         console.print(printable(sentence), markup=False)
     print_findings(result.findings)
 
 
-def print_tables(console: Console, document: Any, names: Container[str] = ()) -> None:
-    """The tables of a result that is read from JSON, those of `names` where they are given."""
+def print_tables(console: Console, result: "DiagnoseResult", names: Container[str] = ()) -> None:
+    """The tables of a result, those of `names` where they are given."""
     from sma_bench.report.diagnosis_words import result_tables
 
-    for table in result_tables(diagnosis_from(Path("result"), document)):
+    for table in result_tables(result):
         if not names or table.name in names:
             rows = table.rows[:_CELLS_SHOWN] if table.name == "where" else table.rows
             print_table(console, table.header, rows, table.numeric, title=table.title)

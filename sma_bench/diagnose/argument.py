@@ -15,6 +15,7 @@ from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import Cell, locate
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters.table import BY_NAME
+from sma_bench.results import DIFFER_MOST, NEEDS_NONE, NEEDS_OFF, SOMETHING_ELSE, percent
 
 SURPRISING = 2.0  # prior deviations
 _MOST_NAMED = 3
@@ -43,15 +44,6 @@ def cell_in_words(cell: Cell) -> str:
         return f"the deflection {phase}, {cell.side} side driven last"
     channel, _, quantity = cell.signal.rpartition(".")
     return f"the {quantity} of {channel} ({cell.side} side) {phase}"
-
-
-def percent(share: float) -> str:
-    """A share; what is nearly nothing or all is not rounded to it."""
-    if 0.0 < share < 0.005:
-        return "below 1 %"
-    if 0.995 < share < 1.0:
-        return "above 99 %"
-    return f"{100.0 * share:.0f} %"
 
 
 def surprising(model: Fit) -> list[tuple[str, float, float]]:
@@ -95,7 +87,7 @@ def _difference(decision: Decision) -> list[str]:
     one, other = _fit(first), _fit(rival)
     cell = locate(one.problem, one.predicted - other.predicted)[0]
     return [
-        f"{first.name} and {rival.name}, each at its best, differ most in "
+        f"{first.name} and {rival.name}, each at its best, {DIFFER_MOST} "
         f"{cell_in_words(cell)}: by {cell.gap:.2g} times the noise."
     ]
 
@@ -110,7 +102,7 @@ def _moved(model: Fit) -> str:
     moved = surprising(model)
     if not moved:
         return (
-            "It needs no parameter farther than two of its standard deviations from where it is "
+            f"{NEEDS_NONE} farther than two of its standard deviations from where it is "
             "believed."
         )
     named = "; ".join(
@@ -119,7 +111,7 @@ def _moved(model: Fit) -> str:
     )
     more = len(moved) - _MOST_NAMED
     rest = f"; and {more} more" if more > 0 else ""
-    return f"It needs parameters off what is believed (in standard deviations): {named}{rest}."
+    return f"{NEEDS_OFF} what is believed (in standard deviations): {named}{rest}."
 
 
 def _left_over(search: Search, model: Fit) -> str:
@@ -153,7 +145,7 @@ def _unexplained(decision: Decision, search: Search) -> list[str]:
         return []
     signs = signs_of_unexplained(search)
     name = max(signs, key=lambda sign: signs[sign])
-    share = f"That something else is at work keeps {percent(found.probability)}"
+    share = f"{SOMETHING_ELSE} keeps {percent(found.probability)}"
     if signs[name] <= 0.0:
         return [f"{share}: no sign of it was found, which is no proof that there is nothing."]
     return [f"{share}: {name}."]

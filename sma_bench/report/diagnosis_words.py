@@ -6,15 +6,13 @@ from typing import NamedTuple
 import numpy as np
 
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.argument import cell_in_words, percent
+from sma_bench.diagnose.argument import cell_in_words
 from sma_bench.diagnose.chain import reading_of
 from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate
 from sma_bench.diagnose.shrinkage import Shrinkage
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.results import DiagnoseResult, in_print, with_error
-
-_AT_NOISE = 1.05  # rms of the error over the noise of a sample
+from sma_bench.results import AT_NOISE, DiagnoseResult, in_print, percent, with_error
 
 
 def headline(result: Diagnosis) -> str:
@@ -134,7 +132,7 @@ def what_next(result: Diagnosis) -> list[str]:
 
 def at_noise(shrinkage: Shrinkage) -> bool:
     """Whether there was nothing to shrink."""
-    return shrinkage.rmse_before < _AT_NOISE * shrinkage.noise_floor
+    return shrinkage.rmse_before < AT_NOISE * shrinkage.noise_floor
 
 
 def candidate_named(result: Diagnosis, name: str) -> Candidate:

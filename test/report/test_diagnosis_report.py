@@ -1,6 +1,7 @@
 """The page of a diagnosis: the argument in words that fit the numbers, and every figure."""
 
 import base64
+import html
 import re
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from planted import believed
 
+from sma_bench.cards import verdict_card
 from sma_bench.diagnose.decision import Decision
 from sma_bench.diagnose.flexible import Flexible
 from sma_bench.diagnose.next_experiment import NextExperiment
@@ -88,6 +90,15 @@ def test_the_words_carry_the_numbers_of_the_result(planted_diagnosis):
     which = " ".join(which_effect(result))
     assert "shows like this: a wire without voltage warms" in which
     assert "side_heat_coupling.conductance 0.00" in which and "W/K" in which
+
+
+def test_a_diagnosis_shows_its_card_with_every_row(planted_diagnosis, page):
+    card = verdict_card(planted_diagnosis.shown)
+    labels = [label for label, _ in card.rows if label]
+    assert labels == ["cause", "where", "error", "rivals", "next"]
+    assert str(planted_diagnosis).startswith(card.title)
+    for shown in (planted_diagnosis._repr_html_(), page[1]):
+        assert card.title in shown and "->" in html.unescape(shown)
 
 
 def test_a_quantity_at_its_noise_is_said_to_agree(planted_diagnosis):
