@@ -216,8 +216,7 @@ def _next(result: DiagnoseResult) -> str:
                   "improved.yaml --input RECORD --out simulated",
         "recalibration": "the same command with --out improved.yaml; load that file in every node",
         NO_GAP: "nothing to correct; a stronger or longer drive may show more",
-        "ambiguous": "no protocol within the voltage that the bench has stood would settle it: see "
-                     "the remarks",
+        "ambiguous": "nothing that the bench can do would settle it: see the remarks",
     }.get(result.verdict, "the same command with --report page draws the shape of what is missing")
 
 
@@ -225,12 +224,15 @@ def _proposal(proposed: Proposed) -> str:
     if not proposed.separates:
         return proposed.why
     name = f"record {proposed.name} " if proposed.name else "record "
+    if proposed.kind not in ("protocol", "sensor"):
+        name = f"{proposed.kind} "
     minutes = f"({proposed.minutes:.1f} min) " if math.isfinite(proposed.minutes) else ""
     chance = (
         f"; it settles the matter with a probability of {percent(proposed.chance)}"
         if math.isfinite(proposed.chance) else ""
     )
-    return f"{name}{minutes}to separate {', '.join(proposed.separates)}{chance}"
+    more = f"; {proposed.why}" if proposed.kind != "protocol" else ""
+    return f"{name}{minutes}to separate {', '.join(proposed.separates)}{chance}{more}"
 
 
 def _named(candidates: Sequence[Shown]) -> str:

@@ -125,6 +125,7 @@ class Shrunk:
 class Proposed:
     """What to measure next; `minutes` and `chance` that it settles the matter, NaN if not said."""
 
+    kind: str
     why: str
     name: str
     separates: tuple[str, ...]
@@ -219,7 +220,8 @@ def _diagnosis(path: Path, document: dict[str, Any]) -> DiagnoseResult:
 
 def _proposed(found: dict[str, Any]) -> Proposed:
     return Proposed(
-        _text(found["why"]), _text(found.get("protocol", {}).get("name", "")),
+        _text(found.get("kind", "protocol")), _text(found["why"]),
+        _text(found.get("protocol", {}).get("name", "")),
         _each(_text, found.get("separates", [])), _number(found.get("minutes")),
         _number(found.get("chance")),
     )

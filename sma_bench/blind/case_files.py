@@ -107,11 +107,14 @@ class Claim:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to measure to break a tie; `protocol` as in a protocol file."""
+    """What to measure next: a `protocol` as in a protocol file, with `quantities` measured beside
+    those of the case, or a test of `parameters` to standard deviations."""
 
     why: str
     separates: tuple[str, ...]
     protocol: Mapping[str, Any]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    quantities: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -268,7 +271,10 @@ def _next_experiment(
     if not isinstance(why, str):
         raise InputError(f"{where}: why is {_short(why)}, expected a text")
     protocol = _mapping(entry["protocol"] or {}, f"{where}: protocol")
-    return NextExperiment(why, separates, protocol)
+    tested = _mapping(entry.get("parameters") or {}, f"{where}: parameters")
+    stds = {n: _number(v, f"{where}: parameters: {n}", 0.0) for n, v in tested.items()}
+    quantities = _texts(entry.get("quantities") or [], f"{where}: quantities")
+    return NextExperiment(why, separates, protocol, stds, quantities)
 
 
 def _mapping(value: Any, where: str, keys: Sequence[str] = ()) -> Mapping[str, Any]:
@@ -433,11 +439,10 @@ def unseal(path: str | Path, sha256: str | None = None) -> list[dict[str, Any]]:
 #     examination.json            program, time limit, sha256 of the set's sealed labels
 #     0001/answer.json            {"case", "line", "seconds", "result"}: written last
 #     0001/improved.yaml          the parameters with the cause in them
-#     second/0001/                the same after the suggested experiment
+#     after_1/0001/               the same after the suggested experiment; at most three
 
-ANSWER, IMPROVED, EXAMINATION, SECOND = (
-    "answer.json", "improved.yaml", "examination.json", "second",
-)  # fmt: skip
+ANSWER, IMPROVED, EXAMINATION = "answer.json", "improved.yaml", "examination.json"
+FOLLOW_UPS = ("after_1", "after_2", "after_3")
 
 
 @dataclass(frozen=True)
@@ -511,6 +516,12 @@ def read_kept(folder: Path, case: str) -> Kept:
     return Kept(
         case, answer, document.get("line", ""), seconds, improved if improved.is_file() else None
     )
+
+
+def answers_of(folder: Path, case: str) -> list[Kept]:
+    """The answer to a case, and those after each experiment that was performed for it."""
+    places = [folder, *(folder / name for name in FOLLOW_UPS)]
+    return [read_kept(place, case) for place in places if is_kept(place, case)]
 
 
 def write_examination(folder: Path, examination: Examination) -> None:

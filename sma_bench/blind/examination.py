@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 
 from sma_bench.blind.case_files import (
-    SECOND,
+    FOLLOW_UPS,
     CaseSet,
     Kept,
+    NextExperiment,
+    answers_of,
     checked_answer,
     is_kept,
     keep,
@@ -28,11 +30,11 @@ from sma_bench.blind.case_files import (
 )
 from sma_bench.blind.cases import QUANTITIES
 from sma_bench.blind.reality import World, happen
-from sma_bench.blind.rigs import CHANNELS, COMMAND_PERIOD, rig_of
+from sma_bench.blind.rigs import BACK, CHANNELS, COMMAND_PERIOD, FRONT, rig_of
 from sma_bench.blind.sensors import Sensors, measure
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
-from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.protocols import Protocol, parse_protocol
 from sma_bench.records.write import write_record
 
@@ -78,12 +80,15 @@ class Examinee:
                 if process.poll() is None:
                     _kill(process)
 
-    def ask(self, case: Path, experiment: Path | None = None) -> Given:
+    def ask(
+        self, case: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
+    ) -> Given:
         """Put a case to the program.
 
         Args:
             case: folder with record, hold_out and nominal.yaml.
-            experiment: one more record, of the experiment that the first answer asked for.
+            experiments: further records, of what the answers before asked for; nominal: what the
+                owners believe by now.
 
         Raises:
             InputError: the case cannot be read or the program not be started. Whatever the
@@ -91,12 +96,13 @@ class Examinee:
         """
         with tempfile.TemporaryDirectory(prefix="bench_") as folder:
             desk = Path(folder)
-            for name in (RECORD, HOLD_OUT, NOMINAL):
+            for name in (RECORD, HOLD_OUT):
                 _copy(case / name, desk / name)
+            _copy(nominal or case / NOMINAL, desk / NOMINAL)
             records = [RECORD]
-            if experiment is not None:
-                _copy(experiment, desk / EXPERIMENT)
-                records.append(EXPERIMENT)
+            for number, bag in enumerate(experiments, 1):
+                records.append(f"{EXPERIMENT}_{number}")
+                _copy(bag, desk / records[-1])
             begin = time.monotonic()
             line = self._run(desk, records)
             seconds = time.monotonic() - begin
@@ -276,67 +282,112 @@ def ask_all(
             raise
 
 
-# --- The experiment that an ambiguous answer asks for, performed, and the diagnosis asked again.
+# --- What an answer asks for, done, and the diagnosis asked again: at most three times.
 #
-# The lab runs the suggested protocol on the case's own bench, records it with the same
-# instruments, and hands the second record over together with the first.
+# The lab runs the suggested protocol on the case's own bench, records it with the same instruments
+# (and with one more where that is what was asked for), and hands all records over together. A test
+# of the paper is not played: its instrument reads what the hidden wire has, off by a draw of the
+# standard deviation that the answer has stated for it.
 
-LONGEST = 900.0
+LONGEST = 1000.0
 _START_NS = 1_750_000_000 * 10**9
+_HOUR_NS = 3600 * 10**9
 # Apart from the streams that the cases are made of.
 _STREAM = 1_000_003
 
 
 def asks_for_more(kept: Kept) -> bool:
-    """An ambiguous answer with a protocol."""
+    """An answer with an experiment."""
     answer = kept.answer
-    if answer is None or answer.verdict != "ambiguous" or answer.next_experiment is None:
+    if answer is None or answer.next_experiment is None:
         return False
-    return bool(answer.next_experiment.protocol)
+    return bool(answer.next_experiment.protocol or answer.next_experiment.parameters)
 
 
 def follow_up(
     cases: CaseSet,
     labels: Mapping[str, Mapping[str, Any]],
-    kept: Sequence[Kept],
     examinee: Examinee,
     answers: Path,
     jobs: int = 1,
     report: Report = lambda done, line: None,
 ) -> None:
-    """Perform what is asked for and keep each second answer in `answers`/second.
+    """Do what is asked for, and keep each answer after it in `answers`/after_1 to after_3.
 
     Args:
         cases: the set; labels: by case, for the world.
-        kept: the first answers.
-        examinee: who gave them.
-        answers: folder of the examinee; second answers that are there stay.
-        report: called after each case.
+        examinee: who gave the answers; what has been answered stays.
+        answers: folder of the examinee.
+        report: called after each experiment.
     """
-    asking = {k.case: k for k in kept if asks_for_more(k)}
-    waiting = open_cases(list(asking), answers / SECOND)
-    ask = {
-        name: partial(_perform_and_ask, cases, labels[name], asking[name], examinee)
-        for name in waiting
-    }
-    ask_all(examinee, ask, answers / SECOND, jobs, report)
+    for number, name in enumerate(FOLLOW_UPS):
+        asking = {
+            case: history for case in cases.names
+            if len(history := answers_of(answers, case)) == number + 1
+            and asks_for_more(history[-1])
+        }
+        ask = {
+            case: partial(_do_and_ask, cases, labels[case], history, examinee)
+            for case, history in asking.items()
+        }
+        ask_all(examinee, ask, answers / name, jobs, report)
 
 
-def _perform_and_ask(
-    cases: CaseSet, label: Mapping[str, Any], kept: Kept, examinee: Examinee
+def _do_and_ask(
+    cases: CaseSet, label: Mapping[str, Any], history: Sequence[Kept], examinee: Examinee
 ) -> Given:
-    assert kept.answer is not None and kept.answer.next_experiment is not None
-    case = cases.folder / kept.case
-    try:
-        nominal = read_parameters(case / NOMINAL)
-        protocol = bench_protocol(kept.answer.next_experiment.protocol, nominal)
-    except InputError as error:
-        return Given(None, str(error), 0.0)
-    seed = np.random.SeedSequence(cases.seed, spawn_key=(_STREAM, int(kept.case)))
+    name = history[0].case
+    case = cases.folder / name
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
-        bag = Path(folder) / EXPERIMENT
-        perform(label, protocol, bag, np.random.default_rng(seed))
-        return examinee.ask(case, bag)
+        bags: list[Path] = []
+        try:
+            believed = read_parameters(case / NOMINAL)
+            for number, kept in enumerate(history):
+                assert kept.answer is not None and kept.answer.next_experiment is not None
+                key = (_STREAM, int(name), *([number] if number else []))
+                random = np.random.default_rng(np.random.SeedSequence(cases.seed, spawn_key=key))
+                asked = kept.answer.next_experiment
+                if asked.parameters:
+                    believed = after_tests(label, asked.parameters, believed, random)
+                    continue
+                bags.append(Path(folder) / f"{EXPERIMENT}_{number}")
+                protocol = bench_protocol(asked.protocol, believed)
+                perform(label, protocol, bags[-1], random, asked, number)
+        except InputError as error:
+            return Given(None, str(error), 0.0)
+        nominal = Path(folder) / NOMINAL
+        write_parameters(nominal, believed, names=sorted(believed.given))
+        return examinee.ask(case, bags, nominal)
+
+
+def after_tests(
+    label: Mapping[str, Any], stds: Mapping[str, float], believed: Parameters,
+    rng: np.random.Generator,
+) -> Parameters:
+    """What is believed after tests of some parameters.
+
+    Raises:
+        InputError: a parameter that no test gives.
+    """
+    values = {}
+    for name, std in stds.items():
+        if name not in label["truth"]:
+            raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
+        values[name] = float(_hidden(label, name) + std * rng.standard_normal())
+        if name == FRONT:
+            values[BACK] = values[name]
+    return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
+
+
+def _hidden(label: Mapping[str, Any], name: str) -> float:
+    """What an instrument finds in the hidden wire, with what its world does to it."""
+    value, world = label["truth"][name], World(rig_of(label["truth"]), label["features"])
+    if name == "wire.resistance":
+        return float(value + world.feature("supply_resistance"))
+    kind = name.removeprefix("wire.stress_influence_")
+    if kind != name:
+        return float(value / max(world.feature(f"stress_influence_factor_{kind}"), 0.05))
+    return float(value)
 
 
 def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol:
@@ -354,7 +405,8 @@ def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol
 
 
 def perform(
-    label: Mapping[str, Any], protocol: Protocol, bag: Path, rng: np.random.Generator
+    label: Mapping[str, Any], protocol: Protocol, bag: Path, rng: np.random.Generator,
+    asked: NextExperiment | None = None, number: int = 0,
 ) -> None:
     """Run a protocol on a case's bench and record it.
 
@@ -363,11 +415,14 @@ def perform(
         protocol: for the channels of its rig.
         bag: new folder.
         rng: noise and jitter.
+        asked: for the quantities that are measured more; number: of the experiment.
     """
     time, voltage = protocol.sample(COMMAND_PERIOD)
     world = World(rig_of(label["truth"]), label["features"])
     sensors = Sensors.from_json(label["sensors"])
     outcome = happen(world, time, voltage)
-    quantities = QUANTITIES[label["signals"]]
+    more = asked.quantities if asked else ()
+    wanted = {*QUANTITIES[label["signals"]], *more}
+    quantities = tuple(q for q in QUANTITIES["all"] if q in wanted)
     write_record(bag, measure(outcome, world, sensors, CHANNELS, rng, quantities), "bench",
-                 "mcap", _START_NS)  # fmt: skip
+                 "mcap", _START_NS + number * _HOUR_NS)  # fmt: skip

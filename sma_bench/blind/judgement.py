@@ -117,7 +117,8 @@ class Judged:
         shrunk: true shrinkage of every signal.
         parameter_error: root mean square error of the parameters in their stated standard
             deviations, (before, after).
-        second: the answer after the suggested experiment; `followed` whether one was performed.
+        second: the last answer after suggested experiments; `followed` whether an ambiguous answer
+            got what it asked for.
         seconds: that the answer took; failure: why there is none.
     """
 
@@ -227,7 +228,7 @@ class Judged:
 
     @property
     def resolved(self) -> bool:
-        """The second answer is no longer ambiguous and its most probable candidate is right."""
+        """The last answer is no longer ambiguous and its most probable candidate is right."""
         if self.second is None or self.second.verdict == "ambiguous":
             return False
         return self.second.candidates[0].parts <= self.label.names

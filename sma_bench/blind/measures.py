@@ -389,10 +389,10 @@ TARGETS = (
         place("stage"), floor=0.85, aim=0.93,
     ),
     Measure(
-        "the suggested experiment resolves the tie",
-        "ambiguous answers with a protocol, performed on the case's own world; the second answer "
-        "is not ambiguous and its most probable candidate is right",
-        share_of(lambda c: c.resolved, lambda c: c.followed), floor=0.65, aim=0.85,
+        "of the ambiguous, settled rightly",
+        "ambiguous answers, what they ask for performed in the case's own world up to three times; "
+        "the last answer is not ambiguous and its most probable candidate is right",
+        share_of(lambda c: c.resolved, lambda c: c.followed), floor=0.70, aim=0.85,
     ),
 )
 

@@ -32,6 +32,7 @@ from sma_bench.blind.reality import BY_NAME, World
 from sma_bench.blind.rigs import CHANNELS, COARSE, RECORDS, Stage, gaps, largest, quantity_of
 from sma_bench.blind.score import (
     COLUMNS,
+    FOLLOWED_UP,
     Paper,
     ResultTable,
     Score,
@@ -338,6 +339,8 @@ def commands(cases: CaseSet, papers: Sequence[Paper], target: str) -> list[str]:
     """The command lines that lead to a result."""
     lines = [f"sma-bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases"]
     for paper in papers:
+        if paper.name.endswith(FOLLOWED_UP):
+            continue
         words = paper.examination.program
         rival = f" --rival {paper.name}" if "rival" in words else ""
         other = "" if rival or paper.name == _CHALLENGER else f" --program '{' '.join(words)}'"
@@ -417,7 +420,7 @@ def _kept_notes(path: Path) -> list[str]:
 def _comparison(scores: Sequence[Score]) -> list[str]:
     """Whether the diagnosis beats every rival, row by row."""
     mine = [score for score in scores if score.name == _CHALLENGER]
-    rivals = [score for score in scores if score.name != _CHALLENGER]
+    rivals = [score for score in scores if not score.name.startswith(_CHALLENGER)]
     if not mine or not rivals:
         return []
     worse = beaten(mine[0], rivals)

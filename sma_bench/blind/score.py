@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,15 @@ from sma_bench.blind.case_files import (
     EXAMINATION,
     NO_EFFECT,
     PAIR_SIGN,
-    SECOND,
     STAGE_OF,
     CaseSet,
     Examination,
     Kept,
-    is_kept,
+    answers_of,
     read_examination,
     read_kept,
 )
-from sma_bench.blind.examination import NOMINAL, open_cases
+from sma_bench.blind.examination import NOMINAL, asks_for_more, open_cases
 from sma_bench.blind.judgement import Judged, Label, UnseenRecord, parameter_error, parameters_of
 from sma_bench.blind.measures import (
     OTHERS,
@@ -36,6 +35,7 @@ from sma_bench.blind.measures import (
 from sma_bench.errors import InputError
 
 Labels = Mapping[str, Mapping[str, Any]]
+FOLLOWED_UP = ", followed up"
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,10 @@ def _judged(
 ) -> Judged:
     nominal, improved = parameters_of(cases.folder / kept.case / NOMINAL, kept.improved)
     truth = label["truth"]
-    followed = is_kept(folder / SECOND, kept.case)
-    second = read_kept(folder / SECOND, kept.case).answer if followed else None
+    history = answers_of(folder, kept.case)
+    tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
+    followed = tied and (len(history) > 1 or not asks_for_more(kept))
+    second = history[-1].answer if len(history) > 1 else None
     return Judged(
         Label.of(label),
         kept.answer,
@@ -158,6 +160,17 @@ def _judged(
         kept.seconds,
         kept.line,
     )
+
+
+def followed_up(papers: Sequence[Paper]) -> list[Paper]:
+    """Of everyone for whom an experiment was performed, the last answers."""
+    found = []
+    for paper in papers:
+        last = tuple(answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
+        if last != paper.kept:
+            name = f"{paper.name}{FOLLOWED_UP}"
+            found.append(Paper(paper.folder, replace(paper.examination, name=name), last))
+    return found
 
 
 def _row(measure: Measure, measured: Measured) -> dict[str, Any]:

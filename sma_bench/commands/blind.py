@@ -210,7 +210,7 @@ def score_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="follow-ups at a time")
     parser.add_argument(
         "--no-follow-up", action="store_true",
-        help="do not perform the experiments that ambiguous answers ask for",
+        help="do not perform the experiments that answers ask for",
     )
     add_json_option(parser, "the result")
     add_output(parser, "--page", FOLDER, metavar="DIR", help="write an HTML page with figures")
@@ -223,7 +223,7 @@ def score_arguments(parser: argparse.ArgumentParser) -> None:
 def score_cases(args: argparse.Namespace) -> int:
     """Judge all complete answers; the labels stay sealed while one is missing."""
     from sma_bench.blind.case_files import read_case_set
-    from sma_bench.blind.score import handed_in, open_labels
+    from sma_bench.blind.score import followed_up, handed_in, open_labels
     from sma_bench.blind.score import score as judge
 
     cases = read_case_set(args.set)
@@ -232,6 +232,7 @@ def score_cases(args: argparse.Namespace) -> int:
     if not args.no_follow_up:
         for paper in papers:
             _follow_up(cases, labels, paper, args.jobs)
+        papers += followed_up(papers)
     with progress("blind score") as report:
         scores = judge(cases, papers, labels, counted(report, len(cases.names), "case"))
     if args.json:
@@ -262,19 +263,17 @@ def _write_pages(
 def _follow_up(cases: "CaseSet", labels: "Labels", paper: "Paper", jobs: int) -> None:
     from sma_bench.blind.examination import Examinee, asks_for_more, follow_up
 
-    asking = sum(asks_for_more(kept) for kept in paper.kept)
-    if not asking:
+    if not any(asks_for_more(kept) for kept in paper.kept):
         return
     examinee = Examinee(paper.examination.program, paper.examination.time_limit)
     with progress(f"following up {paper.name}") as report:
-        count = counted(report, asking, "experiment")
 
         def after(done: int, line: str) -> None:
             if line:
                 print_failure(line)
-            count(done)
+            report(0.0, f"{done} of this round done")
 
-        follow_up(cases, labels, paper.kept, examinee, paper.folder, jobs, after)
+        follow_up(cases, labels, examinee, paper.folder, jobs, after)
 
 
 _MET_STYLE = {"aim": "green", "floor": "yellow", "missed": "red", "": ""}

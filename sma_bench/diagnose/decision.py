@@ -20,6 +20,7 @@ from sma_bench.estimation.solver import Fit
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
 JOIN = "+"
+SURPRISED = "parameters are needed that nobody believes in"
 
 SCALE = 2.4  # nats
 SHARE = 0.013
@@ -85,31 +86,77 @@ class Decision:
         return tuple(chosen)
 
 
-def decide(search: Search) -> Decision:
-    """Probabilities of all candidates, and the verdict."""
+@dataclass(frozen=True)
+class Weights:
+    """What probabilities are made of, once the candidates are fitted.
+
+    Attributes:
+        gains: evidence over recalibration of every effect and pair [nats]; gaps: what each does,
+            in noise; worth: log odds by that.
+        moved: gap between the parameters as believed and as recalibrated, in noise.
+        signs: log odds that something else is at work; surprise: that by parameters that nobody
+            believes in.
+    """
+
+    gains: Mapping[str, float]
+    gaps: Mapping[str, float]
+    worth: Mapping[str, float]
+    moved: float
+    signs: float
+    surprise: float
+
+    def probabilities(self) -> dict[str, float]:
+        """Of every candidate."""
+        best = max([0.0, *self.gains.values()])
+        scale = scale_of(best)
+        logits = {name: self._logit(name, scale) for name in self.gains}
+        most = LARGEST_SIGN if best <= MUCH else LARGEST_BESIDE
+        sign = min(max(self.signs, self.surprise), most)
+        benign = {RECALIBRATION: (self.moved, 1.0), NO_GAP: (1.0, self.moved)}
+        unexplained = np.logaddexp(max([0.0, *logits.values()]) + sign, UNSEEN)
+        logits[UNEXPLAINED] = float(unexplained)
+        return _softmax(logits | {n: _worth(*sizes, 4.0) for n, sizes in benign.items()})
+
+    def _logit(self, name: str, scale: float) -> float:
+        gain = self.gains[name]
+        parts = name.split(JOIN)
+        if len(parts) == 1:
+            return (gain - THRESHOLD) / scale + self.worth[name]
+        single = max(self.gains[part] for part in parts)
+        extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
+        # A pair stands on its better half: it must be worth more than that.
+        return (single - THRESHOLD) / scale + min(extra / scale, 20.0) + self.worth[name]
+
+
+def weigh(search: Search) -> Weights:
+    """What the fits weigh."""
     fits = _effect_fits(search)
-    gaps = {name: _own_gap(fit) for name, fit in fits.items()}
-    base = search.recalibrated.evidence
-    gains = {name: fit.evidence - base for name, fit in fits.items()}
-    best = max([0.0, *gains.values()])
-    scale = scale_of(best)
-    logits = {
-        name: _effect_logit(search, name, gains[name], gaps[name], scale) for name in fits
-    }
-    logits[UNEXPLAINED] = _unexplained_logit(search, logits, best)
-    moved = _moved(search)
-    logits[RECALIBRATION] = _worth(moved, 1.0, 4.0)
-    logits[NO_GAP] = _worth(1.0, moved, 4.0)
-    probability = _softmax(logits)
+    gaps = {name: own_gap(fit) for name, fit in fits.items()}
+    signs = signs_of_unexplained(search)
+    return Weights(
+        {name: fit.evidence - search.recalibrated.evidence for name, fit in fits.items()},
+        gaps, {name: _worth_of(search, name, gaps[name]) for name in fits},
+        _moved(search), max(v for name, v in signs.items() if name != SURPRISED),
+        signs[SURPRISED],
+    )
+
+
+def decide(search: Search, weights: Weights | None = None) -> Decision:
+    """Probabilities of all candidates, and the verdict; `weights` if they are known already."""
+    weights = weights or weigh(search)
+    fits = _effect_fits(search)
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
-    candidates = sorted(
+    found = sorted(
         (
-            Candidate(n, p, fits.get(n), gaps.get(n, moved), gains.get(n, 0.0))
-            for n, p in probability.items()
+            Candidate(
+                n, p, fits.get(n), weights.gaps.get(n, weights.moved), weights.gains.get(n, 0.0)
+            )
+            for n, p in weights.probabilities().items()
         ),
         key=lambda c: (-c.probability, c.name),
     )
-    return _verdict(tuple(candidates))
+    verdict = verdict_of({c.name: c.probability for c in found})
+    return Decision(verdict, found[0].effects if verdict == "effect" else (), tuple(found))
 
 
 def scale_of(best: float) -> float:
@@ -121,24 +168,19 @@ def _effect_fits(search: Search) -> dict[str, Fit]:
     return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
 
 
-def _own_gap(fitted: Fit, names: tuple[str, ...] | None = None) -> float:
+def own_gap(fitted: Fit, names: tuple[str, ...] | None = None) -> float:
     """What the effects of a candidate do, the rest of its model as it is."""
     effects = names or fitted.unknowns.effects
     return largest_gap(fitted.problem, contribution(fitted, effects))
 
 
-def _effect_logit(search: Search, name: str, gain: float, gap: float, scale: float) -> float:
-    worth = _worth(gap, SMALLEST_OF_INTEREST, 3.5)
-    logit = (gain - THRESHOLD) / scale + worth
+def _worth_of(search: Search, name: str, gap: float) -> float:
+    """Of an effect by what it does, of a pair by what the smaller of both does."""
     if JOIN not in name:
-        return float(logit)
-    parts = name.split(JOIN)
-    single = max(search.gain(part) for part in parts)
-    extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
-    smaller = min(_own_gap(search.pairs[parts[0], parts[1]], (part,)) for part in parts)
-    worth = _worth(smaller, PARTNER_OF_INTEREST, 6.0)
-    # A pair stands on its better half: it must be worth more than that.
-    return float((single - THRESHOLD) / scale + min(extra / scale, 20.0) + worth)
+        return _worth(gap, SMALLEST_OF_INTEREST, 3.5)
+    one, other = name.split(JOIN)
+    smaller = min(own_gap(search.pairs[one, other], (part,)) for part in (one, other))
+    return _worth(smaller, PARTNER_OF_INTEREST, 6.0)
 
 
 def signs_of_unexplained(search: Search) -> dict[str, float]:
@@ -153,7 +195,7 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
     left, best = search.left_by_best, search.best.evidence - search.recalibrated.evidence
     moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
     smooth = (search.beyond.gain - FLEXIBLE) / 2.0
-    surprise = min((search.best.surprise - SURPRISE) / 4.0, SURPRISE_SIGN)
+    surprise = sign_of_surprise(search.best.surprise)
     if best <= THRESHOLD:
         moving += _worth(left.size, LEFT_SIZE, 4.0)
     else:
@@ -165,19 +207,18 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
         "a single event stands out": 2.0 * (left.outlier - LEFT_OUTLIER),
         "a smooth response of free form is left": smooth,
         "a sensor would have to drift as none does": left.drift - LEFT_DRIFT,
-        "parameters are needed that nobody believes in": surprise,
+        SURPRISED: surprise,
     }
+
+
+def sign_of_surprise(surprise: float) -> float:
+    """Log odds, from the sum of the squared prior deviations of the bench's parameters."""
+    return min((surprise - SURPRISE) / 4.0, SURPRISE_SIGN)
 
 
 def _remaining(left: float, before: float) -> float:
     """Log odds of a sign of which an effect leaves so much, beside what was there before."""
     return 4.0 * float(np.log(max(left / max(before, 1e-3), 1e-3) / LEFT_SHARE))
-
-
-def _unexplained_logit(search: Search, logits: Mapping[str, float], best: float) -> float:
-    signs = signs_of_unexplained(search).values()
-    sign = min(max(signs), LARGEST_SIGN if best <= MUCH else LARGEST_BESIDE)
-    return float(np.logaddexp(max([0.0, *logits.values()]) + sign, UNSEEN))
 
 
 def _moved(search: Search) -> float:
@@ -186,16 +227,13 @@ def _moved(search: Search) -> float:
     return largest_gap(search.recalibrated.problem, moved)
 
 
-def _verdict(candidates: tuple[Candidate, ...]) -> Decision:
-    first = candidates[0]
-    if first.probability < NAMED:
-        benign = sum(c.probability for c in candidates if c.name in (RECALIBRATION, NO_GAP))
-        if benign >= NAMED:
-            return Decision(first.name, (), candidates)
-        return Decision("ambiguous", (), candidates)
-    if first.effects:
-        return Decision("effect", first.effects, candidates)
-    return Decision(first.name, (), candidates)
+def verdict_of(probability: Mapping[str, float]) -> str:
+    """What is said of candidates, whose names tell whether they are effects."""
+    first = max(probability, key=lambda name: probability[name])
+    benign = probability[RECALIBRATION] + probability[NO_GAP]
+    if probability[first] < NAMED and (first not in (RECALIBRATION, NO_GAP) or benign < NAMED):
+        return "ambiguous"
+    return first if first in (RECALIBRATION, NO_GAP, UNEXPLAINED) else "effect"
 
 
 def _worth(size: float, wanted: float, steepness: float) -> float:

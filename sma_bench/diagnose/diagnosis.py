@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from sma_bench.cards import card_html, card_text
 from sma_bench.diagnose.argument import why
 from sma_bench.diagnose.chain import Link, break_chain
-from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Candidate, Decision, decide
+from sma_bench.diagnose.decision import (
+    NO_GAP,
+    UNEXPLAINED,
+    Candidate,
+    Decision,
+    Weights,
+    decide,
+    weigh,
+)
 from sma_bench.diagnose.missing_term import missing_term
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.search import Progress, Search, search
@@ -174,14 +182,15 @@ def diagnose(
     seen = [observe(record, parameters, shortest, quantities) for record in records]
     unseen = [observe(record, parameters, shortest, quantities) for record in hold_out]
     found = search([*seen, *unseen], parameters, progress)
-    decision = decide(found)
+    weights = weigh(found)
+    decision = decide(found, weights)
     model = _model(decision, found)
     improved = _improved(model, decision, parameters)
     progress("shrinkage on data that no fit saw")
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     blind = _fitted_to(fitted, model)
     moved = blind if model is found.recalibrated else _fitted_to(fitted, found.recalibrated)
-    following, remarks = _next(decision, [*seen, *unseen], parameters, progress)
+    following, remarks = _next(decision, found, weights, [*seen, *unseen], parameters, progress)
     return Diagnosis(
         parameters, decision, found, model, improved,
         tuple(_where(found, model, decision.verdict)),
@@ -204,18 +213,18 @@ def _without_force(record: Record) -> Record:
 
 
 def _next(
-    decision: Decision, observations: Sequence[Observation], parameters: Parameters,
-    progress: Progress,
+    decision: Decision, found: Search, weights: Weights, observations: Sequence[Observation],
+    parameters: Parameters, progress: Progress,
 ) -> tuple[NextExperiment | None, list[Finding]]:
     """The proposal and what there is to say of it; one that is refused costs no diagnosis."""
-    if decision.verdict != "ambiguous":
+    if decision.verdict == NO_GAP:
         return None, []
     progress("the next experiment")
     try:
-        following = next_experiment(decision.candidates, observations, parameters)
+        following = next_experiment(decision, found, weights, observations, parameters)
     except InputError as error:
         return None, [Finding("warning", "next experiment", f"none is proposed: {error}")]
-    return following, _inseparable(following)
+    return following, _inseparable(following) if decision.verdict == "ambiguous" else []
 
 
 def _refuse_fitted(records: Sequence[Record], hold_out: Sequence[Record]) -> None:
@@ -231,14 +240,14 @@ def _refuse_fitted(records: Sequence[Record], hold_out: Sequence[Record]) -> Non
 
 
 def _inseparable(following: NextExperiment | None) -> list[Finding]:
-    if following is None or following.settles:
+    if following is not None and following.settles:
         return []
-    causes = " or ".join(following.separates)
-    text = (
-        f"no protocol within the voltage that the bench has stood settles whether it is {causes}: "
-        f"they differ by {following.distance:.1f} standard deviations ({following.protocol['name']}"
-        f"), and one of them would be named with a probability of {100.0 * following.chance:.0f} % "
-        "only; another sensor or a tighter uncertainty of the parameters would help"
+    text = "no experiment that can be simulated settles a tie with what no effect explains" if (
+        following is None
+    ) else (
+        f"nothing that the bench can do settles whether it is {' or '.join(following.separates)}: "
+        f"after the best of it ({following.why}) the true cause would be named with a probability "
+        f"of {100.0 * following.chance:.0f} % only"
     )
     return [Finding("info", "next experiment", text)]
 

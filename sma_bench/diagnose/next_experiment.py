@@ -1,16 +1,15 @@
-"""What to measure next when several causes fit: the protocol on which they differ most.
+"""What to measure next: the drive, the sensor or the test of the paper that settles most.
 
-Each tied cause, with the numbers that its fit gave it, is taken for the truth in turn and simulated
-on a menu of protocols; each rival may refit its own numbers to that (to first order, under what the
-records have already told of them). The evidence to be expected against the rival is half the square
-of the distance that remains, in the noise of the bench's own sensors, and what the freedom that it
-had to use costs it beside the truth's (Box and Hill, Technometrics 9, 1967). Direction counts: an
-effect that is there cannot be refitted away by a model without it, one that is not there can.
+Each cause that is still possible, with the numbers that its fit gave it, is taken for the truth in
+turn; every rival may refit its own numbers to what that would show, at the price that the records
+have set. The evidence to be expected is half the square of the distance that remains, in noise, and
+what the freedom that it had to use costs a rival (Box and Hill, Technometrics 9, 1967). Direction
+counts: an effect that is there cannot be refitted away by a model without it, one that is not there
+can. A test of one parameter is the same with one reading: the parameter.
 
-Evidence alone breaks no tie: noise may go against the true cause, the decision trusts evidence up
-to the misfit that any model keeps, and what nothing explains stays as probable as it was beside the
-best cause. So the protocol is the one after which, by the decision's own rule, the true cause would
-most probably be named; a long one that has some of all where no shorter one would do.
+The decision's own rule then says what the verdict would be, with noise as it may fall. What an
+experiment is worth is the probability that the truth is expected to be given, less that of now:
+where no single one settles the matter, the first of several is still found.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,10 +20,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.special import ndtri
 
-from sma_bench.diagnose.decision import NAMED, NO_GAP, UNEXPLAINED, Candidate, scale_of
+from sma_bench.diagnose.decision import (
+    LARGEST_SIGN,
+    NAMED,
+    NO_GAP,
+    RECALIBRATION,
+    Decision,
+    Weights,
+    sign_of_surprise,
+)
+from sma_bench.diagnose.drives import KNOWN, Drive, changed, drawn
+from sma_bench.diagnose.search import Search
+from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import offsets
-from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.threads import in_threads
@@ -34,14 +46,18 @@ from sma_bench.protocols import parse_protocol
 
 Array = NDArray[np.float64]
 
-WORTH = 0.5  # probability that the matter is settled: more probably than not
-_MOST_CAUSES = 6
+WORTH = 0.05  # probability more than now that the true cause is given
+_AS_GOOD = 0.8  # of the best one's worth: of these the quickest is proposed
+_MOST_CAUSES, _SEARCHED = 6, 3
 _LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
+_COOLER = 10.0  # K below the bench's limit, as simulated
 _PERIOD = 0.1  # s of the simulation
 _STEP = 0.05
-_UNLUCKY = 1.28  # standard deviations of noise that one draw in ten goes beyond
-_VISIBLE = 3.0  # standard deviations
-_CERTAIN = 500.0  # nats: beyond is the same, and no float
+_DRAWS, _PARENTS, _CHILDREN = 14, 3, 4
+_SEED = 1
+_DIRECTIONS = 8  # of the least known, while drives are searched
+_VISIBLE = 2.0  # standard deviations
+_LUCK = ndtri((np.arange(7) + 0.5) / 7.0)  # of noise, in standard deviations
 
 
 class Telling(NamedTuple):
@@ -52,86 +68,299 @@ class Telling(NamedTuple):
     distance: float
 
 
+_PLAIN = Telling(500.0, 1e3)  # no experiment tells more
+Tellings = Mapping[tuple[str, str], Telling]
+
+
 @dataclass(frozen=True)
 class NextExperiment:
-    """A protocol that separates tied causes.
+    """What to do next.
 
     Attributes:
-        why: what it is for; separates: the causes; protocol: as a protocol file holds it;
-            minutes: that it takes.
-        distance: by which any two of them differ at least, the one that can less refitted to the
-            other [standard deviations].
-        chance: that one of them is true and named after it.
+        kind: protocol, sensor, DSC, or E1 to E9.
+        why: what it is for; separates: the causes; protocol: as a protocol file holds it, empty
+            for a test of the paper; minutes: that it takes, on the bench or at the instrument.
+        chance: that the verdict names the true cause after it.
+        worth: probability more than now that the true cause will be given.
+        parameters: that a test of the paper measures, with its standard deviations.
+        quantities: that the protocol needs measured, if not those of the records.
     """
 
+    kind: str
     why: str
     separates: tuple[str, ...]
-    protocol: dict[str, Any]
-    distance: float
-    chance: float
+    protocol: Mapping[str, Any]
     minutes: float
+    chance: float
+    worth: float
+    parameters: Mapping[str, float] | None = None
+    quantities: tuple[str, ...] = ()
 
     @property
     def settles(self) -> bool:
         """Whether it is worth the bench's time."""
-        return self.chance >= WORTH
+        return self.worth >= WORTH
 
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
         return {
-            "kind": "protocol", "why": self.why, "separates": list(self.separates),
-            "chance": self.chance, "minutes": self.minutes, "distance": self.distance,
-            "protocol": self.protocol,
+            "kind": self.kind, "why": self.why, "separates": list(self.separates),
+            "chance": self.chance, "minutes": self.minutes, "protocol": dict(self.protocol),
+            "parameters": dict(self.parameters or {}), "quantities": list(self.quantities),
         }
 
 
+# --- The tests of the paper, and sensors that can be mounted.
+
+
+class Test(NamedTuple):
+    """A test of the paper: minutes, and the standard deviations that it leaves, absolute [K] or
+    as a share of the value."""
+
+    minutes: float
+    title: str
+    absolute: Mapping[str, float]
+    relative: Mapping[str, float]
+
+
+TESTS = {
+    "E1": Test(12.0, "the staircase of E1", {}, {"wire.resistance": 0.003}),
+    "E2": Test(15.0, "the staircase of E2", {"environment.ambient_temperature": 0.1},
+               {"wire.heat_transfer_coefficient": 0.015}),
+    "E3": Test(5.0, "the ramps of E3", {}, {"wire.specific_heat": 0.015}),
+    "DSC": Test(90.0, "a DSC run", {
+        "wire.austenite_start_temperature": 0.25, "wire.austenite_finish_temperature": 0.25,
+        "wire.martensite_start_temperature": 0.25, "wire.martensite_finish_temperature": 0.25,
+    }, {}),
+    "E6": Test(60.0, "isobaric tests", {}, {
+        "wire.stress_influence_austenite": 0.02, "wire.stress_influence_martensite": 0.02,
+        "wire.maximum_recoverable_strain": 0.01,
+    }),
+    "E7": Test(45.0, "tensile tests", {}, {
+        "wire.martensite_modulus": 0.015, "wire.austenite_modulus": 0.015,
+    }),
+}
+_SLOPES = {
+    f"wire.stress_influence_{phase}": f"effect.stress_dependent_transition.{phase}"
+    for phase in ("austenite", "martensite")
+}
+# A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
+_MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
+_SETUP = 2.0  # minutes until the bench is cold and recorded again
+
+
+# --- What is proposed.
+
+
+class Matter:
+    """What is still open: the causes, what their fits leave free, and what the bench can do."""
+
+    def __init__(
+        self, decision: Decision, search: Search, weights: Weights,
+        observations: Sequence[Observation], parameters: Parameters,
+    ) -> None:
+        self.probability = {c.name: c.probability for c in decision.candidates}
+        self.weights, self.search, self.parameters = weights, search, parameters
+        possible = [
+            c for c in decision.candidates
+            if c.fit is not None and c.name != NO_GAP
+            and (c.probability > _LEAST or c.name == RECALIBRATION)
+        ]
+        self.fits = {c.name: c.fit for c in possible[:_MOST_CAUSES] if c.fit is not None}
+        self.fits.setdefault(RECALIBRATION, search.recalibrated)
+        pairs = list(permutations(self.fits, 2))
+        nothing, plain = (dict.fromkeys(pairs, t) for t in (Telling(0.0, 0.0), _PLAIN))
+        believed = replace(weights, surprise=-LARGEST_SIGN)
+        self.before = prospect(weights, self.probability, nothing).given
+        self.most = prospect(believed, self.probability, plain).given - self.before
+        self.observation = max(observations, key=lambda o: len(o.quantities))
+        self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
+        self.level = _highest(observations, parameters)
+
+    def leading(self) -> dict[str, Fit]:
+        """The few causes that drives are searched for."""
+        return dict(list(self.fits.items())[:_SEARCHED])
+
+    def experiment(self, kind: str, why: str, minutes: float, tellings: Tellings,
+                   **more: Any) -> NextExperiment:
+        """What it would be worth, the rivals given."""
+        measured = more.get("parameters") or ()
+        after = prospect(self._believing(measured), self.probability, tellings)
+        causes = dict.fromkeys(name for pair in tellings for name in pair)
+        protocol = more.pop("protocol", {})
+        return NextExperiment(
+            kind, why, tuple(causes), protocol, minutes, after.named,
+            after.given - self.before, **more
+        )
+
+    def _believing(self, measured: Sequence[str]) -> Weights:
+        """A parameter that was measured surprises no more."""
+        if not measured:
+            return self.weights
+        best = self.search.best
+        moved = sum(
+            x * x for name, x in zip(best.unknowns.bench_names, best.x.tolist(), strict=False)
+            if name not in measured
+        )
+        surprise = min(self.weights.surprise, sign_of_surprise(moved))
+        return replace(self.weights, surprise=surprise)
+
+
 def next_experiment(
-    candidates: Sequence[Candidate], observations: Sequence[Observation], parameters: Parameters
+    decision: Decision, search: Search, weights: Weights,
+    observations: Sequence[Observation], parameters: Parameters,
 ) -> NextExperiment | None:
-    """The most telling protocol of the menu.
+    """The quickest of what would settle the matter nearly as often as anything.
 
     Args:
-        candidates: the most probable first; observations: the records, for what is measured and how
-            hard the bench was driven.
+        observations: the records, for what is measured and how hard the bench was driven.
 
     Returns:
-        None when fewer than two causes can be simulated; one that does not `settle` the matter
-        when no protocol does.
+        None where no experiment could be worth it; one that does not `settle` where none of those
+        that the bench can do is.
+
+    Raises:
+        InputError: the bench's limits refuse every drive.
     """
-    tied = [
-        c for c in candidates
-        if c.fit is not None and c.name not in (NO_GAP, UNEXPLAINED) and c.probability > _LEAST
-    ][:_MOST_CAUSES]
-    if len(tied) < 2:
+    matter = Matter(decision, search, weights, observations, parameters)
+    if matter.most < WORTH:
         return None
-    fits = {c.name: c.fit for c in tied if c.fit is not None}
-    menu, long = _menu(_highest(observations, parameters), parameters)
-    planned = [_weighed(each, fits, candidates, observations[0], parameters) for each in menu]
-    if not any(experiment.settles for experiment in planned):
-        planned.append(_weighed(long, fits, candidates, observations[0], parameters))
-    best = max(planned, key=lambda experiment: (experiment.chance, experiment.distance))
-    words = (
-        f"{best.why}: tells them apart by {best.distance:.1f} standard deviations; one of them "
-        f"would be named with a probability of {100.0 * best.chance:.0f} %"
-    )
-    return replace(best, why=words)
+    tests = [_test(name, matter) for name in TESTS]
+    options = [found for found in tests if found is not None]
+    drives = _drives(matter) if len(matter.fits) > 1 else []
+    if drives:
+        options += [_driven(drives[0], matter, matter.fits)]
+        options += _with_a_sensor(drives[0], matter)
+    if not options:
+        return None
+    return _quickest(options)
 
 
-def _weighed(
-    document: dict[str, Any], fits: Mapping[str, Fit], candidates: Sequence[Candidate],
-    like: Observation, parameters: Parameters,
+def _quickest(options: Sequence[NextExperiment]) -> NextExperiment:
+    most = max(option.worth for option in options)
+    good = [o for o in options if o.worth >= most - (1.0 - _AS_GOOD) * abs(most)]
+    ranked = sorted(good, key=lambda o: o.worth / (o.minutes + _SETUP), reverse=True)
+    first, *others = ranked
+    why = f"{first.why}: the true cause would be named with {100.0 * first.chance:.0f} %"
+    if others:
+        why += "; " + ", ".join(
+            f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %"
+            for o in others[:2]
+        )
+    return replace(first, why=why)
+
+
+def _drives(matter: Matter) -> list[dict[str, Any]]:
+    """Documents of the drives that are worth most, the best one first: some known ones and some
+    drawn, then changes of the best."""
+    random = np.random.default_rng(_SEED)
+    leading = matter.leading()
+    weighed: dict[Drive, tuple[float, dict[str, Any]]] = {}
+    refused = ""
+
+    def weigh(drives: Sequence[Drive]) -> None:
+        nonlocal refused
+        for drive in drives:
+            document = drive.document(matter.level, matter.sides)
+            try:
+                found = _driven(document, matter, leading, _DIRECTIONS)
+            except InputError as error:
+                refused = str(error)
+                continue
+            weighed[drive] = _merit(found), document
+
+    weigh([*KNOWN, *(drawn(random) for _ in range(_DRAWS))])
+    for _ in range(2):
+        best = sorted(weighed, key=lambda drive: weighed[drive][0], reverse=True)[:_PARENTS]
+        weigh([changed(drive, random) for drive in best for _ in range(_CHILDREN)])
+    if not weighed and refused:
+        raise InputError(refused)
+    ranked = sorted(weighed.values(), key=lambda found: found[0], reverse=True)
+    return [document for _, document in ranked]
+
+
+def _merit(found: NextExperiment) -> float:
+    """Worth; where a short drive does as well as a long one, the short one's."""
+    return found.worth - 0.005 * found.minutes
+
+
+def _driven(
+    document: Mapping[str, Any], matter: Matter, fits: Mapping[str, Fit], most: int = 0,
+    mounted: Sequence[str] = (), minutes: float = 0.0,
 ) -> NextExperiment:
-    """A protocol of the menu with what it would tell."""
-    known = next(iter(fits.values())).problem
-    planned = _planned(document, known, like, parameters)
-    tellings = _tellings(fits, planned)
+    """A drive with what it would tell; `most` directions of each cause, all by default."""
+    first = next(iter(fits.values()))
+    planned = _planned(document, first.problem, matter, mounted)
+    _require_cool(planned.observations[0], first.parameters)
+    tellings = _tellings(*_on(planned, fits, most))
     grid = planned.observations[0].grid
-    distance = min(max(tellings[a, b].distance, tellings[b, a].distance) for a, b in tellings)
-    chance = chance_to_settle(candidates, tellings)
-    minutes = float(grid[-1] - grid[0]) / 60.0
-    return NextExperiment(
-        document["description"], tuple(fits), document, distance, chance, minutes
+    minutes += float(grid[-1] - grid[0]) / 60.0
+    why = document["description"]
+    if mounted:
+        why += f", with the {' and the '.join(mounted)} of the wires measured too"
+    quantities = (*matter.observation.quantities, *mounted) if mounted else ()
+    return matter.experiment(
+        "sensor" if mounted else "protocol", why, minutes, tellings, protocol=document,
+        quantities=quantities,
     )
+
+
+def _require_cool(planned: Observation, parameters: Parameters) -> None:
+    """Where a level is held for longer than ever, the wires get hotter than they were."""
+    hottest = float(planned.simulate(parameters).temperature.max())
+    limit = float(parameters["bench.maximum_temperature"]) - _COOLER
+    if hottest > limit:
+        raise InputError(
+            f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}"
+        )
+
+
+def _with_a_sensor(document: Mapping[str, Any], matter: Matter) -> list[NextExperiment]:
+    """The same drive with each sensor that the bench does not have."""
+    missing = [q for q in _MOUNTED if q not in matter.observation.quantities]
+    return [
+        _driven(document, matter, matter.fits, mounted=(q,), minutes=_MOUNTED[q][2])
+        for q in missing
+    ]
+
+
+def _test(name: str, matter: Matter) -> NextExperiment | None:
+    """A test of the paper, of the parameters that it would know better than they are known."""
+    test, parameters = TESTS[name], matter.parameters
+    stds = dict(test.absolute)
+    stds |= {p: share * abs(parameters[p]) for p, share in test.relative.items()}
+    items = matter.search.recalibrated.unknowns.items
+    known = {item.name: (k, item.std) for k, item in enumerate(items)}
+    places = {n: known[n][0] for n, std in stds.items() if n in known and std < known[n][1]}
+    if not places:
+        return None
+    errors = np.array([stds[n] / items[k].std for n, k in places.items()])
+
+    def reading(fitted: Fit, x: Array) -> Array:
+        there = fitted.unknowns.parameters(np.clip(x, *fitted.unknowns.bounds()))
+        values = [items[k].x_of(_as_tested(n, there)) for n, k in places.items()]
+        return np.array(values) / errors
+
+    predicted, spaces = {}, {}
+    for cause, f in matter.fits.items():
+        predicted[cause] = reading(f, f.x)
+        moved = [reading(f, f.x + _STEP * column) for column in _directions(f).T]
+        spaces[cause] = (np.column_stack(moved) - predicted[cause][:, None]) / _STEP
+    measured = {n: stds[n] for n in places}
+    return matter.experiment(
+        name, f"{test.title} ({', '.join(measured)})", test.minutes,
+        _tellings(predicted, spaces), parameters=measured,
+    )
+
+
+def _as_tested(name: str, parameters: Parameters) -> float:
+    """What a test of one parameter would read on a wire that has an effect, too."""
+    value = float(parameters[name])
+    if name == "wire.resistance":
+        return value + float(parameters["effect.supply_drop.resistance"])
+    if name in _SLOPES:
+        return 1.0 / max(1.0 / value + float(parameters[_SLOPES[name]]), 1e-12)
+    return value
 
 
 def _highest(observations: Sequence[Observation], parameters: Parameters) -> float:
@@ -142,76 +371,33 @@ def _highest(observations: Sequence[Observation], parameters: Parameters) -> flo
     return min(seen, float(parameters["bench.maximum_voltage"]))
 
 
-def _menu(
-    volts: float, parameters: Parameters
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Protocols within the voltage that the bench has stood, and one of a quarter of an hour."""
-    sides = list(dict.fromkeys(parameters["bench.channel_sides"]))
-    one = sides[0]
-    other = sides[-1]
-    level = round(volts, 3)
-
-    def rest(seconds: float) -> dict[str, Any]:
-        return {"kind": "rest", "duration": seconds}
-
-    def step(side: str, share: float, seconds: float) -> dict[str, Any]:
-        return {"kind": "step", "drive": side, "level": round(share * level, 3),
-                "duration": seconds}
-
-    def triangle(side: str, share: float, seconds: float) -> dict[str, Any]:
-        return {"kind": "triangle", "drive": side, "peak": round(share * level, 3),
-                "rise": seconds, "fall": seconds}
-
-    def protocol(name: str, why: str, *steps: Sequence[dict[str, Any]]) -> dict[str, Any]:
-        joined = [rest(5.0), *(part for group in steps for part in group)]
-        return {"name": name, "description": why, "steps": joined}
-
-    each = (one, other) if one != other else (one,)
-    long_rests = [s for side in each for s in (step(side, 1.0, 15.0), rest(60.0))]
-    slow = [s for side in each for s in (triangle(side, 1.0, 45.0), rest(30.0))]
-    prewarmed = [
-        step(other, 0.5, 60.0), triangle(one, 1.0, 12.0), rest(20.0),
-        step(one, 0.5, 60.0), triangle(other, 1.0, 12.0), rest(40.0),
-    ]
-    growing = [s for side in each for share in (0.7, 0.8, 0.9, 1.0)
-               for s in (triangle(side, share, 10.0), rest(10.0))]
-    cycles = [s for _ in range(8) for side in each for s in (triangle(side, 1.0, 8.0), rest(8.0))]
-    stairs = [step(side, share, 15.0) for side in each
-              for share in (0.5, 0.7, 0.85, 1.0, 0.85, 0.7, 0.5)]
-    again = [s for _ in range(5) for s in (triangle(one, 1.0, 12.0), rest(20.0))]
-    return [
-        protocol("long_rests", "full strokes with rests of a minute, for what is slow or stays",
-                 long_rests, [rest(5.0)], long_rests),
-        protocol("slow_triangles",
-                 "slow full strokes, for what depends on temperature and not on time", slow),
-        protocol("prewarmed",
-                 "the passive side is warmed first, for what one side does to the other",
-                 prewarmed),
-        protocol("partial_loops",
-                 "strokes of growing height, for what depends on how far one goes", growing),
-        protocol("many_cycles", "many equal strokes, for what changes from cycle to cycle",
-                 cycles),
-        protocol("staircase", "steps up and down, each held, for what is slow under load",
-                 stairs, [rest(40.0)]),
-        protocol("one_side",
-                 "one side only, again and again, for what the other side has to do with it",
-                 again),
-    ], protocol(
-        "some_of_all", "slow and fast strokes, held and partial ones, for what no short record "
-        "tells", slow, prewarmed, stairs, [rest(40.0)], long_rests,
-    )
+# --- What an experiment would show of each cause.
 
 
 def _planned(
-    document: dict[str, Any], known: Problem, like: Observation, parameters: Parameters
+    document: Mapping[str, Any], known: Problem, matter: Matter, mounted: Sequence[str]
 ) -> Problem:
     """The bench on a protocol that it has not run: the same sensors at the same rates."""
-    protocol = parse_protocol(document, parameters, "next experiment")
+    protocol = parse_protocol(dict(document), matter.parameters, "next experiment")
     time, commanded = protocol.sample(_PERIOD)
-    voltage = heating_voltage(commanded, parameters)
-    signals = tuple(_planned_signal(signal, time, voltage) for signal in like.signals)
-    obs = replace(like, grid=time, voltage=voltage, signals=signals, path=document["name"])
-    return Problem((obs,), known.noise, (offsets(signals),))
+    voltage = heating_voltage(commanded, matter.parameters)
+    like = matter.observation
+    more = [_new_signal(q, wire, like) for q in mounted for wire in range(len(like.channels))]
+    signals = tuple(_planned_signal(signal, time, voltage) for signal in (*like.signals, *more))
+    noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more} | known.noise
+    obs = replace(
+        like, grid=time, voltage=voltage, signals=signals, path=document["name"], delays={}
+    )
+    return Problem((obs,), noise, (offsets(signals),))
+
+
+def _new_signal(quantity: str, wire: int, like: Observation) -> BinnedSignal:
+    noise, period, _ = _MOUNTED[quantity]
+    nothing = np.zeros(0)
+    return BinnedSignal(
+        f"{like.channels[wire]}.{quantity}", quantity, wire, nothing, nothing, np.ones(1), period,
+        noise, csr_array((0, 1)), SENSORS[quantity],
+    )
 
 
 def _planned_signal(signal: BinnedSignal, time: Array, voltage: Array) -> BinnedSignal:
@@ -231,79 +417,42 @@ def _planned_signal(signal: BinnedSignal, time: Array, voltage: Array) -> Binned
     )
 
 
-def _tellings(fits: Mapping[str, Fit], problem: Problem) -> dict[tuple[str, str], Telling]:
-    """Of every (truth, rival)."""
+Columns = dict[str, Array]
+
+
+def _on(problem: Problem, fits: Mapping[str, Fit], most: int) -> tuple[Columns, Columns]:
+    """By cause: whitened readings (n,), and whitened directions (n, k) in which the records leave
+    it free, one deviation long."""
     predicted = {name: problem.predict(f.parameters) for name, f in fits.items()}
-    whitened = {name: problem.whiten(p) for name, p in predicted.items()}
-    spaces = {name: _refit_space(f, problem, predicted[name]) for name, f in fits.items()}
+
+    def space(name: str) -> Array:
+        fitted, here = fits[name], predicted[name]
+        columns = []
+        for column in _directions(fitted)[:, -most:].T:
+            x = np.clip(fitted.x + _STEP * column, *fitted.unknowns.bounds())
+            there = problem.predict(fitted.unknowns.parameters(x))
+            columns.append(problem.whiten((there - here) / _STEP))
+        return np.column_stack([*columns, problem.white_nuisances])
+
+    spaces = dict(zip(fits, in_threads(space, [(name,) for name in fits]), strict=True))
+    return {name: problem.whiten(p) for name, p in predicted.items()}, spaces
+
+
+def _directions(fitted: Fit) -> Array:
+    """(k, k) columns in x, one deviation long, the least known last."""
+    spread, turn = np.linalg.eigh(fitted.covariance)
+    return np.asarray(turn * np.sqrt(np.maximum(spread, 0.0)))
+
+
+def _tellings(predicted: Columns, spaces: Columns) -> dict[tuple[str, str], Telling]:
+    """Of every (truth, rival)."""
     freedom = {name: _freedom(space) for name, space in spaces.items()}
     tellings = {}
-    for truth, rival in permutations(fits, 2):
-        distance = _left(whitened[truth] - whitened[rival], spaces[rival])
+    for truth, rival in permutations(predicted, 2):
+        distance = _left(predicted[truth] - predicted[rival], spaces[rival])
         evidence = 0.5 * (distance**2 + freedom[rival] - freedom[truth])
         tellings[truth, rival] = Telling(evidence, distance)
     return tellings
-
-
-def chance_to_settle(
-    candidates: Sequence[Candidate], tellings: Mapping[tuple[str, str], Telling]
-) -> float:
-    """Probability that one of the tied causes is true and would be named after an experiment.
-
-    Args:
-        candidates: as decided now.
-        tellings: by (truth, rival) of all tied causes; others would stay as probable as they are.
-    """
-    tied = {truth for truth, _ in tellings}
-    simulated = [c for c in candidates if c.name != UNEXPLAINED]
-    most = max(c.probability for c in simulated)
-    unexplained = 1.0 - sum(c.probability for c in simulated)
-    gain = max(0.0, *(c.gain for c in simulated))
-    settled = 0.0
-    for truth in simulated:
-        if truth.name not in tied:
-            continue
-        against = truth.probability * unexplained / most
-        for rival in simulated:
-            if rival is not truth:
-                nats = _expected(tellings, truth.name, rival.name)
-                odds = min(-nats / scale_of(gain + max(nats, 0.0)), _CERTAIN)
-                against += rival.probability * float(np.exp(odds))
-        if truth.probability / (truth.probability + against) >= NAMED:
-            settled += truth.probability
-    return settled
-
-
-def _expected(tellings: Mapping[tuple[str, str], Telling], truth: str, rival: str) -> float:
-    """Nats to be expected against a rival of the truth, unlucky noise taken off.
-
-    An effect that is not there is told by not being seen, which takes an experiment that would show
-    it; without that its freedom alone speaks against it, and that settles nothing.
-    """
-    if (truth, rival) not in tellings:
-        return 0.0
-    told = tellings[truth, rival]
-    nats = told.evidence - _UNLUCKY * told.distance
-    visible = max(told.distance, tellings[rival, truth].distance) >= _VISIBLE
-    return nats if visible else min(nats, 0.0)
-
-
-def _refit_space(fitted: Fit, problem: Problem, predicted: Array) -> Array:
-    """Whitened directions (n, k) in which the records leave a cause free, one deviation long."""
-    spread, turn = np.linalg.eigh(fitted.covariance)
-    directions = turn * np.sqrt(np.maximum(spread, 0.0))
-
-    def moved(column: Array) -> Array:
-        there = fitted.unknowns.parameters(_within(fitted, fitted.x + _STEP * column))
-        return problem.whiten((problem.predict(there) - predicted) / _STEP)
-
-    columns = in_threads(moved, [(column,) for column in directions.T])
-    return np.column_stack([*columns, problem.white_nuisances])
-
-
-def _within(fitted: Fit, x: Array) -> Array:
-    low, high = fitted.unknowns.bounds()
-    return np.clip(x, low, high)
 
 
 def _left(difference: Array, space: Array) -> float:
@@ -317,3 +466,62 @@ def _left(difference: Array, space: Array) -> float:
 def _freedom(space: Array) -> float:
     """Log of how much of what was possible before an experiment is so no more after it."""
     return float(np.linalg.slogdet(space.T @ space + np.eye(space.shape[1]))[1])
+
+
+# --- The verdict after it, by the decision's own rule.
+
+
+class Prospect(NamedTuple):
+    """Probabilities that the verdict after an experiment names the true cause, and that the true
+    cause is `given`: the mean of what it would have."""
+
+    named: float
+    given: float
+
+
+def prospect(
+    weights: Weights, probability: Mapping[str, float], tellings: Tellings
+) -> Prospect:
+    """What an experiment would say, whichever cause is true.
+
+    Args:
+        weights: as they are now, the effects' gains before the experiment.
+        probability: of every candidate now.
+        tellings: by (truth, rival) of the causes that were simulated; another cause stays as
+            probable beside the truth as it is.
+    """
+    simulated = list(dict.fromkeys(name for pair in tellings for name in pair))
+    named = given = 0.0
+    for truth in simulated:
+        right = (truth,) if truth != RECALIBRATION else (RECALIBRATION, NO_GAP)
+        own = sum(probability[name] for name in right)
+        for luck in _LUCK:
+            after = _after(weights, truth, simulated, tellings, luck)
+            share = sum(after[name] for name in right)
+            given += own * share / len(_LUCK)
+            named += own * (share >= NAMED) / len(_LUCK)
+    return Prospect(named, given)
+
+
+def _after(
+    weights: Weights, truth: str, simulated: Sequence[str], tellings: Tellings, luck: float
+) -> dict[str, float]:
+    """Probabilities after an experiment."""
+    against = {
+        rival: _expected(tellings, truth, rival, luck) for rival in simulated if rival != truth
+    }
+    over = against.get(RECALIBRATION, 0.0)  # what was not simulated goes with the truth
+    gains = {name: gain + over - against.get(name, 0.0) for name, gain in weights.gains.items()}
+    return replace(weights, gains=gains).probabilities()
+
+
+def _expected(tellings: Tellings, truth: str, rival: str, luck: float) -> float:
+    """Nats against a rival of the truth, as noise may fall.
+
+    An effect that is not there is told by not being seen, which takes an experiment that would show
+    it; without that its freedom alone speaks against it, and that settles nothing.
+    """
+    told = tellings[truth, rival]
+    nats = told.evidence + luck * told.distance
+    visible = max(told.distance, tellings[rival, truth].distance) >= _VISIBLE
+    return nats if visible else min(nats, 0.0)

@@ -145,9 +145,9 @@ def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Pictur
     Raises:
         InputError: the protocol cannot be run on this rig.
     """
-    if result.next_experiment is None:
+    if result.next_experiment is None or not result.next_experiment.protocol:
         return None
-    protocol = parse_protocol(result.next_experiment.protocol, parameters)
+    protocol = parse_protocol(dict(result.next_experiment.protocol), parameters)
     time, voltage = protocol.sample(_PROTOCOL_STEP)
     sides = np.array(parameters["bench.channel_sides"])
     figure, (ax,) = new_figure(height=2.8)

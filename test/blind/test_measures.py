@@ -171,14 +171,14 @@ def test_a_gap_below_the_noise_has_no_fraction():
     assert Shrunk(0.5, 0.1, 0.2).fraction == pytest.approx(0.8)
 
 
-def test_the_tie_is_resolved_when_the_second_answer_is_sure_and_right():
+def test_the_tie_is_settled_when_the_last_answer_is_sure_and_right():
     single = label("single", "slack")
     first = {"label": single, "answer": TIED, "followed": True}
     cases = [
         Judged(**first, second=SLACK), Judged(**first, second=TIED), Judged(**first),
         Judged(single, SLACK),
     ]  # fmt: skip
-    found = MEASURES["the suggested experiment resolves the tie"].of(cases)
+    found = MEASURES["of the ambiguous, settled rightly"].of(cases)
     assert (found.hits, found.n) == (1, 3)
 
 

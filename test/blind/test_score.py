@@ -8,10 +8,11 @@ import pytest
 
 from sma_bench.blind import examination as follow_up_module
 from sma_bench.blind.case_files import (
+    FOLLOW_UPS,
     NO_EFFECT,
-    SECOND,
     STAGE_OF,
     Examination,
+    answers_of,
     checked_answer,
     keep,
     read_case_set,
@@ -20,10 +21,10 @@ from sma_bench.blind.case_files import (
     write_examination,
 )
 from sma_bench.blind.cases import Card, draw_case
-from sma_bench.blind.examination import Examinee, bench_protocol, follow_up
+from sma_bench.blind.examination import Examinee, after_tests, bench_protocol, follow_up
 from sma_bench.blind.judgement import UnseenRecord, parameter_error, unseen_drive
 from sma_bench.blind.rigs import true_values
-from sma_bench.blind.score import beaten, handed_in, open_labels, score
+from sma_bench.blind.score import beaten, followed_up, handed_in, open_labels, score
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters import write_parameters
@@ -189,7 +190,7 @@ SECOND_ANSWER = """
 import json, sys
 from pathlib import Path
 records = sys.argv[1:sys.argv.index("--params")]
-assert records == ["record", "experiment"] and any(Path("experiment").iterdir()), records
+assert records == ["record", "experiment_1"] and any(Path("experiment_1").iterdir()), records
 Path("result.json").write_text(Path(__file__).with_suffix(".json").read_text())
 """
 
@@ -202,14 +203,17 @@ def test_the_suggested_experiment_is_performed_and_the_program_asked_again(made,
     answers = tmp_path / "answers"
     program = (sys.executable, "-S", str(script))
     cases = hand_in(made, answers, GOOD, program=program)
-    kept = handed_in(cases, [answers])[0].kept
-    follow_up(cases, labels, kept, Examinee(program, 30.0), answers)
-    assert [path.name for path in (answers / SECOND).iterdir()] == ["0003"]
-    assert read_kept(answers / SECOND, "0003").line == ""
+    follow_up(cases, labels, Examinee(program, 30.0), answers)
+    assert [path.name for path in (answers / FOLLOW_UPS[0]).iterdir()] == ["0003"]
+    assert read_kept(answers / FOLLOW_UPS[0], "0003").line == ""
     (found,) = score(cases, handed_in(cases, [answers]), labels)
-    resolved = found.measured["the suggested experiment resolves the tie"]
+    resolved = found.measured["of the ambiguous, settled rightly"]
     assert (resolved.hits, resolved.n) == (1, 1)
-    follow_up(cases, labels, kept, Examinee(("/no/such",), 30.0), answers)  # nothing is left
+    follow_up(cases, labels, Examinee(("/no/such",), 30.0), answers)  # nothing is left
+    (after,) = followed_up(handed_in(cases, [answers]))
+    assert after.name == "diagnosis, followed up"
+    verdicts = [kept.answer.verdict for kept in after.kept]
+    assert verdicts == ["effect", "no_gap", "unexplained"]
 
 
 def test_the_experiment_is_recorded_on_the_cases_own_bench(made, tmp_path):
@@ -226,6 +230,34 @@ def test_the_experiment_is_recorded_on_the_cases_own_bench(made, tmp_path):
     assert record["back_1.voltage"].values.max() == 0.0
 
 
+def test_at_most_three_experiments_are_performed_and_records_add_up(made, tmp_path):
+    script = tmp_path / "again.py"
+    script.write_text(SECOND_ANSWER.replace(
+        'assert records == ["record", "experiment_1"]',
+        'assert records == ["record", *(f"experiment_{k}" for k in range(1, len(records)))]',
+    ))
+    again = document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5)
+    script.with_suffix(".json").write_text(json.dumps(again))
+    program = (sys.executable, "-S", str(script))
+    answers = tmp_path / "answers"
+    cases = hand_in(made, answers, GOOD, program=program)
+    follow_up(cases, made[1], Examinee(program, 30.0), answers)
+    assert [kept.line for kept in answers_of(answers, "0003")] == [""] * 4
+
+
+def test_a_test_of_the_paper_finds_what_the_wire_has_and_what_its_world_does_to_it(made):
+    _, labels, drawn = made
+    wanted = {"wire.resistance": 1e-4, "wire.stress_influence_austenite": 1e4}
+    believed = after_tests(labels["0001"], wanted, drawn["0001"].nominal, np.random.default_rng(1))
+    truth = labels["0001"]["truth"]
+    assert believed["wire.resistance"] == pytest.approx(truth["wire.resistance"] + 0.3, abs=1e-3)
+    assert believed.std("wire.resistance") == 1e-4
+    name = "wire.stress_influence_austenite"
+    assert believed[name] == pytest.approx(truth[name], abs=1e5)
+    with pytest.raises(InputError, match="effect.slack"):
+        after_tests(labels["0001"], {"effect.slack": 1.0}, believed, np.random.default_rng(1))
+
+
 def test_a_protocol_beyond_the_bench_is_a_failed_second_answer(made, tmp_path):
     _, labels, drawn = made
     strong = {"steps": [{"kind": "step", "drive": "front", "level": 99.0, "duration": 3.0}]}
@@ -236,9 +268,8 @@ def test_a_protocol_beyond_the_bench_is_a_failed_second_answer(made, tmp_path):
         bench_protocol(long, drawn["0001"].nominal)
     answers = GOOD | {"0003": document("ambiguous", protocol=strong, slack=0.5, no_gap=0.5)}
     cases = hand_in(made, tmp_path, answers)
-    kept = handed_in(cases, [tmp_path])[0].kept
-    follow_up(cases, labels, kept, Examinee(("/no/such",), 30.0), tmp_path)
-    assert "99 V" in read_kept(tmp_path / SECOND, "0003").line
+    follow_up(cases, labels, Examinee(("/no/such",), 30.0), tmp_path)
+    assert "99 V" in read_kept(tmp_path / FOLLOW_UPS[0], "0003").line
 
 
 def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_path, capsys):

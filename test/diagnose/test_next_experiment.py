@@ -30,7 +30,7 @@ def test_the_proposed_experiment_breaks_the_tie_when_it_is_run(short_record, tmp
     assert tied.decision.verdict == "ambiguous"
     proposed = tied.next_experiment
     assert {"recalibration", "ambient_drift"} <= set(proposed.separates)
-    assert proposed.chance >= next_experiment.WORTH
+    assert proposed.kind == "protocol" and proposed.worth >= next_experiment.WORTH
     protocol = parse_protocol(proposed.protocol, believed())
     longer = planted_record(tmp_path / "bag", WARMING, protocol=protocol, seed=3, **ONLY)
     assert diagnosed([short_record, longer]).decision.cause == ("ambient_drift",)
@@ -50,10 +50,11 @@ def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
     assert tied.to_json()["next_experiment"] is None
 
 
-def test_a_protocol_that_separates_nothing_is_not_proposed(short_record, monkeypatch):
-    # As if noise went far beyond the 800 standard deviations by which ten minutes would tell.
-    monkeypatch.setattr(next_experiment, "_UNLUCKY", 1e4)
+def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
+    # As if noise hid the standard deviations by which minutes would tell.
+    monkeypatch.setattr(next_experiment, "_VISIBLE", 990.0)
     tied = diagnosed([short_record])
     assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
-    assert "recalibration or ambient_drift" in remark and "another sensor" in remark
+    assert "nothing that the bench can do" in remark and "ambient_drift" in remark
+

@@ -95,6 +95,9 @@ def test_a_proposed_experiment_is_the_next_step():
         "record long_rests (2.5 min) to separate slack, residual_strain; it settles the matter "
         "with a probability of 80 %"
     ]
+    test = proposed | {"kind": "E6", "why": "isobaric tests", "protocol": {}}
+    (said,) = rows(shown(next_experiment=test))["next"]
+    assert said.startswith("E6 (2.5 min) to separate") and said.endswith("80 %; isobaric tests")
 
 
 def test_a_result_of_an_older_version_has_its_card_too():

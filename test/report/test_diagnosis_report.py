@@ -175,7 +175,8 @@ def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
 def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
     assert next_experiment_picture(planted_diagnosis, believed()) is None
     proposed = NextExperiment(
-        "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 9.0, 0.8, 0.25
+        "protocol", "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 0.25,
+        0.9, 0.4,
     )
     result = replace(planted_diagnosis, next_experiment=proposed)
     assert what_next(result) == ["A long rest separates them."]
@@ -184,6 +185,8 @@ def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
     highest = max(float(np.max(line.get_ydata())) for line in ax.lines)
     assert highest == pytest.approx(2.0)
     assert "slack, residual_strain" in picture.caption
+    test = replace(proposed, kind="E6", protocol={})
+    assert next_experiment_picture(replace(result, next_experiment=test), believed()) is None
 
 
 def test_phases_of_the_maps_are_the_contract_s():

@@ -1,0 +1,98 @@
+"""The family of drives that is searched for the next experiment."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+_SHARES = {"full": (1.0,), "growing": (0.7, 0.8, 0.9, 1.0), "partial": (0.85, 0.8)}
+_ORDERS = ("in turn", "one side", "the other side", "both sides", "the other side warmed before")
+_SECONDS, _RESTS = (5.0, 60.0), (5.0, 90.0)
+_FIRST_REST = 5.0
+_SHORT, _BUDGET = 4.0, 15.0  # minutes
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Equal pulses until `minutes` are over; `seconds` of a pulse's rise, or of its level."""
+
+    order: str
+    shape: str
+    heights: str
+    seconds: float
+    rest: float
+    minutes: float
+
+    def document(self, level: float, sides: Sequence[str]) -> dict[str, Any]:
+        """As a protocol file holds it."""
+        targets = self._targets(sides)
+        steps: list[dict[str, Any]] = [{"kind": "rest", "duration": _FIRST_REST}]
+        left, k = 60.0 * self.minutes - _FIRST_REST, 0
+        shares = _SHARES[self.heights]
+        while k == 0 or left >= self._pulse:
+            volts = round(shares[(k // len(targets)) % len(shares)] * level, 3)
+            steps += self._steps(targets[k % len(targets)], volts, sides)
+            left, k = left - self._pulse, k + 1
+        what = "triangles" if self.shape == "triangle" else "steps"
+        return {
+            "name": f"{self.heights}_{what}_{self.order}".replace(" ", "_"),
+            "description": f"{self.heights} {what} of {self.seconds:g} s, {self.order}, with rests "
+                           f"of {self.rest:g} s",
+            "steps": steps,
+        }
+
+    @property
+    def _pulse(self) -> float:
+        warmed = 2.0 * self.seconds if "warmed" in self.order else 0.0
+        return self.seconds * (2.0 if self.shape == "triangle" else 1.0) + self.rest + warmed
+
+    def _targets(self, sides: Sequence[str]) -> tuple[str, ...]:
+        one, other = sides[0], sides[-1]
+        return {
+            "one side": (one,), "the other side": (other,), "both sides": ("all",),
+        }.get(self.order, (one, other) if one != other else (one,))
+
+    def _steps(self, target: str, volts: float, sides: Sequence[str]) -> list[dict[str, Any]]:
+        steps: list[dict[str, Any]] = []
+        if "warmed" in self.order:
+            passive = next((s for s in sides if s != target), target)
+            steps.append({"kind": "step", "drive": passive, "level": round(0.5 * volts, 3),
+                          "duration": 2.0 * self.seconds})
+        if self.shape == "triangle":
+            steps.append({"kind": "triangle", "drive": target, "peak": volts,
+                          "rise": self.seconds, "fall": self.seconds})
+        else:
+            steps.append({"kind": "step", "drive": target, "level": volts,
+                          "duration": self.seconds})
+        return [*steps, {"kind": "rest", "duration": self.rest}]
+
+
+KNOWN = (
+    Drive("in turn", "step", "full", 15.0, 60.0, _SHORT),
+    Drive("in turn", "triangle", "full", 45.0, 30.0, _SHORT),
+    Drive("the other side warmed before", "triangle", "full", 15.0, 20.0, _SHORT),
+    Drive("in turn", "triangle", "growing", 10.0, 10.0, _SHORT),
+    Drive("in turn", "triangle", "full", 8.0, 8.0, _SHORT),
+    Drive("one side", "triangle", "full", 12.0, 20.0, _SHORT),
+)
+
+
+def drawn(random: np.random.Generator) -> Drive:
+    def between(ends: tuple[float, float]) -> float:
+        return float(f"{np.exp(random.uniform(*np.log(ends))):.2g}")
+
+    return Drive(
+        str(random.choice(_ORDERS)), str(random.choice(("triangle", "step"))),
+        str(random.choice(list(_SHARES))), between(_SECONDS), between(_RESTS),
+        float(random.choice((1.5, _SHORT))),
+    )
+
+
+def changed(drive: Drive, random: np.random.Generator) -> Drive:
+    """One or two of its numbers drawn anew, or its time doubled."""
+    if random.uniform() < 0.3:
+        return replace(drive, minutes=min(2.0 * drive.minutes, _BUDGET))
+    names = random.choice(("order", "shape", "heights", "seconds", "rest"), 2, replace=False)
+    other = drawn(random)
+    return replace(drive, **{str(name): getattr(other, str(name)) for name in names})
