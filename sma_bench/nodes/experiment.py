@@ -24,7 +24,7 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.live.recording import BRIDGE, RECORDER, Beside
 from sma_bench.live.run import ABORTED, IDLE, OpenLoop, Run, Surroundings
-from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual, run_node
 from sma_bench.nodes.bench_topics import follow_recorder
 from sma_bench.protocols import Protocol
 from sma_bench.protocols.reading import is_path
@@ -50,6 +50,8 @@ class Experiment(BenchNode):
         self._require_feedback()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         simulated = self.get_parameter("use_sim_time").value
+        if not simulated:
+            be_punctual(DRIVER)
         self._bench_clock = self.get_clock() if simulated else steady
         channels = self.parameters["bench.channels"]
         self._labelled = partial(voltage_command, channels, signed=signature(self))

@@ -18,7 +18,7 @@ from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_settings import frame_format, frame_judge, wire_gauges
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.hardware.wire_gauge import ExpectedWarmth
-from sma_bench.nodes.base import run_node
+from sma_bench.nodes.base import CAMERA, be_punctual, run_node
 from sma_bench.nodes.managed_node import ACTIVE, ManagedNode
 from sma_bench.ros.node import MEASURED
 
@@ -40,6 +40,8 @@ class IrCamera(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("ir_camera")
+        if not self.get_parameter("use_sim_time").value:
+            be_punctual(CAMERA)
         channels = self.parameters["bench.channels"]
         self._format = frame_format(self.settings)
         self._judge = frame_judge(self.settings)

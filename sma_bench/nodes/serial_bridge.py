@@ -4,8 +4,6 @@ States: not connected, idle, enabled, stopped (with the reason). It connects aga
 never enables by itself.
 """
 
-import contextlib
-import os
 import sys
 import time
 from collections import deque
@@ -27,7 +25,7 @@ from sma_bench.hardware.node_reports import Tally, driver_values, link_values, t
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_port import Port, find_port, open_port
-from sma_bench.nodes.base import run_node
+from sma_bench.nodes.base import BRIDGE, be_punctual, run_node
 from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics, follow_recorder
 from sma_bench.nodes.managed_node import ACTIVE, INACTIVE, ManagedNode
 from sma_bench.parameters.parameters import require_plain_drive
@@ -37,7 +35,6 @@ from sma_bench.ros.node import LATCHED
 _NANOSECONDS = 1e9
 _TICK = 0.005
 _REPORT = 1.0
-_PRIORITY = -10
 _SWITCH = 1e-4
 _AT_ONCE = 100_000
 """ns"""
@@ -62,9 +59,7 @@ class SerialBridge(ManagedNode):
             raise InputError(
                 f"telemetry_rate is {self._rate} Hz, expected a divisor of {_CLOCK_STEP}"
             )
-        # A bridge that is late is a bench that stops. Not everybody may ask for this.
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
+        self._scheduling = be_punctual(BRIDGE)
         # The link's thread reads its clock when bytes arrive: it must not wait for this one.
         sys.setswitchinterval(_SWITCH)
         self._arrived: deque[Reading] = deque()
@@ -259,6 +254,7 @@ class SerialBridge(ManagedNode):
             **tally_values(self._tally, _REPORT),
             **link_values(status),
             "commanders": str(self.count_publishers(COMMAND)),
+            "scheduling": self._scheduling,
         }
         self._tally = Tally(temperatures=self._tally.temperatures)
         return [self.status(

@@ -1,6 +1,8 @@
 """The bridge as a process on the real firmware in an emulated Uno: topics, services, rates."""
 
 import math
+import subprocess
+import sys
 import time
 
 import pytest
@@ -43,6 +45,17 @@ def test_enabled_it_drives_what_is_commanded_and_echoes_what_was_applied(rig):
     rig.until(lambda: rig.power[-1].voltage == 0.0)
 
 
+def expected_scheduling():
+    """What this user may have, tried in a process of its own."""
+    ask = "import os; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(12))"
+    allowed = subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0
+    if allowed:
+        return "real time, priority 12"
+    ask = "import os; os.setpriority(os.PRIO_PROCESS, 0, -10)"
+    allowed = subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0
+    return "niceness -10" if allowed else "as any program: see docs/hardware.md, a computer in time"
+
+
 def test_nothing_is_driven_before_enabling_and_requests_say_why_not(rig):
     rig.until(lambda: rig.state == "idle" and rig.power)
     rig.voltage = (3.0,)
@@ -50,6 +63,7 @@ def test_nothing_is_driven_before_enabling_and_requests_say_why_not(rig):
     assert sum(rig.hardware.uno.electrics.on_time) == 0.0
     rig.until(lambda: rig.value("last_rejection") == "not enabled (idle)")
     rig.enable()
+    assert rig.value("scheduling") == expected_scheduling()
     refused = rig.ask("reset")
     assert not refused.success and refused.message == "enabled: stop first"
     rig.drive(3.0)
