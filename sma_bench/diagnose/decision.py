@@ -9,7 +9,7 @@ PAIR_SHARE and LARGEST_BESIDE were chosen among a few values on 110 of them. Non
 elsewhere.
 """
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,7 +195,7 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
     left, best = search.left_by_best, search.best.evidence - search.recalibrated.evidence
     moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
     smooth = (search.beyond.gain - FLEXIBLE) / 2.0
-    surprise = sign_of_surprise(search.best.surprise)
+    surprise = sign_of_surprise(surprise_of(search))
     if best <= THRESHOLD:
         moving += _worth(left.size, LEFT_SIZE, 4.0)
     else:
@@ -209,6 +209,17 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
         "a sensor would have to drift as none does": left.drift - LEFT_DRIFT,
         SURPRISED: surprise,
     }
+
+
+def surprise_of(search: Search, known: Container[str] = ()) -> float:
+    """Sum of the squared prior deviations of the best candidate's parameters, but for those that
+    recalibration has at the price of being off, and those `known`."""
+    best = search.best
+    off = {*known, *(search.off if best is search.recalibrated else ())}
+    if not off:
+        return best.surprise
+    names = best.unknowns.bench_names
+    return sum(x * x for n, x in zip(names, best.x.tolist(), strict=False) if n not in off)
 
 
 def sign_of_surprise(surprise: float) -> float:

@@ -28,6 +28,7 @@ from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
 from sma_bench.diagnose.sizes import Cell, contribution, locate
 from sma_bench.diagnose.stages import stage_of
+from sma_bench.diagnose.tails import widened
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
@@ -188,8 +189,8 @@ def diagnose(
     improved = _improved(model, decision, parameters)
     progress("shrinkage on data that no fit saw")
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
-    blind = _fitted_to(fitted, model)
-    moved = blind if model is found.recalibrated else _fitted_to(fitted, found.recalibrated)
+    moved = _fitted_to(fitted, found.recalibrated, found.off)
+    blind = moved if model is found.recalibrated else _fitted_to(fitted, model)
     following, remarks = _next(decision, found, weights, [*seen, *unseen], parameters, progress)
     return Diagnosis(
         parameters, decision, found, model, improved,
@@ -281,12 +282,16 @@ def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Paramet
     )
 
 
-def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
-    """The same model fitted to some of the records, or parts of them."""
+def _fitted_to(
+    observations: Sequence[Observation], model: Fit, off: Sequence[str] = ()
+) -> Fit:
+    """The same model fitted to some of the records, or parts of them; `off`: parameters of which
+    more is unknown than was stated."""
     if not model.unknowns.items:
         return model
     problem = Problem(tuple(observations), model.problem.noise, ()).with_nuisances(model.parameters)
-    return fit(problem, model.unknowns, model.x, rounds=1, keep_noise=True)
+    unknowns, far = widened(model.unknowns, off)
+    return fit(problem, unknowns, model.x / far, rounds=1, keep_noise=True)
 
 
 def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:

@@ -30,6 +30,7 @@ from sma_bench.diagnose.decision import (
     Decision,
     Weights,
     sign_of_surprise,
+    surprise_of,
 )
 from sma_bench.diagnose.drives import KNOWN, Drive, changed, drawn
 from sma_bench.diagnose.search import Search
@@ -68,7 +69,7 @@ class Telling(NamedTuple):
     distance: float
 
 
-_PLAIN = Telling(500.0, 1e3)  # no experiment tells more
+_PLAIN = Telling(5e5, 1e3)  # no experiment tells more
 Tellings = Mapping[tuple[str, str], Telling]
 
 
@@ -197,11 +198,7 @@ class Matter:
         """A parameter that was measured surprises no more."""
         if not measured:
             return self.weights
-        best = self.search.best
-        moved = sum(
-            x * x for name, x in zip(best.unknowns.bench_names, best.x.tolist(), strict=False)
-            if name not in measured
-        )
+        moved = surprise_of(self.search, measured)
         surprise = min(self.weights.surprise, sign_of_surprise(moved))
         return replace(self.weights, surprise=surprise)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sma_bench.diagnose.flexible import Flexible, flexible_residual
 from sma_bench.diagnose.left_over import Left, left_over
 from sma_bench.diagnose.starts import Remainder, find_start, start_off
+from sma_bench.diagnose.tails import gain_of_tails, with_tails
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
@@ -46,6 +47,7 @@ class Search:
         best: of all these, the one with the largest evidence.
         flexible: of what recalibration leaves; beyond: of what the best candidate leaves.
         left, left_by_best: whether that still depends on what the bench does.
+        off: parameters that recalibration needs farther off than was stated.
     """
 
     problem: Problem
@@ -58,6 +60,7 @@ class Search:
     beyond: Flexible
     left: Left
     left_by_best: Left
+    off: tuple[str, ...] = ()
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""
@@ -108,14 +111,26 @@ def search(
         singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
+    progress("parameters that may be far off")
+    narrow = recalibrated.evidence
+    recalibrated, off = with_tails(recalibrated)
+    singles, pairs = (
+        {name: _tailed(f, recalibrated.evidence - narrow) for name, f in some.items()}
+        for some in (singles, pairs)
+    )
     best = max([recalibrated, *singles.values(), *pairs.values()], key=lambda f: f.evidence)
     progress("what is left")
     flexible = flexible_residual(recalibrated)
     return Search(
         problem, nominal, recalibrated, singles, pairs, best, flexible,
         flexible_residual(best) if best is not recalibrated else flexible,
-        left_over(recalibrated), left_over(best),
+        left_over(recalibrated), left_over(best), off,
     )
+
+
+def _tailed(found: Fit, most: float) -> Fit:
+    """With the evidence that tails add to it: `most` that recalibration has gained by them."""
+    return replace(found, evidence=found.evidence + min(gain_of_tails(found)[0], most))
 
 
 def _singles(

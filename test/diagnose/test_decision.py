@@ -14,7 +14,7 @@ BELIEF = "parameters are needed that nobody believes in"
 def searched(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0)):
     """What a search found: gain of the best, and each sign before (recalibrated) and after."""
     return SimpleNamespace(
-        recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
+        off=(), recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
         best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
         flexible=SimpleNamespace(gain=flexible), beyond=SimpleNamespace(gain=beyond),
         left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
