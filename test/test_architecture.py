@@ -48,7 +48,10 @@ ARROWS = {
         "results", "cards",
     },
     "tasks": LEAVES
-    | {"diagnose", "estimation", "identify", "records", "parameters", "report", "results"},
+    | {
+        "diagnose", "estimation", "identify", "records", "parameters", "protocols", "report",
+        "results",
+    },
     # What a running bench does, without ROS.
     "live": LEAVES | {"parameters", "physics", "protocols", "records", "control", "hardware"},
     "dashboard": LEAVES | {"results", "cards"},
@@ -66,7 +69,7 @@ _BELOW = {room for room in ARROWS if room not in ("", "api")}
 # Nodes and commands use everything but each other, and nothing below uses them.
 ARROWS |= {
     "nodes": _BELOW - {"report", "blind", "diagnose", "identify", "estimation", "synthetic"},
-    "commands": _BELOW - {"live"} | {"api"},
+    "commands": _BELOW | {"api"},
     "cli": {"commands", *LEAVES, ""},
 }
 USES_ROS = {"nodes", "ros"}

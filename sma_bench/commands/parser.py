@@ -15,6 +15,7 @@ COMMANDS = {
     "import": "tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
     "identify": "parameters of Table I from bags and instrument files",
     "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
+    "investigate": "record, diagnose, propose, run, until the cause of the gap is named",
     "batch": "many records, each identified or diagnosed by itself, on all cores or a cluster",
     "report": "records and results as one page, with figures, tables and provenance",
     "audit": "do a lab's own numbers fit each other, and physics?",
@@ -50,6 +51,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "diagnose": (
         "diagnose my_bag --params lab.yaml --hold-out other_bag --report gap",
         "diagnose my_bag --params lab.yaml --signals deflection --json diagnosis.json",
+    ),
+    "investigate": (
+        "investigate --params lab.yaml --folder gap --budget 20",
+        "investigate my_bag --params lab.yaml --folder gap --simulated bench.yaml --yes",
     ),
     "batch": (
         "batch identify bags/* --out identified --jobs 2",

@@ -9,7 +9,7 @@ PAIR_SHARE and LARGEST_BESIDE were chosen among a few values on 110 of them. Non
 elsewhere.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -211,7 +211,7 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
     }
 
 
-def surprise_of(search: Search, known: Container[str] = ()) -> float:
+def surprise_of(search: Search, known: Iterable[str] = ()) -> float:
     """Sum of the squared prior deviations of the best candidate's parameters, but for those that
     recalibration has at the price of being off, and those `known`."""
     best = search.best

@@ -68,11 +68,12 @@ class Drive:
         return [*steps, {"kind": "rest", "duration": self.rest}]
 
 
+FIRST = Drive("in turn", "triangle", "growing", 10.0, 10.0, _SHORT)  # of a bench without a record
 KNOWN = (
     Drive("in turn", "step", "full", 15.0, 60.0, _SHORT),
     Drive("in turn", "triangle", "full", 45.0, 30.0, _SHORT),
     Drive("the other side warmed before", "triangle", "full", 15.0, 20.0, _SHORT),
-    Drive("in turn", "triangle", "growing", 10.0, 10.0, _SHORT),
+    FIRST,
     Drive("in turn", "triangle", "full", 8.0, 8.0, _SHORT),
     Drive("one side", "triangle", "full", 12.0, 20.0, _SHORT),
 )
@@ -85,7 +86,7 @@ def drawn(random: np.random.Generator) -> Drive:
     return Drive(
         str(random.choice(_ORDERS)), str(random.choice(("triangle", "step"))),
         str(random.choice(list(_SHARES))), between(_SECONDS), between(_RESTS),
-        float(random.choice((1.5, _SHORT))),
+        float(random.choice((2.0, _SHORT))),
     )
 
 

@@ -29,6 +29,7 @@ from sma_bench.diagnose.decision import (
     RECALIBRATION,
     Decision,
     Weights,
+    scale_of,
     sign_of_surprise,
     surprise_of,
 )
@@ -147,7 +148,7 @@ _SLOPES = {
 }
 # A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
 _MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
-_SETUP = 2.0  # minutes until the bench is cold and recorded again
+_SETUP = 5.0  # minutes until the bench is cold and recorded again
 
 
 # --- What is proposed.
@@ -278,7 +279,7 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
 
 def _merit(found: NextExperiment) -> float:
     """Worth; where a short drive does as well as a long one, the short one's."""
-    return found.worth - 0.005 * found.minutes
+    return found.worth - 0.002 * found.minutes
 
 
 def _driven(
@@ -507,8 +508,15 @@ def _after(
     against = {
         rival: _expected(tellings, truth, rival, luck) for rival in simulated if rival != truth
     }
-    over = against.get(RECALIBRATION, 0.0)  # what was not simulated goes with the truth
-    gains = {name: gain + over - against.get(name, 0.0) for name, gain in weights.gains.items()}
+    over = against.get(RECALIBRATION, 0.0)
+    now, own = weights.gains, weights.gains.get(truth, 0.0)
+    gains = {c: now[c] + over - against.get(c, 0.0) for c in simulated if c in now}
+    best = max([0.0, *gains.values()])
+    stretch = scale_of(best) / scale_of(max([0.0, *now.values()]))
+    # What was not simulated goes with the truth, as probable beside it as before.
+    gains |= {
+        c: own + over - (own - gain) * stretch for c, gain in now.items() if c not in gains
+    }
     return replace(weights, gains=gains).probabilities()
 
 

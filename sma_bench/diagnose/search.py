@@ -114,10 +114,9 @@ def search(
     progress("parameters that may be far off")
     narrow = recalibrated.evidence
     recalibrated, off = with_tails(recalibrated)
-    singles, pairs = (
-        {name: _tailed(f, recalibrated.evidence - narrow) for name, f in some.items()}
-        for some in (singles, pairs)
-    )
+    most = recalibrated.evidence - narrow
+    singles = {name: _tailed(found, most) for name, found in singles.items()}
+    pairs = {names: _tailed(found, most) for names, found in pairs.items()}
     best = max([recalibrated, *singles.values(), *pairs.values()], key=lambda f: f.evidence)
     progress("what is left")
     flexible = flexible_residual(recalibrated)

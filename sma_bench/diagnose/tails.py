@@ -31,7 +31,8 @@ def gain_of_tails(fitted: Fit) -> tuple[float, tuple[str, ...]]:
     moved = 1.0 - WIDE**-2
     count = fitted.unknowns.bench
     x, covariance = fitted.x.copy(), fitted.covariance.copy()
-    total, off = 0.0, []
+    total = 0.0
+    off: list[int] = []
     for _ in range(min(_MOST, count)):
         left = np.maximum(1.0 - moved * np.diag(covariance)[:count], WIDE**-2)
         gains = 0.5 * moved * x[:count] ** 2 / left - 0.5 * np.log(left) - np.log(WIDE)

@@ -24,14 +24,18 @@ WORDS = {
     "batch": ["identify", "IN"], "report": ["IN", "--out", "OUT"], "audit": ["IN"],
     "parameters": ["--params", "IN"], "effects": [], "simulate": ["--input", "IN", "--out", "OUT"],
     "paper": ["IN", "--out", "OUT"], "calibrate": ["supply", "--csv", "IN"], "call": ["a/b"],
+    "investigate": ["IN", "--folder", "OUT", "--simulated", "IN"],
     "demo": [], "linearise": ["--params", "IN"], "dashboard": [], "completion": ["bash"],
     "blind make": ["--seed", "1", "--out", "OUT"], "blind run": ["IN"], "blind score": ["IN"],
     "blind figures": ["--out", "OUT"], "blind rival": ["bic", "IN", "--params", "IN"],
 }
 READS_NO_FILE = {"effects", "call", "demo", "blind make", "blind figures"}
 # Options that name files which a command reads, and others that look alike but name none.
-READ = {"--params", "--hold-out", "--map", "--input", "--csv", "--program"}
-RESUMED = {("blind run", "--answers"), ("blind score", "--answers")}  # answers are always kept
+READ = {"--params", "--hold-out", "--map", "--input", "--csv", "--program", "--simulated"}
+# Answers are always kept, and so is an investigation.
+RESUMED = {
+    ("blind run", "--answers"), ("blind score", "--answers"), ("investigate", "--folder"),
+}
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:

@@ -1,0 +1,75 @@
+"""sma-bench investigate: an ambiguous record, one more run in software, and the cause is named."""
+
+import json
+
+import pytest
+from planted import believed, few_effects, planted_record, true_bench
+
+from sma_bench.cli import main
+from sma_bench.errors import InputError
+from sma_bench.live.simulated_run import SimulatedRun
+from sma_bench.parameters import write_parameters
+from sma_bench.protocols import parse_protocol
+from sma_bench.records import read_record
+
+pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+# As in test_next_experiment: 0.6 K a minute hides in 20 s of deflection.
+WARMING = {"effect.ambient_drift.rate": 0.01}
+LIBRARY = ("side_heat_coupling", "ambient_drift")
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab")
+    planted_record(folder / "short", WARMING, quantities=("deflection",))
+    write_parameters(folder / "lab.yaml", believed(), names=sorted(believed().given))
+    hidden = true_bench(WARMING)
+    write_parameters(folder / "hidden.yaml", hidden, names=sorted(hidden.given))
+    return folder
+
+
+def investigate(lab, *more):
+    with few_effects(LIBRARY):
+        return main([
+            "investigate", str(lab / "short"), "--params", str(lab / "lab.yaml"), "--folder",
+            str(lab / "gap"), "--signals", "deflection", "--simulated", str(lab / "hidden.yaml"),
+            *more,
+        ])
+
+
+def test_an_ambiguous_record_is_followed_until_the_cause_is_named(lab, capsys):
+    assert investigate(lab, "--budget", "0.1") == 0
+    assert "budget spent: ambiguous after 1 records, 0.0 min" in capsys.readouterr().out
+    assert investigate(lab) == 0
+    out = capsys.readouterr().out
+    assert "--yes runs without asking" in out and not (lab / "gap" / "record_1").exists()
+    assert investigate(lab, "--yes", "--json", str(lab / "story.json")) == 0
+    story = json.loads((lab / "story.json").read_text())
+    first, *_, last = story["chapters"]
+    assert (first["verdict"], first["records"]) == ("ambiguous", 1)
+    assert (last["verdict"], last["cause"]) == ("effect", ["ambient_drift"])
+    assert story["state"] == "named" and last["minutes"] > 0.5
+    assert read_record(lab / "gap" / "record_1").duration > 30.0
+    assert "ambient_drift" in (lab / "gap" / "story" / "index.html").read_text()
+    capsys.readouterr()
+    assert investigate(lab) == 0  # nothing is done again
+    assert "named: ambient_drift after 2 records" in capsys.readouterr().out
+
+
+def test_a_simulated_run_ends_at_zero_volts_when_a_wire_gets_too_hot():
+    limited = believed().replace({"bench.maximum_temperature": 310.0})
+    steps = [{"kind": "step", "drive": "front", "level": 2.0, "duration": 20.0}]
+    protocol = parse_protocol({"name": "hot", "steps": steps}, limited)
+    run = SimulatedRun(believed(), limited, 1)
+    with pytest.raises(InputError, match="hot: aborted: .*temperature"):
+        run.follow(protocol)
+    assert set(run._volts) == {0.0}
+
+
+def test_a_folder_of_other_things_stays_as_it_is(lab, tmp_path, capsys):
+    (tmp_path / "gap").mkdir()
+    (tmp_path / "gap" / "improved.yaml").write_text("mine")
+    assert investigate(lab, "--folder", str(tmp_path / "gap")) == 2
+    assert "is not empty, and no investigation" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "gap").iterdir()] == ["improved.yaml"]
