@@ -56,6 +56,8 @@ class Label:
         distinguishable: from every other single explanation, by five standard deviations.
         noise: white, coloured or drift; kinetics: mildly different ones, the only effect there is.
         signals: "all" or "paper" (voltages and deflection).
+        own_stages: stages of which one has to be named: that of the effect that does most, or of
+            every parameter that is wrong.
     """
 
     id: str
@@ -67,6 +69,7 @@ class Label:
     noise: str = "white"
     kinetics: bool = False
     signals: str = "all"
+    own_stages: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Label":
@@ -83,12 +86,21 @@ class Label:
             noise=document.get("noise", "white"),
             kinetics=bool(document.get("kinetics", False)),
             signals=document.get("signals", "all"),
+            own_stages=_own_stages(document),
         )
 
     @property
     def stages(self) -> frozenset[str]:
         """Stages of the contract's effects in it."""
         return frozenset(STAGE_OF[name] for name in self.names if name in STAGE_OF)
+
+
+def _own_stages(document: Mapping[str, Any]) -> frozenset[str]:
+    stages, severities = document.get("stages") or [], document.get("severities") or {}
+    if document["kind"] == "recalibration" or len(severities) < 2:
+        return frozenset(stages)
+    largest = max(severities, key=lambda name: severities[name])
+    return frozenset(stages[k] for k, n in enumerate(document["effects"]) if n == largest)
 
 
 @dataclass(frozen=True)
@@ -224,6 +236,8 @@ class Judged:
         """
         if self.answer is None or self.answer.where is None:
             return False
+        if key == "stage" and self.label.own_stages:
+            return self.answer.where.stage in self.label.own_stages
         return quantity_of(getattr(self.answer.where, key)) == quantity_of(self.label.where[key])
 
     @property

@@ -385,7 +385,8 @@ TARGETS = (
         place("phase"), floor=0.90, aim=0.95,
     ),
     Measure(
-        "where: stage", "the same; electrical, thermal, transformation, mechanical or sensor",
+        "where: stage", "the same; electrical, thermal, transformation, mechanical or sensor; of "
+        "two effects that of the one with the larger gap, of wrong parameters that of any",
         place("stage"), floor=0.85, aim=0.93,
     ),
     Measure(

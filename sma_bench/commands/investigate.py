@@ -144,6 +144,9 @@ def _bench(args: argparse.Namespace) -> Runner:
             client.follow("experiment")
             client.follow("recorder")
             client.find("experiment/start")
+            client.wait("experiment", lambda: client.state("experiment"), _PATIENCE)
+            if _is_done(client.state("experiment"), protocol):
+                raise InputError(f"experiment: has run {protocol.name}, expected another name")
             nodes.start("recorder", {"output": str(bag)})
             client.wait("recorder", lambda: client.recorded(str(bag)), _PATIENCE)
             client.set_parameters("experiment", {"protocol": str(path.resolve())})
@@ -168,4 +171,8 @@ def _done(state: str, protocol: Protocol, report: Report) -> bool:
     report(0.0, state)
     if state.startswith("aborted"):
         raise InputError(f"experiment {state}")
+    return _is_done(state, protocol)
+
+
+def _is_done(state: str, protocol: Protocol) -> bool:
     return state == f"done: {protocol.name}"

@@ -115,6 +115,8 @@ class Investigation:
         number = len(self.records) - len(self.given) + 1
         path = self.folder / f"protocol_{number}.yaml"
         document = self.chapters[-1].proposed["protocol"] if self.chapters else self._first()
+        # The experiment node says `done: NAME`, also of a run before.
+        document = {**document, "name": f"{document['name']}_{number}"}
         write_text_atomically(path, json.dumps(document, indent=1) + "\n")  # YAML as well
         return path, load_protocol(path, self.believed), self._own(number)
 

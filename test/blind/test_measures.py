@@ -182,6 +182,26 @@ def test_the_tie_is_settled_when_the_last_answer_is_sure_and_right():
     assert (found.hits, found.n) == (1, 3)
 
 
+@pytest.mark.parametrize(
+    ("document", "stages"),
+    [
+        ({"kind": "single", "effects": ["slack"], "stages": ["mechanical"],
+          "severities": {"slack": 2.0}}, {"mechanical"}),
+        ({"kind": "pair", "effects": ["slack", "latent_heat"], "stages": ["mechanical", "thermal"],
+          "severities": {"slack": 2.0, "latent_heat": 9.0}}, {"thermal"}),
+        ({"kind": "recalibration", "effects": [], "stages": ["mechanical", "thermal"],
+          "severities": {}}, {"mechanical", "thermal"}),
+    ],
+)  # fmt: skip
+def test_the_stage_is_that_of_the_larger_effect_or_of_any_wrong_parameter(document, stages):
+    found = Label.of({"id": "1", "where": {"stage": "sensor"}, **document})
+    assert found.own_stages == stages
+    for stage in ("mechanical", "thermal"):
+        place = {"signal": "deflection", "phase": "rest", "side": "back", "stage": stage}
+        said = answer("effect", {"slack": 1.0}, ["slack"], place)
+        assert Judged(found, said).place_right("stage") == (stage in stages)
+
+
 def test_a_perfect_examinee_reaches_every_aim():
     where = {"signal": "deflection", "phase": "rest", "side": "back", "stage": "mechanical"}
     claims = {"deflection": (0.9, 0.8, 1.0)}
