@@ -24,6 +24,7 @@ SURPRISED = "parameters are needed that nobody believes in"
 
 SCALE = 2.4  # nats
 SHARE = 0.013
+FORM = 0.1  # of what the best single effect gains, which another's equation may be off by
 THRESHOLD = 5.0  # nats that an effect must gain over recalibration
 SMALLEST_OF_INTEREST = 0.57  # of the noise of a sample
 PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.08  # nats over the single, and of the single's gain
@@ -121,11 +122,20 @@ class Weights:
         gain = self.gains[name]
         parts = name.split(JOIN)
         if len(parts) == 1:
-            return (gain - THRESHOLD) / scale + self.worth[name]
+            return (self._as_formed(gain) - THRESHOLD) / scale + self.worth[name]
         single = max(self.gains[part] for part in parts)
         extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
         return (single - THRESHOLD) / scale + min(extra / scale, 20.0) + self.worth[name]
+
+    def _as_formed(self, gain: float) -> float:
+        """A rival's gain, the lead of the best single effect taken down: of two equations neither
+        is exact, and one that bends more freely must not win by that alone."""
+        lead = max((g for name, g in self.gains.items() if JOIN not in name), default=0.0)
+        if lead <= MUCH:
+            return gain
+        behind = lead - gain
+        return lead - behind**2 / (behind + FORM * lead)
 
 
 def weigh(search: Search) -> Weights:

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from sma_bench.diagnose.decision import signs_of_unexplained
+from sma_bench.diagnose.decision import Weights, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
 
 SMOOTH = "a smooth response of free form is left"
@@ -48,3 +48,16 @@ def test_a_single_event_and_an_impossible_drift_are_never_weighed_against_what_w
     found = signs_of_unexplained(search)
     assert found["a single event stands out"] == pytest.approx(8.0)
     assert found["a sensor would have to drift as none does"] == pytest.approx(6.0)
+
+
+def weighed(**gains):
+    return Weights(
+        gains, dict.fromkeys(gains, 3.0), dict.fromkeys(gains, 0.0), 5.0, -5.0, -5.0
+    ).probabilities()
+
+
+def test_an_equation_that_explains_nearly_as_much_stays_a_rival_however_much_that_is():
+    close = weighed(stress_dependent_transition=400.0, opposing_wires=380.0)
+    assert close["stress_dependent_transition"] < 0.8 < sum(close[n] for n in list(close)[:2])
+    far = weighed(stress_dependent_transition=400.0, opposing_wires=300.0)
+    assert far["stress_dependent_transition"] > 0.98
