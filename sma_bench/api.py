@@ -23,6 +23,7 @@ from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
 from sma_bench.protocols import Protocol, load_protocol, parse_protocol, protocol_names
+from sma_bench.protocols.reading import is_spoken
 from sma_bench.records import Record, Signal, open_record
 from sma_bench.records.arrays import (
     frame_from_record,
@@ -37,7 +38,7 @@ from sma_bench.records.open import AnyRecord
 from sma_bench.records.samples import held_voltages
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.records.write import write_record
-from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely
+from sma_bench.synthetic.bench_records import played, read_signals, signals_of, simulate_finely
 
 __all__ = [
     "Diagnosis",
@@ -128,7 +129,8 @@ def simulate(
     """The paper's model, and what effects are switched on, under given voltages (`physics/`).
 
     Args:
-        drive: name of a protocol or path of its .yaml file; the mapping of such a file (`steps`);
+        drive: name of a protocol, path of its file or its steps in words ("ramp to 2.7 V in 7 s;
+            hold until settled, 60 s at most"); the mapping of such a file (`steps`);
             a pair of time (n,) s and voltage (n, w) V, one column a channel, each held to the next
             sample; or anything that `load` takes, whose measured voltages then drive the model.
         parameters: as for `load_parameters`; `bench.channels` says which rig it is.
@@ -148,7 +150,8 @@ def simulate(
     for name, size in (effects or {}).items():
         bench = bench.replace(effect_values(name, float(size)), where="effects")
     if (protocol := _protocol(drive, bench)) is not None:
-        return simulate_finely(protocol.bench(bench), *protocol.sample(_period(rate)))
+        driven = protocol.bench(bench)
+        return simulate_finely(driven, *played(protocol, driven, _period(rate)))
     time_and_volts = _voltages(drive, bench)
     return simulate_finely(
         bench if isinstance(drive, tuple) else as_recorded(bench), *time_and_volts
@@ -270,8 +273,8 @@ def _bags(records: Sequence[AnyRecord]) -> list[Record]:
 
 
 def _protocol(drive: Any, bench: Parameters) -> Protocol | None:
-    shipped = isinstance(drive, str) and drive in protocol_names()
-    if shipped or (isinstance(drive, str | Path) and Path(drive).suffix == ".yaml"):
+    named = isinstance(drive, str) and (drive in protocol_names() or is_spoken(drive))
+    if named or (isinstance(drive, str | Path) and Path(drive).suffix in (".yaml", ".txt")):
         return load_protocol(drive, bench)
     if isinstance(drive, Mapping) and "steps" in drive:
         return parse_protocol(drive, bench)

@@ -1,11 +1,12 @@
 """The command line `sma-bench`."""
 
 import argparse
-import difflib
 import importlib
 import os
 import shlex
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Sequence
 
@@ -16,7 +17,7 @@ from sma_bench.commands.parser import (
     command_parser,
     terminated_as_interrupted,
 )
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, did_you_mean
 from sma_bench.lifeline import end_with_parent
 
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
@@ -47,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         line = printable(str(error))
         end = "" if len(line) <= LONGEST_LINE else "..."
-        print(f"sma-bench: {line[:LONGEST_LINE]}{end}", file=sys.stderr)
+        print(_folded(f"sma-bench: {line[:LONGEST_LINE]}{end}"), file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("sma-bench: interrupted", file=sys.stderr)
@@ -57,12 +58,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
 
 
+def _folded(line: str) -> str:
+    """A line as it is, on a terminal folded between its words."""
+    if not sys.stderr.isatty():
+        return line
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(line, width, subsequent_indent="  ", break_on_hyphens=False)
+
+
 def _show_warning(
     message: Warning | str, category: object, filename: str, lineno: int, *_: object, **__: object
 ) -> None:
     from sma_bench.border import printable
 
-    print(f"sma-bench: note: {printable(str(message))}", file=sys.stderr)
+    print(_folded(f"sma-bench: note: {printable(str(message))}"), file=sys.stderr)
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -71,9 +80,8 @@ def _dispatch(arguments: list[str]) -> int:
         return 0
     name, *rest = arguments
     if name not in COMMANDS:
-        close = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f"did you mean {close[0]}?" if close else "sma-bench --help lists them"
-        raise InputError(f"no command {name!r}, {hint}")
+        hint = did_you_mean(name, COMMANDS) or ", sma-bench --help lists them"
+        raise InputError(f"no command {name!r}{hint}")
     module = importlib.import_module(f"sma_bench.commands.{name}")
     parser = command_parser(name, COMMANDS[name])
     if name == "run":

@@ -1,7 +1,9 @@
 """sma-bench call NODE/SERVICE: what `ros2 service call` does, without a ROS 2 installation."""
 
 import argparse
+import math
 import re
+import time
 from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json
@@ -17,7 +19,7 @@ from sma_bench.commands.terminal import (
 from sma_bench.errors import InputError
 
 _LARGEST_ANSWER = 64 * MEGABYTE
-_PRESENCE = 10.0  # s within which a node has to be found
+_PRESENCE, _ANSWER = 10.0, 600.0  # s within which a node has to be found, and to answer
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 
 
@@ -35,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
     )
     parser.add_argument(
-        "--patience", type=float, default=600.0, metavar="S",
-        help="how long the answer may take (default 600)",
+        "--patience", type=float, metavar="S",
+        help="how long the node may take to appear and to answer, together (default 10 and 600)",
     )
     add_json_option(parser, "the answer")
     add_ros_option(parser)
@@ -50,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     for name in (args.namespace, args.service):
         if not _NAME.fullmatch(name):
             raise InputError(f"call: {name!r} is no ROS name, expected letters, digits, _ and /")
+    if args.patience is not None and not 0.0 < args.patience < math.inf:
+        raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
     settings = dict(named_value(text) for text in args.settings)
     answer = _call(args, node, service, settings)
     if args.json:
@@ -72,11 +76,13 @@ def _call(args: argparse.Namespace, node: str, service: str, settings: dict[str,
 
         namespace = "/" + args.namespace.strip("/")
         with BenchClient(namespace, look, ros_arguments(args)) as client:
+            end = time.monotonic() + (args.patience or 0.0)
             client.follow(node)
-            client.find(f"{node}/{service}", _PRESENCE)
+            client.find(f"{node}/{service}", args.patience or _PRESENCE)
             if settings:
                 client.set_parameters(node, settings)
-            return client.trigger(f"{node}/{service}", args.patience)
+            left = max(end - time.monotonic(), 0.0) if args.patience else _ANSWER
+            return client.trigger(f"{node}/{service}", left)
 
 
 def _parsed(answer: str) -> Any:

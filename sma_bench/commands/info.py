@@ -15,6 +15,7 @@ from sma_bench.commands.terminal import (
     progress,
     write_json,
 )
+from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 
 _MOST_MARKERS = 20
@@ -68,7 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print topics, signals and findings; exit code 0 whatever they say."""
+    """Print topics, signals and findings, whatever they say.
+
+    Raises:
+        InputError: no record, or one of another robot.
+    """
     from sma_bench.records import describe, open_record
 
     with progress("reading"):
@@ -81,6 +86,11 @@ def run(args: argparse.Namespace) -> int:
     print_findings(findings)
     if not findings:
         console.print("no findings")
+    if description["kind"] == "bag" and not description["signals"] + description["markers"]:
+        raise InputError(
+            f"{args.record}: nothing of a bench in it, expected topics of docs/topics.md, e.g. "
+            "<channel>/power, joint_states"
+        )
     return 0
 
 

@@ -1,6 +1,7 @@
 """What every command line of sma-bench shares: parser, examples in its help, a polite kill."""
 
 import argparse
+import re
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -8,7 +9,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, did_you_mean
 
 COMMANDS = {
     "info": "what a record holds and whether it can be trusted",
@@ -84,6 +85,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "simulate": (
         "simulate --protocol composite_triangle --params config/composite_rig.yaml --out made",
         "simulate --input my_bag --out again --effect latent_heat=12e3 --noise 1",
+        'simulate --protocol "hold at 2.7 V until settled, 60 s at most" --out held',
     ),
     "blind": (
         "blind make --seed 1 --n 20 --out cases",
@@ -134,6 +136,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 # --- The parser that every command shares: examples below the options, errors in one line.
 
 PROGRAM = "sma-bench"
+_INVALID_CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)")
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -142,6 +145,7 @@ class CommandParser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """The arguments, once no output of theirs endangers a file."""
+        self._require_known_options(args or [])
         found = super().parse_args(args, namespace)
         values = vars(found)
         targets = {
@@ -154,9 +158,23 @@ class CommandParser(argparse.ArgumentParser):
         keep_safe(targets, inputs, bool(values.get("force")))
         return found
 
+    def _require_known_options(self, args: Sequence[str]) -> None:
+        """A slip of the pen, before the parser complains of what it left unsaid."""
+        known = set(self._option_string_actions)
+        if any(a.nargs == argparse.REMAINDER and not a.option_strings for a in self._actions):
+            return  # the rest has a parser of its own
+        for argument in args:
+            option = argument.partition("=")[0]
+            if option in ("--", "--ros-args"):
+                return
+            if option.startswith("--") and not any(name.startswith(option) for name in known):
+                self.error(f"unknown option {option}{did_you_mean(option, known)}")
+
     def error(self, message: str) -> NoReturn:
         """One line that says what was wrong and where help is."""
         where = self.prog.removeprefix(PROGRAM).strip()
+        if choice := _INVALID_CHOICE.search(message):
+            message += did_you_mean(choice[1], re.findall(r"[\w/.-]+", choice[2]))
         said = f"{where}: {message}" if where else message
         raise InputError(f"{said}; see {self.prog} --help")
 

@@ -5,7 +5,13 @@ from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import BAG, add_output
-from sma_bench.commands.terminal import add_json_option, progress, say, write_json
+from sma_bench.commands.terminal import (
+    add_json_option,
+    print_findings,
+    progress,
+    say,
+    write_json,
+)
 from sma_bench.errors import InputError
 from sma_bench.progress import part
 
@@ -16,7 +22,9 @@ _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--protocol", metavar="NAME", help="a protocol's name or .yaml file")
+    source.add_argument(
+        "--protocol", metavar="NAME", help="a protocol's name or file, or its steps in words"
+    )
     source.add_argument("--input", metavar="BAG", help="use the voltages measured in a bag")
     add_output(
         parser, "--out", BAG, metavar="BAG", required=True, help="bag to write (new folder)"
@@ -45,7 +53,13 @@ def run(args: argparse.Namespace) -> int:
     from sma_bench.records import read_record
     from sma_bench.records.samples import held_voltages
     from sma_bench.records.write import write_record
-    from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely
+    from sma_bench.synthetic.bench_records import (
+        limits_passed,
+        played,
+        read_signals,
+        signals_of,
+        simulate_finely,
+    )
 
     parameters = parameters_from_options(args)
     for text in args.effects:
@@ -56,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"--rate is {args.rate:g} Hz, expected 0 to {LARGEST_RATE:g}")
         protocol = load_protocol(args.protocol, parameters)
         parameters = protocol.bench(parameters)
-        time, voltage = protocol.sample(1.0 / args.rate)
+        time, voltage = played(protocol, parameters, 1.0 / args.rate)
     else:
         record = read_record(args.input)
         start_ns = record.start_ns
@@ -66,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
     with progress("simulate") as report:
         report(0.0, "the model")
-        signals, noise = signals_of(simulate_finely(parameters, time, voltage)), "no noise"
+        simulation = simulate_finely(parameters, time, voltage)
+        signals, noise = signals_of(simulation), "no noise"
         if args.noise is not None:
             signals = read_signals(signals, args.noise, part(report, *_INSTRUMENTS))
             noise = f"synthetic noise, seed {args.noise}"
@@ -74,13 +89,16 @@ def run(args: argparse.Namespace) -> int:
         write_record(
             Path(args.out), signals, start_ns=start_ns, report=writing, replace=args.force
         )
+    findings = limits_passed(simulation)
     if args.json:
         write_json(args.json, {
             "bag": args.out, "protocol": args.protocol, "input": args.input,
             "effects": list(args.effects), "noise_seed": args.noise, "samples": len(time),
             "duration": float(time[-1] - time[0]),
             "signals": {signal.name: signal.unit for signal in signals},
+            "findings": [finding.to_json() for finding in findings],
         })  # fmt: skip
+    print_findings(findings)
     say(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
     return 0
 

@@ -241,15 +241,18 @@ def _lines(title: str, state: WorkState, over: threading.Event) -> None:
 
 # --- How commands print findings and write results.
 
+_SEVERITY = 8  # cells
 _STYLES = {"info": "green", "warning": "yellow", "error": "red"}
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
-    """One paragraph a finding, coloured on a terminal."""
+    """One paragraph a finding, folded beside its severity and coloured on a terminal."""
     console = output_console()
     for finding in findings:
-        head = Text(f"{finding.severity:8}", style=_STYLES[finding.severity])
-        console.print(head + Text(finding_line(finding), style="default"))
+        severity = Text(finding.severity, style=_STYLES[finding.severity])
+        row = Table.grid(Column(width=_SEVERITY), Column(overflow="fold"))
+        row.add_row(severity, Text(finding_line(finding)))
+        console.print(row)
 
 
 def say(text: str) -> None:

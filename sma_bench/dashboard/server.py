@@ -1,6 +1,7 @@
 """The web server of the page: who may see it, files, a stream of updates, and the stop."""
 
 import asyncio
+import errno
 import hmac
 import ipaddress
 import json
@@ -129,7 +130,11 @@ class DashboardServer:
             sockets = tornado.netutil.bind_sockets(port, host)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise InputError(f"dashboard: cannot listen on {host} port {port}: {reason}") from None
+            taken = getattr(error, "errno", None) == errno.EADDRINUSE
+            hint = "; --port 0 takes any that is free" if taken else ""
+            raise InputError(
+                f"dashboard: cannot listen on {host} port {port}: {reason}{hint}"
+            ) from None
         self.url = _url(host, sockets[0], self.access.token)
         shared = {"access": self.access, "bench": bench, "title": title, "pages": set()}
         application = tornado.web.Application(

@@ -27,6 +27,7 @@ from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
 from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
+from sma_bench.records.samples import require_channels
 
 QUANTITIES = ("current", "temperature", "deflection")
 
@@ -385,16 +386,11 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
 def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], tuple[str, ...]]:
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
     channels = tuple(parameters["bench.channels"])
-    missing = [c for c in channels if c not in driven]
-    if not missing:
-        return channels, tuple(parameters["bench.channel_sides"])
-    if len(driven) == len(record.channels) == 1:
+    missing = set(channels).difference(driven)
+    if missing and len(driven) == len(record.channels) == 1:
         return (driven[0],), ("front",)
-    held = ", ".join(driven) or "none"
-    raise InputError(
-        f"{record.path}: no voltage of channel {missing[0]}, the record has {held}; "
-        "expected those of bench.channels"
-    )
+    require_channels(record, channels, driven)
+    return channels, tuple(parameters["bench.channel_sides"])
 
 
 def pulls_a_load(record: Record, parameters: Parameters) -> bool:

@@ -12,10 +12,10 @@ from typing import Any
 from typing import Protocol as Interface
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import Guard, Interlock
+from sma_bench.hardware.safety import Freshness, Guard, Interlock
 from sma_bench.live.recording import Beside
 from sma_bench.parameters import Parameters
-from sma_bench.protocols import Protocol, load_protocol
+from sma_bench.protocols import Protocol, Waiting, load_protocol
 
 IDLE, RUNNING, DONE, ABORTED = "idle", "running", "done", "aborted"
 # s that a start waits for the recorder to hear every topic: discovery takes up to three.
@@ -89,9 +89,11 @@ class Run:
 
     def __init__(
         self, outputs: Outputs, loop: OpenLoop, guard: Guard, beside: Beside, channels: int,
-        autostart: bool = False,
+        autostart: bool = False, feedback_timeout: float = 1.0,
     ) -> None:
-        """`autostart`: start as soon as nothing is in the way."""
+        """`autostart`: start as soon as nothing is in the way; `feedback_timeout`: s for which
+        what a step waits for may stay away."""
+        self._feedback_timeout = feedback_timeout
         self._outputs, self._loop, self._guard, self._beside = outputs, loop, guard, beside
         self._zero = [0.0] * channels
         self._interlock = Interlock()
@@ -99,6 +101,9 @@ class Run:
         self._started: float | None = None
         self._begin = self._progress_due = 0.0
         self._patience = math.inf
+        self._waiting: Waiting | None = None
+        self._passed_over = self._time = 0.0
+        self._readings: dict[str, Freshness] = {}
         self.state = self.said = IDLE
         self.protocol: Protocol | None = None
         self.step = ""
@@ -110,7 +115,37 @@ class Run:
 
     def fault(self, now: float) -> str:
         """Why the wires must not be driven now, or ""."""
-        return self._guard.fault(now) or self._loop.fault(now)
+        return self._guard.fault(now) or self._loop.fault(now) or self._unmeasured(now)
+
+    def heard(self, quantity: str, channel: str, value: float, stamp: float, now: float) -> None:
+        """A reading that a step may wait for: temperature [K] of a channel, deflection [m]."""
+        if not math.isfinite(value):
+            return
+        name = " ".join(part for part in (quantity, channel) if part)
+        fresh = self._readings.setdefault(name, Freshness(name, self._feedback_timeout))
+        fresh.seen(stamp, now)
+        if self._waiting is not None:
+            self._waiting.heard(quantity, channel, value, self._time)
+
+    def _unmeasured(self, now: float) -> str:
+        """What a step of the running protocol waits for and nobody measures (any more), or ""."""
+        if not self.running or self._waiting is None:
+            return ""
+        return self._missing(self._waiting.protocol, now)
+
+    def _missing(self, protocol: Protocol, now: float) -> str:
+        for segment in protocol.segments:
+            if segment.until is None:
+                continue
+            for quantity in segment.until.quantities or {""}:
+                known = [f for name, f in self._readings.items() if name.startswith(quantity)]
+                faults = [fault for fresh in known if (fault := fresh.fault(now))]
+                if not known:
+                    wanted = quantity or "temperature or deflection"
+                    return f"{segment.step} waits for {wanted}, which nobody publishes"
+                if faults:
+                    return f"{segment.step} waits for it: {faults[0]}"
+        return ""
 
     def obstacle(self, now: float) -> str:
         """What keeps the next run from starting, or ""."""
@@ -125,6 +160,7 @@ class Run:
 
     def tick(self, now: float, time: float) -> None:
         """One command."""
+        self._time = time
         self.check(now)
         if self.running:
             self._follow(now, time)
@@ -145,7 +181,10 @@ class Run:
 
     def _start_planned(self, now: float, plan: Callable[[], Protocol]) -> None:
         try:
-            self._start(now, plan())
+            protocol = plan()
+            if missing := self._missing(protocol, now):
+                raise InputError(missing)
+            self._start(now, protocol)
         except InputError as error:  # a file that has changed since it was chosen
             self.abort(f"not started: {error}")
 
@@ -185,8 +224,10 @@ class Run:
             protocol = plan()
         except InputError as error:
             return False, str(error)
+        if missing := self._missing(protocol, now):
+            return False, missing
         self._start(now, protocol)
-        return True, f"{protocol.name}: {protocol.duration:g} s"
+        return True, f"{protocol.name}: {protocol.length}"
 
     def stop(self) -> tuple[bool, str]:
         """Abort, running or not."""
@@ -222,7 +263,8 @@ class Run:
 
     def _start(self, now: float, protocol: Protocol) -> None:
         self.protocol, self._started, self.step = protocol, None, ""
-        self._begin = now + _LEAD_IN
+        self._begin, self._passed_over = now + _LEAD_IN, 0.0
+        self._waiting = Waiting(protocol) if protocol.waits else None
         self.enter(RUNNING, protocol.name)
 
     def _follow(self, now: float, time: float) -> None:
@@ -231,7 +273,10 @@ class Run:
             return
         assert self.protocol is not None
         self._started = time if self._started is None else self._started
-        elapsed = time - self._started
+        elapsed = time - self._started + self._passed_over
+        if self._waiting is not None and 0.0 <= elapsed < self.protocol.duration:
+            ahead = self._waiting.passed_over(elapsed, time)
+            self._passed_over, elapsed = self._passed_over + ahead, elapsed + ahead
         step = self.protocol.step_at(elapsed)
         if elapsed > 0.0 and not step:
             self._finish(DONE)
@@ -256,9 +301,10 @@ class Run:
         if now < self._progress_due or self.protocol is None:
             return
         self._progress_due = now + _PROGRESS_EVERY
-        duration = self.protocol.duration
+        duration = self.protocol.duration - self._passed_over
         self._outputs.show({
-            "protocol": self._name, "step": self.step, "elapsed": round(elapsed, 3),
+            "protocol": self._name, "step": self.step,
+            "elapsed": round(elapsed - self._passed_over, 3),
             "duration": duration if math.isfinite(duration) else None,
         })  # fmt: skip
 

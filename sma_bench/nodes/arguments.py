@@ -4,13 +4,12 @@ ROS passes over names that a node does not declare, so a slip of the pen in a pa
 silently leave a default in force.
 """
 
-import difflib
 import logging
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sma_bench.border import load_yaml
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, did_you_mean
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
@@ -142,8 +141,7 @@ def _require_foreign(node: str, name: str, where: str) -> None:
     if name in known_elsewhere or group in _ROS_GROUPS:
         return
     known = [*BY_NAME, *known_elsewhere, *(UNCERTAINTY_PREFIX + bare for bare in BY_NAME)]
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f", did you mean {close[0]}?" if close else ""
+    hint = did_you_mean(name, known)
     own_groups = {n.split(".")[0] for n in known_elsewhere if "." in n}
     if group in _CONTRACT_GROUPS | own_groups and "." in name:
         raise InputError(f"{where}: unknown parameter {name}{hint}")

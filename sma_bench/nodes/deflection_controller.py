@@ -1,16 +1,13 @@
 """Moves a bench as wanted: the position in joint_states to voltage_command."""
 
-import time
 from collections.abc import Sequence
 
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from sma_bench.hardware.safety import Freshness
 from sma_bench.live.closed_loop import DeflectionLoop
 from sma_bench.nodes.base import run_node
 from sma_bench.nodes.controller import Controller
-from sma_bench.nodes.experiment import NEWEST, seconds
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols.reading import TIP
 
@@ -22,12 +19,11 @@ class DeflectionControllerNode(Controller):
 
     def __init__(self) -> None:
         super().__init__("deflection_controller", Float64)
-        self.create_subscription(JointState, "joint_states", self._on_joints, NEWEST)
 
     def loop(self) -> DeflectionLoop:
         """The controller, for the parameters of the moment."""
-        self._joint = TIP if moves_tip(self.parameters) else "wire"
-        freshness = Freshness(f"joint_states {self._joint}", self._feedback_timeout)
+        joint = TIP if moves_tip(self.parameters) else "wire"
+        freshness = Freshness(f"joint_states {joint}", self._feedback_timeout)
         return DeflectionLoop(self.settings, self.parameters, self.follow, freshness=freshness)
 
     def levels_of(self, message: Float64) -> list[float]:
@@ -38,12 +34,11 @@ class DeflectionControllerNode(Controller):
         """One deflection in m."""
         return Float64(data=levels[0])
 
-    def _on_joints(self, message: JointState) -> None:
-        if self._joint not in message.name:
-            return
-        index = message.name.index(self._joint)
-        if index < len(message.position):
-            self._loop.measured(message.position[index], seconds(message), time.monotonic())
+    def measured(self, deflection: float, stamp: float, now: float) -> None:
+        """What is controlled."""
+        super().measured(deflection, stamp, now)
+        self._loop.measured(deflection, stamp, now)
+
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -26,8 +26,9 @@ from sma_bench.live.recording import BRIDGE, RECORDER, Beside
 from sma_bench.live.run import ABORTED, IDLE, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual, run_node
 from sma_bench.nodes.bench_topics import follow_recorder
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols import Protocol
-from sma_bench.protocols.reading import is_path
+from sma_bench.protocols.reading import TIP, is_path
 from sma_bench.records.contract import place_of
 from sma_bench.ros.commander import COMMAND, signature, voltage_command
 from sma_bench.ros.node import LATCHED, MEASURED
@@ -62,7 +63,8 @@ class Experiment(BenchNode):
         self._loop = self.loop()
         self.check_settings(self.settings)
         self._run = Run(
-            self, self._loop, self._guard, self._beside, len(channels), self.settings["autostart"]
+            self, self._loop, self._guard, self._beside, len(channels),
+            self.settings["autostart"], self._feedback_timeout,
         )
         self._command = self.create_publisher(Float64MultiArray, COMMAND, MEASURED)
         self._marker = self.create_publisher(String, "experiment/marker", LATCHED)
@@ -76,6 +78,8 @@ class Experiment(BenchNode):
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, channel),
                 NEWEST,
             )
+        self._joint = TIP if moves_tip(self.parameters) else "wire"
+        self.create_subscription(JointState, "joint_states", self._on_joints, NEWEST)
         follow_recorder(self, self._guard.recorder)
         self.create_subscription(String, BRIDGE, self._on_bridge, LATCHED)
         self.create_subscription(
@@ -160,10 +164,21 @@ class Experiment(BenchNode):
         )
 
     def _on_temperature(self, channel: str, message: Temperature) -> None:
-        self._guard.temperature(
-            channel, message.temperature + CELSIUS_ZERO, seconds(message), time.monotonic(),
-            Limits.from_parameters(self.parameters),
-        )
+        kelvin, stamp, now = message.temperature + CELSIUS_ZERO, seconds(message), time.monotonic()
+        limits = Limits.from_parameters(self.parameters)
+        self._guard.temperature(channel, kelvin, stamp, now, limits)
+        self._run.heard("temperature", channel, kelvin, stamp, now)
+
+    def _on_joints(self, message: JointState) -> None:
+        if self._joint not in message.name:
+            return
+        index = message.name.index(self._joint)
+        if index < len(message.position):
+            self.measured(message.position[index], seconds(message), time.monotonic())
+
+    def measured(self, deflection: float, stamp: float, now: float) -> None:
+        """A deflection or elongation in m, acquired at `stamp` s."""
+        self._run.heard("deflection", "", deflection, stamp, now)
 
     def _tick(self) -> None:
         self._run.tick(time.monotonic(), self._bench_clock.now().nanoseconds / 1e9)

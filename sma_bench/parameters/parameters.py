@@ -1,12 +1,11 @@
 """An immutable, validated set of the contract's parameters with their uncertainties."""
 
-import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
 from typing import Any
 
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, did_you_mean
 from sma_bench.parameters.effect_table import LOAD_KINDS
 from sma_bench.parameters.parameter import Value
 from sma_bench.parameters.table import BY_NAME, TABLE
@@ -23,9 +22,7 @@ _ORDERED_TEMPERATURES = (
 
 def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
     """One line for a name that is in no table, with the nearest known one."""
-    close = difflib.get_close_matches(name, list(known), n=1)
-    hint = f", did you mean {close[0]}?" if close else ""
-    return f"unknown parameter {name}{hint}"
+    return f"unknown parameter {name}{did_you_mean(name, known)}"
 
 
 def load_kind(parameters: Mapping[str, Any]) -> str:

@@ -1,17 +1,17 @@
 """Protocol and reference files: YAML in, a checked Protocol out, every mistake in one line."""
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sma_bench.border import read_yaml
-from sma_bench.errors import InputError
+from sma_bench.border import read_bytes, read_yaml
+from sma_bench.errors import InputError, did_you_mean
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
-from sma_bench.protocols.protocol import Protocol, Segment
+from sma_bench.protocols.protocol import Protocol, Segment, Until
+from sma_bench.protocols.spoken import spoken_steps
 from sma_bench.share import share_directory
 
 # --- The kinds of step a protocol is written with, each expanded into straight segments.
@@ -42,6 +42,7 @@ class StepKind:
     seconds: tuple[str, ...]
     lines: Callable[[Numbers, Scale], list[Line]]
     drives: bool = True
+    waits: bool = True
 
 
 def _staircase(n: Numbers, scale: Scale) -> list[Line]:
@@ -84,7 +85,7 @@ def _rest(n: Numbers, scale: Scale) -> list[Line]:
 KINDS: dict[str, StepKind] = {
     "staircase": StepKind(("start", "stop", "increment"), ("dwell",), _staircase),
     "ramp": StepKind(("start", "stop"), ("duration",), _ramp),
-    "triangle": StepKind(("peak",), ("rise", "fall"), _triangle),
+    "triangle": StepKind(("peak",), ("rise", "fall"), _triangle, waits=False),
     "step": StepKind(("level",), ("duration",), _hold),
     "hold": StepKind(("level",), ("duration",), _hold),
     "rest": StepKind((), ("duration",), _rest, drives=False),
@@ -102,10 +103,21 @@ KINDS: dict[str, StepKind] = {
 #       - {kind: rest, duration: 60.0}
 #
 # `drive` is front, back, all (default) or a list of channels; what is not driven is at 0 V.
+# `until` ends a step, or every level of a staircase, before its time: settled, or
+#
+#       until: {temperature_above: 330.0, deflection_below: -0.01, settled: temperature, over: 5.0}
+#
+# `steps` may be a text, and a whole file or a protocol's name too: the words of `spoken`.
 
-SUFFIX = ".yaml"
+SUFFIX, SPOKEN_SUFFIX = ".yaml", ".txt"
 PROTOCOL_KEYS = ("name", "description", "repeat", "steps")
-STEP_KEYS = ("kind", "name", "drive", "repeat")
+STEP_KEYS = ("kind", "name", "drive", "repeat", "until")
+_LONGEST_TEXT = 100_000
+_THRESHOLDS = {
+    f"{quantity}_{side}": (quantity, side, unit)
+    for quantity, unit in (("temperature", "K"), ("deflection", "m"))
+    for side in ("above", "below")
+}
 MAXIMUM_REPEAT = 10_000
 MAXIMUM_SEGMENTS = 100_000
 MAXIMUM_SECONDS = 7 * 24 * 3600.0
@@ -146,15 +158,22 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters) -> Protocol:
     """Read a protocol by its name (in the share folder's config/protocols) or by its path.
 
     Args:
-        name_or_path: `staircase`, or `some/folder/mine.yaml`.
+        name_or_path: `staircase`, `some/folder/mine.yaml`, or the steps themselves in words.
         parameters: channels, sides and limits of the bench.
 
     Raises:
         InputError: no such file, not YAML, or a step that is wrong or above the bench's limits;
             the line names file and step.
     """
+    text = str(name_or_path)
+    if is_spoken(text):
+        return parse_protocol({"steps": text}, parameters, name="spoken")
     path = locate(name_or_path, VOLTAGE)
-    return parse_protocol(read_yaml(path), parameters, where=str(path), name=path.stem)
+    document = (
+        {"steps": read_bytes(path, _LONGEST_TEXT).decode(errors="replace")}
+        if path.suffix == SPOKEN_SUFFIX else read_yaml(path)
+    )
+    return parse_protocol(document, parameters, where=str(path), name=path.stem)
 
 
 def parse_protocol(
@@ -179,14 +198,21 @@ def parse_levels(
 ) -> Protocol:
     """A Protocol whose levels are those of a quantity; arguments as for parse_protocol."""
     _require_keys(document, quantity.keys, ("steps",), where)
-    steps = document["steps"]
+    steps, times = document["steps"], _repeat(document, where)
+    if isinstance(steps, str):
+        try:
+            channels = quantity.targets(parameters)[0]
+            rest = quantity.rest(parameters)
+            steps, often = spoken_steps(steps, quantity.unit, rest, channels)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        times *= often
     if not isinstance(steps, list) or not steps:
         raise InputError(f"{where}: steps: expected a list of one step or more")
     once: list[Segment] = []
     for number, step in enumerate(steps, 1):
         once += _segments(step, number, parameters, quantity, where)
         _require_count(len(once), where)
-    times = _repeat(document, where)
     _require_count(len(once) * times, where)
     _require_length(sum(segment.duration for segment in once) * times, where)
     return Protocol(
@@ -210,23 +236,32 @@ def _folder(quantity: Quantity) -> Path:
     return share_directory() / "config" / quantity.folder
 
 
+def is_spoken(text: str) -> bool:
+    """Whether a text is steps in words, rather than a name or a file."""
+    return " " in text and not is_path(text) and not Path(text).exists()
+
+
 def is_path(name_or_path: str) -> bool:
     """Whether a text is the path of a file rather than the name of one of the package's."""
     path = Path(name_or_path)
-    return path.suffix in (SUFFIX, ".yml") or path.parent != Path(".")
+    return path.suffix in (SUFFIX, ".yml", SPOKEN_SUFFIX) or path.parent != Path(".")
 
 
 def locate(name_or_path: str | Path, quantity: Quantity) -> Path:
     """Path of a file given by its name or path; InputError when there is no such name."""
     text = str(name_or_path)
-    names = ", ".join(shipped_names(quantity))
+    shipped = shipped_names(quantity)
+    names = ", ".join(shipped)
     if not text:
         raise InputError(f"{quantity.what}: no name given, there are {names}")
     if is_path(text):
         return Path(text)
     path = _folder(quantity) / f"{text}{SUFFIX}"
     if not path.is_file():
-        raise InputError(f"{quantity.what} {text}: not one of {names} nor a {SUFFIX} file")
+        raise InputError(
+            f"{quantity.what} {text}: not one of {names} nor a {SUFFIX} file"
+            f"{did_you_mean(text, shipped)}"
+        )
     return path
 
 
@@ -254,7 +289,38 @@ def _segments(
     times = _repeat(step, where)
     _require_count(len(lines) * times, where)
     driven = _driven(step, kind, quantity.targets(parameters), where)
-    return _numbered([_segment(name, line, driven, scale.rest) for line in lines], times)
+    until = _until(step["until"], kind, parameters, where) if "until" in step else None
+    return _numbered([_segment(name, line, driven, scale.rest, until) for line in lines], times)
+
+
+def _until(given: Any, kind: StepKind, parameters: Parameters, where: str) -> Until:
+    where = f"{where}: until"
+    if not kind.waits:
+        raise InputError(f"{where}: a triangle ends with its time, write ramps")
+    if given == "settled":
+        given = {"settled": True}
+    _require_keys(given, (*_THRESHOLDS, "settled", "over"), (), where)
+    found: dict[str, dict[str, float]] = {"above": {}, "below": {}}
+    for key in given:
+        if key in _THRESHOLDS:
+            quantity, side, unit = _THRESHOLDS[key]
+            found[side][quantity] = _number(given, key, unit, where)
+    highest = parameters["bench.maximum_temperature"]
+    if found["above"].get("temperature", 0.0) >= highest:
+        raise InputError(
+            f"{where}: temperature_above is {found['above']['temperature']:g} K, expected less "
+            f"than bench.maximum_temperature, {highest:g} K, where the bench switches off"
+        )
+    settled = given.get("settled", False)
+    names = {True: ("",), False: (), "temperature": ("temperature",), "deflection": ("deflection",)}
+    if not isinstance(settled, bool | str) or settled not in names:
+        raise InputError(f"{where}: settled is {settled!r}, expected temperature or deflection")
+    over = _number(given, "over", "s", where) if "over" in given else Until.over
+    if over <= 0.0:
+        raise InputError(f"{where}: over is {over:g} s, expected more than 0")
+    if not any((*found.values(), names[settled])):
+        raise InputError(f"{where}: says nothing, expected {', '.join(_THRESHOLDS)} or settled")
+    return Until(found["above"], found["below"], names[settled], over)
 
 
 def _kind(step: dict[str, Any], where: str) -> StepKind:
@@ -269,13 +335,16 @@ def _kind(step: dict[str, Any], where: str) -> StepKind:
     return row
 
 
-def _segment(name: str, line: Line, driven: tuple[bool, ...], rest: float) -> Segment:
+def _segment(
+    name: str, line: Line, driven: tuple[bool, ...], rest: float, until: Until | None
+) -> Segment:
     label, duration, start, stop = line
     return Segment(
         step=f"{name} {label}".strip(),
         duration=duration,
         start=tuple(start if on else rest for on in driven),
         stop=tuple(stop if on else rest for on in driven),
+        until=until,
     )
 
 
@@ -283,7 +352,7 @@ def _numbered(segments: list[Segment], times: int) -> list[Segment]:
     if times == 1:
         return segments
     return [
-        Segment(f"{s.step} {k} of {times}", s.duration, s.start, s.stop)
+        replace(s, step=f"{s.step} {k} of {times}")
         for k in range(1, times + 1)
         for s in segments
     ]
@@ -301,7 +370,10 @@ def _driven(
         return tuple(True for _ in channels)
     if drive in ("front", "back"):
         if drive not in sides:
-            raise InputError(f"{where}: drive is {drive}, but no channel is on that side")
+            raise InputError(
+                f"{where}: drive is {drive}, but no channel is on that side: the parameters are of "
+                f"a bench of {', '.join(channels)} ({', '.join(dict.fromkeys(sides))})"
+            )
         return tuple(side == drive for side in sides)
     if not isinstance(drive, list):
         raise InputError(
@@ -352,9 +424,8 @@ def _require_keys(
     allowed = list(allowed)
     for key in mapping:
         if key not in allowed:
-            close = difflib.get_close_matches(str(key), allowed, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"expected {', '.join(allowed)}"
-            raise InputError(f"{where}: unknown key {key!r}, {hint}")
+            hint = did_you_mean(key, allowed) or f", expected {', '.join(allowed)}"
+            raise InputError(f"{where}: unknown key {key!r}{hint}")
     missing = [key for key in required if key not in mapping]
     if missing:
         raise InputError(f"{where}: {missing[0]} is missing")

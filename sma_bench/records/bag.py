@@ -85,7 +85,8 @@ def _compare_counts(harvest: Harvest, promised: dict[str, int]) -> None:
     for name, count in promised.items():
         if found.get(name, 0) < count:
             missing = count - found.get(name, 0)
-            text = f"{missing} of {count} messages announced by metadata.yaml cannot be read"
+            text = f"{missing} of {count} messages ({missing / count:.1%}) announced by "
+            text += "metadata.yaml cannot be read"
             harvest.lost(name, text, missing=missing, announced=count)
 
 

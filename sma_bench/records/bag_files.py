@@ -29,6 +29,7 @@ PROVENANCE = "sma_bench_provenance"  # key of custom_data in it
 _LONGEST_NAME = 255  # bytes, on every file system
 _LONGEST_TOLD, _MOST_SENTENCES = 2000, 50  # of a provenance: characters, signals
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
 _SCANNERS = {
     mcap_scan.MAGIC: mcap_scan.scan_mcap,
     sqlite_scan.MAGIC: sqlite_scan.scan_sqlite,
@@ -79,7 +80,12 @@ def find_bag_files(path: Path, harvest: Harvest) -> BagFiles:
     is_one = is_bag(path)
     if not path.is_dir():
         if not is_one:
-            raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file")
+            how = ""
+            if path.suffix.lower() in _TABLES:
+                how = f"; make a record of a table: sma-bench import {path.name} --out {path.stem}"
+            raise InputError(
+                f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}"
+            )
         return BagFiles([path])
     try:
         names = {p.name for p in path.iterdir() if p.is_file()}

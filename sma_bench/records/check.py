@@ -253,18 +253,17 @@ def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
         if _kind(signal.name) == "current":
             clipped = _voltage_moves(record, signal, start, stop)
         else:
-            before = values[max(0, start - _ENTRY_SAMPLES) : start]
-            after = values[stop : stop + _ENTRY_SAMPLES]
-            clipped = _approach(before, extreme, span) or _approach(after, extreme, span)
+            # Leaving it at speed is what a plateau without noise does when the drive ends.
+            clipped = _approach(values[max(0, start - _ENTRY_SAMPLES) : start], extreme, span)
         total += (stop - start) * clipped
     return total
 
 
-def _approach(beside: FloatArray, extreme: float, span: float) -> bool:
-    """Whether the signal moves fast just outside a flat stretch."""
-    if len(beside) < _ENTRY_SAMPLES:
+def _approach(before: FloatArray, extreme: float, span: float) -> bool:
+    """Whether the signal moves fast just before a flat stretch."""
+    if len(before) < _ENTRY_SAMPLES:
         return False
-    return bool(np.abs(beside - extreme).max() > _ENTRY_FRACTION * span)
+    return bool(np.abs(before - extreme).max() > _ENTRY_FRACTION * span)
 
 
 def _voltage_moves(record: Record, current: Signal, start: int, stop: int) -> bool:

@@ -215,6 +215,7 @@ class _Scan:
             more = f" and {self.places - 1} more places" if self.places > 1 else ""
             lost = min(self.skipped, size)
             text = f"damaged: {first}{more}; about {lost} of {size} bytes are lost"
+            text += f" ({lost / size:.1%})"
             self.harvest.lost(self.name, text, bytes=lost)
         elif not self.ended:
             text = "the file was never finished (its writer died); all whole messages are read"

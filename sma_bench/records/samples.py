@@ -207,6 +207,33 @@ _COLUMNS: dict[str, _Take] = {
 }
 
 
+def require_channels(record: Record, channels: Sequence[str], driven: Sequence[str]) -> None:
+    """The bench of the parameters must be that of the record.
+
+    Args:
+        channels: of the parameters; driven: those of the record that have voltages.
+
+    Raises:
+        InputError: one is missing; the line says which rig either is of.
+    """
+    missing = [channel for channel in channels if channel not in driven]
+    if not missing:
+        return
+    line = (
+        f"{record.path}: no voltage of channel {missing[0]}: the parameters are of a bench of "
+        f"{_wires(channels)}, the record of one of {_wires(driven)}"
+    )
+    fitting = {1: "wire", 4: "composite"}.get(len(driven))
+    if fitting and len(driven) != len(channels):
+        line += f"; expected parameters as those of config/{fitting}_rig.yaml"
+    raise InputError(line)
+
+
+def _wires(channels: Sequence[str]) -> str:
+    names = ", ".join(channels) or "none"
+    return f"{len(channels)} channel{'s' * (len(channels) != 1)} ({names})"
+
+
 # --- The voltages that a bench applied, on one clock: what a simulation takes as its input.
 
 def held_voltages(record: Record, channels: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -222,13 +249,8 @@ def held_voltages(record: Record, channels: Sequence[str]) -> tuple[FloatArray, 
     Raises:
         InputError: the record lacks the voltage of a channel.
     """
-    missing = [channel for channel in channels if f"{channel}.voltage" not in record.signals]
-    if missing:
-        found = ", ".join(record.channels) or "none"
-        raise InputError(
-            f"{record.path}: no voltage of channel {missing[0]} (bench.channels is "
-            f"{', '.join(channels)}), found: {found}"
-        )
+    driven = [c for c in record.channels if f"{c}.voltage" in record.signals]
+    require_channels(record, channels, driven)
     signals = [record[f"{channel}.voltage"] for channel in channels]
     time = np.unique(np.concatenate([signal.time for signal in signals]))
     held = [

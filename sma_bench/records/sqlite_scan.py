@@ -48,7 +48,8 @@ def scan_sqlite(path: Path, harvest: Harvest) -> None:
     announced = _announced_size(path)
     missing = max(0, announced - path.stat().st_size) if announced <= _LARGEST_FILE else 0
     if missing:
-        text = f"cut short: {missing} of {announced} bytes are missing"
+        share = missing / announced
+        text = f"cut short: {missing} of {announced} bytes ({share:.1%}) are missing"
         harvest.lost(path.name, text, bytes=missing)
     if missing or any(_size(path.with_name(path.name + suffix)) for suffix in _SIDE_FILES):
         _scan_copy(path, announced if missing else 0, harvest)

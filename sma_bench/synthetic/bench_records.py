@@ -9,7 +9,9 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control import TemperatureController
+from sma_bench.findings import Finding
 from sma_bench.hardware.bench_sensors import Instrument
+from sma_bench.hardware.safety import Limits, current_fault, temperature_fault
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
@@ -18,7 +20,7 @@ from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.heat import direct_reading
 from sma_bench.progress import Report, in_turn, silent
-from sma_bench.protocols import load_protocol
+from sma_bench.protocols import Protocol, Waiting, load_protocol
 from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import Record, Signal
@@ -96,6 +98,48 @@ def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike)
     fine = np.repeat(seconds, parts) + within * np.repeat(np.append(gaps, 0.0) / parts, parts)
     run = simulate(parameters, fine, np.repeat(np.asarray(voltage), parts, axis=0))
     return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
+
+
+def played(
+    protocol: Protocol, parameters: Parameters, period: float
+) -> tuple[Array, Array]:
+    """`protocol.sample`, each step as long as the simulated bench makes it."""
+    if not protocol.waits:
+        return protocol.sample(period)
+    bench, waiting = Bench(parameters), Waiting(protocol)
+    parts = max(round(period / _FINE_STEP), 1) if active_effects(parameters) else 1
+    rows: list[Array] = []
+    passed_over = 0.0
+    while True:
+        now = len(rows) * period
+        for channel, kelvin in zip(
+            parameters["bench.channels"], bench.temperature_reading.tolist(), strict=True
+        ):
+            waiting.heard("temperature", channel, kelvin, now)
+        waiting.heard("deflection", "", bench.deflection_reading, now)
+        if now + passed_over < protocol.duration:
+            passed_over += waiting.passed_over(now + passed_over, now)
+        rows.append(protocol.voltage(now + passed_over))
+        if not protocol.step_at(now + passed_over):
+            return np.arange(len(rows), dtype=np.float64) * np.float64(period), np.array(rows)
+        for _ in range(parts):
+            bench.advance(rows[-1], period / parts)
+
+
+def limits_passed(simulation: Simulation) -> list[Finding]:
+    """Where a real bench of these parameters would have gone to 0 V."""
+    limits = Limits.from_parameters(simulation.parameters)
+    findings = []
+    for k, channel in enumerate(simulation.parameters["bench.channels"]):
+        for values, limit, fault in (
+            (simulation.temperature[:, k], limits.maximum_temperature, temperature_fault),
+            (np.abs(simulation.current[:, k]), limits.maximum_current, current_fault),
+        ):
+            if line := fault(channel, float(values.max()), limits):
+                first = simulation.time[np.argmax(values > limit)]
+                text = f"{line}: a real bench goes to 0 V at {first:.1f} s"
+                findings.append(Finding("warning", "limit", text))
+    return findings
 
 
 def signals_of(simulation: Simulation) -> list[Signal]:

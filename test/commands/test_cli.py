@@ -7,13 +7,19 @@ import sqlite3
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from sma_bench.cli import COMMANDS, LONGEST_LINE, main
+from sma_bench.commands.terminal import print_findings
+from sma_bench.findings import Finding
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records import Signal, open_record, read_record
 from sma_bench.records.write import write_record
 
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+Float64 = TYPES.types["std_msgs/msg/Float64"]
 WIRE_FILE = "/**:\n  ros__parameters:\n    wire:\n      resistance: {}\n"
 
 
@@ -136,17 +142,6 @@ def test_a_record_that_identifies_nothing_is_one_line_that_says_what_is_missing(
     assert "E1" in line and "staircase" in line
 
 
-def test_channel_count_mismatch_is_one_line(tmp_path, capsys):
-    bag = constant_bag(tmp_path / "bag")
-    override = "bench.channels=[front_1, back_1]"
-    line = refuse(
-        capsys, "simulate", "--input", bag, "--out", tmp_path / "out", "--set", override,
-        "--set", "bench.channel_sides=[front, back]",
-    )
-    assert "front_1" in line and "found: wire" in line
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("command", ["audit", "simulate", "parameters"])
 def test_an_output_folder_that_cannot_be_written_is_one_line(command, tmp_path, capsys):
     blocked = tmp_path / "file"
@@ -206,3 +201,71 @@ def test_run_names_the_nodes_there_are(capsys):
 def test_an_error_is_a_line_that_can_be_read_whatever_names_are_in_it(capsys):
     assert main(["info", "x" * 5000]) == 2
     assert len(capsys.readouterr().err) < LONGEST_LINE + 30
+
+
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (["identify", "bag", "--parms", "lab.yaml"], "did you mean --params?"),
+        (["simulate", "--protokol", "ramp", "--out", "bag"], "did you mean --protocol?"),
+        (["blind", "make", "--sead", "1"], "did you mean --seed?"),
+        (["simulate", "--protocol", "quick_stairs", "--out", "bag"],
+         "did you mean quick_staircase?"),
+        (["call", "experiment/start", "--patience", "0"], "expected more than 0"),
+    ],
+)  # fmt: skip
+def test_a_slip_of_the_pen_gets_a_suggestion(arguments, expected, capsys):
+    assert expected in refuse(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    "command", ["diagnose {} --params lab.yaml", "simulate --input {} --out a"]
+)
+def test_a_table_where_a_bag_is_expected_names_the_import(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.csv").write_text("time,voltage\n0,1\n1,2\n")
+    (tmp_path / "lab.yaml").write_text(WIRE_FILE.format(2.7))
+    line = refuse(capsys, *command.format("run.csv").split())
+    assert "sma-bench import run.csv --out run" in line
+
+
+def test_parameters_of_another_rig_say_which_rig_either_is(tmp_path, capsys):
+    bag = constant_bag(tmp_path / "bag")
+    four = ["--set", "bench.channels=[a, b]", "--set", "bench.channel_sides=[front, back]"]
+    line = refuse(capsys, "simulate", "--input", bag, *four, "--out", tmp_path / "again")
+    assert "2 channels (a, b)" in line and "1 channel (wire)" in line
+    assert "config/wire_rig.yaml" in line
+
+
+def test_a_bag_of_another_robot_is_shown_and_exit_code_2(tmp_path, capsys):
+    bag = tmp_path / "bag"
+    with Writer(bag, version=9) as writer:
+        kind = Float64.__msgtype__
+        topic = writer.add_connection("/arm/load", kind, typestore=TYPES)
+        writer.write(topic, 1, TYPES.serialize_cdr(Float64(1.0), kind))
+    assert main(["info", str(bag)]) == 2
+    shown = capsys.readouterr()
+    assert "/arm/load" in shown.out and "nothing of a bench in it" in shown.err
+
+
+def test_a_simulation_says_where_the_bench_would_switch_off_and_its_plateau_is_no_clipping(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hot.yaml").write_text(
+        "steps: [{kind: hold, level: 7.9, duration: 30.0}, {kind: rest, duration: 5.0}]"
+    )
+    assert main(["simulate", "--protocol", "hot.yaml", "--rate", "20", "--out", "hot"]) == 0
+    said = capsys.readouterr().out
+    assert "warning limit: over-temperature: wire at 167.9 degC, limit 150.0 degC" in said
+    assert main(["info", "hot"]) == 0
+    assert "clipped" not in capsys.readouterr().out
+
+
+def test_a_long_finding_is_folded_beside_its_severity(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    print_findings([Finding("warning", "subject", "many words " * 20)])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("warning subject: many") and len(lines) > 5
+    assert all(len(line) <= 40 for line in lines)
+    assert all(line.startswith(" " * 8) for line in lines[1:])

@@ -13,6 +13,7 @@ from sma_bench.commands import blind
 from sma_bench.commands.parser import EXAMPLES, command_parser
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
+from sma_bench.protocols.reading import is_spoken
 
 ESCAPE = "\x1b"
 ALL = [*COMMANDS, *(f"blind {name}" for name in blind.SHOWN)]
@@ -51,7 +52,8 @@ def objection(words):
     except ValueError as error:
         return str(error)
     protocol = getattr(options, "protocol", None)
-    return "" if protocol in [None, *protocol_names()] else f"no protocol {protocol}"
+    known = protocol in [None, *protocol_names()] or is_spoken(protocol)
+    return "" if known else f"no protocol {protocol}"
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -129,7 +129,7 @@ def test_a_port_that_is_taken_and_an_address_that_is_not_ours_are_one_line(bench
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=f"127.0.0.1 port {port}: Address already in use"):
+        with pytest.raises(InputError, match=f"port {port}: Address already in use; --port 0"):
             DashboardServer(bench, "/bench", "127.0.0.1", port)
     with pytest.raises(InputError, match="cannot listen on 192.0.2.1 port"):
         DashboardServer(bench, "/bench", "192.0.2.1", 0)

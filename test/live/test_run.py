@@ -35,6 +35,7 @@ class Bench:
     def __init__(self, protocol=LONG, parameters=PARAMETERS, loop=None, require_recorder=False):
         self.parameters = parameters
         self.celsius, self.ampere, self.deaf, self.frozen = 25.0, None, False, False
+        self.tells = True
         self.sent, self.marks, self.states, self.shown = [], [], [], []
         self.around = Surroundings()
         self.now = 100.0
@@ -73,6 +74,9 @@ class Bench:
             ampere = volt / RESISTANCE if self.ampere is None else self.ampere
             self.guard.power(channel, volt, ampere, self.stamp, self.now, LIMITS)
             self.guard.temperature(channel, self.celsius + 273.15, self.stamp, self.now, LIMITS)
+            if self.tells:
+                kelvin = self.celsius + 273.15
+                self.run.heard("temperature", channel, kelvin, self.stamp, self.now)
 
     def spend(self, seconds):
         for _ in range(round(seconds / PERIOD)):
@@ -297,3 +301,67 @@ def test_a_deflection_that_stays_away_aborts(pytestconfig):
     loop.measured(math.nan, 2.0, bench.now)  # is no reading
     bench.spend(0.6)
     assert_cold(bench, f"stale feedback: nothing new from joint_states {TIP}")
+
+
+# --- Steps that end when something happens.
+
+WAITS = {
+    "name": "waits",
+    "steps": [
+        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 5.0,
+         "until": {"temperature_above": 320.0}},
+        {"kind": "rest", "name": "cool", "duration": 1.0},
+    ],
+}  # fmt: skip
+
+
+def test_a_step_ends_when_the_wire_is_warm_and_the_next_one_has_its_whole_time():
+    bench = Bench(WAITS)
+    assert bench.start() == (True, "waits: 6 s at most")
+    bench.spend(1.25)
+    assert bench.sent[-1] == [2.0] and bench.shown[-1]["duration"] == 6.0
+    bench.celsius = 50.0
+    bench.spend(0.5)
+    assert bench.sent[-1] == [0.0] and bench.marks[-1] == "waits/cool"
+    assert bench.shown[-1]["duration"] == pytest.approx(2.0, abs=0.1)
+    assert bench.state == "running: waits"
+    bench.spend(0.7)
+    assert bench.state == "done: waits"
+
+
+def test_a_step_that_waits_in_vain_ends_with_its_limit():
+    bench = Bench(WAITS)
+    bench.start()
+    bench.spend(5.1)
+    assert bench.sent[-1] == [2.0]
+    bench.spend(0.3)
+    assert bench.sent[-1] == [0.0] and bench.marks[-1] == "waits/cool"
+
+
+def test_what_a_step_waits_for_must_be_measured_before_anything_is_driven():
+    bench = Bench(WAITS)
+    bench.tells = False
+    assert bench.start() == (False, "warm waits for temperature, which nobody publishes")
+    bench.spend(0.5)
+    assert not any(map(any, bench.sent))
+
+
+def test_a_reading_that_a_step_waits_for_and_that_stays_away_ends_the_run_cold():
+    bench = Bench(WAITS)
+    bench.start()
+    bench.spend(1.0)
+    assert bench.sent[-1] == [2.0]
+    bench.tells = False
+    bench.spend(1.2)
+    assert_cold(bench, "warm waits for it: stale feedback: nothing new from temperature wire")
+
+
+def test_not_a_number_is_no_reading_to_wait_for():
+    bench = Bench(WAITS)
+    bench.start()
+    bench.spend(1.0)
+    bench.tells = False
+    for _ in range(60):
+        bench.run.heard("temperature", "wire", math.nan, bench.now, bench.now)
+        bench.spend(0.02)
+    assert_cold(bench, "warm waits for it: stale feedback")

@@ -181,7 +181,7 @@ def test_it_ends_at_a_signal_and_says_in_one_line_why_it_cannot_begin(bench, tmp
             assert second.process.wait(30.0) == 2
             assert second.output.splitlines() == [
                 f"sma-bench: dashboard: cannot listen on 127.0.0.1 port {port}: "
-                "Address already in use"
+                "Address already in use; --port 0 takes any that is free"
             ]
         shown.process.send_signal(signal.SIGINT)
         assert shown.process.wait(30.0) == 0

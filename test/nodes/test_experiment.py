@@ -117,6 +117,18 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert node.end() == 0
 
 
+def test_steps_said_in_words_end_when_the_bench_gets_there(bench):
+    states = bench.latched("experiment/state", String)
+    commands = bench.listen("voltage_command", Float64MultiArray)
+    bench.start("simulator", speed=50.0)
+    words = "hold at 2.7 V until above 35 degC, 900 s at most; rest until settled, 900 s at most"
+    bench.start("experiment", protocol=words, use_sim_time=True, autostart=True)
+    bench.until(lambda: states and states[-1].data == "done: spoken")
+    assert 0 < [m.data[0] for m in commands].count(2.7) < 100
+    assert len(commands) < 2000  # of 36000 that the limits allow
+    assert list(commands[-1].data) == [0.0]
+
+
 def test_readings_of_a_protocol_are_the_same_at_any_speed_and_after_any_wait(bench, protocol):
     path = protocol(SHORT)
     slow, fast = (readings(bench, path, speed) for speed in (15.0, 150.0))
