@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
-        write_identified(args.out, result, "sma-bench identify", args.records)
+        write_identified(args.out, result, "sma-bench identify", args.records, args.params)
     print_result(result)
     if args.report:
         from sma_bench.report.identification_report import write_identification_report

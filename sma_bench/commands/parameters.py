@@ -76,7 +76,9 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.out:
         comment = "Parameters of an SMA bench in SI units.\nLoad with: --ros-args --params-file"
-        write_parameters(args.out, parameters, comment)
+        write_parameters(
+            args.out, parameters, comment, template=args.params or args.out, explain=True
+        )
         print(args.out)
         return 0
     rows = [(p.name, _shown(parameters[p.name]), p.unit, p.provenance) for p in TABLE]

@@ -1,6 +1,9 @@
 """ROS 2 parameter files, in and out."""
 
+import math
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,9 @@ import yaml
 from sma_bench.border import printable, read_yaml, write_files
 from sma_bench.errors import InputError
 from sma_bench.parameters.effect_table import EFFECT_PREFIX
-from sma_bench.parameters.parameter import Value
+from sma_bench.parameters.parameter import Parameter, Value
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
-from sma_bench.parameters.table import TABLE
+from sma_bench.parameters.table import BY_NAME, TABLE
 
 WILDCARD = "/**"
 
@@ -80,8 +83,12 @@ def write_parameters(
     parameters: Parameters,
     comment: str = "",
     names: Iterable[str] | None = None,
+    *,
+    sources: Mapping[str, str] | None = None,
+    template: str | Path | None = None,
+    explain: bool = False,
 ) -> None:
-    """Write a ROS parameter file that every node loads as it is.
+    """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
     The file appears whole or not at all.
 
@@ -90,23 +97,40 @@ def write_parameters(
         parameters: values and uncertainties.
         comment: lines for the head of the file.
         names: parameters to write, in any order; when None all but effects that nobody gave.
+        sources: where values are from, by name; these and their standard deviations are rounded to
+            what the error deserves.
+        template: a file whose comments a person wrote and that are kept.
+        explain: each parameter's description above it.
 
     Raises:
         InputError: the folder cannot be written.
     """
     chosen = set(_worth_writing(parameters) if names is None else names)
+    told, stds = sources or {}, parameters.given_uncertainty
     body: dict[str, Any] = {}
+    notes: dict[str, str] = {}
     for parameter in TABLE:
-        if parameter.name in chosen:
-            _insert(body, parameter.name, _plain(parameters[parameter.name]))
-    for name, std in sorted(parameters.given_uncertainty.items()):
+        name = parameter.name
+        if name not in chosen:
+            continue
+        value = parameters[name]
+        if name in told and stds.get(name):
+            value = _rounded(value, stds[name])
+        _insert(body, name, _plain(value))
+        by_default = "given" if value != parameter.default else parameter.provenance
+        notes[name] = _note(parameter, told.get(name, by_default))
+    for name, std in sorted(stds.items()):
         if name in chosen:
-            _insert(body, UNCERTAINTY_PREFIX + name, float(std))
-    _write_body(path, body, comment)
+            std = _rounded(std, std) if name in told else float(std)
+            _insert(body, UNCERTAINTY_PREFIX + name, std)
+            notes[UNCERTAINTY_PREFIX + name] = f"[{BY_NAME[name].unit or '1'}]"
+    above = {p.name: p.description for p in TABLE} if explain else {}
+    _write_body(path, body, comment, notes, above, comments_of(template))
 
 
 def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str = "") -> None:
-    """Write values by dotted name as a ROS parameter file, whole or not at all.
+    """Write values by dotted name as a ROS parameter file, whole or not at all; comments of the
+    file that is there stay.
 
     Raises:
         InputError: the folder cannot be written.
@@ -114,13 +138,102 @@ def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str
     body: dict[str, Any] = {}
     for name, value in values.items():
         _insert(body, name, value)
-    _write_body(path, body, comment)
+    _write_body(path, body, comment, {}, {}, comments_of(path))
 
 
-def _write_body(path: str | Path, body: dict[str, Any], comment: str) -> None:
-    text = "".join(f"# {printable(line)}\n" for line in comment.splitlines())
-    text += yaml.safe_dump({WILDCARD: {"ros__parameters": body}}, sort_keys=False)
-    write_text_atomically(path, text)
+def _rounded(value: Any, std: float) -> Any:
+    """A number to the place of its error's second digit."""
+    if not isinstance(value, float) or not 0.0 < std < math.inf:
+        return value
+    return round(value, 1 - math.floor(math.log10(std)))
+
+
+def _note(parameter: Parameter, source: str) -> str:
+    limits = [x for x in (parameter.low, parameter.high) if x is not None]
+    unit = f"[{parameter.unit or '1'}] " if parameter.kind in ("double", "integer") else ""
+    between = f"{limits[0]:g} to {limits[1]:g}; " if len(limits) == 2 else ""
+    return f"{unit}{between}{source}"
+
+
+# --- Comments: those that this module writes, and those that a person wrote and that it keeps.
+
+_KEY = re.compile(r"( *)([\w.]+|/\*\*):(?: |$)")
+_OWN = " | "  # between a person's comment and what is written beside it anew
+
+
+@dataclass(frozen=True)
+class Comments:
+    """A person's comments: at the head of a file, and by dotted name above and beside a value."""
+
+    head: tuple[str, ...] = ()
+    above: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    beside: Mapping[str, str] = field(default_factory=dict)
+
+
+def comments_of(path: str | Path | None) -> Comments:
+    """What a person wrote into a parameter file; nothing where there is none."""
+    if path is None or not Path(path).is_file():
+        return Comments()
+    head: tuple[str, ...] = ()
+    above: dict[str, tuple[str, ...]] = {}
+    beside: dict[str, str] = {}
+    groups: list[tuple[int, str]] = []
+    waiting: list[str] = []
+    for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.lstrip().startswith("#"):
+            waiting.append(line.strip().lstrip("#").strip())
+        elif key := _KEY.match(line):
+            depth = len(key[1])
+            groups = [group for group in groups if group[0] < depth] + [(depth, key[2])]
+            name = ".".join(g for _, g in groups if g not in (WILDCARD, "ros__parameters"))
+            written = BY_NAME[name].description if name in BY_NAME else ""
+            waiting = [text for text in waiting if text != written]
+            if not name and not head:
+                head = tuple(waiting)
+            elif waiting:
+                above[name] = tuple(waiting)
+            remark = re.search(r"\s#\s?(.*)", line[key.end() - 1 :].split('"')[-1].split("'")[-1])
+            theirs = (remark[1] if remark else "").partition(_OWN)[0].strip()
+            if theirs and not _is_note(name, theirs):
+                beside[name] = theirs
+            waiting = []
+    return Comments(head, above, beside)
+
+
+def _is_note(name: str, text: str) -> bool:
+    bare = name.removeprefix(UNCERTAINTY_PREFIX)
+    known = BY_NAME.get(bare)
+    return known is not None and (
+        text.startswith(f"[{known.unit or '1'}]") or text in (known.provenance, "given")
+    )
+
+
+def _write_body(
+    path: str | Path, body: dict[str, Any], comment: str, notes: Mapping[str, str],
+    explained: Mapping[str, str], theirs: Comments,
+) -> None:
+    """One value a line; what a person wrote stands first, above and beside it."""
+    own = [printable(line) for line in comment.splitlines()]
+    lines = [f"# {line}" for line in [*own, *(t for t in theirs.head if t not in own)]]
+    lines += [f"{WILDCARD}:", "  ros__parameters:"]
+
+    def write(values: Mapping[str, Any], prefix: str, indent: str) -> None:
+        for key, value in values.items():
+            name = f"{prefix}{key}"
+            lines.extend(f"{indent}# {line}" for line in theirs.above.get(name, ()))
+            if isinstance(value, Mapping):
+                lines.append(f"{indent}{key}:")
+                write(value, f"{name}.", indent + "  ")
+                continue
+            if name in explained:
+                lines.append(f"{indent}# {explained[name]}")
+            text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
+            remarks = [text for text in (theirs.beside.get(name), notes.get(name)) if text]
+            remark = f"  # {_OWN.join(remarks)}" if remarks else ""
+            lines.append(f"{indent}{key}: {text.removesuffix('...' + chr(10)).strip()}{remark}")
+
+    write(body, "", "    ")
+    write_text_atomically(path, "".join(f"{line}\n" for line in lines))
 
 
 def _worth_writing(parameters: Parameters) -> Iterable[str]:

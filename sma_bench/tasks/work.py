@@ -83,15 +83,19 @@ def diagnosis_steps(report: Report) -> Callable[[str], None]:
 
 
 def write_identified(
-    path: str | Path, result: Identification, author: str, sources: Sequence[str]
+    path: str | Path, result: Identification, author: str, sources: Sequence[str],
+    template: str | Path | None = None,
 ) -> None:
-    """Write the parameters with what was identified put in.
+    """Write the parameters with what was identified put in; comments of the file `template` stay.
 
     Raises:
         InputError: the file cannot be written.
     """
     comment = f"Identified by {author} from " + ", ".join(sources)
-    write_parameters(path, result.parameters, comment.replace("\n", " "))
+    origins = {name: f"identified, {result.origin(name)}" for name in result.estimates}
+    write_parameters(
+        path, result.parameters, comment.replace("\n", " "), sources=origins, template=template
+    )
 
 
 def write_improved(path: str | Path, result: Diagnosis, author: str) -> None:

@@ -81,7 +81,7 @@ def test_a_wrong_example_would_be_found():
         (["identfy", "x"], "did you mean identify?"),
         (["identify"], "identify: the following arguments are required: RECORD"),
         (["simulate", "--rate", "fast"], "argument --rate: invalid float value: 'fast'"),
-        (["audit", "--nothing"], "unrecognized arguments: --nothing"),
+        (["audit", "--nothing"], "unknown option --nothing"),
         (["blind", "run"], "sma-bench blind run --help"),
         (["blind", "nothing"], "invalid choice: 'nothing'"),
         (["--nothing"], "--help"),

@@ -169,7 +169,8 @@ def test_command_writes_both_files_and_prints_a_table(shared_data, tmp_path):
     assert "wire.heat_transfer_coefficient" in done.stdout
     document = json.loads((tmp_path / "result.json").read_text())
     written = read_parameters(tmp_path / "identified.yaml")
-    assert written[CP] == document["parameters"][CP]["value"]
+    told = document["parameters"][CP]  # a file has the digits that the error deserves
+    assert written[CP] == pytest.approx(told["value"], abs=0.06 * told["std"])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["identified.yaml", "result.json"]
 
 

@@ -95,8 +95,9 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     bench.until(lambda: results)
     assert results[-1].data == answer.message == (out / "identified.json").read_text()
     saved = read_parameters(out / "identified.yaml")
-    assert saved["wire.resistance"] == pytest.approx(resistance["value"])
-    assert saved.std("wire.resistance") == pytest.approx(resistance["std"])
+    rounding = 0.06 * resistance["std"]  # a file has the digits that the error deserves
+    assert saved["wire.resistance"] == pytest.approx(resistance["value"], abs=rounding)
+    assert saved.std("wire.resistance") == pytest.approx(resistance["std"], abs=rounding)
     bad = bench.trigger("identification/identify")
     assert not bad.success and "file/out: cannot be made" in bad.message and "\n" not in bad.message
     assert node.end() == 0

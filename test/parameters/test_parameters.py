@@ -13,6 +13,7 @@ from sma_bench.parameters import TABLE, Parameters, read_parameters, write_param
 from sma_bench.parameters.documentation import parameter_page
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.yaml_file import write_named_values
 
 NUMBERS = [p for p in TABLE if p.kind == "double"]
 
@@ -197,3 +198,38 @@ def test_aliases_are_refused_as_ros_refuses_them(tmp_path):
     path.write_text("/**:\n  ros__parameters:\n" + bomb)
     message = complaint(read_parameters, path)
     assert "line 4" in message and "aliases (*name) are not taken" in message
+
+
+def test_a_written_file_says_unit_range_and_source_and_keeps_what_a_person_wrote(tmp_path):
+    first, second = tmp_path / "lab.yaml", tmp_path / "again.yaml"
+    write_parameters(first, Parameters({"wire.resistance": 2.8}), "Our lab.", explain=True)
+    text = first.read_text()
+    assert "      # Electrical resistance of one wire (eq. 3).\n" in text
+    assert "      resistance: 2.8  # [ohm] 0.01 to 1000; given\n" in text
+    assert "      specific_heat: 343.2  # [J/(kg K)] 50 to 2000; Table I\n" in text
+    text = text.replace("[ohm] 0.01 to 1000; given", "by Ann, 4 wires")
+    limit = "    # no more than the supply gives\n    bench:\n"
+    text = "# Bench 2\n" + text.replace("    bench:\n", limit)
+    first.write_text(text)
+    write_parameters(second, read_parameters(first), template=first, explain=True)
+    again = second.read_text()
+    assert again.startswith("# Bench 2\n# Our lab.\n/**:\n")
+    assert "resistance: 2.8  # by Ann, 4 wires | [ohm] 0.01 to 1000; given\n" in again
+    assert limit in again
+    write_parameters(first, read_parameters(second), template=second, explain=True)
+    assert first.read_text() == again
+
+
+def test_what_was_identified_is_rounded_to_the_second_digit_of_its_error(tmp_path):
+    found = Parameters({"wire.resistance": 2.69871234}, {"wire.resistance": 0.0312345})
+    write_parameters(tmp_path / "p.yaml", found, sources={"wire.resistance": "identified, E1"})
+    text = (tmp_path / "p.yaml").read_text()
+    assert "resistance: 2.699  # [ohm] 0.01 to 1000; identified, E1\n" in text
+    assert "resistance: 0.031  # [ohm]\n" in text
+
+
+def test_values_written_by_name_leave_the_comments_of_their_file(tmp_path):
+    kept = "    # clamp meter\n    front: 1.0  # Tuesday\n"
+    path = write(tmp_path, f"/**:\n  ros__parameters:\n{kept}")
+    write_named_values(path, {"front": 2.0, "back": 3.0})
+    assert "    # clamp meter\n    front: 2.0  # Tuesday\n    back: 3.0\n" in path.read_text()
