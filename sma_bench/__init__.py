@@ -1,7 +1,8 @@
 """Test bench software for shape-memory-alloy actuators (Keshtkar et al.).
 
-For notebooks: `sma_bench.load`, `simulate`, `measure`, `identify`, `diagnose`, `to_frame`, and what
-else `sma_bench.api` lists. It is imported at the first use, so `import sma_bench` itself is quick.
+For notebooks: `sma_bench.load`, `simulate`, `measure`, `identify`, `diagnose`, `compare`,
+`to_frame`, and what else `sma_bench.api` lists. It is imported at the first use, so
+`import sma_bench` itself is quick.
 """
 
 import sys
@@ -17,10 +18,12 @@ __all__ = [
     "Diagnosis",
     "Identification",
     "InputError",
+    "Overlay",
     "Parameters",
     "Record",
     "Signal",
     "Simulation",
+    "compare",
     "diagnose",
     "identify",
     "load",

@@ -35,6 +35,7 @@ from sma_bench.records.arrays import (
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
+from sma_bench.records.overlay import Overlay, overlay
 from sma_bench.records.samples import held_voltages
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.records.write import write_record
@@ -44,10 +45,12 @@ __all__ = [
     "Diagnosis",
     "Identification",
     "InputError",
+    "Overlay",
     "Parameters",
     "Record",
     "Signal",
     "Simulation",
+    "compare",
     "diagnose",
     "identify",
     "load",
@@ -223,6 +226,37 @@ def diagnose(
     return _diagnose(seen, load_parameters(parameters), unseen, quantities=signals)
 
 
+def compare(records: Any, models: Any = ()) -> Overlay:
+    """Records and models over each other: clocks aligned by the drive, differences in numbers.
+
+    Args:
+        records: one of what `load` takes, or a list of them, or a mapping of names to them; the
+            first is what the others are compared with.
+        models: parameters (as for `load_parameters`), a list or a mapping of names to them; each
+            is simulated under the voltages of the first record.
+
+    Returns:
+        `Overlay`: `differences`, the largest first, and `plot()`; `print` shows a table.
+
+    Raises:
+        InputError: fewer than two in all, or nothing in common.
+    """
+    named = _named(records, "record")
+    if not named:
+        raise InputError("compare: no record, expected at least one")
+    shown = dict(zip(named, _bags([load(given) for given in named.values()]), strict=True))
+    first = next(iter(shown.values()))
+    modelled = {}
+    for name, given in _named(models, "model").items():
+        bench = as_recorded(load_parameters(given))
+        volts = held_voltages(first, bench["bench.channels"])
+        simulation = simulate_finely(bench, *volts)
+        modelled[name if name not in shown else f"{name} (model)"] = _recorded(
+            simulation, signals_of(simulation), name
+        )
+    return overlay(shown | modelled, tuple(modelled))
+
+
 def to_frame(thing: Any) -> Any:
     """A pandas DataFrame of a record or a result. Needs pandas.
 
@@ -259,6 +293,19 @@ def _table(rows: Mapping[str, Mapping[str, Any]], index: str) -> Any:
 
 def _recorded(simulation: Simulation, signals: Sequence[Signal], name: str) -> Record:
     return Record(Path(name), 0, {signal.name: signal for signal in signals})
+
+
+def _named(given: Any, kind: str) -> dict[str, Any]:
+    """Things by name: their own, that of their file, or a number."""
+    if isinstance(given, Mapping) and all(isinstance(v, str | Path | Record) for v in
+                                          given.values()):
+        return dict(given)
+    found: dict[str, Any] = {}
+    for k, thing in enumerate(given if isinstance(given, list | tuple) else [given], 1):
+        path = thing if isinstance(thing, str | Path) else getattr(thing, "path", "")
+        name = Path(path).name or f"{kind} {k}"
+        found[name if name not in found else f"{name} ({k})"] = thing
+    return found
 
 
 def _records(given: Any) -> list[AnyRecord]:

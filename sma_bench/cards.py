@@ -11,12 +11,14 @@ from typing import NamedTuple
 
 from sma_bench.border import printable
 from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.results import (
     AT_NOISE,
     DIFFER_MOST,
     NEEDS_NONE,
     NEEDS_OFF,
     NO_GAP,
+    NOT_COMPARED,
     SOMETHING_ELSE,
     DiagnoseResult,
     IdentifyResult,
@@ -50,6 +52,7 @@ def verdict_card(result: DiagnoseResult) -> Card:
         *(("error", line) for line in _errors(result)),
         ("rivals", _rivals(result)),
         ("left", _said(result, SOMETHING_ELSE)),
+        ("missing", _missing(result)),
         ("next", _next(result)),
     ]
     said = [(label, text) for label, text in rows if text]
@@ -62,54 +65,164 @@ def verdict_card(result: DiagnoseResult) -> Card:
 
 def card_text(result: DiagnoseResult) -> str:
     """The card as lines for a terminal, folded, labels once."""
-    card = verdict_card(result)
+    return "\n".join(_lines(verdict_card(result)))
+
+
+def card_html(result: DiagnoseResult) -> str:
+    """The card as a table, every text escaped."""
+    return _html(verdict_card(result))
+
+
+def _lines(card: Card) -> list[str]:
     lines = textwrap.wrap(printable(card.title), _WIDTH)
     for label, text in card.rows:
         lines += textwrap.wrap(
             printable(text), _WIDTH, initial_indent=f"{label:8}", subsequent_indent=" " * 8,
             break_on_hyphens=False,
         )
-    return "\n".join(lines)
+    return lines
 
 
-def card_html(result: DiagnoseResult) -> str:
-    """The card as a table, every text escaped."""
-    card = verdict_card(result)
+def _html(card: Card, above: str = "") -> str:
     rows = "".join(
         f"<tr><th>{label}</th><td>{html.escape(text)}</td></tr>" for label, text in card.rows
     )
     title = html.escape(card.title)
-    return f'<div class="card"><p><strong>{title}</strong></p><table>{rows}</table></div>'
+    return f'<div class="card"><p><strong>{title}</strong></p>{above}<table>{rows}</table></div>'
+
+
+# --- The card of an identification.
+
+NUMBER_HEADER = (
+    "parameter", "value ± statistical ± systematic", "from the records", "reference", "off it",
+    "by",
+)
+_SURPRISES = 3.0  # standard deviations
+_TOGETHER = 0.5  # correlation worth a line
+_MOST_PAIRS = 3
+
+
+def identification_card(result: IdentifyResult) -> Card:
+    """How many numbers there are, which surprise, which hang together, and what to type next."""
+    done = ", ".join(dict.fromkeys(title.split()[0] for title, _, _ in result.experiments))
+    count, warned = len(result.parameters), len(result.warnings)
+    rows = [
+        ("off", ", ".join(map(_surprise, surprising(result)))),
+        ("linked", _linked(result)),
+        ("beware", f"{_plural(warned, 'warning')}, the first: {result.warnings[0]}"
+         if warned else ""),
+        ("next", "the same command with --out identified.yaml, then sma-bench diagnose RECORD "
+                 "--params identified.yaml" if count else ""),
+    ]  # fmt: skip
+    title = f"{_plural(count, 'parameter')} identified" + (f" by {done}" if done else "")
+    return Card(title, tuple((label, text) for label, text in rows if text))
+
+
+def number_rows(result: IdentifyResult) -> list[tuple[str, ...]]:
+    """A row a number, as `NUMBER_HEADER`: its error in two parts, the share of its information
+    that came from the records, and how it agrees with the paper or data sheet (* assumed)."""
+    told = {n.name: title.split()[0] for title, _, own in result.experiments for n in own}
+    return [
+        (
+            n.name, two_errors(n),
+            percent(n.informed) if math.isfinite(n.informed) else "", *_agreement(n),
+            told.get(n.name, ""),
+        )
+        for n in result.parameters
+    ]
+
+
+def two_errors(number: Number) -> str:
+    """Value ± statistical ± systematic error, to the digits that the smaller leaves it, and the
+    unit."""
+    unit = "" if number.unit == "1" else number.unit
+    parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
+    if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
+        return f"{with_error(number.value, number.std)} {unit}".strip()
+    value = with_error(number.value, min(parts)).partition(" ±")[0]
+    return f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g} {unit}".strip()
+
+
+def reference_of(number: Number) -> float | None:
+    """The number of the paper or a data sheet; None where there is nothing to compare with."""
+    known = BY_NAME.get(number.name)
+    if known is None or not isinstance(known.default, float) or not known.default:
+        return None
+    return known.default if math.isfinite(number.value) and number.std >= 0.0 else None
+
+
+def is_assumed(name: str) -> bool:
+    """Whether the reference is no more than that."""
+    return name in BY_NAME and BY_NAME[name].provenance.startswith("assumed")
+
+
+def surprising(result: IdentifyResult) -> list[Number]:
+    """Numbers that lie far off a reference which somebody has measured."""
+    return [
+        n for n in result.parameters
+        if (reference := reference_of(n)) is not None and not is_assumed(n.name)
+        and abs(n.value - reference) > _SURPRISES * n.std > 0.0
+    ]  # fmt: skip
+
+
+def _surprise(number: Number) -> str:
+    _, off = _agreement(number)
+    return f"{number.name} {off}"
+
+
+def _agreement(number: Number) -> tuple[str, str]:
+    """The reference, and how far the number is off it."""
+    reference = reference_of(number)
+    if reference is None:
+        return "", ""
+    apart = number.value - reference  # of temperatures, a share of the absolute one says nothing
+    off = f"{apart:+.2g} K" if number.unit == "K" else f"{100.0 * apart / reference:+.2g} %"
+    if number.std > 0.0:
+        off += f" ({apart / number.std:+.1f} std)"
+    return f"{reference:.5g}" + (" *" if is_assumed(number.name) else ""), off
+
+
+def _linked(result: IdentifyResult) -> str:
+    names, rows = result.correlation
+    pairs = [
+        (rows[i][j], names[i], names[j]) for i in range(len(names)) for j in range(i)
+        if abs(rows[i][j]) > _TOGETHER
+    ]
+    pairs.sort(key=lambda pair: abs(pair[0]), reverse=True)
+    said = [f"{one} and {two} ({value:+.2f})" for value, one, two in pairs[:_MOST_PAIRS]]
+    more = [f"{len(pairs) - _MOST_PAIRS} more"] if len(pairs) > _MOST_PAIRS else []
+    return "errors of " + ", ".join(said + more) if said else ""
+
+
+def _plural(count: int, name: str) -> str:
+    return f"{count} {name}" + ("" if count == 1 else "s")
 
 
 def identification_text(result: IdentifyResult) -> str:
-    """What was identified, a number a line, and how much there is to be read beside it."""
-    rows = [(n.name, _number(n), n.method) for n in result.parameters]
-    wide = [max((len(row[k]) for row in rows), default=0) for k in range(2)]
-    lines = [
-        textwrap.shorten(f"{method}", max(_WIDTH - sum(wide) - 4, 20), placeholder=" ...")
-        for _, _, method in rows
+    """The card, a number a line below its title."""
+    if not result.parameters:
+        return "nothing identified"
+    rows = [NUMBER_HEADER, *number_rows(result)]
+    kept = [k for k in range(len(NUMBER_HEADER)) if any(row[k] for row in rows[1:])]
+    wide = [max(len(row[k]) for row in rows) for k in kept]
+    table = [
+        "  ".join(f"{row[k]:{w}}" for k, w in zip(kept, wide, strict=True)).rstrip() for row in rows
     ]
-    said = [
-        f"{name:{wide[0]}}  {number:{wide[1]}}  {line}".rstrip()
-        for (name, number, _), line in zip(rows, lines, strict=True)
-    ]
-    count = len(result.warnings)
-    if count:
-        said.append(f"{count} warning{'s' if count > 1 else ''}, the first: {result.warnings[0]}")
-    return "\n".join(printable(line) for line in said) or "nothing identified"
+    title, *below = _lines(identification_card(result))
+    return "\n".join([title, *map(printable, table), *below])
 
 
 def identification_html(result: IdentifyResult) -> str:
     """The same as a table, every text escaped."""
-    rows = "".join(
-        f"<tr><th>{html.escape(n.name)}</th><td>{html.escape(_number(n))}</td>"
-        f"<td>{html.escape(n.method)}</td></tr>"
-        for n in result.parameters
-    )
-    warnings = "".join(f"<li>{html.escape(w)}</li>" for w in result.warnings)
-    return f"<table>{rows}</table>" + (f"<ul>{warnings}</ul>" if warnings else "")
+    rows = [f"<tr>{''.join(f'<th>{head}</th>' for head in NUMBER_HEADER)}</tr>"]
+    rows += [
+        f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>"
+        for row in number_rows(result)
+    ]
+    return _html(identification_card(result), f"<table>{''.join(rows)}</table>")
 
+
+# --- Parts of the card of a diagnosis.
 
 def _title(result: DiagnoseResult) -> str:
     if result.verdict == "ambiguous":
@@ -140,16 +253,7 @@ def _plain(name: str) -> str:
 
 def _size(name: str, numbers: Sequence[Number]) -> str:
     own = [n for n in numbers if n.name.startswith(f"effect.{name}.")]
-    return ", ".join(f"{n.name.rpartition('.')[2]} {_number(n)}" for n in own)
-
-
-def _number(number: Number) -> str:
-    """The value with its error, of which a part may be the sensors'."""
-    unit = "" if number.unit == "1" else number.unit
-    shown = f"{with_error(number.value, number.std)} {unit}".strip()
-    if not number.systematic > 0.0:
-        return shown
-    return f"{shown} ({number.systematic:.2g} of the sensors)"
+    return ", ".join(f"{n.name.rpartition('.')[2]} {two_errors(n)}" for n in own)
 
 
 def _moved(result: DiagnoseResult) -> str:
@@ -201,6 +305,12 @@ def _rivals(result: DiagnoseResult) -> str:
     if not close or result.verdict == "ambiguous":
         return difference
     return ". ".join(part for part in (close, difference) if part)
+
+
+def _missing(result: DiagnoseResult) -> str:
+    """Sensors that the records lack, and what they would have told."""
+    found = [w.partition(": ")[2] for w in result.warnings if NOT_COMPARED in w]
+    return "; ".join(text.replace(f": {NOT_COMPARED}:", " was not compared:") for text in found)
 
 
 def _said(result: DiagnoseResult, words: str) -> str:

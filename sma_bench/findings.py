@@ -1,5 +1,6 @@
 """What a careful reader would remark about numbers, a record or a fit."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -11,13 +12,15 @@ class Finding:
     """A remark with the numbers it rests on.
 
     `subject` names what it is about (a parameter, a signal, an experiment); `numbers` holds the
-    figures behind `text`, in SI units, for machines.
+    figures behind `text`, in SI units, for machines; `audit`: of parameters that were given, not of
+    what was measured.
     """
 
     severity: Severity
     subject: str
     text: str
     numbers: dict[str, float] = field(default_factory=dict)
+    audit: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary for a result file."""
@@ -30,3 +33,17 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.subject}: {self.text}"
+
+
+def fold_audit(findings: Sequence[Finding]) -> tuple[list[Finding], str]:
+    """The findings without those of the parameters' audit, and a line in their place, "" for
+    none."""
+    audited = [f for f in findings if f.audit]
+    if not audited:
+        return list(findings), ""
+    clashes = [f.subject for f in audited if f.severity != "info"]
+    papers = sum(int(f.numbers.get("clashes", 0)) for f in audited)
+    said = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "none clashes"
+    own = f", {papers} of the paper's own do" if papers else ""
+    line = f"audit: of the lab's own numbers {said}{own}; sma-bench audit lists them"
+    return [f for f in findings if not f.audit], line

@@ -66,6 +66,7 @@ def with_error(value: float, std: float) -> str:
 DIFFER_MOST = "differ most in"
 NEEDS_NONE, NEEDS_OFF = "It needs no parameter", "It needs parameters off"
 SOMETHING_ELSE = "That something else is at work"
+NOT_COMPARED = "not compared"
 
 LARGEST = 1 << 24
 _LARGEST_NUMBER = 1e100
@@ -75,7 +76,8 @@ T = TypeVar("T")
 @dataclass(frozen=True)
 class Number:
     """A number with one standard deviation, both in `unit`; `systematic` is the part of it that
-    more of the same records would not lower."""
+    more of the same records would not lower, `informed` the share of its information that came from
+    the records, NaN where that is not said."""
 
     name: str
     value: float
@@ -84,16 +86,24 @@ class Number:
     method: str
     n: int
     systematic: float = 0.0
+    informed: float = math.nan
+
+    @property
+    def statistical(self) -> float:
+        """The part of the standard deviation that is not systematic."""
+        return math.sqrt(max(self.std**2 - self.systematic**2, 0.0))
 
 
 @dataclass(frozen=True)
 class IdentifyResult:
-    """What identify has written; `experiments`: title, source and further numbers of each."""
+    """What identify has written; `experiments`: title, source and further numbers of each;
+    `correlation`: names, and the correlations of their errors, row by row."""
 
     path: Path
     parameters: tuple[Number, ...]
     experiments: tuple[tuple[str, str, tuple[Number, ...]], ...]
     warnings: tuple[str, ...]
+    correlation: tuple[tuple[str, ...], tuple[tuple[float, ...], ...]] = ((), ())
 
 
 @dataclass(frozen=True)
@@ -200,8 +210,21 @@ def _identification(path: Path, document: dict[str, Any]) -> IdentifyResult:
         experiments.append((title, _text(found["source"]), details))
     return IdentifyResult(
         path, _numbers(document["parameters"]), tuple(experiments),
-        _each(_text, document["warnings"]),
+        _each(_text, document["warnings"]), _correlation(document.get("correlation")),
     )
+
+
+def _correlation(
+    found: dict[str, Any] | None,
+) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...]]:
+    """Names and rows; both empty where an older version has written the file."""
+    if found is None:
+        return (), ()
+    names = _each(_text, found["names"])
+    rows = _each(lambda row: _each(_number, row), found["matrix"])
+    if len(rows) != len(names) or any(len(row) != len(names) for row in rows):
+        raise ValueError(f"correlation of {len(names)} names is not as many rows and columns")
+    return names, rows
 
 
 def _diagnosis(path: Path, document: dict[str, Any]) -> DiagnoseResult:
@@ -259,7 +282,7 @@ def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:
         Number(
             name, _number(entry["value"]), _number(entry["std"]), _text(entry["unit"]),
             _text(entry.get("method", "")), int(entry.get("n", 0)),
-            _number(entry.get("systematic", 0.0)),
+            _number(entry.get("systematic", 0.0)), _number(entry.get("informed")),
         )
         for name, entry in found.items()
     )

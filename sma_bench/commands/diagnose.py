@@ -10,7 +10,9 @@ from sma_bench.border import printable
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
 from sma_bench.commands.terminal import (
+    add_figure_options,
     add_json_option,
+    column_of,
     output_console,
     print_findings,
     print_table,
@@ -41,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json_option(parser, "the result")
     add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with figures")
+    add_figure_options(parser)
     add_output(
         parser, "--out", FILE, metavar="improved.yaml",
         help="write a ROS 2 parameter file with the improvement"
@@ -51,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
     from sma_bench.tasks.work import diagnose_files, write_improved
 
-    parameters = parameters_from_options(args)
+    parameters, column = parameters_from_options(args), column_of(args)
     with progress("diagnose") as report:
         compared = args.signals or quantities()
         result = diagnose_files(args.records, args.hold_out, parameters, compared, report)
@@ -62,9 +65,12 @@ def run(args: argparse.Namespace) -> int:
     print_result(result)
     if args.report:
         from sma_bench.report.diagnosis_report import write_diagnosis_report
+        from sma_bench.report.page import Made
 
+        files = [*args.records, *args.hold_out, *filter(None, [args.params])]
+        made = Made(args.command_line, files)
         with progress("drawing the report") as report:
-            page = write_diagnosis_report(args.report, result, report)
+            page = write_diagnosis_report(args.report, result, report, made, column)
         say(f"report {page}")
     return 0
 

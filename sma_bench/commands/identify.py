@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
 from sma_bench.commands.terminal import (
+    add_figure_options,
     add_json_option,
+    column_of,
     output_console,
     print_findings,
-    print_table,
     progress,
     say,
     write_json,
@@ -43,13 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json_option(parser, "the result")
     add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with figures")
+    add_figure_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Identify, print a table, write the files that were asked for."""
     from sma_bench.tasks.work import identify_files, write_identified
 
-    parameters = parameters_from_options(args)
+    parameters, column = parameters_from_options(args), column_of(args)
     with progress("identify") as report:
         result = identify_files(
             args.records, parameters, args.experiments, args.namespace, report, dict(args.phases)
@@ -61,9 +63,11 @@ def run(args: argparse.Namespace) -> int:
     print_result(result)
     if args.report:
         from sma_bench.report.identification_report import write_identification_report
+        from sma_bench.report.page import Made
 
+        made = Made(args.command_line, [*args.records, *filter(None, [args.params])])
         with progress("drawing the report") as report:
-            page = write_identification_report(args.report, result, report)
+            page = write_identification_report(args.report, result, report, made, column)
         say(f"report {page}")
     return 0
 
@@ -84,16 +88,8 @@ def experiments() -> tuple[str, ...]:
 
 
 def print_result(result: "Identification") -> None:
-    """A table of the numbers, and below it every remark on them."""
-    rows = [
-        (
-            name, f"{e.value:.6g}", f"{e.std:.2g}", f"{e.systematic:.2g}", e.unit,
-            f"{100.0 * e.informed:.0f} %", str(e.n), result.origin(name),
-        )
-        for name, e in result.estimates.items()
-    ]
-    headings = ("parameter", "value", "std", "systematic", "unit", "informed", "n", "from")
-    print_table(output_console(), headings, rows, right=(1, 2, 3, 5, 6))
+    """The card, and below it every remark on the numbers."""
+    output_console().print(f"{result}\n", markup=False, soft_wrap=True)
     print_findings(result.notes)
     for experiment in result.experiments:
         say(f"\n{experiment.name} {experiment.title} ({experiment.source})")

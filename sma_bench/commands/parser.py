@@ -18,6 +18,7 @@ COMMANDS = {
     "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
     "investigate": "record, diagnose, propose, run, until the cause of the gap is named",
     "batch": "many records, each identified or diagnosed by itself, on all cores or a cluster",
+    "compare": "records and models over each other, clocks aligned, worst difference in numbers",
     "report": "records and results as one page, with figures, tables and provenance",
     "audit": "do a lab's own numbers fit each other, and physics?",
     "parameters": "every parameter with unit, default, range and source",
@@ -60,6 +61,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "batch": (
         "batch identify bags/* --out identified --jobs 2",
         "batch diagnose monday tuesday --params lab.yaml --dask tcp://cluster:8786",
+    ),
+    "compare": (
+        "compare monday tuesday --out page",
+        "compare monday --model lab.yaml --model improved.yaml --json difference.json",
     ),
     "report": (
         "report my_bag --out my_report",

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from os import environ
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -18,9 +18,13 @@ from rich.text import Text
 
 from sma_bench.border import printable
 from sma_bench.commands.parser import FILE, STANDARD_OUTPUT, add_output
-from sma_bench.findings import Finding
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding, fold_audit
 from sma_bench.progress import Report
 from sma_bench.results import json_text, write_result
+
+if TYPE_CHECKING:
+    from sma_bench.report.drawing import Column as PaperColumn
 
 # --- Tables that fit: as wide as they need be in a file, no wider than a terminal.
 #
@@ -272,6 +276,47 @@ def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:
         help=f"write {what} as JSON; without FILE, or to -, on standard output and nothing else "
         "there",
     )
+
+
+def add_figure_options(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Add --column and --font: figures for papers; `column_of` reads them."""
+    unasked = f"default {default}" if default else "default: PNG only"
+    parser.add_argument(
+        "--column", metavar="single|double|MM", default=default, type=_column_word,
+        help="write every figure as SVG and PDF in this width too (single is 89 mm, double 183 "
+        f"mm), and as CSV what is drawn in it ({unasked})",
+    )
+    parser.add_argument(
+        "--font", type=float, metavar="PT", help="size of the letters in such a figure"
+    )
+
+
+def _column_word(text: str) -> str:
+    if text not in ("single", "double"):
+        try:
+            if not 30.0 <= float(text) <= 500.0:
+                raise ValueError
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"{text!r}, expected single, double or a width of 30 to 500 mm"
+            ) from None
+    return text
+
+
+def column_of(args: argparse.Namespace) -> "PaperColumn | None":
+    """The column for which figures are written.
+
+    Raises:
+        InputError: letters that nobody can read, or without a column.
+    """
+    from sma_bench.report.drawing import COLUMNS
+
+    if args.font is not None and (args.column is None or not 4.0 <= args.font <= 24.0):
+        raise InputError(f"--font is {args.font:g} pt, expected 4 to 24 pt, and --column with it")
+    if args.column is None:
+        return None
+    column = COLUMNS.get(args.column) or COLUMNS["double"]._replace(width=float(args.column))
+    return column if args.font is None else column._replace(font=args.font)
 
 
 def add_ros_option(parser: argparse.ArgumentParser) -> None:

@@ -29,6 +29,7 @@ from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
 from sma_bench.diagnose.sizes import Cell, contribution, locate
 from sma_bench.diagnose.stages import stage_of
 from sma_bench.diagnose.tails import widened
+from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
@@ -41,7 +42,7 @@ from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.check import check_response
 from sma_bench.records.record import Record, fingerprint
-from sma_bench.results import DiagnoseResult, diagnosis_from, json_text
+from sma_bench.results import NOT_COMPARED, DiagnoseResult, diagnosis_from, json_text
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ _WOULD_ADD = {
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Reported):
     """The result; `to_json` is the contract's.
 
     Attributes:
@@ -68,6 +69,8 @@ class Diagnosis:
         why: what speaks for the verdict and against it, in sentences.
         findings: of the records and parameters, and what a missing sensor would have added.
     """
+
+    writer = ("diagnosis_report", "write_diagnosis_report")
 
     parameters: Parameters
     decision: Decision
@@ -325,6 +328,6 @@ def _missing(observations: Sequence[Observation], parameters: Parameters) -> lis
     moves = load_kind(parameters) != "clamped"
     wanted = [q for q in _WOULD_ADD if moves or q != "deflection"]
     return [
-        Finding("info", quantity, f"not compared: {_WOULD_ADD[quantity]}")
+        Finding("info", quantity, f"{NOT_COMPARED}: {_WOULD_ADD[quantity]}")
         for quantity in wanted if quantity not in held
     ]

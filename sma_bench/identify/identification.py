@@ -5,12 +5,14 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sma_bench.cards import identification_html, identification_text
+from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify import load_frame, whole_model
@@ -63,13 +65,15 @@ _TRIED_ON_CHANCE = frozenset({"E8"})
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Reported):
     """Everything the records gave.
 
     `estimates` by parameter name, `parameters` the given ones with these put in, both ready for a
     parameter file; `experiments` one each record and channel, with curves; `notes` what could not
     be identified and why, and what the reader of the records remarked.
     """
+
+    writer = ("identification_report", "write_identification_report")
 
     parameters: Parameters
     estimates: dict[str, Estimate]
@@ -124,15 +128,16 @@ class Identification:
         return tuple(dict.fromkeys(lines))
 
     def __str__(self) -> str:
-        """A number a line."""
-        return identification_text(self._shown)
+        """The card: a number a line."""
+        return identification_text(self.shown)
 
     def _repr_html_(self) -> str:
-        """A table in a notebook."""
-        return identification_html(self._shown)
+        """The card in a notebook."""
+        return identification_html(self.shown)
 
-    @property
-    def _shown(self) -> IdentifyResult:
+    @cached_property
+    def shown(self) -> IdentifyResult:
+        """As its result file would be read back."""
         document = json.loads(json_text(self.to_json()))
         return identification_from(Path("identification"), document)
 

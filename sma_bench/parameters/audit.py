@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from sma_bench.findings import Finding
 from sma_bench.parameters.parameters import Parameters, load_kind
@@ -46,8 +47,10 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
             f"{len(clashes)} of them clash"
         )
         text += f" ({', '.join(clashes)}); sma-bench audit --paper lists them" if clashes else ""
-        findings.append(Finding("info", "the paper's numbers", text))
-    return findings
+        findings.append(
+            Finding("info", "the paper's numbers", text, {"clashes": float(len(clashes))})
+        )
+    return [replace(finding, audit=True) for finding in findings]
 
 
 def _are_papers(parameters: Parameters, names: Sequence[str]) -> bool:

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
@@ -58,7 +59,7 @@ class DscSegment:
 
 
 @dataclass(frozen=True)
-class DscRecord:
+class DscRecord(Drawn):
     """A differential scanning calorimetry run.
 
     Attributes:

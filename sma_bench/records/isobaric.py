@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.text_table import (
@@ -174,7 +175,7 @@ _NOTES = ("source", "unit", "readme")
 
 
 @dataclass(frozen=True)
-class IsobaricRecord:
+class IsobaricRecord(Drawn):
     """One test at one stress.
 
     Attributes:

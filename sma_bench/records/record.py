@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 
@@ -68,7 +69,7 @@ class Topic:
 
 
 @dataclass(frozen=True, repr=False)
-class Record:
+class Record(Drawn):
     """Everything read from one bag, or simulated in its place.
 
     Attributes:

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
@@ -36,7 +37,7 @@ _PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(?P<phase>martensite|austenite)\b", re
 
 
 @dataclass(frozen=True)
-class TensileRecord:
+class TensileRecord(Drawn):
     """One tensile test.
 
     Attributes:

@@ -1,40 +1,31 @@
-"""Sections of a collected report: records, results of other commands, and what it was made of."""
+"""Sections of a collected report: records and results of other commands, their answers first."""
 
-import hashlib
 import math
-import platform
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime
-from functools import cache
-from importlib import metadata
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.text import Text
-from numpy.typing import NDArray
-
-from sma_bench import __version__
-from sma_bench.border import is_inside
-from sma_bench.cards import verdict_card
-from sma_bench.errors import InputError
+from sma_bench.cards import (
+    NUMBER_HEADER,
+    identification_card,
+    number_rows,
+    verdict_card,
+)
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.table import BY_NAME, TABLE
-from sma_bench.records import DscRecord, Record, Signal, describe, open_record
-from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.parameters.table import TABLE
+from sma_bench.records import Record, describe, open_record
 from sma_bench.records.open import AnyRecord
-from sma_bench.records.tensile import TensileRecord
-from sma_bench.report.diagnosis_figures import STAGE_COLOURS
 from sma_bench.report.diagnosis_words import result_tables
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, drawable, new_figure, thinned
-from sma_bench.report.page import Picture, Section, Table
+from sma_bench.report.page import Section, Table, digest, versions
+from sma_bench.report.plots import (
+    agreement_picture,
+    candidate_bars,
+    chain_picture,
+    correlation_picture,
+    record_picture,
+)
 from sma_bench.results import DiagnoseResult, IdentifyResult, Number, read_result
-
-Array = NDArray[np.float64]
-
 
 # --- Each input, and all together.
 
@@ -52,6 +43,7 @@ class Shown:
     warnings: Sequence[str]
     sha256: str
     size: int
+    answer: Section | None = None
 
 
 def shown_input(path: str, number: int, namespace: str | None) -> Shown:
@@ -60,19 +52,33 @@ def shown_input(path: str, number: int, namespace: str | None) -> Shown:
     Raises:
         InputError: it is neither a record nor a result.
     """
-    name = f"input_{number}"
+    name, answer = f"input_{number}", None
     if path.endswith(_RESULT):
         result = read_result(path)
         if isinstance(result, IdentifyResult):
             kind, (section, said) = "identification", identify_section(result, name)
+            card, tables = identification_card(result), [number_table(result)]
         else:
             kind, (section, said) = "diagnosis", diagnose_section(result, name)
+            card, tables = verdict_card(result), []
+        answer = Section(path, card=card, tables=tables)
         worth = [f"{path}: {text}" for text in result.warnings if not text.startswith("info:")]
     else:
         record = open_record(path, namespace)
         kind = "bag" if isinstance(record, Record) else "instrument file"
         section, said, worth = record_section(record, name)
-    return Shown(path, kind, said, section, worth, *digest(Path(path)))
+    return Shown(path, kind, said, section, worth, *digest(Path(path)), answer)
+
+
+def answers(shown: Sequence[Shown]) -> list[Section]:
+    """The cards of all results; one that stands alone needs no heading."""
+    found = [one.answer for one in shown if one.answer is not None]
+    return found if len(found) > 1 else [replace(section, title="") for section in found]
+
+
+def number_table(result: IdentifyResult) -> Table:
+    """The card's numbers."""
+    return Table(NUMBER_HEADER, number_rows(result), frozenset({1, 2, 3, 4}))
 
 
 def summary_section(shown: Sequence[Shown]) -> Section:
@@ -88,7 +94,11 @@ def counted(shown: Sequence[Shown]) -> str:
     """How many of each kind: "2 bags, 1 diagnosis"."""
     kinds = [one.kind for one in shown]
     counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-    return ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in counts.items())
+    return ", ".join(f"{n} {_several(kind) if n > 1 else kind}" for kind, n in counts.items())
+
+
+def _several(kind: str) -> str:
+    return "diagnoses" if kind == "diagnosis" else f"{kind}s"
 
 
 def document(shown: Sequence[Shown], command: str, page: Path) -> dict[str, Any]:
@@ -101,142 +111,6 @@ def document(shown: Sequence[Shown], command: str, page: Path) -> dict[str, Any]
         ],
         "command": command, "versions": versions(), "page": str(page),
     }  # fmt: skip
-
-
-# --- Pictures of what a record holds, before anything is made of it.
-
-_COLOURS = ("#1f4e79", "#c0504d", "#2e7d32", "#7b4ea3", "#e08214", "#4a4a4a")
-_MOST_DRAWN = 3000
-_MOST_MARKERS = 40
-
-
-class _Row(NamedTuple):
-    """One quantity of a bag: unit on paper, and the factor from SI to it."""
-
-    quantity: str
-    unit: str
-    factor: float
-
-
-_ROWS = (
-    _Row("voltage_command", "V", 1.0),
-    _Row("voltage", "V", 1.0),
-    _Row("current", "A", 1.0),
-    _Row("temperature", "K", 1.0),
-    _Row("deflection", "mm", 1e3),
-    _Row("range", "mm", 1e3),
-    _Row("elongation", "mm", 1e3),
-    _Row("force", "N", 1.0),
-)
-
-
-def bag_picture(record: Record, name: str) -> Picture | None:
-    """Every signal over time, a row a quantity; None where the bag has none.
-
-    Long signals are drawn by the least and the largest sample of each stretch of time.
-    """
-    found = [(row, chosen) for row in _ROWS if (chosen := _signals(record, row.quantity))]
-    if not found:
-        return None
-    figure, axes = new_figure(len(found), height=1.0 + 1.5 * len(found))
-    drawn = []
-    for ax, (row, signals) in zip(axes, found, strict=True):
-        curves = [curve for signal in signals for curve in _curves(signal)]
-        for k, (label, time, values) in enumerate(curves):
-            t, v = thinned(time, drawable(row.factor * values), _MOST_DRAWN)
-            colour = _COLOURS[k % len(_COLOURS)]
-            ax.plot(t, v, lw=0.9, color=colour, label=label.rpartition(".")[0] or label)
-            drawn += [(label, row.unit, f"{a:.6f}", f"{b:.8g}") for a, b in zip(t, v, strict=True)]
-        ax.set_ylabel(f"{row.quantity.replace('_', ' ')}\n[{row.unit}]")
-        if len(curves) > 1:
-            ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    _mark(axes, record.markers)
-    axes[-1].set_xlabel("time since the start of the record [s]")
-    caption = f"All signals of {record.path}; vertical lines: steps of the protocol."
-    table = Table(("signal", "unit", "time_s", "value"), drawn)
-    return Picture(name, "Signals over time", caption, plain(figure), table, True)
-
-
-def dsc_picture(record: DscRecord, name: str) -> Picture | None:
-    """Heat flow over temperature of every scan; None where there is none."""
-    scans = [s for s in record.segments if s.kind != "isothermal"]
-    if not scans:
-        return None
-    curves = [
-        (f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s)) for s in scans
-    ]
-    return _loops(name, "Heat flow", curves, "heat flow [W/g], the file's sign", str(record.path))
-
-
-def isobaric_picture(record: IsobaricRecord, name: str) -> Picture:
-    """Strain over temperature of every branch."""
-    relative = record.strain_unit == "relative"
-    curves = [
-        (f"cycle {cycle.number} {branch.direction}", branch.temperature,
-         (1.0 if relative else 100.0) * branch.strain)
-        for cycle in record.cycles for branch in cycle.branches
-    ]  # fmt: skip
-    label = "strain over its range" if relative else "strain [%]"
-    title = f"Strain at {record.stress / 1e6:.1f} MPa"
-    return _loops(name, title, curves, label, str(record.path))
-
-
-def tensile_picture(record: TensileRecord, name: str) -> Picture:
-    """Stress over strain."""
-    curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
-    return _loops(
-        name, "Stress against strain", curves, "stress [MPa]", str(record.path), "strain [%]"
-    )
-
-
-def plain(figure: Figure) -> Figure:
-    """Names from files are no formulas: a dollar sign stays one."""
-    for text in figure.findobj(Text):
-        assert isinstance(text, Text)
-        text.set_parse_math(False)
-    return figure
-
-
-def _signals(record: Record, quantity: str) -> list[Signal]:
-    return [
-        signal for name, signal in record.signals.items()
-        if name.rpartition(".")[2] == quantity and len(signal)
-    ]
-
-
-def _curves(signal: Signal) -> Iterable[tuple[str, Array, Array]]:
-    if signal.values.ndim == 1:
-        yield signal.name, signal.time, signal.values
-        return
-    for k in range(signal.values.shape[1]):
-        yield f"{signal.name}[{k}]", signal.time, signal.values[:, k]
-
-
-def _mark(axes: Sequence[Axes], markers: Sequence[tuple[float, str]]) -> None:
-    if len(markers) > _MOST_MARKERS:
-        return
-    for time, text in markers:
-        for ax in axes:
-            ax.axvline(time, color=FAINT, lw=0.6, ls=":")
-        axes[0].annotate(
-            text, (time, 1.0), xycoords=("data", "axes fraction"), fontsize=6, rotation=30,
-            color=FAINT, annotation_clip=True,
-        )
-
-
-def _loops(
-    name: str, title: str, curves: Sequence[tuple[str, Array, Array]], label: str, source: str,
-    across: str = "temperature [K]",
-) -> Picture:
-    figure, (ax,) = new_figure(height=4.2)
-    drawn = []
-    for k, (what, x, y) in enumerate(curves):
-        ax.plot(drawable(x), drawable(y), lw=1.0, color=_COLOURS[k % len(_COLOURS)], label=what)
-        drawn += [(what, f"{a:.8g}", f"{b:.8g}") for a, b in zip(x, y, strict=True)]
-    ax.set(xlabel=across, ylabel=label)
-    if len(curves) > 1:
-        ax.legend(fontsize=7, ncols=2)
-    return Picture(name, title, source, plain(figure), Table(("curve", across, label), drawn))
 
 
 # --- The part of a report that shows one record as it was measured.
@@ -265,8 +139,9 @@ _TABLE_ROWS: dict[str, tuple[str, _Columns]] = {
 }  # fmt: skip
 _SAID: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "bag": lambda d: (
-        f"{d['duration']:.1f} s from {d['start']}, channels: {', '.join(d['channels']) or 'none'}, "
-        f"{len(d['signals'])} signals, {len(d['markers'])} markers"
+        f"{d['duration']:.1f} s{_since(d['start'])}, "
+        f"channels: {', '.join(d['channels']) or 'none'}, {len(d['signals'])} signals, "
+        f"{len(d['markers'])} markers"
     ),
     "dsc": lambda d: f"{d['instrument']}, {d['sample']}, {d['mass'] * 1e6:.3f} mg",
     "isobaric": lambda d: f"isobaric test at {d['stress'] / 1e6:.1f} MPa",
@@ -275,6 +150,11 @@ _SAID: dict[str, Callable[[Mapping[str, Any]], str]] = {
         f"{d['largest_stress'] / 1e6:.1f} MPa"
     ),
 }
+
+
+def _since(start: str) -> str:
+    """When a record began; one from arrays, or a simulated one, has no date."""
+    return "" if start.startswith("1970-01-01") else f" from {start}"
 
 
 def record_section(record: AnyRecord, name: str) -> tuple[Section, str, list[str]]:
@@ -299,21 +179,11 @@ def record_section(record: AnyRecord, name: str) -> tuple[Section, str, list[str
     worth = [
         f"{record.path}: {f['subject']}: {f['text']}" for f in findings if f["severity"] != "info"
     ]
-    picture = _picture(record, name)
+    picture = record_picture(record, name)
     section = Section(
         f"Record {record.path}", [f"{said}."], lines, tables, [picture] if picture else []
     )
     return section, said, worth
-
-
-def _picture(record: AnyRecord, name: str) -> Picture | None:
-    if isinstance(record, Record):
-        return bag_picture(record, f"{name}_signals_over_time")
-    if isinstance(record, DscRecord):
-        return dsc_picture(record, f"{name}_heat_flow")
-    if isinstance(record, IsobaricRecord):
-        return isobaric_picture(record, f"{name}_strain")
-    return tensile_picture(record, f"{name}_stress")
 
 
 def _table(rows: Sequence[Mapping[str, Any]], columns: _Columns, name: str, title: str) -> Table:
@@ -328,24 +198,29 @@ def _cell(value: Any, form: str) -> str:
 
 # --- The parts of a report that show result files of `identify` and `diagnose`.
 
-_LEAST_SHOWN = 0.005
-_MOST_BARS = 12
-_NUMBER_HEADER = ("parameter", "value", "standard error", "unit", "points", "method")
+_NUMBER_HEADER = (
+    "parameter", "value", "statistical", "systematic", "unit", "informed", "points", "method",
+)
 
 
 def identify_section(result: IdentifyResult, name: str) -> tuple[Section, str]:
-    """Numbers with their errors, and where they lie to the parameter table's.
+    """What each experiment gave, how it agrees with what is known, how the errors hang together.
 
     Returns:
         The section and a sentence for the summary.
     """
-    tables = [_number_table(result.parameters, f"{name}_parameters", "Parameters")]
-    for k, (title, source, numbers) in enumerate(result.experiments, 1):
-        tables.append(_number_table(numbers, f"{name}_experiment_{k}", f"{title}, from {source}"))
-    picture = _comparison(result, f"{name}_comparison")
+    tables = [detail_table(result.parameters, f"{name}_parameters", "Parameters")]
+    tables += [
+        detail_table(numbers, f"{name}_experiment_{k}", f"{title}, from {source}")
+        for k, (title, source, numbers) in enumerate(result.experiments, 1)
+    ]
+    drawn = (
+        agreement_picture(result, f"{name}_agreement"),
+        correlation_picture(result, f"{name}_correlation"),
+    )
     section = Section(
         f"Identification {result.path}", [], result.warnings, tables,
-        [picture] if picture else [],
+        [picture for picture in drawn if picture is not None],
     )
     done = ", ".join(dict.fromkeys(title.split()[0] for title, _, _ in result.experiments))
     return section, f"{len(result.parameters)} parameters identified by {done or 'no experiment'}"
@@ -362,12 +237,11 @@ def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:
         Table(t.header, t.rows, t.numeric, f"{name}_{t.name}", t.title)
         for t in result_tables(result)
     ]
-    pictures = [_bars(result, f"{name}_candidates")]
+    pictures = [candidate_bars(result, f"{name}_candidates")]
     if result.chain:
-        pictures.append(_chain_picture(result, f"{name}_chain"))
+        pictures.append(chain_picture(result, f"{name}_chain"))
     section = Section(
-        f"Diagnosis {result.path}", result.why, result.warnings, tables, pictures,
-        verdict_card(result),
+        f"Diagnosis {result.path}", result.why, result.warnings, tables, pictures
     )
     return section, said
 
@@ -381,155 +255,18 @@ def verdict(result: DiagnoseResult) -> str:
     return f"{result.verdict}{cause}{stage}{sure}"
 
 
-def _number_table(numbers: Sequence[Number], name: str, title: str) -> Table:
+def detail_table(numbers: Sequence[Number], name: str, title: str = "") -> Table:
+    """Numbers with all that is known of them, a plain number a cell."""
     rows = [
-        (n.name, f"{n.value:.6g}", f"{n.std:.2g}", n.unit, str(n.n) if n.n else "", n.method)
+        (
+            n.name, f"{n.value:.6g}", f"{n.statistical:.2g}",
+            f"{n.systematic:.2g}" if n.systematic else "", n.unit,
+            f"{n.informed:.3f}" if math.isfinite(n.informed) else "", str(n.n) if n.n else "",
+            n.method,
+        )
         for n in numbers
     ]
-    return Table(_NUMBER_HEADER, rows, frozenset({1, 2, 4}), name, title)
-
-
-def _comparison(result: IdentifyResult, name: str) -> Picture | None:
-    """Deviation from the table's defaults in percent, with one and two standard errors."""
-    shown = [(n, default) for n in result.parameters if (default := _default(n))]
-    if not shown:
-        return None
-    figure, (ax,) = new_figure(height=1.2 + 0.32 * len(shown))
-    place = np.arange(len(shown))[::-1]
-    off = [100.0 * (n.value / default - 1.0) for n, default in shown]
-    error = [100.0 * abs(n.std / default) for n, default in shown]
-    ax.errorbar(off, place, xerr=2.0 * np.array(error), fmt="none", ecolor=FAINT, elinewidth=1.0)
-    ax.errorbar(off, place, xerr=error, fmt="o", color=MEASURED, elinewidth=2.5, ms=4)
-    ax.axvline(0.0, color=MODEL, lw=1.0, ls="--")
-    assumed = [BY_NAME[n.name].provenance.startswith("assumed") for n, _ in shown]
-    labels = [f"{n.name} *" if a else n.name for (n, _), a in zip(shown, assumed, strict=True)]
-    ax.set_yticks(place, labels, fontsize=8)
-    ax.set_ylim(-0.6, len(shown) - 0.4)
-    ax.set_xlabel("off the parameter table [%], one and two standard errors")
-    drawn = [
-        (n.name, f"{default:.6g}", f"{n.value:.6g}", f"{n.std:.2g}", n.unit)
-        for n, default in shown
-    ]
-    caption = (
-        "Reference: the default of docs/parameters.md, which is the paper's where it gives one; "
-        "marked *: assumed."
-    )
-    table = Table(("parameter", "reference", "identified", "standard error", "unit"), drawn)
-    return Picture(name, "Identified against the parameter table", caption, plain(figure), table)
-
-
-def _default(number: Number) -> float:
-    """0 where there is nothing to compare with."""
-    known = BY_NAME.get(number.name)
-    finite = math.isfinite(number.value) and math.isfinite(number.std) and number.std >= 0.0
-    return float(known.default) if finite and known and isinstance(known.default, float) else 0.0
-
-
-def _bars(result: DiagnoseResult, name: str) -> Picture:
-    shown = [c for c in result.candidates if c.probability >= _LEAST_SHOWN][:_MOST_BARS]
-    figure, (ax,) = new_figure(height=1.2 + 0.32 * max(len(shown), 1))
-    place = np.arange(len(shown))[::-1]
-    colours = [STAGE_COLOURS.get(c.stage, FAINT) for c in shown]
-    ax.barh(place, [c.probability for c in shown], color=colours, height=0.7)
-    for y, c in zip(place, shown, strict=True):
-        label = f"{c.probability:.3f}" + (f"  {c.stage}" if c.stage else "")
-        ax.text(c.probability + 0.01, y, label, va="center", fontsize=8)
-    ax.set_yticks(place, [c.name for c in shown], fontsize=8)
-    ax.set(xlabel="probability", xlim=(0.0, 1.3), xticks=np.linspace(0.0, 1.0, 6))
-    drawn = [(c.name, c.stage, f"{c.probability:.6g}") for c in shown]
-    table = Table(("candidate", "stage", "probability"), drawn)
-    return Picture(name, "Candidates", f"From {result.path}.", plain(figure), table)
-
-
-def _chain_picture(result: DiagnoseResult, name: str) -> Picture:
-    figure, (ax,) = new_figure(height=1.2 + 0.4 * len(result.chain))
-    place = np.arange(len(result.chain))[::-1]
-    gap = np.array([link[1] for link in result.chain])
-    low, high = (np.array([link[k] for link in result.chain]) for k in (2, 3))
-    error = np.maximum([gap - low, high - gap], 0.0)
-    ax.errorbar(gap, place, xerr=error, fmt="o", color=MEASURED, capsize=4)
-    ax.axvline(0.0, color=FAINT, lw=0.8)
-    ax.set_yticks(place, [link[0] for link in result.chain], fontsize=8)
-    ax.set_ylim(-0.6, len(result.chain) - 0.4)
-    ax.set_xlabel("gap over noise, 90 % interval")
-    drawn = [(b, *(f"{x:.6g}" for x in numbers)) for b, *numbers in result.chain]
-    table = Table(("block", "gap over noise", "5 %", "95 %"), drawn)
-    caption = "Each block of the model driven by what was measured before it."
-    return Picture(name, "Where the chain breaks", caption, plain(figure), table)
-
-
-# --- What a report was made of: files with their hashes, versions, parameters, the command.
-
-_PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "rosbags")
-_BLOCK = 1 << 20
-
-
-def digest(path: Path) -> tuple[str, int]:
-    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files,
-    not of those that links lead to outside.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
-    total, size = hashlib.sha256(), 0
-    try:
-        for part in _own_files(path) if path.is_dir() else [path]:
-            if path.is_dir():
-                head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"
-                total.update(head.encode("utf-8", "surrogateescape"))
-            for block in _blocks(part):
-                total.update(block)
-                size += len(block)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    return total.hexdigest(), size
-
-
-def _own_files(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.is_file() and is_inside(p, folder))
-
-
-def _blocks(path: Path) -> Iterator[bytes]:
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            yield block
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Of this package, what it computes with, Python and the machine."""
-    found = {"sma_bench": __version__, "Python": platform.python_version()}
-    for name in _PACKAGES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found | {"system": f"{platform.system()} {platform.machine()}"}
-
-
-def provenance_section(
-    digests: Sequence[tuple[str, str, int]], command: str, made: datetime
-) -> Section:
-    """Files, versions and the command.
-
-    Args:
-        digests: path, SHA-256 and bytes of every input.
-        command: as typed; made: when.
-    """
-    files = [(path, sha, f"{size}") for path, sha, size in digests]
-    about = {
-        "command": command, "made": made.astimezone().isoformat(timespec="seconds"), **versions()
-    }
-    return Section(
-        "Provenance",
-        ["A folder's hash covers the names, sizes and contents of its files in alphabetical "
-         "order."],
-        tables=[
-            Table(("file", "SHA-256", "bytes"), files, frozenset({2}), "provenance_files", "Files"),
-            Table(("", ""), list(about.items()), frozenset(), "provenance_versions",
-                  "Made by"),
-        ],
-    )  # fmt: skip
+    return Table(_NUMBER_HEADER, rows, frozenset({1, 2, 3, 5, 6}), name, title)
 
 
 def parameter_section(parameters: Parameters, path: str) -> Section:

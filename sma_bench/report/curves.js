@@ -31,12 +31,13 @@ for (const source of document.querySelectorAll("figure.curves script")) {
     legend.append(make("strong", "", curve.title));
     const values = curve.lines.map((line) => {
       const entry = make("span", "entry");
-      const swatch = make("span", line.dashed ? "swatch dashed" : "swatch");
+      const swatch = make("canvas", "swatch");
       const value = make("span", "value");
       entry.append(swatch, line.label, value);
       legend.append(entry);
       return { swatch, value };
     });
+    if (curve.bands.length) legend.append(make("span", "band", "noise"));
     const canvas = make("canvas", "");
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", curve.title);
@@ -93,7 +94,7 @@ for (const source of document.querySelectorAll("figure.curves script")) {
     pen.scale(ratio, ratio);
     pen.font = "12px system-ui, sans-serif";
     const edge = edges(canvas);
-    const [low, high] = range(curve.lines);
+    const [low, high] = range(curve);
     const x = (t) => edge.left + ((t - view.from) / (view.to - view.from)) * (edge.right - edge.left);
     const y = (v) => edge.bottom - ((v - low) / (high - low)) * (edge.bottom - edge.top);
     pen.strokeStyle = "#8884";
@@ -115,16 +116,22 @@ for (const source of document.querySelectorAll("figure.curves script")) {
     pen.beginPath();
     pen.rect(edge.left, edge.top, edge.right - edge.left, edge.bottom - edge.top);
     pen.clip();
+    pen.fillStyle = "#8884";
+    for (const [from, to] of curve.bands) {
+      pen.fillRect(edge.left, y(to), edge.right - edge.left, y(from) - y(to));
+    }
     pen.setLineDash([2, 3]);
     pen.strokeStyle = "#888";
     for (const mark of curve.marks) rule(pen, x(mark), edge.top, x(mark), edge.bottom);
     pen.setLineDash([]);
     curve.lines.forEach((line, k) => {
       const colour = shade(line.colour);
-      values[k].swatch.style.borderColor = colour;
+      example(values[k].swatch, line, colour);
       values[k].value.textContent = view.at === null ? "" : valueAt(line);
       stroke(pen, line, colour, x, y);
     });
+    curve.lines.forEach((line, k) =>
+      marks(pen, line, shade(line.colour), k, curve.lines.length, x, y));
     if (view.dragged !== null && view.at !== null) {
       pen.fillStyle = "#8883";
       pen.fillRect(x(view.dragged), edge.top, x(view.at) - x(view.dragged), edge.bottom - edge.top);
@@ -149,8 +156,9 @@ for (const source of document.querySelectorAll("figure.curves script")) {
 
   function stroke(pen, line, colour, x, y) {
     pen.strokeStyle = colour;
-    pen.lineWidth = 1.4;
-    pen.setLineDash(line.dashed ? [6, 4] : []);
+    pen.lineWidth = line.wide ? 4.5 : 1.4;
+    pen.globalAlpha = line.wide ? 0.5 : 1;
+    pen.setLineDash(line.dash);
     pen.beginPath();
     let gap = true;
     for (let k = 0; k < line.x.length; k++) {
@@ -163,17 +171,61 @@ for (const source of document.querySelectorAll("figure.curves script")) {
     }
     pen.stroke();
     pen.setLineDash([]);
+    pen.globalAlpha = 1;
+  }
+
+  // Marks tell lines apart where colours do not: those of different lines lie beside each other.
+  const MARKS = 6;
+  function marks(pen, line, colour, place, lines, x, y) {
+    if (!line.mark) return;
+    for (let k = 0; k < MARKS; k++) {
+      const t = view.from + ((k + (place + 0.5) / lines) / MARKS) * (view.to - view.from);
+      const v = line.y[nearest(line, t)];
+      if (v !== null) mark(pen, line.mark, colour, x(t), y(v));
+    }
+  }
+
+  function mark(pen, shape, colour, x, y) {
+    const corners = { "^": [3, -0.5], v: [3, 0.5], s: [4, 0.25], D: [4, 0] }[shape];
+    pen.beginPath();
+    if (!corners) pen.arc(x, y, 3.5, 0, 2 * Math.PI);
+    else {
+      const [count, turn] = corners;
+      for (let k = 0; k < count; k++) {
+        const angle = Math.PI * (turn + (2 * k) / count);
+        pen.lineTo(x + 4.5 * Math.cos(angle), y + 4.5 * Math.sin(angle));
+      }
+      pen.closePath();
+    }
+    pen.fillStyle = getComputedStyle(document.body).backgroundColor;
+    pen.fill();
+    pen.lineWidth = 1.3;
+    pen.strokeStyle = colour;
+    pen.stroke();
+  }
+
+  function example(swatch, line, colour) {
+    [swatch.width, swatch.height] = [68, 20];
+    const pen = swatch.getContext("2d");
+    pen.scale(2, 2);
+    stroke(pen, { ...line, x: [0, 34], y: [5, 5] }, colour, (t) => t, (v) => v);
+    if (line.mark) mark(pen, line.mark, colour, 17, 5);
+  }
+
+  function nearest(line, t) {
+    let k = line.x.findIndex((at) => at >= t);
+    if (k < 0) k = line.x.length - 1;
+    return k > 0 && t - line.x[k - 1] < line.x[k] - t ? k - 1 : k;
   }
 
   function valueAt(line) {
-    let k = line.x.findIndex((t) => t >= view.at);
-    if (k < 0) k = line.x.length - 1;
-    if (k > 0 && view.at - line.x[k - 1] < line.x[k] - view.at) k -= 1;
-    return line.y[k] === null ? "none" : short(line.y[k]);
+    const value = line.y[nearest(line, view.at)];
+    return value === null ? "none" : short(value);
   }
 
-  function range(lines) {
+  function range({ lines, bands }) {
     let [low, high] = [Infinity, -Infinity];
+    for (const [from, to] of bands) [low, high] = [Math.min(low, from), Math.max(high, to)];
     for (const line of lines) {
       line.y.forEach((v, k) => {
         if (v === null || line.x[k] < view.from || line.x[k] > view.to) return;
@@ -206,6 +258,7 @@ for (const source of document.querySelectorAll("figure.curves script")) {
     const spread = most - Math.min(r, g, b);
     if (!spread) return "hsl(0 0% 72%)";
     const sector = most === r ? (g - b) / spread : most === g ? 2 + (b - r) / spread : 4 + (r - g) / spread;
-    return `hsl(${60 * sector} ${Math.round(100 * Math.min(1, 0.2 + spread))}% 70%)`;
+    const light = Math.round(86 - 20 * (most + most - spread));
+    return `hsl(${60 * sector} ${Math.round(100 * Math.min(1, 0.2 + spread))}% ${light}%)`;
   }
 }

@@ -19,8 +19,16 @@ from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.simulate import Simulation
 from sma_bench.protocols import parse_protocol
-from sma_bench.report.diagnosis_words import at_noise
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
+from sma_bench.report.diagnosis_words import at_noise, in_order
+from sma_bench.report.drawing import (
+    FAINT,
+    MEASURED,
+    MODEL,
+    SECOND,
+    legend_above,
+    new_figure,
+    noise_band,
+)
 from sma_bench.report.page import Picture
 from sma_bench.results import scale_of
 
@@ -42,7 +50,7 @@ _PROTOCOL_STEP = 0.05  # s
 def signal_pictures(result: Diagnosis) -> list[Picture]:
     """Measured against simulated, before and after: a picture a quantity of the held-out data."""
     pictures = []
-    for quantity in result.shrinkage:
+    for quantity, _ in in_order(result):
         obs = next(v for v in result.held_out if quantity in v.quantities)
         pictures.append(_signals_over_time(result, obs, quantity))
     return pictures
@@ -102,8 +110,7 @@ def evidence_picture(result: Diagnosis) -> Picture:
 
 def shrinkage_picture(result: Diagnosis) -> Picture:
     """Errors before and after against the noise, and the share of the gap that is gone."""
-    names = list(result.shrinkage)
-    found = [result.shrinkage[name] for name in names]
+    names, found = zip(*in_order(result), strict=True)
     figure = Figure(figsize=(7.2, 1.4 + 0.6 * len(names)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(names))[::-1]
@@ -216,7 +223,7 @@ def _error(ax: Axes, result: Diagnosis, row: tuple[BinnedSignal, Array, Array]) 
     signal, old, new = row
     factor = scale_of(signal.name).factor
     noise = 2.0 * factor * sample_noise(result.model.problem, signal.name)
-    ax.axhspan(-noise, noise, color=FAINT, alpha=0.18, lw=0)
+    noise_band(ax, noise)
     ax.plot(signal.time, factor * signal.value - old, color=FAINT, lw=1.0, ls="--")
     ax.plot(signal.time, factor * signal.value - new, color=MODEL, lw=1.0)
 
@@ -272,7 +279,7 @@ def gap_picture(result: Diagnosis) -> Picture:
         "clock delays and the moments of the jumps are taken off first and last; the middle is "
         "between two simulations."
     )
-    return Picture("diagnosis_where", "Where the gap lies", caption, figure)
+    return Picture("diagnosis_where", "Where the gap lies", caption, figure, shaded=True)
 
 
 def stage_picture(result: Diagnosis) -> Picture:
@@ -307,7 +314,7 @@ def stage_picture(result: Diagnosis) -> Picture:
         "that the best model leaves. An effect of the wrong stage gains in one signal what it "
         "loses in another, or little anywhere."
     )
-    return Picture("diagnosis_stages", "What each stage explains", caption, figure)
+    return Picture("diagnosis_stages", "What each stage explains", caption, figure, shaded=True)
 
 
 def _best_of_stages(result: Diagnosis) -> dict[str, tuple[str, Fit]]:
@@ -376,6 +383,7 @@ _EVIDENCE = _Look("RdBu_r", (0.2, 0.8))
 def _draw(ax: Axes, table: Array, norm: Normalize, look: _Look) -> AxesImage:
     shown = np.clip(table, norm.vmin, norm.vmax)
     image = ax.imshow(shown, aspect="auto", cmap=look.colours, norm=norm)
+    vars(image)["table"] = table
     for (row, column), value in np.ndenumerate(table):
         if np.isfinite(value):
             shade = float(norm(shown[row, column]))

@@ -1,11 +1,13 @@
 """The report of a diagnosis: the argument as a careful experimenter makes it, with figures."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from sma_bench.cards import verdict_card
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
 from sma_bench.diagnose.sizes import sample_noise
+from sma_bench.findings import fold_audit
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.progress import Report, silent
@@ -26,17 +28,25 @@ from sma_bench.report.diagnosis_words import (
     what_next,
     where_is_it,
     which_effect,
+    worst_first,
 )
-from sma_bench.report.page import Picture, Section, Table, write_report
+from sma_bench.report.drawing import Column
+from sma_bench.report.page import Made, Picture, Section, Table, write_report
 from sma_bench.results import in_print, scale_of, with_error
 
 _LEAST_SHOWN = 0.005
 
 
 def write_diagnosis_report(
-    directory: str | Path, result: Diagnosis, report: Report = silent
+    directory: str | Path, result: Diagnosis, report: Report = silent,
+    made: Made | None = None, column: Column | None = None,
 ) -> Path:
-    """Write the report's index.html and PNG figures; `report` hears which one comes.
+    """Write the report's index.html and figures.
+
+    Args:
+        report: hears which figure comes.
+        made: by which command and of which inputs.
+        column: of a paper, for which the figures are written as well.
 
     Raises:
         InputError: the folder cannot be written.
@@ -45,14 +55,15 @@ def write_diagnosis_report(
     if result.decision.verdict == UNEXPLAINED:
         sections.append(_missing(result))
     sections += [_how_far(result), _next(result), _looked_at(result)]
-    numbered = [
-        Section(f"{k}. {s.title}", s.paragraphs, s.notes, s.tables, s.pictures)
-        for k, s in enumerate(sections, 1)
-    ]
-    answer = Section("The answer", card=verdict_card(result.shown))
-    sources = "; ".join(dict.fromkeys(v.path for v in result.observations))
+    numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
+    answer = Section("", card=verdict_card(result.shown))
+    sources = list(dict.fromkeys(v.path for v in result.observations))
+    made = made or Made("sma_bench.diagnose", sources)
     title = "The gap between simulation and bench"
-    return write_report(directory, title, f"From {sources}.", [answer, *numbered], report=report)
+    return write_report(
+        directory, title, f"From {'; '.join(sources)}. {made.head}",
+        [answer, *numbered, made.section()], column=column, report=report,
+    )
 
 
 def _gap(result: Diagnosis) -> Section:
@@ -117,16 +128,21 @@ def _looked_at(result: Diagnosis) -> Section:
     left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
     paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
     header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
+    findings, line = fold_audit(result.findings)
+    folded = [line, *(str(f) for f in result.findings if f not in findings)] if line else []
     return Section(
-        "What was looked at", paragraphs, [str(f) for f in result.findings],
-        [Table(header, rows, frozenset({4, 5}))],
+        "What was looked at", paragraphs, [str(f) for f in findings],
+        [Table(header, rows, frozenset({4, 5}))], folded=folded,
     )
 
 
 def _noise(result: Diagnosis) -> Table:
     rows = []
     problem = result.model.problem
-    for name, noise in problem.noise.items():
+    order = worst_first(result)
+    for name, noise in sorted(
+        problem.noise.items(), key=lambda item: order.index(item[0].rpartition(".")[2])
+    ):
         unit, factor = scale_of(name)
         slow = noise.drift > 0.0
         rows.append((

@@ -10,6 +10,7 @@ from sma_bench.diagnose.argument import cell_in_words
 from sma_bench.diagnose.chain import reading_of
 from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate
 from sma_bench.diagnose.shrinkage import Shrinkage
+from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.results import AT_NOISE, DiagnoseResult, in_print, percent, with_error
@@ -31,10 +32,17 @@ def headline(result: Diagnosis) -> str:
     }[result.decision.verdict]
 
 
+def worst_first(result: Diagnosis) -> list[str]:
+    """Held-out quantities by what the belief misses of them, over the noise."""
+    times = {q: s.rmse_before / s.noise_floor for q, s in result.shrinkage.items()}
+    others = [q for q in QUANTITIES if q not in times]
+    return sorted(times, key=lambda q: times[q], reverse=True) + others
+
+
 def is_there_a_gap(result: Diagnosis) -> list[str]:
     """What the believed parameters miss, against the noise."""
     said = []
-    for quantity, s in result.shrinkage.items():
+    for quantity, s in in_order(result):
         times = s.rmse_before / s.noise_floor
         if at_noise(s):
             said.append(f"The held-out {quantity} agrees with the simulation within its noise.")
@@ -98,7 +106,7 @@ def which_effect(result: Diagnosis) -> list[str]:
 def how_far(result: Diagnosis) -> list[str]:
     """Shrinkage in words, a sentence a quantity."""
     said = []
-    for quantity, s in result.shrinkage.items():
+    for quantity, s in in_order(result):
         low, high = s.ci90
         if at_noise(s):
             said.append(f"The {quantity} was at its noise before: nothing to shrink.")
@@ -128,6 +136,11 @@ def what_next(result: Diagnosis) -> list[str]:
                      "tied explanations; a missing sensor may (see the remarks).",
     }
     return [advice[result.decision.verdict]]
+
+
+def in_order(result: Diagnosis) -> list[tuple[str, Shrinkage]]:
+    """Held-out quantities with what shrinks, the worst first."""
+    return [(q, result.shrinkage[q]) for q in worst_first(result) if q in result.shrinkage]
 
 
 def at_noise(shrinkage: Shrinkage) -> bool:

@@ -1,16 +1,24 @@
-"""Figures: the look that all share, and those over time as data for the script that draws them."""
+"""Figures: the look that all share, as data for the page's script and for a table, in the width of
+a paper's column, and on dark paper."""
 
 import base64
 import hashlib
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
+from matplotlib.ticker import FixedFormatter, FuncFormatter
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -23,6 +31,33 @@ SECOND = "#c0504d"
 MODEL = "#e08214"
 FAINT = "#8a8a8a"
 _LARGEST = 1e100
+
+# Lines side by side, told apart by lightness, dash and mark, not by hue alone.
+_LINES = (
+    ("#0b3c5d", "-", "o"), ("#b5402f", "--", "s"), ("#2f8f83", "-.", "^"), ("#d99a2b", ":", "D"),
+    ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"), ("#4a4a4a", (0, (1, 1)), "P"),
+)
+_MARKS_OF_A_LINE = 6
+_BAND = "band"
+
+
+def line_style(k: int, of: int, points: int) -> dict[str, Any]:
+    """Look of line `k` of `of` that share axes, `points` long; a line alone is plain."""
+    colour, dash, mark = _LINES[k % len(_LINES)]
+    if of == 1:
+        return {"color": colour, "lw": 0.9}
+    # Marks of different lines lie beside each other, also where the lines coincide.
+    every = max(points // _MARKS_OF_A_LINE, 1)
+    first = min((every * (2 * k + 1)) // (2 * of), max(points - 1, 0))
+    return {
+        "color": colour, "lw": 1.1, "ls": dash, "marker": mark, "ms": 4, "mfc": "white",
+        "mew": 1.0, "markevery": (first, every),
+    }
+
+
+def noise_band(ax: Axes, half: float) -> None:
+    """What lies within it may be noise; the page's script draws it too."""
+    ax.axhspan(-half, half, color=FAINT, alpha=0.18, lw=0, gid=_BAND)
 
 
 def new_figure(
@@ -63,21 +98,23 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
     """The lines of every axes of a figure, plain values for JSON.
 
     Returns:
-        Of each axes `title`, `x_label`, `marks` (vertical lines) and `lines`: `label`, `colour`
-        (#rrggbb), `dashed`, `x` and `y`, in which None is a gap.
+        Of each axes `title`, `x_label`, `marks` (vertical lines), `bands` (lowest and highest) and
+        `lines`: `label`, `colour` (#rrggbb), `dash` (pixels), `mark`, `wide`, `x` and `y`, in which
+        None is a gap.
     """
     curves: list[dict[str, Any]] = [
         {"title": _title(ax), "x_label": ax.get_xlabel(), "lines": list(_lines(ax)),
-         "marks": list(_marks(ax))}
+         "marks": list(_marks(ax)), "bands": list(_bands(ax))}
         for ax in figure.axes
     ]
     labels = {
-        (line["colour"], line["dashed"]): line["label"]
+        (line["colour"], str(line["dash"])): line["label"]
         for part in reversed(curves) for line in part["lines"] if line["label"]
     }  # fmt: skip
     for part in curves:
         for line in part["lines"]:
-            line["label"] = line["label"] or labels.get((line["colour"], line["dashed"]), "")
+            look = (line["colour"], str(line["dash"]))
+            line["label"] = line["label"] or labels.get(look, "")
     return [part for part in curves if part["lines"]]
 
 
@@ -109,19 +146,34 @@ def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
+_DASHES = {"--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0]}
+_WIDE = 2.0
+
+
 def _lines(ax: Axes) -> Iterator[dict[str, Any]]:
-    for line in ax.lines:
-        if line.get_transform() != ax.transData:
-            continue  # a mark across the axes, not a curve
-        label = str(line.get_label())
+    for line in _curves(ax):
         x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+        if len(x) < 2:
+            continue  # a mark on another line
         x, y = thinned(x, y, MOST_POINTS)
+        mark = str(line.get_marker())
         yield {
-            "label": "" if label.startswith("_") else label,
-            "colour": to_hex(line.get_color()), "dashed": _is_dashed(line),
+            "label": _label(line), "colour": to_hex(line.get_color()), "dash": _dash(line),
+            "mark": mark if mark in "os^Dv" and line.get_markevery() else "",
+            "wide": line.get_linewidth() > _WIDE,
             "x": [float(f"{value:.6g}") for value in x],
             "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y],
         }  # fmt: skip
+
+
+def _curves(ax: Axes) -> Iterator[Line2D]:
+    """Lines of data; a mark across the axes is none."""
+    yield from (line for line in ax.lines if line.get_transform() == ax.transData)
+
+
+def _label(line: Line2D) -> str:
+    label = str(line.get_label())
+    return "" if label.startswith("_") else label
 
 
 def _marks(ax: Axes) -> Iterator[float]:
@@ -131,9 +183,161 @@ def _marks(ax: Axes) -> Iterator[float]:
             yield float(f"{x[0]:.6g}")
 
 
+def _bands(ax: Axes) -> Iterator[list[float]]:
+    for patch in ax.patches:
+        if patch.get_gid() == _BAND:
+            heights = patch.get_patch_transform().transform(patch.get_path().vertices)[:, 1]
+            yield [float(f"{edge:.5g}") for edge in (heights.min(), heights.max())]
+
+
 def _title(ax: Axes) -> str:
     return " ".join(f"{ax.get_title(loc='left')} {ax.get_ylabel()}".split())
 
 
-def _is_dashed(line: Line2D) -> bool:
-    return line.get_linestyle() not in ("-", "None", "")
+def _dash(line: Line2D) -> list[float]:
+    style = str(line.get_linestyle())
+    return [] if style in ("-", "None", "") else _DASHES.get(style, [2.0, 2.0])
+
+
+# --- A figure as a table: everything that is drawn, in plain numbers.
+
+TABLE_HEADER = ("panel", "curve", "across", "x", "y", "value")
+
+
+def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
+    """Lines point by point, bars, error bars and cells of maps, a row each, as `TABLE_HEADER`."""
+    rows: list[tuple[str, ...]] = []
+    across = next((ax.get_xlabel() for ax in reversed(figure.axes) if ax.get_xlabel()), "")
+    for k, ax in enumerate(figure.axes, 1):
+        if ax.get_label() == "<colorbar>":
+            continue
+        head = (_plain(_title(ax) or ax.get_title()) or f"{k}", ax.get_xlabel() or across)
+        rows += [
+            (head[0], name, head[1], *map(_plain, (x, y, *(value or [""]))))
+            for name, x, y, *value in _points(ax)
+        ]
+    return rows
+
+
+def _points(ax: Axes) -> Iterator[tuple[Any, ...]]:
+    """Curve, x, y, and of a map the value there."""
+    wide = _categories(ax.xaxis)
+    shared = [ax, *ax.get_shared_y_axes().get_siblings(ax)]
+    high = next((names for own in shared if (names := _categories(own.yaxis))), {})
+    for line in _curves(ax):
+        if line.get_marker() in ("|", "_"):
+            continue  # ends of error bars
+        for x, y in zip(*map(np.asarray, line.get_data()), strict=True):
+            yield _label(line), wide.get(float(x), x), high.get(float(y), y)
+    for bars in ax.containers:
+        for bar in bars.patches if hasattr(bars, "patches") else ():
+            if isinstance(bar, Rectangle) and bar.get_x() + bar.get_width():
+                middle = bar.get_y() + bar.get_height() / 2.0
+                near = min(high, key=lambda y: abs(y - middle), default=None)
+                told = str(bars.get_label())
+                yield (
+                    "" if told.startswith("_") else told, bar.get_width(),
+                    middle if near is None else high[near],
+                )
+    for found in ax.collections:
+        if isinstance(found, LineCollection):
+            for ends in found.get_segments():
+                for x, y in ends:
+                    yield "error bar", x, high.get(float(y), y)
+    for image in ax.images:
+        # Colours may be cut where numbers are not.
+        table = np.asarray(vars(image).get("table", image.get_array()), dtype=float)
+        for (row, column), value in np.ndenumerate(table):
+            yield "", wide.get(column, column), high.get(row, row), value
+
+
+def _categories(axis: Any) -> Mapping[float, str]:
+    """Names of places on an axis that has names in place of numbers."""
+    if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter):
+        return {}
+    texts = [tick.get_text() for tick in axis.get_ticklabels()]
+    return dict(zip(map(float, axis.get_ticklocs()), texts, strict=False)) if any(texts) else {}
+
+
+def _plain(value: float | str) -> str:
+    if isinstance(value, str):
+        return " ".join(value.split())
+    return f"{float(value):.8g}" if np.isfinite(value) else ""
+
+
+# --- The same figure for a column of print, and on dark paper.
+
+_INCH = 25.4  # mm
+_LEAST_FONT = 5.0
+_TALLEST = 9.5  # inches, of a page
+
+
+class Column(NamedTuple):
+    """Where a figure is to stand in print: width [mm] and size of its letters [pt]."""
+
+    width: float = 183.0
+    font: float = 8.0
+
+
+COLUMNS = {"single": Column(89.0, 7.0), "double": Column()}
+
+
+@contextmanager
+def in_column(figure: Figure, column: Column) -> Iterator[None]:
+    """The figure in another width, as high in proportion but no less than its letters need."""
+    width, height = (float(length) for length in figure.get_size_inches())
+    texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]
+    sizes = [float(text.get_fontsize()) for text in texts]
+    middle = float(np.median(sizes)) if sizes else column.font
+    legends = [found for found in figure.findobj(Legend) if isinstance(found, Legend)]
+    columns = [int(vars(legend)["_ncols"]) for legend in legends]
+    new = column.width / _INCH
+    ratio = max(new / width, 0.62)
+    try:
+        figure.set_size_inches(new, min(height * ratio, _TALLEST))
+        for text, size in zip(texts, sizes, strict=True):
+            text.set_fontsize(max(_LEAST_FONT, column.font * min(size / middle, 1.2)))
+        for legend, own in zip(legends, columns, strict=True):
+            legend.set_ncols(max(1, min(own, math.floor(new / 1.6))))
+        for ax in figure.axes:
+            if not _categories(ax.xaxis) and ax.get_xscale() == "linear":
+                ax.locator_params(axis="x", nbins=max(3, min(9, math.floor(new * 1.6))))
+        yield
+    finally:
+        figure.set_size_inches(width, height)
+        for text, size in zip(texts, sizes, strict=True):
+            text.set_fontsize(size)
+        for legend, own in zip(legends, columns, strict=True):
+            legend.set_ncols(own)
+
+
+_INK, _PAPER = "#ededed", "#121212"
+
+
+@contextmanager
+def on_dark_paper(figure: Figure) -> Iterator[None]:
+    """Letters and axes light, paper dark, colours of what is drawn as they are."""
+    inside = {text for ax in figure.axes for text in ax.texts}
+    texts = [
+        text for text in figure.findobj(Text) if isinstance(text, Text) and text not in inside
+    ]
+    spines = [spine for ax in figure.axes for spine in ax.spines.values()]
+    marks = [
+        mark for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks())
+        for mark in (tick.tick1line, tick.tick2line)
+    ]
+    kept: list[tuple[Any, str, Any]] = [
+        *((text, "color", text.get_color()) for text in texts),
+        *((spine, "edgecolor", spine.get_edgecolor()) for spine in spines),
+        *((mark, "color", mark.get_color()) for mark in marks),
+        *((patch, "facecolor", patch.get_facecolor())
+          for patch in (figure.patch, *(ax.patch for ax in figure.axes))),
+    ]
+    try:
+        for thing, what, _ in kept:
+            thing.set(**{what: _PAPER if what == "facecolor" else _INK})
+        yield
+    finally:
+        for thing, what, value in kept:
+            thing.set(**{what: value})

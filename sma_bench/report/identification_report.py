@@ -1,48 +1,50 @@
-"""The report of an identification: numbers with errors, remarks, and the figures behind them."""
+"""The report of an identification: its card, and measured against model under it."""
 
 from pathlib import Path
 
-import numpy as np
-from matplotlib.figure import Figure
-
+from sma_bench.cards import identification_card
 from sma_bench.findings import Finding
 from sma_bench.identify import Identification
-from sma_bench.identify.estimate import Correlation, Experiment
+from sma_bench.identify.estimate import Experiment
 from sma_bench.progress import Report, silent
+from sma_bench.report.collected_report import detail_table, number_table
+from sma_bench.report.drawing import Column
 from sma_bench.report.experiment_figures import experiment_pictures
-from sma_bench.report.page import Picture, Section, Table, write_report
-
-_HEADER = (
-    "parameter", "value", "standard error", "of it systematic", "unit", "informed", "points",
-    "experiment", "method",
-)
-_INFORMED = (
-    "Informed: the share of what is known of a number that came from these records; the rest was "
-    "known before."
-)
-_WORTH_A_MAP = 0.05
+from sma_bench.report.page import Made, Section, write_report
+from sma_bench.report.plots import agreement_picture, correlation_picture
 
 
 def write_identification_report(
-    directory: str | Path, result: Identification, report: Report = silent
+    directory: str | Path, result: Identification, report: Report = silent,
+    made: Made | None = None, column: Column | None = None,
 ) -> Path:
-    """Write the report's index.html and PNG figures; `report` hears which one comes.
+    """Write the report's index.html and figures.
+
+    Args:
+        report: hears which figure comes.
+        made: by which command and of which inputs.
+        column: of a paper, for which the figures are written as well.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    correlation = result.correlation
-    maps = [_correlation_picture(correlation)] if _is_correlated(correlation) else []
+    shown, made = result.shown, made or Made("sma_bench.identify")
+    drawn = (agreement_picture(shown, "agreement"), correlation_picture(shown, "correlation"))
     sections = [
         Section(
-            "Parameters", [_INFORMED], tables=[_table(result)], notes=_lines(result.notes),
-            pictures=maps,
-        )
+            "", tables=[number_table(shown)], notes=_lines(result.notes),
+            pictures=[picture for picture in drawn if picture is not None],
+            card=identification_card(shown),
+        ),
+        *(experiment_section(experiment) for experiment in result.experiments),
+        Section("How each number was found", tables=[detail_table(shown.parameters, "numbers")]),
+        made.section(),
     ]
-    sections += [experiment_section(experiment) for experiment in result.experiments]
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
-    summary = f"From {sources}."
-    return write_report(directory, "Identified parameters", summary, sections, report=report)
+    return write_report(
+        directory, "Identified parameters", f"From {sources}. {made.head}", sections,
+        column=column, report=report,
+    )
 
 
 def experiment_section(experiment: Experiment) -> Section:
@@ -53,39 +55,6 @@ def experiment_section(experiment: Experiment) -> Section:
         notes=_lines(experiment.findings),
         pictures=experiment_pictures(experiment),
     )
-
-
-def _table(result: Identification) -> Table:
-    rows = []
-    for name, e in result.estimates.items():
-        systematic = f"{e.systematic:.2g}" if e.systematic else ""
-        numbers = (f"{e.value:.6g}", f"{e.std:.2g}", systematic, e.unit)
-        informed = f"{100.0 * e.informed:.0f} %"
-        rows.append((name, *numbers, informed, str(e.n), result.origin(name), e.method))
-    return Table(_HEADER, rows, frozenset({1, 2, 3, 5, 6}))
-
-
-def _correlation_picture(found: Correlation) -> Picture:
-    """The correlation matrix as a map."""
-    names = [name.partition(".")[2] for name in found.names]
-    size = 2.4 + 0.24 * len(names)
-    figure = Figure(figsize=(size + 1.4, size), layout="constrained")
-    ax = figure.subplots()
-    image = ax.imshow(found.matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    ax.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    ax.set_yticks(range(len(names)), names, fontsize=7)
-    ax.spines[:].set_visible(False)
-    figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
-    caption = (
-        "Numbers whose errors hang together are known better as a product, a quotient or a "
-        "difference than one by one. Numbers of different experiments share what the "
-        "scales of their sensors may be off by."
-    )
-    return Picture("correlation", "Which errors hang together", caption, figure)
-
-
-def _is_correlated(found: Correlation) -> bool:
-    return bool((np.abs(found.matrix - np.eye(len(found.names))) > _WORTH_A_MAP).any())
 
 
 def _lines(findings: tuple[Finding, ...]) -> list[str]:

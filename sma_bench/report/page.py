@@ -2,21 +2,37 @@
 
 import base64
 import csv
+import hashlib
 import io
-from collections.abc import Mapping, Sequence
+import platform
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cache, cached_property
+from importlib import metadata
 from pathlib import Path
 
 import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from sma_bench.border import csv_cell, printable, read_bytes, write_files
+from sma_bench import __version__
+from sma_bench.border import csv_cell, is_inside, printable, read_bytes, write_files
 from sma_bench.cards import Card
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
-from sma_bench.report.drawing import curves_of, policy, script
+from sma_bench.report.drawing import (
+    COLUMNS,
+    TABLE_HEADER,
+    Column,
+    curves_of,
+    drawn_rows,
+    in_column,
+    on_dark_paper,
+    policy,
+    script,
+)
 
 _SHORT, _LONG = 24, 48
 """letters of a table's cell"""
@@ -42,7 +58,8 @@ body {
   background: var(--paper); font: 16px/1.5 system-ui, sans-serif; margin: 0 auto;
   max-width: 62rem; overflow-wrap: anywhere; padding: 1rem;
 }
-h1 { line-height: 1.2; } h2 { border-bottom: 1px solid var(--line); margin-top: 2.5rem; }
+h1 { font-size: 1.7rem; line-height: 1.2; margin: .5rem 0; }
+h2 { border-bottom: 1px solid var(--line); margin-top: 2.5rem; }
 /* What is too wide scrolls in itself; a shade at its edge says that there is more. */
 table, .wide {
   background:
@@ -68,13 +85,13 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
   display: grid; gap: .2rem 1rem; grid-template-columns: max-content 1fr; margin: .5rem 0;
 }
 .card dt { font-weight: 600; } .card dt + dd { margin: 0; }
+details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 .view canvas { display: block; height: 10rem; touch-action: pan-y; width: 100%; }
 .view .legend { display: flex; flex-wrap: wrap; font-size: .85rem; gap: 0 1rem; }
-.view .swatch {
-  border-top: 3px solid; display: inline-block; margin-right: .3rem; vertical-align: middle;
-  width: 1.1rem;
+.view canvas.swatch {
+  display: inline-block; height: 10px; margin-right: .3rem; vertical-align: middle; width: 34px;
 }
-.view .dashed { border-top-style: dashed; }
+.view .band { background: #8884; padding: 0 .4rem; }
 /* Of one width, lest the figure moves under the pointer when a value appears. */
 .view .value {
   display: inline-block; font-variant-numeric: tabular-nums; min-width: 5.5em; padding-left: .3em;
@@ -85,9 +102,13 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
    becomes the page's own #121212. */
 @media screen and (prefers-color-scheme: dark) {
   figure img { filter: invert(.93) hue-rotate(180deg); }
+  figure picture img { background: none; filter: none; }
 }
 @media screen and (max-width: 44rem) {
   th, td { padding: .25rem .5rem; } table { font-size: .9rem; }
+  body { padding: .6rem; } h1 { font-size: 1.25rem; margin: .2rem 0; } .head { margin: .3rem 0; }
+  .card { font-size: .85rem; line-height: 1.3; padding: .3rem .6rem; }
+  .card p { font-size: 1rem; } .card dl { gap: .15rem .6rem; margin: .2rem 0; }
   .wide img { max-width: none; width: 40rem; }
   .view .hint { min-height: 3em; }
 }
@@ -103,11 +124,12 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 </head>
 <body>
 <h1>{{ title }}</h1>
-<p>{{ summary }}</p>
+<p class="head">{{ summary }}</p>
 {% for section in sections %}
-<h2>{{ section.title }}</h2>
+{% if section.title %}<h2>{{ section.title }}</h2>
+{% endif %}
 {% if section.card %}<div class="card"><p><strong>{{ section.card.title }}</strong></p>
-<dl>{% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ text }}</dd>
+<dl>{% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ together(text) }}</dd>
 {% endfor %}</dl>
 </div>
 {% endif %}
@@ -115,6 +137,10 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 {% endfor %}
 {% for note in section.notes %}<p class="note">{{ note }}</p>
 {% endfor %}
+{% if section.folded %}<details><summary>{{ section.folded[0] }}</summary><ul>
+{% for line in section.folded[1:] %}<li>{{ line }}</li>
+{% endfor %}</ul></details>
+{% endif %}
 {% for table in section.tables %}
 <table>{% if table.title %}<caption>{{ table.title }}</caption>{% endif %}
 <thead><tr>{% for head in table.header -%}
@@ -127,7 +153,10 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 {% endfor %}
 {% for picture in section.pictures %}
 <figure{% if picture.over_time %} class="curves"{% endif %}><div class="wide" tabindex="0"
-><img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}"></div>
+>{% if picture.shaded %}<picture><source media="screen and (prefers-color-scheme: dark)"
+srcset="data:image/png;base64,{{ picture.dark }}">{% endif -%}
+<img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}">
+{%- if picture.shaded %}</picture>{% endif %}</div>
 <figcaption><strong>{{ picture.title }}.</strong> {{ picture.caption }}</figcaption>
 {% if picture.over_time -%}
 <script type="application/json">{{ curves_of(picture.figure) | tojson }}</script>
@@ -158,41 +187,80 @@ class Table:
 class Picture:
     """A figure with its file name, title and caption (equation and data source).
 
-    `drawn` are the numbers in it, for a CSV file of its name; none where that says nothing. One
-    that is `over_time` answers to the pointer where the page may run its script.
+    One that is `over_time` answers to the pointer where the page may run its script; one that is
+    `shaded` has colours that mean numbers, which dark paper must not turn.
     """
 
     name: str
     title: str
     caption: str
     figure: Figure
-    drawn: Table | None = None
     over_time: bool = False
+    shaded: bool = False
 
     @cached_property
     def png(self) -> bytes:
         """The figure as a PNG file; drawing takes its time, so it is drawn once."""
-        buffer = io.BytesIO()
-        self.figure.savefig(buffer, format="png", dpi=130)
-        return buffer.getvalue()
-
-    @property
-    def svg(self) -> bytes:
-        """The figure as an SVG file, its text as text."""
-        buffer = io.BytesIO()
-        with rc_context({"svg.fonttype": "none", "svg.hashsalt": self.name}):
-            self.figure.savefig(buffer, format="svg", metadata={"Date": None})
-        return buffer.getvalue()
+        return self._file("png")
 
     @property
     def base64(self) -> str:
         """The PNG file as text."""
         return base64.b64encode(self.png).decode("ascii")
 
+    @property
+    def dark(self) -> str:
+        """The same for dark paper."""
+        with on_dark_paper(self.figure):
+            return base64.b64encode(self._file("png")).decode("ascii")
+
+    def files(self, column: Column) -> dict[str, bytes]:
+        """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
+        with in_column(self.figure, column):
+            found = {f"{self.name}.{kind}": self._file(kind) for kind in ("svg", "pdf")}
+        return {**found, f"{self.name}.csv": csv_text(self.drawn)}
+
+    @property
+    def drawn(self) -> Table:
+        """All that is drawn, in plain numbers."""
+        return Table(TABLE_HEADER, drawn_rows(self.figure))
+
+    def save(self, path: str | Path, column: Column = COLUMNS["double"]) -> None:
+        """Write the figure: PNG, SVG or PDF in the width of a column, or CSV of what is drawn.
+
+        Raises:
+            InputError: another kind of file, or one that cannot be written.
+        """
+        path = Path(path)
+        kind = path.suffix[1:].lower()
+        if kind not in ("png", "svg", "pdf", "csv"):
+            raise InputError(f"{path}: expected a name that ends in .png, .svg, .pdf or .csv")
+        if kind == "csv":
+            content = csv_text(self.drawn)
+        else:
+            with in_column(self.figure, column):
+                content = self._file(kind, dpi=300)
+        try:
+            write_files({path: content})
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows."""
+        return self.png
+
+    def _file(self, kind: str, dpi: float = 130) -> bytes:
+        buffer = io.BytesIO()
+        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+        with rc_context({"svg.fonttype": "none", "svg.hashsalt": self.name, "pdf.fonttype": 42}):
+            self.figure.savefig(buffer, format=kind, dpi=dpi, metadata=dates.get(kind))
+        return buffer.getvalue()
+
 
 @dataclass(frozen=True)
 class Section:
-    """One heading with what stands below it, in this order; a card first."""
+    """One heading with what stands below it, in this order; a card first. Of `folded` the first
+    line is seen, the others when it is opened."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -200,11 +268,12 @@ class Section:
     tables: Sequence[Table] = ()
     pictures: Sequence[Picture] = field(default_factory=tuple)
     card: Card | None = None
+    folded: Sequence[str] = ()
 
 
 def write_report(
     directory: str | Path, title: str, summary: str, sections: Sequence[Section],
-    *, for_papers: bool = False, report: Report = silent,
+    *, column: Column | None = None, report: Report = silent,
 ) -> Path:
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure.
 
@@ -218,7 +287,8 @@ def write_report(
         directory: made if it does not exist.
         title, summary: head of the page.
         sections: in reading order.
-        for_papers: write every figure as SVG too, and as CSV what is drawn and the named tables.
+        column: of a paper, for which every figure is written as SVG and PDF too, and as CSV what is
+            drawn and the named tables.
         report: called before each figure is drawn.
 
     Returns:
@@ -233,17 +303,16 @@ def write_report(
     files = {}
     for picture in in_turn(pictures, report, lambda p: p.title):
         files[f"{picture.name}.png"] = picture.png
-        if for_papers:
-            files[f"{picture.name}.svg"] = picture.svg
+        if column is not None:
+            files |= picture.files(column)
     page = _template().render(
-        title=title, summary=summary, sections=sections, width_of=_width,
+        title=title, summary=summary, sections=sections, width_of=_width, together=_together,
         curves_of=curves_of, policy=policy(),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
-    if for_papers:
-        tables = {t.name: t for section in sections for t in section.tables if t.name}
-        tables |= {p.name: p.drawn for p in pictures if p.drawn is not None}
-        files |= {f"{name}.csv": csv_text(table) for name, table in tables.items()}
+    if column is not None:
+        tables = [t for section in sections for t in section.tables if t.name]
+        files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
     write_together(directory, {**files, _PAGE: page.encode("utf-8")})
     return directory / _PAGE
 
@@ -263,6 +332,11 @@ def _width(cell: str) -> str:
     return "long" if len(cell) > _LONG else ""
 
 
+def _together(text: str) -> str:
+    """The same, no line ending between a number and its unit."""
+    return re.sub(r"(?<=\d) (?=(?:%|K|mA|A|mm|ohm|min|s|V)\b|%)", "\u00a0", text)
+
+
 def _without_controls(shown: object) -> object:
     """Names from outside without what ends or turns a text."""
     return printable(shown, "\n") if type(shown) is str else shown
@@ -274,6 +348,28 @@ def csv_text(table: Table) -> bytes:
     rows = [map(csv_cell, row) for row in (table.header, *table.rows)]
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8")
+
+
+_MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D\S*))?")
+
+
+def _in_plain_numbers(table: Table) -> Table:
+    """Its columns of numbers without units, which stand in columns of their own, as the upper ends
+    of intervals do."""
+    columns = []
+    for k, head in enumerate(table.header):
+        cells = [row[k] for row in table.rows]
+        found = [_MEASURE.fullmatch(cell) for cell in cells]
+        if k not in table.numeric or any(c and not f for c, f in zip(cells, found, strict=True)):
+            columns.append((head, cells))
+            continue
+        parts = [f.groups(default="") if f else ("", "", "") for f in found]
+        for name, own in zip((head, f"{head}, to", f"{head}, unit"), zip(*parts, strict=True),
+                             strict=False):
+            if name == head or any(own):
+                columns.append((name, list(own)))
+    rows = [[own[r] for _, own in columns] for r in range(len(table.rows))]
+    return Table([name for name, _ in columns], rows, name=table.name)
 
 
 def write_together(directory: Path, files: Mapping[str, bytes]) -> None:
@@ -305,3 +401,89 @@ def _is_report(directory: Path) -> bool:
         return page.exists() and _MARK.encode() in read_bytes(page, _LARGEST_PAGE)
     except (InputError, OSError):
         return False
+
+
+# --- What a report was made of: files with their hashes, versions, the command.
+
+_PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "rosbags")
+_BLOCK = 1 << 20
+
+
+def digest(path: Path) -> tuple[str, int]:
+    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files,
+    not of those that links lead to outside.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    total, size = hashlib.sha256(), 0
+    try:
+        for part in _own_files(path) if path.is_dir() else [path]:
+            if path.is_dir():
+                head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"
+                total.update(head.encode("utf-8", "surrogateescape"))
+            for block in _blocks(part):
+                total.update(block)
+                size += len(block)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    return total.hexdigest(), size
+
+
+def _own_files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if p.is_file() and is_inside(p, folder))
+
+
+def _blocks(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            yield block
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of this package, what it computes with, Python and the machine."""
+    found = {"sma_bench": __version__, "Python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found | {"system": f"{platform.system()} {platform.machine()}"}
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a page was made of: the command as typed, and its inputs, read anew for their hashes."""
+
+    command: str = ""
+    inputs: Sequence[str] = ()
+    when: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+    @property
+    def head(self) -> str:
+        """Date and version."""
+        return f"{self.when:%Y-%m-%d}, sma_bench {__version__}."
+
+    def section(self) -> Section:
+        """Files, versions and the command; what was never a file has no hash.
+
+        Raises:
+            InputError: an input cannot be read any more.
+        """
+        files = []
+        for path in dict.fromkeys(self.inputs):
+            sha, size = digest(Path(path)) if Path(path).exists() else ("not a file", 0)
+            files.append((path, sha, f"{size}"))
+        made = self.when.astimezone().isoformat(timespec="seconds")
+        about = {"command": self.command, "made": made, **versions()}
+        return Section(
+            "Provenance",
+            ["A folder's hash covers the names, sizes and contents of its files in alphabetical "
+             "order."],
+            tables=[
+                Table(("file", "SHA-256", "bytes"), files, frozenset({2}), "provenance_files",
+                      "Files"),
+                Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by"),
+            ],
+        )  # fmt: skip

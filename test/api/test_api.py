@@ -69,7 +69,7 @@ def test_what_is_printed_is_short_and_has_the_numbers(staircase):
         assert len(repr(thing)) < 300 and "\n" not in repr(thing)
     assert "wire.voltage" in repr(staircase) and "wire (clamped)" in repr(simulated)
     lines = str(found).splitlines()
-    assert len(lines) <= len(found.estimates) + 1
+    assert len(lines) <= len(found.estimates) + 8
     resistance = next(line for line in lines if line.startswith("wire.resistance"))
     assert f"{found.estimates['wire.resistance'].std:.2g} ohm" in resistance
     assert "<td>" in found._repr_html_() and "wire.resistance" in found._repr_html_()

@@ -5,8 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from sma_bench.cards import card_html, card_text, verdict_card
-from sma_bench.results import diagnosis_from
+from sma_bench.cards import (
+    card_html,
+    card_text,
+    identification_html,
+    identification_text,
+    verdict_card,
+)
+from sma_bench.errors import InputError
+from sma_bench.results import diagnosis_from, identification_from
 
 NUMBER = "effect.supply_drop.resistance"
 RESULT = {
@@ -117,3 +124,49 @@ def test_text_and_page_hold_the_same_and_no_markup_of_a_name():
     lines = card_text(shown()).splitlines()
     assert max(map(len, lines)) <= 96
     assert " ".join(" ".join(lines).split()).startswith("supply_drop explains the gap")
+
+
+def test_a_sensor_that_is_missing_stands_on_the_card():
+    found = rows(shown(findings=[
+        "info: deflection: not compared: nothing mechanical could be seen", "info: mass: odd",
+    ]))  # fmt: skip
+    assert found["missing"] == ["deflection was not compared: nothing mechanical could be seen"]
+
+
+IDENTIFIED = {
+    "parameters": {
+        "wire.resistance": {"value": 2.8, "std": 0.025, "statistical": 0.007, "systematic": 0.024,
+                            "informed": 0.98, "unit": "ohm", "method": "line", "n": 25},
+        "environment.ambient_temperature": {"value": 296.4, "std": 0.5, "unit": "K", "n": 25,
+                                            "method": "<b>"},
+    },
+    "correlation": {"names": ["wire.resistance", "environment.ambient_temperature"],
+                    "matrix": [[1.0, -0.7], [-0.7, 1.0]]},
+    "experiments": [{"name": "E1", "title": "Resistance", "source": "monday", "details": {},
+                     "estimates": {"wire.resistance": {"value": 2.8, "std": 0.02, "unit": "ohm"}}}],
+    "warnings": ["E2: not settled"],
+}  # fmt: skip
+
+
+def test_an_identification_has_its_errors_apart_and_says_what_surprises_and_hangs_together():
+    result = identification_from(Path("r.json"), copy.deepcopy(IDENTIFIED))
+    title, head, resistance, ambient, *below = identification_text(result).splitlines()
+    assert title == "2 parameters identified by E1" and head.startswith("parameter")
+    assert " ".join(resistance.split()) == (
+        "wire.resistance 2.8 ± 0.007 ± 0.024 ohm 98 % 2.6987 +3.8 % (+4.1 std) E1"
+    )
+    assert " ".join(ambient.split()) == (
+        "environment.ambient_temperature 296.4 ± 0.5 K 296.15 +0.25 K (+0.5 std)"
+    )
+    assert below[0] == "off     wire.resistance +3.8 % (+4.1 std)"
+    linked = "errors of environment.ambient_temperature and wire.resistance (-0.70)"
+    assert below[1] == f"linked  {linked}"
+    assert below[2] == "beware  1 warning, the first: E2: not settled"
+    page = identification_html(result)
+    assert linked in page and "2.8 ± 0.007 ± 0.024 ohm" in page and "<b>" not in page
+
+
+def test_a_correlation_that_is_no_matrix_is_one_line():
+    damaged = IDENTIFIED | {"correlation": {"names": ["a"], "matrix": [[1.0, 0.5]]}}
+    with pytest.raises(InputError, match=r"r\.json: damaged result: correlation of 1 names"):
+        identification_from(Path("r.json"), damaged)

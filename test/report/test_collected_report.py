@@ -16,8 +16,9 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.records import Signal, open_record
 from sma_bench.records.write import write_record
-from sma_bench.report.collected_report import digest, record_section
+from sma_bench.report.collected_report import record_section
 from sma_bench.report.drawing import script, thinned
+from sma_bench.report.page import digest
 from sma_bench.results import read_result
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
@@ -131,7 +132,7 @@ def test_a_page_of_everything_stands_alone_and_is_escaped(tmp_path, bag, results
     pictures = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
     assert len(pictures) == 4
     assert all(src.startswith("data:image/png;base64,iVBOR") for src in pictures)
-    for said in ("Summary", "Provenance", "2.75 0.01 ohm", "side_heat_coupling", "1.2 mm",
+    for said in ("Summary", "Provenance", "2.75 ± 0.01 ohm", "side_heat_coupling", "1.2 mm",
                  "0.002 ± 0.0001 W/K", "2.8", "80 to 95 %"):  # fmt: skip
         assert said in page.text, said
 
@@ -184,8 +185,9 @@ def test_figures_and_tables_are_there_for_papers(tmp_path, bag, results, capsys)
         rows = list(csv.DictReader(stream))
     assert rows[0]["value"] == "2.75" and rows[0]["unit"] == "ohm" and rows[0]["method"] == EVIL
     with (out / "input_1_signals_over_time.csv").open(newline="") as stream:
-        rows = [row for row in csv.DictReader(stream) if row["signal"] == "wire.temperature"]
-    assert max(float(row["value"]) for row in rows) == pytest.approx(352.0, abs=0.01)
+        rows = [row for row in csv.DictReader(stream) if row["panel"] == "temperature [K]"]
+    assert {row["curve"] for row in rows} == {"wire"}
+    assert max(float(row["y"]) for row in rows) == pytest.approx(352.0, abs=0.01)
 
 
 def test_a_second_report_replaces_the_first(tmp_path, bag, results, capsys):

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
+from sma_bench.report.drawing import COLUMNS
 from sma_bench.report.page import Picture, Section, Table, write_report
 
 
@@ -94,7 +95,8 @@ def test_names_from_outside_are_text_in_page_and_table(tmp_path):
     hostile = "=HYPERLINK(1)\x1b[2J\udcff\u202e"
     table = Table(["name"], [[hostile], ["-1.5"]], name="names")
     page = write_report(
-        tmp_path / "r", hostile, "s", [Section("S", [hostile], tables=[table])], for_papers=True
+        tmp_path / "r", hostile, "s", [Section("S", [hostile], tables=[table])],
+        column=COLUMNS["single"],
     )
     text = page.read_text(encoding="utf-8")
     assert "=HYPERLINK(1)\\x1b[2J\\udcff\\u202e" in text and "\x1b" not in text

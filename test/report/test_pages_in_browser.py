@@ -91,14 +91,15 @@ def test_a_figure_has_the_paper_of_its_page(browser, pages, size, scheme, paper,
 
 
 VALUES = "[...document.querySelectorAll('.view .value')].map((value) => value.textContent)"
-INKED = """[...document.querySelectorAll('.view canvas')].map((canvas) => canvas.getContext('2d')
-    .getImageData(0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
+INKED = """[...document.querySelectorAll('.view canvas[role]')]
+    .map((canvas) => canvas.getContext('2d').getImageData(
+        0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
 
 
 def place(shown, share):
     """Where on the page a share of the time axis of the first figure is."""
     box = shown.page.evaluate("""() => {
-        const canvas = document.querySelector('.view canvas');
+        const canvas = document.querySelector('.view canvas[role]');
         canvas.scrollIntoView({ block: 'center' });
         const { x, y, width } = canvas.getBoundingClientRect();
         return [x, y, width]; }""")

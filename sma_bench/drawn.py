@@ -1,0 +1,53 @@
+"""What draws itself: `plot()` of records, simulations, overlays, identifications and diagnoses.
+
+The drawing room lies above all of them (`report/plots.py`) and brings matplotlib: it is looked up
+by name at the first call, so nothing depends on it that does not plot.
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+
+class Plot(Protocol):
+    """A figure that a notebook shows, and that is saved as PNG, SVG, PDF or CSV."""
+
+    @property
+    def figure(self) -> Any:
+        """The matplotlib figure."""
+
+    def save(self, path: str | Path) -> None:
+        """Write it; the name's ending says which kind."""
+
+
+class Drawn:
+    """What `plot` can draw."""
+
+    def plot(self, *what: str) -> Plot:
+        """A figure, to be shown by a notebook or saved; `what` of it, else what matters most.
+
+        Of a record, a simulation or an overlay `what` are signals or quantities ("wire.current",
+        "temperature"), of an identification "agreement" or "correlation", of a diagnosis
+        "signals", "where", "stages", "candidates", "evidence", "shrinkage" or "next".
+
+        Raises:
+            InputError: there is nothing of that name to draw.
+        """
+        plot: Plot = import_module("sma_bench.report.plots").picture_of(self, *what)
+        return plot
+
+
+class Reported(Drawn):
+    """What has a page of its own too; `writer`: the module of the report room and its function."""
+
+    writer: ClassVar[tuple[str, str]]
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the page with its figures into a folder; the path of its index.html.
+
+        Raises:
+            InputError: the folder cannot be written, or holds what is not a report's.
+        """
+        module, function = self.writer
+        page: Path = getattr(import_module(f"sma_bench.report.{module}"), function)(folder, self)
+        return page

@@ -1,0 +1,454 @@
+"""What things look like: records, simulations, overlays, identifications, diagnoses.
+
+The same pictures for commands, reports and notebooks (`plot()`); what a figure of a diagnosis or of
+an experiment shows is drawn in files of their own.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from numpy.typing import NDArray
+
+from sma_bench.cards import is_assumed, reference_of
+from sma_bench.diagnose import Diagnosis
+from sma_bench.errors import InputError
+from sma_bench.identify import Identification
+from sma_bench.physics import Simulation
+from sma_bench.records import DscRecord, Record, Signal
+from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.open import AnyRecord
+from sma_bench.records.overlay import Overlay
+from sma_bench.records.tensile import TensileRecord
+from sma_bench.report.diagnosis_figures import (
+    STAGE_COLOURS,
+    candidate_picture,
+    evidence_picture,
+    gap_picture,
+    next_experiment_picture,
+    shrinkage_picture,
+    signal_pictures,
+    stage_picture,
+)
+from sma_bench.report.drawing import (
+    FAINT,
+    MEASURED,
+    MODEL,
+    SECOND,
+    drawable,
+    legend_above,
+    line_style,
+    new_figure,
+    thinned,
+)
+from sma_bench.report.page import Picture
+from sma_bench.results import DiagnoseResult, IdentifyResult, Number
+
+Array = NDArray[np.float64]
+Curves = Sequence[tuple[str, Array, Array]]
+"""label, time or abscissa, values"""
+
+
+# --- What `plot()` gives.
+
+
+def picture_of(thing: Any, *what: str) -> Picture:
+    """The figure of a thing, or that part of it.
+
+    Raises:
+        InputError: it has nothing of that name.
+    """
+    if isinstance(thing, Record):
+        return _found(bag_picture(thing, "signals", what), what, thing.signals)
+    if isinstance(thing, Simulation):
+        return _found(simulation_picture(thing, what), what, _STATES)
+    if isinstance(thing, Overlay):
+        return overlay_picture(thing, "overlay", what)
+    if isinstance(thing, Identification):
+        return _chosen(what, {
+            "agreement": lambda: agreement_picture(thing.shown, "agreement"),
+            "correlation": lambda: correlation_picture(thing.shown, "correlation"),
+        })  # fmt: skip
+    if isinstance(thing, Diagnosis):
+        return _chosen(what, {
+            "signals": lambda: signal_pictures(thing)[0],
+            "where": lambda: gap_picture(thing), "stages": lambda: stage_picture(thing),
+            "candidates": lambda: candidate_picture(thing),
+            "evidence": lambda: evidence_picture(thing),
+            "shrinkage": lambda: shrinkage_picture(thing),
+            "next": lambda: next_experiment_picture(thing, thing.parameters),
+        })  # fmt: skip
+    return _found(record_picture(thing, "record"), what, ())
+
+
+def _chosen(what: tuple[str, ...], pictures: dict[str, Callable[[], Picture | None]]) -> Picture:
+    name = what[0] if what else next(iter(pictures))
+    if name not in pictures or len(what) > 1:
+        raise InputError(f"plot: {', '.join(what)}, expected one of {', '.join(pictures)}")
+    return _found(pictures[name](), what, ())
+
+
+def _found(picture: Picture | None, what: Sequence[str], held: Iterable[str]) -> Picture:
+    if picture is None:
+        names = f": it has {', '.join(held)}" if held else ""
+        raise InputError(f"plot: no {', '.join(what) or 'signal'} to draw{names}")
+    return picture
+
+
+# --- Records, before anything is made of them.
+
+_MOST_DRAWN = 3000
+_MOST_MARKERS = 40
+
+
+class _Row(NamedTuple):
+    """One quantity: unit on paper, and the factor from SI to it."""
+
+    quantity: str
+    unit: str
+    factor: float
+
+
+_ROWS = (
+    _Row("voltage_command", "V", 1.0),
+    _Row("voltage", "V", 1.0),
+    _Row("current", "A", 1.0),
+    _Row("temperature", "K", 1.0),
+    _Row("deflection", "mm", 1e3),
+    _Row("range", "mm", 1e3),
+    _Row("elongation", "mm", 1e3),
+    _Row("force", "N", 1.0),
+)
+
+
+def record_picture(record: AnyRecord, name: str) -> Picture | None:
+    """What was recorded; None where that is nothing."""
+    if isinstance(record, Record):
+        return bag_picture(record, f"{name}_signals_over_time")
+    if isinstance(record, DscRecord):
+        return dsc_picture(record, f"{name}_heat_flow")
+    if isinstance(record, IsobaricRecord):
+        return isobaric_picture(record, f"{name}_strain")
+    assert isinstance(record, TensileRecord)
+    return tensile_picture(record, f"{name}_stress")
+
+
+def bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
+    """Every signal over time, or those that are named, a row a quantity; None without any.
+
+    Long signals are drawn by the least and the largest sample of each stretch of time.
+    """
+    rows = []
+    for row in _ROWS:
+        signals = [
+            s for n, s in record.signals.items()
+            if n.rpartition(".")[2] == row.quantity and len(s)
+            and (not what or n in what or row.quantity in what)
+        ]
+        curves = [curve for signal in signals for curve in _curves(signal, row.factor)]
+        if curves:
+            rows.append((f"{row.quantity.replace('_', ' ')}\n[{row.unit}]", curves))
+    if not rows:
+        return None
+    steps = "; vertical lines: steps of the protocol" if record.markers else ""
+    caption = f"{'Signals' if what else 'All signals'} of {record.path}{steps}."
+    return _over_time(name, "Signals over time", caption, rows, record.markers)
+
+
+def _curves(signal: Signal, factor: float) -> Curves:
+    head = signal.name.rpartition(".")[0] or signal.name
+    if signal.values.ndim == 1:
+        return [(head, signal.time, factor * signal.values)]
+    columns = range(signal.values.shape[1])
+    return [(f"{head}[{k}]", signal.time, factor * signal.values[:, k]) for k in columns]
+
+
+def _over_time(
+    name: str, title: str, caption: str, rows: Sequence[tuple[str, Curves]],
+    markers: Sequence[tuple[float, str]] = (),
+) -> Picture:
+    figure, axes = new_figure(len(rows), height=1.0 + 1.5 * len(rows))
+    for ax, (label, curves) in zip(axes, rows, strict=True):
+        for k, (what, time, values) in enumerate(curves):
+            t, v = thinned(time, drawable(values), _MOST_DRAWN)
+            ax.plot(t, v, label=what, **line_style(k, len(curves), len(t)))
+        ax.set_ylabel(label)
+    most = max(range(len(rows)), key=lambda k: len(rows[k][1]))
+    if len(rows[most][1]) > 1:
+        figure.legend(
+            *axes[most].get_legend_handles_labels(), fontsize=8, frameon=False, ncols=4,
+            loc="outside upper right",
+        )
+    _mark(axes, markers)
+    axes[-1].set_xlabel("time [s]")
+    return Picture(name, title, caption, plain(figure), over_time=True)
+
+
+def _mark(axes: Sequence[Axes], markers: Sequence[tuple[float, str]]) -> None:
+    """Steps of the protocol; names that would lie over each other are left out."""
+    if not 0 < len(markers) <= _MOST_MARKERS:
+        return
+    room = (axes[0].get_xlim()[1] - axes[0].get_xlim()[0]) / 12.0
+    named = -np.inf
+    for time, text in markers:
+        for ax in axes:
+            ax.axvline(time, color=FAINT, lw=0.6, ls=":")
+        if time - named > room:
+            named = time
+            axes[0].annotate(
+                text, (time, 1.0), xycoords=("data", "axes fraction"), fontsize=6, rotation=30,
+                color=FAINT, annotation_clip=True,
+            )
+
+
+def dsc_picture(record: DscRecord, name: str) -> Picture | None:
+    """Heat flow over temperature of every scan; None where there is none."""
+    scans = [s for s in record.segments if s.kind != "isothermal"]
+    if not scans:
+        return None
+    curves = [
+        (f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s)) for s in scans
+    ]
+    return _loops(name, "Heat flow", curves, "heat flow [W/g], the file's sign", str(record.path))
+
+
+def isobaric_picture(record: IsobaricRecord, name: str) -> Picture:
+    """Strain over temperature of every branch."""
+    relative = record.strain_unit == "relative"
+    curves = [
+        (f"cycle {cycle.number} {branch.direction}", branch.temperature,
+         (1.0 if relative else 100.0) * branch.strain)
+        for cycle in record.cycles for branch in cycle.branches
+    ]  # fmt: skip
+    label = "strain over its range" if relative else "strain [%]"
+    title = f"Strain at {record.stress / 1e6:.1f} MPa"
+    return _loops(name, title, curves, label, str(record.path))
+
+
+def tensile_picture(record: TensileRecord, name: str) -> Picture:
+    """Stress over strain."""
+    curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
+    return _loops(
+        name, "Stress against strain", curves, "stress [MPa]", str(record.path), "strain [%]"
+    )
+
+
+def _loops(
+    name: str, title: str, curves: Curves, label: str, source: str,
+    across: str = "temperature [K]",
+) -> Picture:
+    figure, (ax,) = new_figure(height=4.2)
+    for k, (what, x, y) in enumerate(curves):
+        ax.plot(drawable(x), drawable(y), label=what, **line_style(k, len(curves), len(x)))
+    ax.set(xlabel=across, ylabel=label)
+    if len(curves) > 1:
+        ax.legend(fontsize=7, ncols=2)
+    return Picture(name, title, source, plain(figure))
+
+
+def plain(figure: Figure) -> Figure:
+    """Names from files are no formulas: a dollar sign stays one."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_parse_math(False)
+    return figure
+
+
+# --- Simulations, and records and models over each other.
+
+_STATES: dict[str, tuple[str, float, Callable[[Simulation], Array]]] = {
+    "voltage": ("voltage\n[V]", 1.0, lambda s: s.voltage),
+    "current": ("current\n[A]", 1.0, lambda s: s.current),
+    "temperature": ("temperature\n[K]", 1.0, lambda s: s.temperature),
+    "martensite_fraction": ("martensite\nfraction", 1.0, lambda s: s.martensite_fraction),
+    "stress": ("stress\n[MPa]", 1e-6, lambda s: s.stress),
+    "deflection": ("deflection\n[mm]", 1e3, lambda s: s.deflection[:, np.newaxis]),
+}
+
+
+def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Picture | None:
+    """Voltages, states and motion over time; None where nothing of that name is there."""
+    channels, rows = simulation.parameters["bench.channels"], []
+    for state, (label, factor, values_of) in _STATES.items():
+        if what and state not in what:
+            continue
+        values = factor * values_of(simulation)
+        if state == "deflection" and not what and not values.any():
+            continue
+        names = channels if values.shape[1] == len(channels) else ("deflection",)
+        rows.append((label, [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]))
+    if not rows:
+        return None
+    caption = f"Simulated, without noise: {', '.join(channels)}."
+    return _over_time("simulation", "Simulation over time", caption, rows)
+
+
+def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
+    """Of each quantity the signal that differs most, or those that are named: all records, and
+    below them the differences from the first, the largest marked.
+
+    Raises:
+        InputError: the records share nothing of that name.
+    """
+    worst: dict[str, str] = {}
+    for d in found.differences:
+        quantity = d.signal.rpartition(".")[2]
+        if not what and d.rms:
+            worst.setdefault(quantity, d.signal)
+        if d.signal in what or quantity in what:
+            worst.setdefault(d.signal, d.signal)
+    if not worst:
+        shared = ", ".join(dict.fromkeys(d.signal for d in found.differences))
+        lack = f"no {', '.join(what)} in common" if what else "no difference"
+        raise InputError(f"plot: {lack}: the records share {shared}")
+    figure = Figure(figsize=(7.2, 0.9 + 2.4 * len(worst)), layout="constrained")
+    axes = figure.subplots(2 * len(worst), 1, sharex=True, squeeze=False,
+                           gridspec_kw={"height_ratios": (1.6, 1.0) * len(worst)})[:, 0]
+    for ax in axes:
+        ax.grid(alpha=0.25)
+        ax.spines[["top", "right"]].set_visible(False)
+    for k, signal in enumerate(worst.values()):
+        _overlay_signal(axes[2 * k], axes[2 * k + 1], found, signal)
+    legend_above(axes[0])
+    axes[-1].set_xlabel("time [s]")
+    first = next(iter(found.records))
+    shifts = ", ".join(f"{n} {s:+.3g} s" for n, s in found.shifts.items() if abs(s) > 1e-3)
+    caption = f"Differences are from {first}; in print a cross marks the largest." + (
+        f" Clocks shifted by the voltages: {shifts}." if shifts else ""
+    )
+    return Picture(name, "Overlay", caption, plain(figure), over_time=True)
+
+
+def _overlay_signal(upper: Axes, lower: Axes, found: Overlay, signal: str) -> None:
+    quantity = signal.rpartition(".")[2]
+    unit, factor = next(((r.unit, r.factor) for r in _ROWS if r.quantity == quantity), ("", 1.0))
+    shown = {n: r[signal] for n, r in found.records.items() if signal in r.signals}
+    first, *others = shown
+    base = shown[first]
+    for k, (name, own) in enumerate(shown.items()):
+        t, v = thinned(own.time, drawable(factor * own.values), _MOST_DRAWN)
+        style = line_style(k, len(shown), len(t))
+        upper.plot(t, v, label=name, **style)
+        if name in others:
+            inside = (base.time >= own.time[0]) & (base.time <= own.time[-1])
+            time = base.time[inside]
+            apart = factor * (np.interp(time, own.time, own.values) - base.values[inside])
+            lower.plot(*thinned(time, drawable(apart), _MOST_DRAWN), **style)
+    for d in found.differences:
+        if d.signal == signal:
+            lower.plot([d.at], [factor * d.worst], "x", ms=7, color="black", label="_worst")
+    upper.set_title(signal, loc="left", fontsize=9)
+    upper.set_ylabel(f"[{unit}]")
+    lower.set_ylabel(f"difference [{unit}]")
+
+
+# --- Results of `identify` and `diagnose`.
+
+_LEAST_SHOWN = 0.005
+_MOST_BARS = 12
+_MOST_NUMBERS = 14  # of a correlation map, in whose cells numbers can be read
+
+
+def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
+    """How far each number is off the paper's or data sheet's, with its errors, and the share of
+    its information that the records gave; None where there is nothing to compare."""
+    shown = [(n, ref) for n in result.parameters if (ref := reference_of(n)) is not None]
+    if not shown:
+        return None
+    figure = Figure(figsize=(7.2, 1.3 + 0.32 * len(shown)), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.6, 1.0))
+    place = np.arange(len(shown))[::-1]
+    scale = np.array([100.0 / abs(ref) for _, ref in shown])
+    off = scale * [n.value - ref for n, ref in shown]
+    parts = ([n.std for n, _ in shown], [_statistical(n) for n, _ in shown])
+    whole, random = (scale * np.nan_to_num(np.array(part)) for part in parts)
+    left.errorbar(off, place, xerr=whole, fmt="none", ecolor=FAINT, elinewidth=1.2, capsize=3,
+                  label="with the systematic error")
+    left.errorbar(off, place, xerr=random, fmt="o", color=MEASURED, elinewidth=3.0, ms=4,
+                  label="statistical error")
+    left.axvline(0.0, color=MODEL, lw=1.0, ls="--")
+    labels = [f"{n.name} *" if is_assumed(n.name) else n.name for n, _ in shown]
+    left.set_yticks(place, labels, fontsize=8)
+    left.set_ylim(-0.6, len(shown) - 0.4)
+    left.set_xlabel("off the reference [%]")
+    legend_above(left)
+    informed = [100.0 * n.informed for n, _ in shown]
+    right.barh(place, np.nan_to_num(informed), color=MEASURED, height=0.55)
+    right.set(xlabel="informed [%]", xlim=(0.0, 100.0), xticks=(0, 50, 100))
+    for ax in (left, right):
+        ax.grid(alpha=0.25)
+        ax.spines[["top", "right"]].set_visible(False)
+    caption = (
+        "Reference: the paper's number or a data sheet's (docs/parameters.md); marked *: assumed. "
+        "Errors: one standard deviation. Informed: the share of what is known of a number "
+        "that these records gave; the rest was known before."
+    )
+    return Picture(name, "Agreement with the paper and data sheets", caption, plain(figure))
+
+
+def _statistical(number: Number) -> float:
+    return number.statistical if np.isfinite(number.std) else np.nan
+
+
+def correlation_picture(result: IdentifyResult, name: str) -> Picture | None:
+    """The correlation matrix as a map; None where it is not known or all stand alone."""
+    names, rows = result.correlation
+    if len(names) < 2:
+        return None
+    matrix = np.array(rows)
+    short = [n.partition(".")[2] or n for n in names]
+    size = 2.2 + 0.26 * len(names)
+    figure = Figure(figsize=(size + 1.6, size), layout="constrained")
+    ax = figure.subplots()
+    image = ax.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    ax.set_xticks(range(len(names)), short, rotation=45, ha="right", fontsize=7)
+    ax.set_yticks(range(len(names)), short, fontsize=7)
+    ax.spines[:].set_visible(False)
+    if len(names) <= _MOST_NUMBERS:
+        for (row, column), value in np.ndenumerate(matrix):
+            if row != column and np.isfinite(value):
+                colour = "white" if abs(value) > 0.6 else "black"
+                ax.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=6,
+                        color=colour)
+    figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
+    caption = (
+        "Numbers whose errors hang together are known better as a product, a quotient or a "
+        "difference than one by one. Numbers of different experiments share what the "
+        "scales of their sensors may be off by."
+    )
+    return Picture(name, "Which errors hang together", caption, plain(figure), shaded=True)
+
+
+def candidate_bars(result: DiagnoseResult, name: str) -> Picture:
+    """Probabilities, from a result file."""
+    shown = [c for c in result.candidates if c.probability >= _LEAST_SHOWN][:_MOST_BARS]
+    figure, (ax,) = new_figure(height=1.2 + 0.32 * max(len(shown), 1))
+    place = np.arange(len(shown))[::-1]
+    colours = [STAGE_COLOURS.get(c.stage, FAINT) for c in shown]
+    ax.barh(place, [c.probability for c in shown], color=colours, height=0.7)
+    for y, c in zip(place, shown, strict=True):
+        label = f"{c.probability:.3f}" + (f"  {c.stage}" if c.stage else "")
+        ax.text(c.probability + 0.01, y, label, va="center", fontsize=8)
+    ax.set_yticks(place, [c.name for c in shown], fontsize=8)
+    ax.set(xlabel="probability", xlim=(0.0, 1.3), xticks=np.linspace(0.0, 1.0, 6))
+    return Picture(name, "Candidates", f"From {result.path}.", plain(figure))
+
+
+def chain_picture(result: DiagnoseResult, name: str) -> Picture:
+    """The gap of every block of the chain."""
+    figure, (ax,) = new_figure(height=1.2 + 0.4 * len(result.chain))
+    place = np.arange(len(result.chain))[::-1]
+    gap = np.array([link[1] for link in result.chain])
+    low, high = (np.array([link[k] for link in result.chain]) for k in (2, 3))
+    error = np.maximum([gap - low, high - gap], 0.0)
+    ax.errorbar(gap, place, xerr=error, fmt="o", color=MEASURED, capsize=4)
+    ax.axvline(0.0, color=FAINT, lw=0.8)
+    ax.axvline(1.0, color=SECOND, lw=0.8, ls="--")
+    ax.set_yticks(place, [link[0] for link in result.chain], fontsize=8)
+    ax.set_ylim(-0.6, len(result.chain) - 0.4)
+    ax.set_xlabel("gap over noise, 90 % interval")
+    caption = "Each block of the model driven by what was measured before it; dashed: the noise."
+    return Picture(name, "Where the chain breaks", caption, plain(figure))

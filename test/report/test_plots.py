@@ -1,0 +1,200 @@
+"""What draws itself: figures for pages, notebooks and papers, and records over each other."""
+
+import csv
+import io
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+import sma_bench
+from sma_bench.cli import main
+from sma_bench.errors import InputError
+from sma_bench.records.write import write_record
+from sma_bench.report.drawing import COLUMNS, curves_of, line_style, new_figure, noise_band
+from sma_bench.report.page import Picture, Section, Table, csv_text, write_report
+
+COMPOSITE = "config/composite_rig.yaml"
+WIRES = ["front_1", "front_2", "back_1", "back_2"]
+TIME = np.arange(0.0, 20.0, 0.05)
+
+
+@pytest.fixture(scope="module")
+def record():
+    """Four wires, driven by turns; their temperatures follow."""
+    columns = {"time": TIME, "deflection": 1e-3 * np.sin(TIME)}
+    for k, wire in enumerate(WIRES):
+        volts = np.where((2.0 + 4.0 * k < TIME) & (4.0 + 4.0 * k > TIME), 3.0 + k, 0.0)
+        columns |= {f"{wire}.voltage": volts, f"{wire}.temperature": 296.0 + 5.0 * volts}
+    return sma_bench.load(columns)
+
+
+def rows_of(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_four_wires_are_told_apart_without_their_hue():
+    looks = [line_style(k, 4, 100) for k in range(4)]
+    assert len({str(look["ls"]) for look in looks}) == len({x["marker"] for x in looks}) == 4
+    assert len({look["markevery"] for look in looks}) == 4  # marks beside each other
+    lightness = [np.dot(to_rgb(look["color"]), (0.2126, 0.7152, 0.0722)) for look in looks]
+    assert min(np.diff(lightness)) > 0.05  # also in a copy without colours
+
+
+def test_a_record_draws_what_is_asked_for(record):
+    panels = curves_of(record.plot().figure)
+    assert [p["title"] for p in panels] == ["voltage [V]", "temperature [K]", "deflection [mm]"]
+    assert [line["label"] for line in panels[0]["lines"]] == WIRES
+    assert len({str((x["dash"], x["mark"])) for x in panels[0]["lines"]}) == 4
+    (one,) = curves_of(record.plot("back_1.voltage").figure)
+    assert [line["label"] for line in one["lines"]] == ["back_1"]
+    with pytest.raises(InputError, match=r"plot: no current to draw: it has deflection"):
+        record.plot("current")
+
+
+def test_a_figure_is_saved_for_a_paper_and_as_plain_numbers(record, tmp_path):
+    plot = record.plot("temperature")
+    for name in ("a.png", "a.svg", "a.pdf", "a.csv"):
+        plot.save(tmp_path / name)
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    assert "front_1</text>" in (tmp_path / "a.svg").read_text()  # letters stay letters
+    rows = [row for row in rows_of(tmp_path / "a.csv") if row["curve"] == "back_2"]
+    assert max(float(row["y"]) for row in rows) == pytest.approx(326.0)
+    assert {row["panel"] for row in rows} == {"temperature [K]"}
+    with pytest.raises(InputError, match="expected a name that ends in"):
+        plot.save(tmp_path / "a.jpg")
+
+
+def test_a_column_has_its_width_and_letters_and_leaves_the_figure_as_it_was(record):
+    plot = record.plot("temperature")
+    before = plot.figure.get_size_inches().tolist()
+    column = COLUMNS["single"]._replace(font=6.0)
+    svg = plot.files(column)["signals.svg"].decode()
+    assert float(re.search(r'width="([\d.]+)pt"', svg)[1]) == pytest.approx(89.0 / 25.4 * 72.0)
+    sizes = {float(size) for size in re.findall(r"font(?:-size)?: ?([\d.]+)px", svg)}
+    assert min(sizes) >= 5.0 and max(sizes) <= 7.2 + 1e-6
+    assert plot.figure.get_size_inches().tolist() == before
+
+
+def test_a_map_keeps_its_colours_on_dark_paper_and_its_numbers_in_a_table(tmp_path):
+    figure, (ax,) = new_figure()
+    image = ax.imshow([[0.0, 1.0]], cmap="YlOrRd")
+    ax.set_xticks([0, 1], ["drive", "rest"])
+    ax.set_yticks([0], ["back"])
+    picture = Picture("map", "Map", "of two", figure, shaded=True)
+    light, dark = picture.base64, picture.dark
+    assert light != dark == picture.dark and figure.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+    assert image.get_cmap().name == "YlOrRd"
+    text = write_report(tmp_path / "r", "T", "s", [Section("S", pictures=[picture])]).read_text()
+    assert f'srcset="data:image/png;base64,{dark}"' in text
+    rows = list(csv.DictReader(io.StringIO(csv_text(picture.drawn).decode())))
+    assert [(r["x"], r["y"], r["value"]) for r in rows] == [
+        ("drive", "back", "0"), ("rest", "back", "1"),
+    ]  # fmt: skip
+
+
+def test_the_noise_band_is_in_the_figure_that_answers_to_the_pointer():
+    figure, (ax,) = new_figure()
+    ax.plot([0.0, 1.0], [5.0, 6.0])
+    noise_band(ax, 0.25)
+    (panel,) = curves_of(figure)
+    assert panel["bands"] == [[-0.25, 0.25]]
+
+
+def test_tables_for_papers_hold_plain_numbers(tmp_path):
+    table = Table(
+        ["q", "rms", "90 %"], [["current", "20.5 mA", "82 to 100 %"], ["deflection", "0.1 mm", ""]],
+        frozenset({1, 2}), "t",
+    )  # fmt: skip
+    write_report(tmp_path / "r", "T", "s", [Section("S", tables=[table])],
+                 column=COLUMNS["double"])  # fmt: skip
+    assert rows_of(tmp_path / "r" / "t.csv") == [
+        {"q": "current", "rms": "20.5", "rms, unit": "mA", "90 %": "82", "90 %, to": "100",
+         "90 %, unit": "%"},
+        {"q": "deflection", "rms": "0.1", "rms, unit": "mm", "90 %": "", "90 %, to": "",
+         "90 %, unit": ""},
+    ]  # fmt: skip
+
+
+def test_simulations_and_identifications_draw_themselves():
+    simulation = sma_bench.simulate("quick_staircase", rate=10.0)
+    titles = [panel["title"] for panel in curves_of(simulation.plot().figure)]
+    assert titles[:2] == ["voltage [V]", "current [A]"] and "martensite fraction" in titles
+    found = sma_bench.identify(sma_bench.measure(simulation))
+    left, right = found.plot().figure.axes
+    names = [text.get_text() for text in left.get_yticklabels()]
+    assert "wire.resistance" in names and right.get_xlabel() == "informed [%]"
+    assert "correlation" in found.plot("correlation").name
+    with pytest.raises(InputError, match="plot: nonsense, expected one of agreement, correlation"):
+        found.plot("nonsense")
+
+
+# --- Records over each other.
+
+
+def later(record, seconds):
+    signals = {n: replace(s, time=s.time + seconds) for n, s in record.signals.items()}
+    return replace(record, signals=signals)
+
+
+def test_clocks_are_aligned_by_the_drive_and_the_worst_difference_is_found(record):
+    values = record["deflection"].values.copy()
+    values[100] += 5e-4  # at 5 s
+    other = later(record, 1.73)
+    other.signals["deflection"] = replace(other["deflection"], values=values)
+    found = sma_bench.compare({"monday": record, "tuesday": other})
+    assert found.shifts["tuesday"] == pytest.approx(-1.73, abs=0.01)
+    worst = found.differences[0]
+    assert (worst.signal, worst.record) == ("deflection", "tuesday")
+    assert worst.worst == pytest.approx(5e-4, rel=0.05) and worst.at == pytest.approx(5.0, abs=0.06)
+    assert "+0.5 mm" in str(found) and found.remarks == ()
+    (upper, lower) = curves_of(found.plot("deflection").figure)
+    assert [line["label"] for line in upper["lines"]] == ["monday", "tuesday"]
+    assert lower["title"] == "difference [mm]"
+
+
+def test_another_drive_is_said_not_to_be_aligned(record):
+    other = later(record, 0.0)
+    for k, wire in enumerate(WIRES):
+        volts = np.where((TIME > 1.0) & (16.0 - k > TIME), 1.0, 0.0)
+        signal = other[f"{wire}.voltage"]
+        other.signals[f"{wire}.voltage"] = replace(signal, values=volts)
+    found = sma_bench.compare([record, other])
+    assert found.shifts["arrays (2)"] == 0.0
+    assert found.remarks == (
+        "arrays (2): no drive in common with arrays; both clocks count from their start",
+    )
+
+
+def test_records_and_models_are_compared_by_the_command(tmp_path, capsys):
+    run = sma_bench.simulate("quick_staircase", effects={"supply_drop": 0.2}, rate=10.0)
+    write_record(tmp_path / "monday", sma_bench.load(run).signals.values())
+    lab = tmp_path / "lab.yaml"
+    lab.write_text("/**:\n  ros__parameters:\n    wire:\n      resistance: 2.7\n")
+    words = ["compare", str(tmp_path / "monday"), "--model", str(lab), "--column", "single"]
+    answer = tmp_path / "d.json"
+    assert main([*words, "--json", str(answer), "--out", str(tmp_path / "page")]) == 0
+    first = json.loads(answer.read_text())["differences"][0]
+    shown = capsys.readouterr().out
+    assert first["record"] == "lab.yaml" and first["rms"] > 0.0
+    assert shown.splitlines()[1].split()[:2] == [first["signal"], "lab.yaml"]
+    names = {path.name for path in (tmp_path / "page").iterdir()}
+    assert {"overlay.pdf", "overlay.svg", "overlay.csv", "differences.csv"} <= names
+    assert "lab.yaml" in (tmp_path / "page" / "index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--column", "wide"], "'wide', expected single, double or a width of 30 to 500 mm"),
+     (["--font", "8"], "--font is 8 pt, expected 4 to 24 pt, and --column with it"),
+     ([], "1 record or model given, expected two or more")],
+)
+def test_what_cannot_be_compared_is_one_line(record, words, said, tmp_path, capsys):
+    write_record(tmp_path / "monday", record.signals.values())
+    assert main(["compare", str(tmp_path / "monday"), *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
