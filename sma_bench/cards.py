@@ -102,11 +102,13 @@ _TOGETHER = 0.5  # correlation worth a line
 _MOST_PAIRS = 3
 
 
-def identification_card(result: IdentifyResult) -> Card:
-    """How many numbers there are, which surprise, which hang together, and what to type next."""
+def identification_card(result: IdentifyResult, numbers: bool = True) -> Card:
+    """Every number in a row of its own where there is no table of them, which surprise, which hang
+    together, and what to type next."""
     done = ", ".join(dict.fromkeys(title.split()[0] for title, _, _ in result.experiments))
     count, warned = len(result.parameters), len(result.warnings)
-    rows = [
+    rows = [(row[0], _in_a_row(row)) for row in number_rows(result) if numbers]
+    rows += [
         ("off", ", ".join(map(_surprise, surprising(result)))),
         ("linked", _linked(result)),
         ("beware", f"{_plural(warned, 'warning')}, the first: {result.warnings[0]}"
@@ -130,6 +132,13 @@ def number_rows(result: IdentifyResult) -> list[tuple[str, ...]]:
         )
         for n in result.parameters
     ]
+
+
+def _in_a_row(cells: tuple[str, ...]) -> str:
+    _, value, informed, reference, off, _ = cells
+    said = [value, f"{informed} from the records" if informed else ""]
+    said.append(f"{off} off {reference}" if reference else "")
+    return ", ".join(part for part in said if part)
 
 
 def two_errors(number: Number) -> str:
@@ -208,7 +217,7 @@ def identification_text(result: IdentifyResult) -> str:
     table = [
         "  ".join(f"{row[k]:{w}}" for k, w in zip(kept, wide, strict=True)).rstrip() for row in rows
     ]
-    title, *below = _lines(identification_card(result))
+    title, *below = _lines(identification_card(result, numbers=False))
     return "\n".join([title, *map(printable, table), *below])
 
 
@@ -219,7 +228,7 @@ def identification_html(result: IdentifyResult) -> str:
         f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>"
         for row in number_rows(result)
     ]
-    return _html(identification_card(result), f"<table>{''.join(rows)}</table>")
+    return _html(identification_card(result, numbers=False), f"<table>{''.join(rows)}</table>")
 
 
 # --- Parts of the card of a diagnosis.

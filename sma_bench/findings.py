@@ -35,15 +35,15 @@ class Finding:
         return f"{self.severity}: {self.subject}: {self.text}"
 
 
-def fold_audit(findings: Sequence[Finding]) -> tuple[list[Finding], str]:
-    """The findings without those of the parameters' audit, and a line in their place, "" for
-    none."""
+def fold_audit(findings: Sequence[Finding]) -> tuple[list[Finding], list[Finding]]:
+    """The findings without those of the parameters' audit, and those behind one line that stands
+    for them; both empty where there are none."""
     audited = [f for f in findings if f.audit]
     if not audited:
-        return list(findings), ""
+        return list(findings), []
     clashes = [f.subject for f in audited if f.severity != "info"]
     papers = sum(int(f.numbers.get("clashes", 0)) for f in audited)
     said = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "none clashes"
     own = f", {papers} of the paper's own do" if papers else ""
-    line = f"audit: of the lab's own numbers {said}{own}; sma-bench audit lists them"
-    return [f for f in findings if not f.audit], line
+    line = f"of the lab's own numbers {said}{own}; sma-bench audit lists them"
+    return [f for f in findings if not f.audit], [Finding("info", "audit", line), *audited]

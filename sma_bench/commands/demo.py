@@ -51,27 +51,32 @@ def run(args: argparse.Namespace) -> int:
         QUICK,
         gap_act,
         hardware_act,
+        planned,
         simulated_truth,
         table_act,
     )
     from sma_bench.commands.demo_stage import make_folder
 
-    state, console = WorkState(), output_console()
+    console = output_console()
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
     make_folder(out)
     truth = simulated_truth(args.draw)
+    fitted = QUICK if args.quick else FITTED
+    first, second = planned(fitted, args.speed)
+    state = WorkState() if args.hardware else WorkState(expected=first + second)
+    share = first / (first + second)
     if args.hardware:
         console.print("[bold]Table I over a serial port: emulated Uno, real firmware[/]")
         acts = {"table_one": hardware_act(console, out, truth, state)}
     else:
         console.print("[bold]1. From a commanded volt to Table I[/]")
-        fitted = QUICK if args.quick else FITTED
-        acts = {"table_one": table_act(console, out, fitted, args.speed, truth, state)}
+        first_act = table_act(console, out, fitted, args.speed, truth, share, state)
+        acts = {"table_one": first_act}
         console.print("\n[bold]2. The gap between simulation and bench[/]")
         seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
-        acts["gap"] = gap_act(console, out / "simulated_gap", args.speed, seed, state)
+        acts["gap"] = gap_act(console, out / "simulated_gap", args.speed, seed, share, state)
     console.print(f"{state.gone:.0f} s")
     if args.json:
         write_json(args.json, _document(out, acts))

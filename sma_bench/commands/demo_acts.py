@@ -14,13 +14,14 @@ from sma_bench.cards import card_text
 from sma_bench.commands.demo_stage import HardwareStage, Stage, recording_time
 from sma_bench.commands.diagnose import print_tables
 from sma_bench.commands.terminal import WorkState, print_table, progress, write_json
+from sma_bench.compiled import is_compiled
 from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BACK, FRONT
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.effect_table import EFFECT_PREFIX
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics import simulate
+from sma_bench.physics import core, simulate
 from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.progress import Report, part
 from sma_bench.protocols import parse_protocol
@@ -94,8 +95,6 @@ TABLE_ONE = {
     "wire.heat_transfer_coefficient": "h",
     "wire.specific_heat": "c_p",
 }
-SHARE = 0.5
-"""of the demo's time, about"""
 
 
 class Promise(NamedTuple):
@@ -113,12 +112,22 @@ EMULATED = Promise(3.0, 0.1)
 
 _DRAWING = 0.93  # share of this act's time at which the report is due
 _IDENTIFYING = 6.0  # s
+_COMPILING = 25.0  # s, once after an installation
 _HEADER = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
+
+
+def planned(fitted: tuple[str, ...], speed: float) -> tuple[float, float]:
+    """Seconds that both acts take, about: by what the first fits, and how fast time goes."""
+    wire, lab = Parameters.defaults(), read_parameters(lab_file())
+    recording = sum(recording_time(name, wire, speed) for name in (*fitted, VALIDATION))
+    compiling = 0.0 if is_compiled(core.run) else _COMPILING
+    composite = sum(recording_time(name, lab, speed) for name in (RECORD, HOLD_OUT))
+    return compiling + (recording + _IDENTIFYING) / _DRAWING, composite + _DIAGNOSING
 
 
 def table_act(
     console: Console, out: Path, fitted: tuple[str, ...], speed: float, truth: Parameters,
-    state: WorkState,
+    share: float, state: WorkState,
 ) -> dict[str, Any]:
     """Simulate `truth`, identify it from the protocols `fitted` and print Table I.
 
@@ -128,7 +137,7 @@ def table_act(
     truth_file = out / "truth.yaml"
     write_parameters(truth_file, truth, "What the simulated bench is made of.")
     with progress("demo", state) as report:
-        own = part(report, 0.0, SHARE)
+        own = part(report, 0.0, share)
         answer = _identified(part(own, 0.0, _DRAWING), out, truth_file, fitted, speed, truth)
         estimates = answer["parameters"]
         own(_DRAWING, "report")
@@ -434,26 +443,30 @@ _DIAGNOSING = 60.0  # s, about
 _PATIENCE = 600.0
 
 
+def lab_file() -> Path:
+    """What the lab believes of its composite bench."""
+    return share_directory() / "config" / "demo_rig.yaml"
+
+
 def gap_act(
-    console: Console, out: Path, speed: float, seed: int, state: WorkState
+    console: Console, out: Path, speed: float, seed: int, share: float, state: WorkState
 ) -> dict[str, Any]:
     """Hide an effect, diagnose, print the argument, then reveal.
 
     Returns:
         For the demo's JSON; `holds` is False if the diagnosis is confidently wrong.
     """
-    lab_file = share_directory() / "config" / "demo_rig.yaml"
     hidden_file = out / "hidden.yaml"
     console.print("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
-    lab = read_parameters(lab_file)
+    lab = read_parameters(lab_file())
     plan = {name: recording_time(name, lab, speed) for name in (RECORD, HOLD_OUT)}
     plan["diagnose"] = _DIAGNOSING
     with (
         progress("demo", state) as report,
-        Stage(out, COMPOSITE_NAMESPACE, part(report, SHARE, 1.0), plan) as stage,
+        Stage(out, COMPOSITE_NAMESPACE, part(report, share, 1.0), plan) as stage,
     ):
         write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
-        answer = _diagnosed(stage, out, hidden_file, lab_file, speed)
+        answer = _diagnosed(stage, out, hidden_file, speed)
     write_json(str(out / "diagnosis.json"), answer)
     print_argument(console, answer)
     places = {"report": "report/index.html", "bags": "bags", "nodes load": "improved.yaml"}
@@ -474,13 +487,13 @@ def gap_act(
 
 
 def _diagnosed(
-    stage: Stage, out: Path, hidden_file: Path, lab_file: Path, speed: float
+    stage: Stage, out: Path, hidden_file: Path, speed: float
 ) -> dict[str, Any]:
     """Two bags of the bench, and what the diagnosis service says of them."""
     stage.start_bench(hidden_file, RECORD, {"speed": speed, **INSTRUMENTS})
     record, hold_out = stage.record(RECORD), stage.record(HOLD_OUT)
     stage.end_bench()
-    stage.start_service("diagnosis", {}, (lab_file,))
+    stage.start_service("diagnosis", {}, (lab_file(),))
     settings = {
         "record": [str(record)],
         "hold_out": [str(hold_out)],

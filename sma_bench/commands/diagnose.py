@@ -20,6 +20,7 @@ from sma_bench.commands.terminal import (
     say,
     write_json,
 )
+from sma_bench.findings import fold_audit
 
 if TYPE_CHECKING:
     from sma_bench.diagnose import Diagnosis
@@ -89,7 +90,8 @@ def print_result(result: "Diagnosis") -> None:
     print_tables(console, result.shown)
     for sentence in result.why:
         console.print(printable(sentence), markup=False)
-    print_findings(result.findings)
+    own, audit = fold_audit(result.findings)
+    print_findings([*own, *audit[:1]])
 
 
 def print_tables(console: Console, result: "DiagnoseResult", names: Container[str] = ()) -> None:

@@ -19,7 +19,7 @@ from rich.text import Text
 from sma_bench.border import printable
 from sma_bench.commands.parser import FILE, STANDARD_OUTPUT, add_output
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding, fold_audit
+from sma_bench.findings import Finding
 from sma_bench.progress import Report
 from sma_bench.results import json_text, write_result
 
@@ -136,9 +136,12 @@ _LEAST_SHARE = 0.02  # less says nothing of the rest
 class WorkState:
     """How a piece of work goes: the share done, what is being done, and the time left."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """`clock` gives s."""
-        self.share, self.what = 0.0, ""
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, expected: float | None = None
+    ) -> None:
+        """`clock` gives s; `expected` s, from what is planned, count until the work's own pace
+        does."""
+        self.share, self.what, self._expected = 0.0, "", expected
         self._clock, self._begin = clock, clock()
         self._heard = self._begin
 
@@ -156,10 +159,15 @@ class WorkState:
     @property
     def left(self) -> float | None:
         """Time left [s] at the speed so far; None while that is not known."""
-        if self.share < _LEAST_SHARE:
+        gone, now = self._heard - self._begin, self._clock()
+        if self._expected is not None:
+            # The plan at first, what has become of it in the end.
+            whole = gone + (1.0 - self.share) * self._expected
+        elif self.share >= _LEAST_SHARE:
+            whole = gone / self.share
+        else:
             return None
-        now = self._clock()
-        foreseen = (self._heard - self._begin) * (1.0 / self.share - 1.0) - (now - self._heard)
+        foreseen = whole * (1.0 - self.share) - (now - self._heard)
         return foreseen if foreseen > 0.0 else None
 
     @property

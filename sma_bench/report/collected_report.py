@@ -6,12 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sma_bench.cards import (
-    NUMBER_HEADER,
-    identification_card,
-    number_rows,
-    verdict_card,
-)
+from sma_bench.cards import identification_card, verdict_card
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import TABLE
 from sma_bench.records import Record, describe, open_record
@@ -57,11 +52,11 @@ def shown_input(path: str, number: int, namespace: str | None) -> Shown:
         result = read_result(path)
         if isinstance(result, IdentifyResult):
             kind, (section, said) = "identification", identify_section(result, name)
-            card, tables = identification_card(result), [number_table(result)]
+            card = identification_card(result)
         else:
             kind, (section, said) = "diagnosis", diagnose_section(result, name)
-            card, tables = verdict_card(result), []
-        answer = Section(path, card=card, tables=tables)
+            card = verdict_card(result)
+        answer = Section(path, card=card)
         worth = [f"{path}: {text}" for text in result.warnings if not text.startswith("info:")]
     else:
         record = open_record(path, namespace)
@@ -74,11 +69,6 @@ def answers(shown: Sequence[Shown]) -> list[Section]:
     """The cards of all results; one that stands alone needs no heading."""
     found = [one.answer for one in shown if one.answer is not None]
     return found if len(found) > 1 else [replace(section, title="") for section in found]
-
-
-def number_table(result: IdentifyResult) -> Table:
-    """The card's numbers."""
-    return Table(NUMBER_HEADER, number_rows(result), frozenset({1, 2, 3, 4}))
 
 
 def summary_section(shown: Sequence[Shown]) -> Section:

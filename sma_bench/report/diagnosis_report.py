@@ -128,11 +128,10 @@ def _looked_at(result: Diagnosis) -> Section:
     left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
     paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
     header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
-    findings, line = fold_audit(result.findings)
-    folded = [line, *(str(f) for f in result.findings if f not in findings)] if line else []
+    findings, audit = fold_audit(result.findings)
     return Section(
         "What was looked at", paragraphs, [str(f) for f in findings],
-        [Table(header, rows, frozenset({4, 5}))], folded=folded,
+        [Table(header, rows, frozenset({4, 5}))], folded=[str(f) for f in audit],
     )
 
 

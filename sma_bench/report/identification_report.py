@@ -7,7 +7,7 @@ from sma_bench.findings import Finding
 from sma_bench.identify import Identification
 from sma_bench.identify.estimate import Experiment
 from sma_bench.progress import Report, silent
-from sma_bench.report.collected_report import detail_table, number_table
+from sma_bench.report.collected_report import detail_table
 from sma_bench.report.drawing import Column
 from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.report.page import Made, Section, write_report
@@ -32,7 +32,7 @@ def write_identification_report(
     drawn = (agreement_picture(shown, "agreement"), correlation_picture(shown, "correlation"))
     sections = [
         Section(
-            "", tables=[number_table(shown)], notes=_lines(result.notes),
+            "", notes=_lines(result.notes),
             pictures=[picture for picture in drawn if picture is not None],
             card=identification_card(shown),
         ),

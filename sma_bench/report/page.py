@@ -3,6 +3,7 @@
 import base64
 import csv
 import hashlib
+import html
 import io
 import platform
 import re
@@ -84,7 +85,7 @@ figure img { background: #fff; border-radius: 6px; display: block; height: auto;
 .card dl {
   display: grid; gap: .2rem 1rem; grid-template-columns: max-content 1fr; margin: .5rem 0;
 }
-.card dt { font-weight: 600; } .card dt + dd { margin: 0; }
+.keep { white-space: nowrap; } .card dt { font-weight: 600; } .card dt + dd { margin: 0; }
 details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 .view canvas { display: block; height: 10rem; touch-action: pan-y; width: 100%; }
 .view .legend { display: flex; flex-wrap: wrap; font-size: .85rem; gap: 0 1rem; }
@@ -108,6 +109,7 @@ details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
   th, td { padding: .25rem .5rem; } table { font-size: .9rem; }
   body { padding: .6rem; } h1 { font-size: 1.25rem; margin: .2rem 0; } .head { margin: .3rem 0; }
   .card { font-size: .85rem; line-height: 1.3; padding: .3rem .6rem; }
+  .card dl.tall { display: block; } .card dl.tall dd { margin: 0 0 .2rem; }
   .card p { font-size: 1rem; } .card dl { gap: .15rem .6rem; margin: .2rem 0; }
   .wide img { max-width: none; width: 40rem; }
   .view .hint { min-height: 3em; }
@@ -129,7 +131,8 @@ details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 {% if section.title %}<h2>{{ section.title }}</h2>
 {% endif %}
 {% if section.card %}<div class="card"><p><strong>{{ section.card.title }}</strong></p>
-<dl>{% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ together(text) }}</dd>
+<dl{% if section.card.rows | map('first') | map('length') | max > 12 %} class="tall"{% endif %}>
+{% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ together(text) | safe }}</dd>
 {% endfor %}</dl>
 </div>
 {% endif %}
@@ -332,9 +335,14 @@ def _width(cell: str) -> str:
     return "long" if len(cell) > _LONG else ""
 
 
+_MEASURED = re.compile(r"(?<![A-Za-z]\d)(?<=\d) (?=%|(?:K|mA|A|mm|ohm|min|s|V)\b)")
+_OPTION = re.compile(r"--[a-z][\w-]*")
+
+
 def _together(text: str) -> str:
-    """The same, no line ending between a number and its unit."""
-    return re.sub(r"(?<=\d) (?=(?:%|K|mA|A|mm|ohm|min|s|V)\b|%)", "\u00a0", text)
+    """Escaped; no line ends between a number and its unit, or within an option."""
+    safe = _MEASURED.sub("&nbsp;", html.escape(printable(text)))
+    return _OPTION.sub(lambda found: f'<span class="keep">{found[0]}</span>', safe)
 
 
 def _without_controls(shown: object) -> object:

@@ -26,6 +26,7 @@ from sma_bench.commands.demo_acts import (
     hidden_bench,
     hidden_effect,
     hidden_numbers,
+    planned,
     print_argument,
     promise_holds,
     reveal,
@@ -49,6 +50,12 @@ LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig
 SEEDS = range(60)
 SLOW_SENSORS = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 30.0)
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
+
+
+def test_the_time_left_is_planned_from_what_is_recorded():
+    quick, slow = planned(QUICK, 40.0), planned(FITTED, 40.0)
+    assert 10.0 < quick[0] < slow[0] < 200.0 and quick[1] == slow[1] > 60.0
+    assert planned(FITTED, 1.0)[0] > 10.0 * quick[0]
 
 
 def estimates(deviation, relative_std):

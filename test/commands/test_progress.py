@@ -55,6 +55,20 @@ def test_time_left_is_extrapolated_and_counts_down():
     assert state.words == "25%, 1 min 10 s left"
 
 
+def test_what_is_planned_counts_from_the_start_until_the_work_has_its_own_pace():
+    clock = Clock()
+    state = WorkState(clock, expected=100.0)
+    assert state.left == pytest.approx(100.0) and state.words == "0%, 1 min 40 s left"
+    clock.now += 10.0
+    assert state.left == pytest.approx(90.0)
+    clock.now += 10.0
+    state.report(0.1, "slowly")  # twice as long as planned: 200 s in all
+    assert state.left == pytest.approx(0.9 * 110.0)
+    clock.now += 140.0
+    state.report(0.8)
+    assert state.left == pytest.approx(0.2 * 180.0)
+
+
 def test_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
     clock = Clock()
     state = WorkState(clock)

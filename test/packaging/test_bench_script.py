@@ -1,13 +1,16 @@
 """./bench sets up its environment once, survives interruption, and fails in short words."""
 
+import json
 import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -186,6 +189,84 @@ def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_s
     code, _, err = bench(house, "identfy")
     assert (code, err.count("\n")) == (2, 1) and "did you mean identify?" in err
     assert not list(house.glob(".venv-*"))
+
+
+# --- What an interrupted setup leaves behind, without the minutes of a real one.
+
+
+@pytest.fixture
+def good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """An environment with runtime and package, and the module that made it."""
+    loader = SourceFileLoader("bench_script", str(ROOT / "bench"))
+    module = module_from_spec(spec_from_loader("bench_script", loader))
+    loader.exec_module(module)
+    house = make_house(tmp_path / "house")
+    (house / "requirements-notebook.txt").write_text("cycler==0.12.1\n")
+    monkeypatch.setattr(module, "ROOT", house)
+    found = module.Environment(house / ".venv")
+    (found.path / "bin").mkdir(parents=True)
+    found.python.write_text("good")
+    done = {stage: module.fingerprint(stage) for stage in ("runtime", "package")}
+    found.stamp.write_text(json.dumps(done))
+    found.module, found.house = module, house
+    return found
+
+
+def ended_by(error: BaseException, half: Path | None = None) -> Any:
+    """A step of a setup that ends like this, after it made half of something."""
+
+    def step(self: Any, what: str, *_: Any) -> None:
+        if half is not None:
+            half.mkdir(parents=True, exist_ok=True)
+        raise error
+
+    return step
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("disk full")])
+def test_an_interrupted_setup_never_takes_a_good_environment(good: Any, error: Any) -> None:
+    (good.house / "requirements.txt").write_text("mdurl==0.1.1\n")
+    good.module.Environment._step = ended_by(error, good.path)
+    with pytest.raises(type(error)):
+        good.set_up(["runtime", "package"])
+    assert good.python.read_text() == "good" and not good.before.exists()
+    assert good.missing(["runtime", "package"]) == ["runtime"]
+
+
+def test_after_a_killed_setup_the_good_environment_is_back(good: Any) -> None:
+    good._put_aside()
+    (good.path / "bin").mkdir(parents=True)
+    good.python.write_text("half")
+    good.module.Environment._step = ended_by(AssertionError("nothing is to be installed"))
+    good.set_up(["runtime", "package"])
+    assert good.python.read_text() == "good" and not good.before.exists()
+
+
+def test_an_interrupted_installation_of_more_leaves_the_rest_good(good: Any) -> None:
+    good.module.Environment._step = ended_by(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        good.set_up(["runtime", "package", "notebook"])
+    assert good.missing(["runtime", "package"]) == []
+    assert good.missing(["runtime", "package", "notebook"]) == ["notebook"]
+    assert good.python.read_text() == "good"
+
+
+def test_a_notebook_is_jupyterlab_with_pandas_installed_only_when_asked(good: Any) -> None:
+    assert good.module.command_line(["notebook", "x.ipynb"]) == ["-m", "jupyterlab", "x.ipynb"]
+    assert good.module.NEEDS["notebook"] == "notebook"
+    pins = (ROOT / "requirements-notebook.txt").read_text()
+    assert "\njupyterlab==" in pins and "\npandas==" in pins
+    runtime = (ROOT / "requirements.txt").read_text()
+    assert "pandas" not in runtime and "jupyter" not in runtime
+
+
+def test_a_folder_of_its_name_does_not_pass_for_the_package(tmp_path: Path) -> None:
+    (tmp_path / "sma_bench" / "sma_bench").mkdir(parents=True)  # the parent of a checkout
+    code = "import sma_bench; print(sma_bench.__version__)"
+    process = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert process.returncode == 0, process.stderr
 
 
 PYTHONS = {
