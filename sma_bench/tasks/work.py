@@ -18,6 +18,7 @@ _READING, _READING_BAGS = 0.2, 0.05
 _PLAN = {
     "records": 0.1,
     "recalibration": 4.7,
+    "parameters that may be far off": 1.0,
     **dict.fromkeys(EFFECT_NAMES, 0.4),
     "effects instead of surprising parameters": 6.0,
     "the best again, carefully": 0.5,
