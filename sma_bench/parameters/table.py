@@ -155,6 +155,13 @@ COMPOSITE = (
         "assumed: one wire diameter", 1e-6, 0.01, uncertainty=0.03e-3,
     ),
     Parameter(
+        "composite.wire_layer_width", "m", 0.0,
+        "Width of the active layer (eqs. 14 to 17); 0 means the section of a side's wires over "
+        "composite.wire_layer_thickness.",
+        "corrected eqs. (14), (16): the text gives each layer a width, the equations print one",
+        0.0, 0.5,
+    ),
+    Parameter(
         "composite.deflection_per_strain", "m", 0.0,
         "alpha (eq. 22), deflection per contraction strain; 0 means derived from the geometry.",
         "corrected eq. (16)", 0.0, 100.0, uncertainty=0.05,

@@ -5,7 +5,7 @@ specimen as it lies at rest, and are constants of the model while E(xi) of eq. (
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sma_bench.parameters import Parameters
 
@@ -19,6 +19,7 @@ class Beam:
         width: w_c [m].
         thickness, modulus: h_c [m] and E_c [Pa] of the matrix.
         layer_thickness, layer_modulus: h [m] and E [Pa] of the active layer.
+        layer_width: w_s [m], of the active layer: real wires fill a small part of w_c.
         offset: a [m], wires to centre line.
         wire_section: A [m2], cross-section of the wires of one channel.
     """
@@ -29,6 +30,7 @@ class Beam:
     modulus: float
     layer_thickness: float
     layer_modulus: float
+    layer_width: float
     offset: float
     wire_section: float
 
@@ -42,6 +44,7 @@ class Beam:
             modulus=parameters["composite.modulus"],
             layer_thickness=parameters["composite.wire_layer_thickness"],
             layer_modulus=parameters["wire.martensite_modulus"],
+            layer_width=wire_layer_width(parameters),
             offset=parameters["composite.wire_offset"],
             wire_section=channel_section(parameters),
         )
@@ -57,6 +60,20 @@ def channel_section(parameters: Parameters) -> float:
     return wire_section(parameters) * float(parameters["wire.count"])
 
 
+def wire_layer_width(parameters: Parameters) -> float:
+    """Width [m] of a layer that has the section of the wires of one side (of their mean)."""
+    if given := parameters["composite.wire_layer_width"]:
+        return float(given)
+    sides = parameters["bench.channel_sides"]
+    section = channel_section(parameters) * len(sides) / len(set(sides))
+    return section / float(parameters["composite.wire_layer_thickness"])
+
+
+def as_printed(beam: Beam) -> Beam:
+    """The beam of eqs. (14) to (17) as printed: one width, so that its wires are a sheet."""
+    return replace(beam, layer_width=beam.width)
+
+
 def moment(force: float, beam: Beam) -> float:
     """Bending moment M [N m] of the wires' force P [N], eq. (12)."""
     return force * beam.offset
@@ -66,8 +83,10 @@ def bending_stiffness(beam: Beam) -> float:
     """EI [N m2] of eq. (14), corrected.
 
     The two-layer beam about its neutral axis: the width multiplies every term, the whole of
-    12 (E_c h_c + E h) divides them; the dimensions of the printed form disagree.
+    12 (E_c h_c + E h) divides them; the dimensions of the printed form disagree. A layer of another
+    width is one of the matrix's width and a modulus that is E w_s/w_c.
     """
+    beam = _of_one_width(beam)
     numerator = beam.width * _stiffness_terms(beam, 1.0)
     return numerator / (12.0 * (_matrix_membrane(beam) + _layer_membrane(beam)))
 
@@ -81,7 +100,7 @@ def bending_stiffness_as_printed(beam: Beam) -> float:
 
 def curvature(strain: float, beam: Beam) -> float:
     """Curvature kappa = d phi/dx [1/m] from the strain of the active layer, eq. (16)."""
-    m = beam.layer_modulus / beam.modulus
+    m = _of_one_width(beam).layer_modulus / beam.modulus
     t = beam.layer_thickness / beam.thickness
     denominator = 1.0 + m**2 * t**4 + m * t * (4.0 + 6.0 * t + 4.0 * t**2)
     return 6.0 * strain / beam.thickness * m * t * (1.0 + t) / denominator
@@ -93,8 +112,8 @@ def deflection(strain: float, beam: Beam) -> float:
 
 
 def deflection_as_printed(strain: float, beam: Beam) -> float:
-    """Deflection [m] as eq. (17) is printed, twice the integral of eq. (16)."""
-    return beam.length**2 * curvature(strain, beam)
+    """Deflection [m] as eq. (17) is printed: twice the integral of eq. (16), with one width."""
+    return beam.length**2 * curvature(strain, as_printed(beam))
 
 
 def deflection_per_strain(beam: Beam) -> float:
@@ -125,6 +144,11 @@ def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
     }
     alpha, front, back = (parameters[name] or value for name, value in derived.items())
     return alpha, front, back
+
+
+def _of_one_width(beam: Beam) -> Beam:
+    modulus = beam.layer_modulus * beam.layer_width / beam.width
+    return replace(beam, layer_modulus=modulus, layer_width=beam.width)
 
 
 def _matrix_membrane(beam: Beam) -> float:

@@ -112,12 +112,12 @@ def b4(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Arra
 
 
 def alpha(parameters: Parameters) -> float:
-    """Deflection per contraction [m], eq. (22) corrected: 3 l^2/h_c; eps - eps_0 = -delta/alpha."""
+    """Deflection per contraction [m], eq. (22) corrected; eps - eps_0 = -delta/alpha."""
     return bending.bending_coefficients(parameters)[0]
 
 
 def alpha_as_printed(parameters: Parameters) -> float:
-    """alpha [m] of the geometry as printed: 6 l^2/h_c, twice the integral of eq. (16)."""
+    """alpha [m] of the geometry as printed: twice the integral of eq. (16), with one width."""
     return bending.deflection_as_printed(1.0, Beam.of(parameters))
 
 

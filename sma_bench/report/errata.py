@@ -73,7 +73,8 @@ def stiffness(beam: Beam) -> Erratum:
     millimetres = replace(
         beam, length=1e3 * beam.length, width=1e3 * beam.width, thickness=1e3 * beam.thickness,
         modulus=1e-6 * beam.modulus, layer_thickness=1e3 * beam.layer_thickness,
-        layer_modulus=1e-6 * beam.layer_modulus, offset=1e3 * beam.offset,
+        layer_modulus=1e-6 * beam.layer_modulus, layer_width=1e3 * beam.layer_width,
+        offset=1e3 * beam.offset,
     )
     lines = tuple(
         line(f"EI, {what}", "N m²", factor * bending.bending_stiffness_as_printed(b),
@@ -95,13 +96,14 @@ def stiffness(beam: Beam) -> Erratum:
 def _parallel_axes(beam: Beam) -> float:
     """EI of two layers about their common neutral axis, from first principles."""
     layers = (
-        (beam.modulus, beam.thickness, 0.5 * beam.thickness),
-        (beam.layer_modulus, beam.layer_thickness, beam.thickness + 0.5 * beam.layer_thickness),
+        (beam.width * beam.modulus, beam.thickness, 0.5 * beam.thickness),
+        (beam.layer_width * beam.layer_modulus, beam.layer_thickness,
+         beam.thickness + 0.5 * beam.layer_thickness),
     )
     tension = sum(e * h for e, h, _ in layers)
     neutral = sum(e * h * z for e, h, z in layers) / tension
     each = (e * (h**3 / 12.0 + h * (z - neutral) ** 2) for e, h, z in layers)
-    return beam.width * sum(each)
+    return sum(each)
 
 
 def deflection_of_strain(beam: Beam) -> Erratum:
@@ -471,11 +473,11 @@ def geometry(rig: Parameters) -> Erratum:
     """Item 19: widths, neutral axis, and a stiffness that counts twice."""
     beam = Beam.of(rig)
     wires = sum(side == "front" for side in rig["bench.channel_sides"])
-    layer = wires * beam.wire_section / beam.layer_thickness
+    layer = beam.layer_width
     sheet = _two_layers(beam, beam.width, 1.0)
     real = _two_layers(beam, layer, 1.0)
     stiff = wires * rig["wire.austenite_modulus"] / sheet[1]
-    beta, strain = linear.beta(rig), 0.01
+    beta, strain = bending.stress_per_deflection(bending.as_printed(beam)), 0.01
     coupled = strain * sheet[1] * stiff / (beta + stiff)
     return Erratum(
         19, "eqs. (12) to (17), (22)",

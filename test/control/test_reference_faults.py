@@ -40,8 +40,8 @@ def test_temperature_reference(reference: list[float], expected: str) -> None:
         (-0.02, COMPOSITE, ""),
         (0.0, FRONT_ONLY, ""),
         (math.inf, COMPOSITE, "is inf m"),
-        (0.05, COMPOSITE, "to the front"),
-        (-0.05, COMPOSITE, "to the back"),
+        (0.08, COMPOSITE, "to the front"),
+        (-0.08, COMPOSITE, "to the back"),
         (-0.01, FRONT_ONLY, "no wire on the back"),
     ],
 )

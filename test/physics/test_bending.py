@@ -12,7 +12,8 @@ from sma_bench.physics.bending import Beam
 
 BEAM = Beam(
     length=0.12, width=0.03, thickness=6e-3, modulus=1.2e6,
-    layer_thickness=0.4e-3, layer_modulus=22.8e9, offset=3e-3, wire_section=7e-8,
+    layer_thickness=0.4e-3, layer_modulus=22.8e9, layer_width=0.4e-3, offset=3e-3,
+    wire_section=7e-8,
 )
 
 
@@ -22,11 +23,11 @@ def integrated_stiffness(beam: Beam) -> float:
 
     def integral(function):
         total = 0.0
-        layers = ((0.0, beam.thickness, beam.modulus),
-                  (beam.thickness, beam.layer_thickness, beam.layer_modulus))
-        for base, height, modulus in layers:
+        layers = ((0.0, beam.thickness, beam.modulus, beam.width),
+                  (beam.thickness, beam.layer_thickness, beam.layer_modulus, beam.layer_width))
+        for base, height, modulus, width in layers:
             y = base + 0.5 * height * (points + 1.0)
-            total += modulus * beam.width * 0.5 * height * np.sum(weights * function(y))
+            total += modulus * width * 0.5 * height * np.sum(weights * function(y))
         return total
 
     neutral = integral(lambda y: y) / integral(np.ones_like)
@@ -61,7 +62,7 @@ def test_printed_stiffness_depends_on_the_unit_of_length():
         return replace(
             beam, width=beam.width * 1e3, thickness=beam.thickness * 1e3,
             layer_thickness=beam.layer_thickness * 1e3, modulus=beam.modulus * 1e-6,
-            layer_modulus=beam.layer_modulus * 1e-6,
+            layer_modulus=beam.layer_modulus * 1e-6, layer_width=beam.layer_width * 1e3,
         )
     ratio = 1e6  # N mm2 in a N m2
     corrected = bending.bending_stiffness(in_millimetres(BEAM)) / bending.bending_stiffness(BEAM)
@@ -75,7 +76,8 @@ def test_printed_stiffness_depends_on_the_unit_of_length():
 def test_curvature_is_that_of_a_layer_which_shrinks_on_its_matrix():
     """Equilibrium of forces and moments of the two layers, solved without eq. (16)."""
     strain, b = 0.01, BEAM
-    stiff = np.array([b.modulus * b.thickness, b.layer_modulus * b.layer_thickness])
+    stiff = np.array([b.modulus * b.thickness * b.width,
+                      b.layer_modulus * b.layer_thickness * b.layer_width])
     height = np.array([b.thickness, b.layer_thickness])
     centre = np.array([0.5 * b.thickness, b.thickness + 0.5 * b.layer_thickness])
     # Unknown: strain at y = 0 and curvature; the layer carries E (eps + kappa y - strain).
@@ -92,12 +94,15 @@ def test_deflection_is_the_curvature_integrated_twice():
     x = np.linspace(0.0, BEAM.length, 20001)
     slope = bending.curvature(0.01, BEAM) * x
     assert bending.deflection(0.01, BEAM) == pytest.approx(trapezoid(slope, x))
-    assert bending.deflection_as_printed(0.01, BEAM) == 2.0 * bending.deflection(0.01, BEAM)
+    sheet = replace(BEAM, layer_width=BEAM.width)
+    printed = bending.deflection_as_printed(0.01, BEAM)
+    assert printed == pytest.approx(2.0 * bending.deflection(0.01, sheet), rel=1e-12)
 
 
 def test_thin_active_layer_bends_nothing():
     thin = replace(BEAM, layer_thickness=1e-12)
     ratio = BEAM.layer_modulus * 1e-12 / (BEAM.modulus * BEAM.thickness)
+    ratio *= BEAM.layer_width / BEAM.width
     assert bending.curvature(0.01, thin) == pytest.approx(6.0 * 0.01 / 6e-3 * ratio, rel=1e-4)
 
 
@@ -118,3 +123,20 @@ def test_given_coefficients_override_the_geometry():
     alpha, front, back = bending.bending_coefficients(given)
     assert (alpha, back) == (0.7, 3e9)
     assert front == bending.bending_coefficients(Parameters.defaults())[1]
+
+
+def test_the_active_layer_is_as_wide_as_its_wires_and_not_as_the_beam():
+    """Four wires, two a side: alpha 1.714 m; the printed single width makes them a 30 mm sheet."""
+    rig = Parameters.defaults().replace({
+        "bench.channels": ("a", "b", "c", "d"),
+        "bench.channel_sides": ("front", "front", "back", "back"),
+    })
+    assert bending.wire_layer_width(rig) == pytest.approx(2 * np.pi * 0.3e-3 / 4)
+    assert bending.bending_coefficients(rig)[0] == pytest.approx(1.714, abs=5e-4)
+    assert bending.deflection_per_strain(bending.as_printed(Beam.of(rig))) == pytest.approx(
+        1.0557, abs=1e-4
+    )
+    sheet = rig.replace({"composite.wire_layer_width": 0.03})
+    assert bending.bending_coefficients(sheet)[0] == pytest.approx(1.0557, abs=1e-4)
+    pairs = rig.replace({"wire.count": 2})
+    assert bending.wire_layer_width(pairs) == 2.0 * bending.wire_layer_width(rig)

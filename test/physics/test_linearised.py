@@ -291,8 +291,9 @@ def test_printed_and_corrected_coefficients_at_half_of_the_maximum_deflection() 
     assert ratio["b_1"] == pytest.approx((353.61 - 331.81) / np.pi)
     assert ratio["b_3"] == pytest.approx((353.39 - 325.09) / np.pi)
     assert ratio["b_1 of stress"] == pytest.approx(7.0e6 * (353.61 - 331.81) / np.pi)
-    assert ratio["alpha"] == pytest.approx(2.0)
-    assert ratio["strain per deflection"] == pytest.approx(-0.5)
+    # Twice the integral of eq. (16), of wires that are a sheet as wide as the beam.
+    assert ratio["alpha"] == pytest.approx(2.0 * 1.05574 / 1.71405, rel=1e-5)
+    assert ratio["strain per deflection"] == pytest.approx(-1.0 / ratio["alpha"])
     assert table["a_2"].printed + table["a_2"].corrected == pytest.approx(
         2.0 * (22.8e9 - 55.4e9) * 0.044 * (1.0 - 2.0 * point.martensite_fraction[0])
     )
@@ -323,8 +324,8 @@ def test_both_inputs_lead_to_the_same_place() -> None:
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: OperatingPoint.at_deflection(COMPOSITE, 0.05, "heating"), "at most 0.04518 m"),
-        (lambda: OperatingPoint.at_deflection(COMPOSITE, -0.05, "heating"), "to the back"),
+        (lambda: OperatingPoint.at_deflection(COMPOSITE, 0.08, "heating"), "at most 0.07"),
+        (lambda: OperatingPoint.at_deflection(COMPOSITE, -0.08, "heating"), "to the back"),
         (lambda: OperatingPoint.at_deflection(COMPOSITE, float("nan"), "heating"), "nan m"),
         (lambda: OperatingPoint.at_deflection(WIRE, 0.01, "heating"), "clamped"),
         (lambda: OperatingPoint.at_temperature(WIRE, 280.0, "heating"), "280 K lies below"),
