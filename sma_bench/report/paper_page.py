@@ -14,6 +14,7 @@ from sma_bench.parameters.table import (
     DSC_CYCLES,
     RESISTANCE_COOLING,
     THERMAL_EXPANSION,
+    TRANSITIONS,
     UPFR_FINISH,
     UPFR_START,
 )
@@ -177,6 +178,9 @@ _TABLE_II = tuple(
     Printed(symbol, f"heat cycle {cycle}", "K", value, _NONE, "E5", f"cycle {cycle}, *: {symbol}")
     for cycle, values in enumerate(DSC_CYCLES, start=1)
     for symbol, value in values.items()
+) + tuple(
+    Printed(symbol, "E6, under a held load, stress free", "K", _NONE, _NONE, "E6", name)
+    for symbol, name in TRANSITIONS.items()
 )
 _TABLE_III = (
     _of_table("E_M", "Martensitic modulus at 293.15 K", "GPa", "E7", "wire.martensite_modulus",
