@@ -10,10 +10,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns, default_of, number_of_effect
+from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -50,10 +50,16 @@ class Remainder:
         self._normal = self._rows.T @ self._rows + np.eye(self._rows.shape[1])
         self._residual = problem.whiten(problem.measured - fitted.predicted)
         self._projected = self._project(self._residual)
+        self._before = problem.coarse.predict(fitted.parameters)
 
     def _project(self, column: Array) -> Array:
         seen = self._rows.T @ column
         return np.asarray(column - self._rows @ np.linalg.solve(self._normal, seen))
+
+    def change(self, parameters: Parameters) -> Array:
+        """(n,) whitened, of the readings from the fit's to these parameters."""
+        problem = self.fitted.problem
+        return problem.whiten(problem.coarse.predict(parameters) - self._before)
 
     def gain(self, change: Array) -> tuple[float, float]:
         """Gain of adding a multiple of `change` (n,) whitened, and that multiple."""
@@ -77,7 +83,6 @@ def find_start(
     Where no size promises anything the fit begins with the effect off.
     """
     fitted = remainder.fitted
-    problem: Problem = fitted.problem
     effect = EFFECTS[name]
     low, high = unknowns.bounds()
     first = len(unknowns.names) - len(effect.parameters)
@@ -87,7 +92,7 @@ def find_start(
         trials.append(np.clip(x, low, high))
 
     def changed(x: Array) -> Array:
-        return problem.whiten(problem.predict(unknowns.parameters(x)) - fitted.predicted)
+        return remainder.change(unknowns.parameters(x))
 
     best = Start(start_off(fitted, unknowns, name), 0.0)
     switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]

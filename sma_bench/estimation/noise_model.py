@@ -15,7 +15,6 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
-from scipy.signal import lfilter
 
 from sma_bench.compiled import compiled
 
@@ -84,10 +83,16 @@ class Noise:
 
     def whiten(self, columns: Array) -> Array:
         """Residuals or derivatives (b,) or (b, k) as independent ones of unit variance."""
+        white = np.array(columns, dtype=np.float64, order="C")
+        self.whiten_in_place(white)
+        return white
+
+    def whiten_in_place(self, columns: Array) -> None:
+        """The same, written over the columns, whose rows follow one another in memory."""
         phi, theta, innovation = self.arma
-        white = lfilter([1.0, -phi], [1.0, theta], columns, axis=0) / innovation
-        white[0] *= innovation / self.total
-        return np.asarray(white)
+        _whiten(
+            columns.reshape(len(columns), -1), phi, theta, 1.0 / innovation, 1.0 / self.total
+        )
 
     @cached_property
     def arma(self) -> tuple[float, float, float]:
@@ -164,6 +169,18 @@ def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]
     phi, theta, innovation, total = np.array([(*s.arma, s.total) for s in shapes]).T
     whitening = phi.copy(), theta.copy(), 1.0 / innovation, 1.0 / total
     return shapes, np.array([(s.drift, s.time) for s in shapes]).T, whitening
+
+
+@compiled
+def _whiten(columns: Array, phi: float, theta: float, scale: float, first: float) -> None:
+    """Write ARMA(1,1) innovations over the columns (b, k)."""
+    before = np.zeros(columns.shape[1])
+    white = np.zeros(columns.shape[1])
+    for i in range(columns.shape[0]):
+        for k in range(columns.shape[1]):
+            white[k] = columns[i, k] - phi * before[k] - theta * white[k]
+            before[k] = columns[i, k]
+            columns[i, k] = white[k] * (scale if i > 0 else first)
 
 
 @compiled

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import block_diag, csr_array
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import Hold, find_holds
@@ -48,6 +48,7 @@ _MOST_CELLS = 12_000
 _CELLS_A_SAMPLE = 50  # what lies between readings so far apart is not to be known
 _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
+_WORTHWHILE = 0.7  # of the cells
 _FEWEST_SAMPLES = 20
 _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
@@ -154,6 +155,21 @@ class Observation:
         """What is measured, each once."""
         return tuple(dict.fromkeys(s.quantity for s in self.signals))
 
+    @cached_property
+    def coarse(self) -> "Observation":
+        """The same record on cells of half a bin, for differences: what coarse cells are off by
+        drops out of them. It is this one where little would be gained."""
+        cell = 0.5 * min((signal.period for signal in self.signals), default=0.0)
+        grid = _every(self.grid, cell)
+        if self.holds or len(grid) > _WORTHWHILE * len(self.grid):
+            return self
+        onto = _interpolation(grid, self.grid)
+        place = self.place + np.zeros(len(self.drive.early))
+        signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
+        return replace(
+            self, grid=grid, voltage=self.drive.on_grid(grid, place), signals=signals
+        )
+
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
     ) -> Simulation:
@@ -196,7 +212,20 @@ class Observation:
 
     def readings(self, simulation: Simulation) -> list[Array]:
         """What the model's sensors read, one (b,) array a signal."""
-        return [s.average @ self.course(s, simulation) for s in self.signals]
+        courses = [self._course(signal, simulation) for signal in self.signals]
+        flat = self._averages @ np.concatenate(courses)
+        return np.split(flat, np.cumsum([len(s.time) for s in self.signals])[:-1])
+
+    @cached_property
+    def _averages(self) -> csr_array:
+        """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
+        averages = [s.average @ self._delay(s.quantity) for s in self.signals]
+        return csr_array(block_diag(averages, format="csr"))
+
+    def _delay(self, quantity: str) -> csr_array:
+        """(n, n) from a course on the grid to the same later, as `course` has it."""
+        at = self.grid - self.delays.get(quantity, 0.0)
+        return _interpolation(self.grid, at)
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
         """(n,) on the grid: what the signal averages; the conductance for a current."""
@@ -492,6 +521,13 @@ def _within(early: float, late: float) -> Array:
     return np.linspace(early, late, cells + 1)[1:-1]
 
 
+def _every(grid: Array, cell: float) -> Array:
+    """Points of a grid (n,) as far apart as they are nearest to `cell` s from the first."""
+    wanted = np.arange(grid[0], grid[-1], cell) if cell > 0.0 else grid
+    nearest = np.searchsorted(0.5 * (grid[1:] + grid[:-1]), wanted)
+    return grid[np.unique(np.append(nearest, len(grid) - 1))]
+
+
 def _to_the_nearest(jumps: Array, points: Array) -> Array:
     """(n,) how far each point is from the nearest jump; jumps are in order."""
     around = np.concatenate([[-np.inf], jumps, [np.inf]])
@@ -541,12 +577,17 @@ def _averaging(
 ) -> csr_array:
     """Interpolation at the samples' times, then the mean over each bin."""
     time = measured.time
-    right = np.clip(np.searchsorted(grid, time), 1, len(grid) - 1)
-    share = np.clip((time - grid[right - 1]) / (grid[right] - grid[right - 1]), 0.0, 1.0)
     weight = 1.0 / count[which]
     if measured.quantity == "current":
         weight = weight * rig.voltage.at(measured.wire, time)
-    rows = np.concatenate([which, which])
-    columns = np.concatenate([right - 1, right])
-    entries = np.concatenate([weight * (1.0 - share), weight * share])
-    return csr_array((entries, (rows, columns)), shape=(len(count), len(grid)))
+    mean = csr_array((weight, (which, np.arange(len(time)))), shape=(len(count), len(time)))
+    return mean @ _interpolation(grid, time)
+
+
+def _interpolation(grid: Array, time: Array) -> csr_array:
+    """(m, n) from a course on the grid (n,) to times (m,), as np.interp."""
+    right = np.clip(np.searchsorted(grid, time), 1, len(grid) - 1)
+    share = np.clip((time - grid[right - 1]) / (grid[right] - grid[right - 1]), 0.0, 1.0)
+    rows = np.tile(np.arange(len(time)), 2)
+    entries, columns = np.concatenate([1.0 - share, share]), np.concatenate([right - 1, right])
+    return csr_array((entries, (rows, columns)), shape=(len(time), len(grid)))

@@ -41,7 +41,8 @@ class Problem:
     Attributes:
         observations: the records; noise: one per signal name; nuisances: one per record.
         voltage_noise: whether the voltmeter's noise is carried along, which takes two simulations
-            a straight stretch: for estimates whose errors count.
+            a straight stretch, and differences are taken on the records' own cells: for estimates
+            whose errors count.
     """
 
     observations: tuple[Observation, ...]
@@ -137,30 +138,45 @@ class Problem:
 
         Across a valley where several derivatives all but cancel, what one-sided differences are
         off by is information that the records do not hold; `central` ones, twice the simulations,
-        are for places where errors and evidence are stated.
+        are for places where errors and evidence are stated. Cells of half a bin are off by far
+        less than one side is.
         """
         low, high = unknowns.bounds()
+        seen = self.coarse
+        inside = central & (x + _STEP <= high) & (x - _STEP >= low)
+        here = predicted
+        if seen is not self and not all(inside[which]):
+            here = seen.predict(unknowns.parameters(x))
 
         def reading(i: int, step: float) -> Array:
             there = x.copy()
             there[i] = np.clip(x[i] + step, low[i], high[i])
-            return self.predict(unknowns.parameters(there))
+            return seen.predict(unknowns.parameters(there))
 
         def column(i: int) -> Array:
-            up, down = x[i] + _STEP <= high[i], x[i] - _STEP >= low[i]
-            if central and up and down:
+            if inside[i]:
                 return (reading(i, _STEP) - reading(i, -_STEP)) / (2.0 * _STEP)
-            step = _STEP if up else -_STEP
-            return (reading(i, step) - predicted) / step
+            step = _STEP if x[i] + _STEP <= high[i] else -_STEP
+            return (reading(i, step) - here) / step
 
         columns = in_threads(column, [(i,) for i in which])
         return np.column_stack(columns) if columns else np.zeros((len(predicted), 0))
 
+    @cached_property
+    def coarse(self) -> "Problem":
+        """The same rows from simulations on coarse cells, to take differences of."""
+        if self.voltage_noise:
+            return self
+        seen = tuple(o.coarse for o in self.observations)
+        same = all(a is b for a, b in zip(seen, self.observations, strict=True))
+        return self if same else replace(self, observations=seen)
+
     def whiten(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) as independent ones of unit variance."""
-        return np.concatenate(
-            [self.noise[b.signal.name].whiten(rows[b.rows]) for b in self.blocks]
-        )
+        white = np.array(rows, dtype=np.float64, order="C")
+        for block in self.blocks:
+            self.noise[block.signal.name].whiten_in_place(white[block.rows])
+        return white
 
     @cached_property
     def nuisance_rows(self) -> Array:
@@ -171,6 +187,12 @@ class Problem:
     def white_nuisances(self) -> Array:
         """(n, q) whitened."""
         return self.whiten(self.nuisance_rows)
+
+    @cached_property
+    def nuisance_information(self) -> Array:
+        """(q, q) of the nuisances alone, their priors' among it."""
+        rows = self.white_nuisances
+        return np.asarray(rows.T @ rows + np.eye(rows.shape[1]))
 
     def log_scale(self) -> float:
         """Sum over all rows of the log of what whitening divided by."""

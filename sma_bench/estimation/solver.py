@@ -28,6 +28,7 @@ _MOST_STEPS, _FAR_STEPS = 10, 30
 _RADIUS = 8.0  # prior deviations a step
 _GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last, near the end and afar
 _SHORTEST = 1e-2
+_NEAR = 0.1  # prior deviations: derivatives of the baseline are not taken anew
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 
 
@@ -143,19 +144,26 @@ class _State:
         self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None
     ) -> None:
         self.problem = problem.for_effects(unknowns.effects)
-        self.unknowns, self.given = unknowns, frozen
+        self.unknowns, self.given, self.base = unknowns, frozen, frozen
+        self.linear_about: Array | None = None
+        self.kept: tuple[Problem, Array, Array, Array] | None = None
         self.x = np.clip(x, *unknowns.bounds())
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
 
     def linearise(self, central: bool = True) -> None:
-        """Derivatives at the present place."""
-        self.base = self.given
-        if self.base is None:
+        """Derivatives at the present place, or about there."""
+        if self.given is None and not self._is_near(self.linear_about):
+            self.linear_about = self.x if central else None
             self.base = self.problem.derivatives(
                 self.unknowns, self.x, self.predicted, range(self.unknowns.baseline), central
             )
         self.slopes = self._slopes()
+
+    def _is_near(self, place: Array | None) -> bool:
+        if place is None or self.problem.voltage_noise:
+            return place is not None and np.array_equal(place, self.x)
+        return bool(np.max(np.abs(self.x - place), initial=0.0) < _NEAR)
 
     def _slopes(self) -> Array:
         assert self.base is not None
@@ -202,9 +210,7 @@ class _State:
 
     def _descend(self, cost: float, low: Array, high: Array) -> float:
         """The least damped step that gains, and the cost after it; none if none does."""
-        rows = self._rows()
-        normal = rows.T @ rows + np.eye(rows.shape[1])
-        force = rows.T @ self.problem.whiten(self.difference())
+        normal, force = self._system()
         force[: len(self.x)] -= self.x
         before = self.x, self.z, self.predicted
         for damping in _DAMPINGS:
@@ -220,8 +226,28 @@ class _State:
         self.x, self.z, self.predicted = before
         return cost
 
-    def _rows(self) -> Array:
-        return np.hstack([self.problem.whiten(self.slopes), self.problem.white_nuisances])
+    def _system(self) -> tuple[Array, Array]:
+        """Information (k + q, k + q) on x and z, priors among it, and the residual's pull."""
+        k, first = len(self.x), self.unknowns.baseline
+        still, known = self._still()
+        own = self.problem.whiten(self.slopes[:, first:])
+        across = still.T @ own
+        information = np.block([[known, across], [across.T, own.T @ own]])
+        left = self.problem.whiten(self.difference())
+        pull = np.concatenate([still.T @ left, own.T @ left])
+        # The baseline, an effect's own numbers, the nuisances.
+        order = np.argsort([*range(first), *range(k, len(pull)), *range(first, k)])
+        return information[np.ix_(order, order)] + np.eye(len(pull)), pull[order]
+
+    def _still(self) -> tuple[Array, Array]:
+        """Whitened columns that stay from step to step, the baseline's and the nuisances', and
+        what they tell of these."""
+        assert self.base is not None
+        kept = self.kept
+        if kept is None or kept[0] is not self.problem or kept[1] is not self.base:
+            still = np.hstack([self.problem.whiten(self.base), self.problem.white_nuisances])
+            self.kept = kept = self.problem, self.base, still, still.T @ still
+        return kept[2:]
 
     def _step(
         self, normal: Array, force: Array, damping: float, low: Array, high: Array
@@ -245,16 +271,12 @@ class _State:
         return step[:k]
 
     def _best_nuisances(self) -> Array:
-        rows = self.problem.white_nuisances
-        normal = rows.T @ rows + np.eye(rows.shape[1])
-        return np.asarray(
-            np.linalg.solve(normal, rows.T @ self.problem.whiten(self.difference()))
-        )
+        seen = self.problem.white_nuisances.T @ self.problem.whiten(self.difference())
+        return np.asarray(np.linalg.solve(self.problem.nuisance_information, seen))
 
     def finished(self) -> Fit:
         self.slopes = self._slopes()
-        rows = self._rows()
-        information = rows.T @ rows + np.eye(rows.shape[1])
+        information, _ = self._system()
         joint: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         freedom = float(np.linalg.slogdet(information)[1])
         evidence = -0.5 * self.cost() - 0.5 * freedom - self.problem.log_scale()

@@ -1,5 +1,6 @@
 """What the wires of each side pull against: the load of the bench, or what an experiment holds."""
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -142,11 +143,11 @@ def per_side(name: str, value: PerSide, sides: int) -> NDArray[np.float64]:
     Raises:
         InputError: wrong number of sides, or not finite.
     """
-    array = np.asarray(value, dtype=float)
+    array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
         raise InputError(
             f"boundary: {name} has shape {array.shape}, expected one or {sides} values"
         )
-    if not np.all(np.isfinite(array)):
+    if not all(map(math.isfinite, array.flat)):
         raise InputError(f"boundary: {name} is {value}, expected finite numbers")
-    return np.array(np.broadcast_to(array, (sides,)))
+    return array if array.shape else np.full(sides, array)

@@ -1,8 +1,10 @@
 """The compiled core as Python sees it: state of a bench, rows filled from parameters, calls."""
 
+import threading
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from sma_bench.compiled import Meanwhile, warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.effect_table import EFFECT_PREFIX, EFFECTS
+from sma_bench.parameters.effect_table import EFFECT_PREFIX, EFFECTS, Effect
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, phase, stress
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
@@ -123,6 +125,9 @@ def _contraction(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bou
 
 
 def _require_possible(kelvin: Array, xi: Array, sigma: Array, parameters: Parameters) -> None:
+    finish = parameters["wire.austenite_finish_temperature"]
+    if np.all((xi == 1.0) & (kelvin < finish) & (sigma >= 0.0)):
+        return  # cold martensite, where most benches begin
     f = phase.austenite_ramp(kelvin, sigma, parameters)
     g = phase.martensite_ramp(kelvin, sigma, parameters)
     checks = (
@@ -150,12 +155,29 @@ _WIRE_NUMBERS = (
 )
 
 
+def _of_effects(
+    row: str, names: Mapping[str, int]
+) -> tuple[list[tuple[int, str]], list[tuple[Effect, int]]]:
+    """Columns of the effects' numbers, and of the marks that each effect sets."""
+    numbers = [
+        (names[column], number) for effect in EFFECTS.values() if effect.row == row
+        for number, column in effect.column_names.items()
+    ]
+    marks = [(e, names[mark]) for e in EFFECTS.values() for mark in e.marks if mark in names]
+    return numbers, marks
+
+
+_WIRE_EFFECT_NUMBERS, _WIRE_MARKS = _of_effects("wire", at.WIRE_NAMES)
+_SIDE_EFFECT_NUMBERS, _SIDE_MARKS = _of_effects("side", at.SIDE_NAMES)
+
+
 def wire_rows(parameters: Parameters, boundary: Boundary) -> Array:
     """(w, WIRE_COLUMNS) constants of every wire; states are 0."""
-    wires = np.zeros((len(parameters["bench.channels"]), at.WIRE_COLUMNS))
-    for column, number in {**_effects(parameters), **_wire(parameters)}.items():
-        wires[:, column] = number
+    columns = {**_effects(parameters), **_wire(parameters)}
+    wire = np.zeros(at.WIRE_COLUMNS)
+    wire[list(columns)] = list(columns.values())
     side = side_of_channels(parameters)
+    wires = np.tile(wire, (side.size, 1))
     wires[:, at.SIDE] = side
     # Between unequal numbers of wires: what one side gives, the other gets.
     own = np.bincount(side)[side]
@@ -177,26 +199,19 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
     elastic = boundary.contraction is None and not boundary.coupled
     bends = (sides[:, at.OWN_STIFFNESS] > 0.0) & elastic
-    for effect in EFFECTS.values():
-        if effect.row == "side":
-            for number, name in effect.column_names.items():
-                sides[bends, at.SIDE_NAMES[name]] = parameters[number]
-        for mark in at.SIDE_NAMES.keys() & effect.marks:
-            marked = bends if effect.row == "side" else slice(None)
-            sides[marked, at.SIDE_NAMES[mark]] += effect.is_on(parameters)
+    for column, number in _SIDE_EFFECT_NUMBERS:
+        sides[bends, column] = parameters[number]
+    for effect, mark in _SIDE_MARKS:
+        if effect.is_on(parameters):
+            sides[bends if effect.row == "side" else slice(None), mark] = 1.0
     sides[sides[:, at.OWN_LOAD] > 0.0, at.SLACK] = 0.0  # the load draws the wires straight
     return sides
 
 
 def _effects(parameters: Parameters) -> Mapping[int, float]:
     """Columns that hold an effect's number as it is, and its marks."""
-    columns = {}
-    for effect in EFFECTS.values():
-        if effect.row == "wire":
-            for number, column in effect.column_names.items():
-                columns[at.WIRE_NAMES[column]] = float(parameters[number])
-        if effect.is_on(parameters):
-            columns.update((at.WIRE_NAMES[m], 1.0) for m in at.WIRE_NAMES.keys() & effect.marks)
+    columns = {column: float(parameters[number]) for column, number in _WIRE_EFFECT_NUMBERS}
+    columns.update((mark, 1.0) for effect, mark in _WIRE_MARKS if effect.is_on(parameters))
     return columns
 
 
@@ -243,6 +258,7 @@ def _wire(parameters: Parameters) -> Mapping[int, float]:
 # --- The compiled core as Python sees it: parameters converted once, its rows filled and read.
 
 RUN = Meanwhile(core.run)
+_LAST = threading.local()
 
 
 class Kernel:
@@ -255,10 +271,26 @@ class Kernel:
         self.wires = len(parameters["bench.channels"])
         self.rows = wire_rows(parameters, self.boundary), side_rows(parameters, self.boundary)
 
+    @classmethod
+    def of(cls, parameters: Parameters, boundary: Boundary | None) -> "Kernel":
+        """A kernel that is not changed; this thread's last one where it is of the same bench, for
+        a fit simulates one bench on record after record."""
+        if boundary is not None:
+            return cls(parameters, boundary)
+        last = getattr(_LAST, "kernel", None)
+        if last is None or last.parameters is not parameters:
+            last = _LAST.kernel = cls(parameters, None)
+        return last
+
+    @cached_property
+    def _rest(self) -> State:
+        return initial_state(self.parameters, boundary=self.boundary)
+
     def against(self, boundary: Boundary) -> "Kernel":
         """The same wires pulling against something else."""
         other = copy(self)
         other.boundary = boundary
+        other.__dict__.pop("_rest", None)
         wires = self.rows[0].copy()
         wires[:, at.PRESTRETCH] = boundary.stretch_of_wires(self.parameters)
         other.rows = wires, side_rows(self.parameters, boundary)
@@ -266,7 +298,7 @@ class Kernel:
 
     def memory(self, initial: State | None) -> tuple[Array, Array]:
         """Fresh rows of the kernel: constants of this bench, state of `initial`."""
-        state = initial or initial_state(self.parameters, boundary=self.boundary)
+        state = initial or self._rest
         wires, sides = self.rows[0].copy(), self.rows[1].copy()
         if state.temperature.shape != (len(wires),) or state.contraction.shape != (len(sides),):
             raise InputError(

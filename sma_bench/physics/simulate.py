@@ -73,6 +73,8 @@ class Simulation(Drawn):
     @cached_property
     def deflection_reading(self) -> Array:
         """(n,) m, what a sensor reads: the deflection, unless its zero drifts."""
+        if not EFFECTS["deflection_drift"].is_on(self.parameters):
+            return self.deflection
         return self.deflection + zero_drift(self.parameters, self.clock)
 
     @cached_property
@@ -137,7 +139,7 @@ def simulate(
     Raises:
         InputError: wrong shape, time that does not increase, a number that is not finite.
     """
-    kernel = Kernel(parameters, boundary)
+    kernel = Kernel.of(parameters, boundary)
     seconds, volts = _checked_input(time, voltage, kernel.wires)
     memory = kernel.memory(initial)
     history, strain = kernel.run(seconds, volts, memory)

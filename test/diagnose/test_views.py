@@ -1,11 +1,16 @@
 """A record as the diagnosis sees it: bins, phases, and what cannot be compared."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_record, true_bench
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import observe
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.physics import simulate
 from sma_bench.records import Record, Signal
 
@@ -70,6 +75,47 @@ def test_readings_of_the_truth_are_within_the_noise(view):
     for signal, reading in zip(view.signals, readings, strict=True):
         misfit = np.sqrt(np.mean((signal.value - reading) ** 2)) / signal.noise
         assert 0.7 < misfit < 1.4, signal.name
+
+
+def test_readings_are_the_bins_of_the_courses_with_their_stamps_late(view):
+    late = view.moved(np.zeros(len(view.drive.early)), {"temperature": 0.07, "deflection": -0.03})
+    run = late.simulate(true_bench())
+    for signal, reading in zip(late.signals, late.readings(run), strict=True):
+        np.testing.assert_allclose(reading, signal.average @ late.course(signal, run), rtol=1e-12)
+    assert not np.allclose(late.readings(run)[1], view.readings(run)[1], rtol=1e-6)
+
+
+def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
+    problem = Problem.of([view])
+    assert len(problem.coarse.observations[0].grid) < 0.4 * len(view.grid)
+    unknowns = unknowns_of_records(believed(), view.quantities).with_effects(
+        ["viscoelastic_matrix", "side_heat_coupling", "latent_heat"]
+    )
+    x = unknowns.start()
+    x[unknowns.baseline :] = 0.05
+    own = replace(problem, voltage_noise=True)
+    predicted = problem.predict(unknowns.parameters(x))
+    rows = {
+        name: problem.whiten(of.derivatives(unknowns, x, predicted, range(len(x)), central=True))
+        for name, of in (("coarse", problem), ("own", own))
+    }
+    off, size = (np.linalg.norm(a, axis=0) for a in (rows["coarse"] - rows["own"], rows["own"]))
+    moved = size > 1.0  # what the record tells of at all
+    assert moved.sum() > 15
+    assert np.max(off[moved] / size[moved]) < 0.15
+    tells = {k: 0.5 * np.linalg.slogdet(r.T @ r + np.eye(len(x)))[1] for k, r in rows.items()}
+    assert tells["coarse"] == pytest.approx(tells["own"], abs=0.5)  # nats
+
+
+def test_whitened_drift_is_white_and_its_likelihood_that_of_the_covariance():
+    noise = Noise(0.7, 1.3, 2.0, 0.2)
+    lags = 0.2 * np.abs(np.subtract.outer(np.arange(200), np.arange(200)))
+    covariance = 0.7**2 * np.eye(200) + 1.3**2 * np.exp(-lags / 2.0)
+    drawn = np.linalg.cholesky(covariance) @ np.random.default_rng(5).standard_normal((200, 3))
+    white = noise.whiten(drawn)
+    exact = np.sum(drawn * np.linalg.solve(covariance, drawn), axis=0)
+    np.testing.assert_allclose(np.sum(white**2, axis=0), exact, rtol=2e-2)
+    np.testing.assert_array_equal(noise.whiten(drawn[:, 1]), white[:, 1])
 
 
 def test_what_cannot_be_compared_is_named():

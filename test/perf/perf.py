@@ -20,6 +20,7 @@ SECTIONS = {
     "solver": ("solvers", "the estimation's own solver beside scipy's least_squares"),
     "reading": ("reading", "bags: rosbags, mcap-ros2-support, the bytes alone"),
     "commands": ("whole_commands", "help, identification, diagnosis; cold and warm"),
+    "diagnosis": ("diagnosing", "by stage, its derivatives, records of minutes to hours"),
     "nodes": ("node_rates", "rates, jitter, latency, share of a core; the camera"),
     "first-start": ("first_start", "nodes on a fresh install: first word, first topic"),
     "twin": ("twin_pace", "whether the twin keeps 500 Hz, and what it takes of a core"),
