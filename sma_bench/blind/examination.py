@@ -297,9 +297,9 @@ _STREAM = 1_000_003
 
 
 def asks_for_more(kept: Kept) -> bool:
-    """An answer with an experiment."""
+    """An answer with an experiment that is to tell causes apart."""
     answer = kept.answer
-    if answer is None or answer.next_experiment is None:
+    if answer is None or answer.next_experiment is None or not answer.next_experiment.separates:
         return False
     return bool(answer.next_experiment.protocol or answer.next_experiment.parameters)
 

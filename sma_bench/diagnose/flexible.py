@@ -32,11 +32,16 @@ class Flexible:
 
     Attributes:
         gain: of evidence over the fit, both with the noise that they leave.
-        response: (n,) the missing term's course.
+        response: (n,) the missing term's course; weights: (p,) of the features.
     """
 
     gain: float
     response: Array
+    weights: Array
+
+    def on(self, obs: Observation, simulation: Simulation) -> Array:
+        """The course of the missing term on another drive of the same sensors."""
+        return np.asarray(_features(obs, simulation) @ self.weights)
 
 
 def flexible_residual(fitted: Fit) -> Flexible:
@@ -55,13 +60,13 @@ def flexible_residual(fitted: Fit) -> Flexible:
             for name, noise in fitted.problem.noise.items()
         },
     )
-    best = Flexible(0.0, np.zeros_like(fitted.left))
+    best = Flexible(0.0, np.zeros_like(fitted.left), np.zeros(features.shape[1]))
     for _ in range(_ROUNDS):
         marginal, weights = _most_likely(problem, fitted, features)
         gain = _likelihood(problem, fitted.left) + marginal - own
         response = features @ weights
         if gain > best.gain:
-            best = Flexible(gain, response)
+            best = Flexible(gain, response, weights)
         problem = problem.with_noise(fitted.left - response)
     return best
 

@@ -27,6 +27,7 @@ from sma_bench.diagnose.decision import (
     NAMED,
     NO_GAP,
     RECALIBRATION,
+    UNEXPLAINED,
     Decision,
     Weights,
     scale_of,
@@ -214,13 +215,16 @@ def next_experiment(
         observations: the records, for what is measured and how hard the bench was driven.
 
     Returns:
-        None where no experiment could be worth it; one that does not `settle` where none of those
+        For `unexplained` a drive that shows most of it, else None where no experiment could be
+        worth it; one that does not `settle` where none of those
         that the bench can do is.
 
     Raises:
         InputError: the bench's limits refuse every drive.
     """
     matter = Matter(decision, search, weights, observations, parameters)
+    if decision.verdict == UNEXPLAINED:
+        return _of_what_is_missing(matter)
     if matter.most < WORTH:
         return None
     tests = [_test(name, matter) for name in TESTS]
@@ -232,6 +236,30 @@ def next_experiment(
     if not options:
         return None
     return _quickest(options)
+
+
+def _of_what_is_missing(matter: Matter) -> NextExperiment | None:
+    """The known drive that shows most a minute of what no effect explains, as far as a smooth
+    response of free form tells it."""
+    missing, recalibrated = matter.search.flexible, matter.search.recalibrated
+    if not missing.gain > 0.0:
+        return None
+    shown = []
+    for drive in KNOWN:
+        document = drive.document(matter.level, matter.sides)
+        planned = _planned(document, recalibrated.problem, matter, ())
+        (obs,) = planned.observations
+        _require_cool(obs, recalibrated.parameters)
+        term = missing.on(obs, obs.simulate(recalibrated.parameters))
+        size = float(np.linalg.norm(planned.whiten(term)))
+        minutes = float(obs.grid[-1] - obs.grid[0]) / 60.0
+        shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
+    _, size, minutes, document = max(shown, key=lambda one: one[0])
+    why = (
+        f"{document['description']}: would show what no effect explains by {size:.0f} standard "
+        "deviations, as far as a smooth response of free form tells it"
+    )
+    return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
 
 
 def _quickest(options: Sequence[NextExperiment]) -> NextExperiment:

@@ -36,6 +36,7 @@ OPEN, NAMED, INSEPARABLE, SPENT, TEST = (
 )
 _ABOVE_FINISH = 25.0  # K to which the first drive heats a wire at rest
 _MOST_SHOWN = 5
+_SURE = 0.8  # probability from which an effect needs no more
 _CHAPTER = 8 * MEGABYTE
 
 
@@ -163,10 +164,11 @@ class Investigation:
         if not self.chapters:
             return OPEN
         last = self.chapters[-1]
-        if not last.proposed:
+        sure = last.verdict == "effect" and max(last.probabilities.values()) >= _SURE
+        if sure or not last.proposed.get("separates"):
             named = last.verdict in ("effect", RECALIBRATION, NO_GAP, UNEXPLAINED)
             return NAMED if named else INSEPARABLE
-        if not last.proposed.get("protocol") or last.proposed.get("kind") == "sensor":
+        if not last.proposed["protocol"] or last.proposed.get("kind") == "sensor":
             return TEST
         return SPENT if self.minutes + last.proposed["minutes"] > self._budget else OPEN
 

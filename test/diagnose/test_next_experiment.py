@@ -1,9 +1,13 @@
 """A tie, the protocol that is proposed to break it, and what that protocol's record says."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
+from sma_bench.diagnose.decision import weigh
 from sma_bench.errors import InputError
 from sma_bench.protocols import parse_protocol
 
@@ -58,3 +62,15 @@ def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
     assert "nothing that the bench can do" in remark and "ambient_drift" in remark
 
+
+def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
+    found = planted_diagnosis
+    puzzled = replace(found.decision, verdict="unexplained")
+    smooth = found.search.flexible
+    missing = replace(smooth, gain=9.0, weights=np.ones_like(smooth.weights))
+    proposed = next_experiment.next_experiment(
+        puzzled, replace(found.search, flexible=missing), weigh(found.search),
+        found.observations, found.parameters,
+    )
+    assert proposed.separates == () and "what no effect explains" in proposed.why
+    assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0

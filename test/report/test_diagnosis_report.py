@@ -157,7 +157,8 @@ def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis
 
 def answering(result, response):
     """The same diagnosis with another response of free form."""
-    return replace(result, search=replace(result.search, flexible=Flexible(9.0, response)))
+    smooth = Flexible(9.0, response, np.zeros(0))
+    return replace(result, search=replace(result.search, flexible=smooth))
 
 
 def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
