@@ -130,7 +130,7 @@ details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 {% for section in sections %}
 {% if section.title %}<h2>{{ section.title }}</h2>
 {% endif %}
-{% if section.card %}<div class="card"><p><strong>{{ section.card.title }}</strong></p>
+{% if section.card %}<div class="card"><p><strong>{{ together(section.card.title) | safe }}</strong></p>
 <dl{% if section.card.rows | map('first') | map('length') | max > 12 %} class="tall"{% endif %}>
 {% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ together(text) | safe }}</dd>
 {% endfor %}</dl>

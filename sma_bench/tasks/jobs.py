@@ -288,8 +288,10 @@ class DiagnosisJob:
             write_improved(self.improved, result, "the diagnosis node")
         if self.report:
             from sma_bench.report.diagnosis_report import write_diagnosis_report
+            from sma_bench.report.page import Made
 
-            write_diagnosis_report(self.report, result, part(tell, share, 1.0))
+            made = Made("the diagnosis node", [*self.records, *self.hold_out])
+            write_diagnosis_report(self.report, result, part(tell, share, 1.0), made)
         return json_text(result.to_json())
 
 
