@@ -37,6 +37,8 @@ from sma_bench.report.drawing import (
 
 _SHORT, _LONG = 24, 48
 """letters of a table's cell"""
+_LABEL = 12
+"""letters of a card's label"""
 _PAGE = "index.html"
 _MARK = '<meta name="generator" content="sma_bench">'
 _LARGEST_PAGE = 1 << 30
@@ -130,8 +132,9 @@ details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 {% for section in sections %}
 {% if section.title %}<h2>{{ section.title }}</h2>
 {% endif %}
-{% if section.card %}<div class="card"><p><strong>{{ together(section.card.title) | safe }}</strong></p>
-<dl{% if section.card.rows | map('first') | map('length') | max > 12 %} class="tall"{% endif %}>
+{% if section.card %}<div class="card">
+<p><strong>{{ together(section.card.title) | safe }}</strong></p>
+<dl{% if is_tall(section.card) %} class="tall"{% endif %}>
 {% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ together(text) | safe }}</dd>
 {% endfor %}</dl>
 </div>
@@ -310,7 +313,7 @@ def write_report(
             files |= picture.files(column)
     page = _template().render(
         title=title, summary=summary, sections=sections, width_of=_width, together=_together,
-        curves_of=curves_of, policy=policy(),
+        is_tall=_is_tall, curves_of=curves_of, policy=policy(),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
     if column is not None:
@@ -333,6 +336,11 @@ def _width(cell: str) -> str:
     if len(cell) <= _SHORT:
         return "short"
     return "long" if len(cell) > _LONG else ""
+
+
+def _is_tall(card: Card) -> bool:
+    """Whether its labels are too long to stand beside their texts on a phone."""
+    return any(len(label) > _LABEL for label, _ in card.rows)
 
 
 _MEASURED = re.compile(r"(?<![A-Za-z]\d)(?<=\d) (?=%|(?:K|mA|A|mm|ohm|min|s|V)\b)")

@@ -31,7 +31,8 @@ LAUNCH_ARGUMENTS = {
     "replay.launch.py": bench_plan.ARGUMENTS,
 }
 PLACEHOLDERS = {"NODE": "simulator"}
-NAMED_ONLY = {"call", "import", "info", "notebook", "run"}  # within a sentence, without what they take
+# Within a sentence, without what they take.
+NAMED_ONLY = {"call", "import", "info", "notebook", "run"}
 
 
 def commands(page: Path) -> list[str]:

@@ -21,7 +21,8 @@ PARSERS = {
 # What each command takes besides its outputs; IN stands for an input that exists.
 WORDS = {
     "info": ["IN"], "import": ["IN", "--out", "OUT"], "identify": ["IN"], "diagnose": ["IN"],
-    "compare": ["IN"], "batch": ["identify", "IN"], "report": ["IN", "--out", "OUT"], "audit": ["IN"],
+    "compare": ["IN"], "audit": ["IN"],
+    "batch": ["identify", "IN"], "report": ["IN", "--out", "OUT"],
     "parameters": ["--params", "IN"], "effects": [], "simulate": ["--input", "IN", "--out", "OUT"],
     "paper": ["IN", "--out", "OUT"], "calibrate": ["supply", "--csv", "IN"], "call": ["a/b"],
     "investigate": ["IN", "--folder", "OUT", "--simulated", "IN"],
@@ -31,7 +32,9 @@ WORDS = {
 }
 READS_NO_FILE = {"effects", "call", "demo", "blind make", "blind figures"}
 # Options that name files which a command reads, and others that look alike but name none.
-READ = {"--params", "--model", "--hold-out", "--map", "--input", "--csv", "--program", "--simulated"}
+READ = {
+    "--params", "--model", "--hold-out", "--map", "--input", "--csv", "--program", "--simulated",
+}
 # Answers are always kept, and so is an investigation.
 RESUMED = {
     ("blind run", "--answers"), ("blind score", "--answers"), ("investigate", "--folder"),
