@@ -120,14 +120,15 @@ class Examinee:
             *self._program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
             "--json", _RESULT, "--out", _IMPROVED,
         ]  # fmt: skip
+        limit = self._limit * (1 + len(records)) / 2.0  # half of the time goes with the records
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
             process = self._start(command, desk, errors)
             try:
-                code = process.wait(timeout=self._limit)
+                code = process.wait(timeout=limit)
             except subprocess.TimeoutExpired:
                 _kill(process)
                 process.wait()
-                return f"no answer within {self._limit:g} s"
+                return f"no answer within {limit:g} s"
             finally:
                 with self._lock:
                     self._running.discard(process)
@@ -297,9 +298,9 @@ _STREAM = 1_000_003
 
 
 def asks_for_more(kept: Kept) -> bool:
-    """An answer with an experiment that is to tell causes apart."""
+    """An ambiguous answer with an experiment."""
     answer = kept.answer
-    if answer is None or answer.next_experiment is None or not answer.next_experiment.separates:
+    if answer is None or answer.verdict != "ambiguous" or answer.next_experiment is None:
         return False
     return bool(answer.next_experiment.protocol or answer.next_experiment.parameters)
 

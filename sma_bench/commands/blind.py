@@ -116,7 +116,7 @@ def examine_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--limit", type=int, metavar="N", help="stop after N more cases")
     parser.add_argument(
         "--time-limit", type=float, default=120.0, metavar="S",
-        help="a case fails that takes longer (default 120)",
+        help="a case fails that takes longer (default 120; half as long more a further record)",
     )
     parser.add_argument(
         "--again", action="store_true", help="ask failed cases again; answers are always kept"
@@ -210,7 +210,7 @@ def score_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="follow-ups at a time")
     parser.add_argument(
         "--no-follow-up", action="store_true",
-        help="do not perform the experiments that answers ask for",
+        help="do not perform the experiments that ambiguous answers ask for",
     )
     add_json_option(parser, "the result")
     add_output(parser, "--page", FOLDER, metavar="DIR", help="write an HTML page with figures")
