@@ -4,7 +4,7 @@ A factor of a product that records know only as a whole (`Unknown.partner`) is t
 other by the priors alone; both are given here, with what that leaves open.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,10 @@ from sma_bench.records.contract import CELSIUS_ZERO
 OF_EXCESS = ("sensor.temperature.emissivity", "sensor.temperature.spot_share")
 SCALES = dict.fromkeys(OF_EXCESS, "temperature") | {
     f"sensor.{quantity}.gain": quantity
+    for quantity in ("current", "voltage", "temperature", "deflection")
+}
+ZEROS = {
+    f"sensor.{quantity}.offset": quantity
     for quantity in ("current", "voltage", "temperature", "deflection")
 }
 _UP = 1e-3
@@ -187,12 +191,15 @@ def _number(
 
 
 def scale_errors(fitted: Fit) -> dict[str, Array]:
-    """(k,) by sensor's scale: how far the unknowns go, in prior deviations, with one standard
-    deviation of it, when every signal of its quantity is off alike."""
+    """(k,) by sensor's scale or zero: how far the unknowns go, in prior deviations, with one
+    standard deviation of it, when every signal of its quantity is off alike."""
     problem, parameters = fitted.problem, fitted.parameters
     rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
     gain = fitted.joint[: len(fitted.x)] @ rows.T
-    columns = {name: _off_by(name, fitted) for name in SCALES if parameters.std(name) > 0.0}
+    columns = {
+        name: off(name, fitted) for table, off in ((SCALES, _off_by), (ZEROS, _shifted))
+        for name in table if parameters.std(name) > 0.0
+    }
     return {name: gain @ problem.whiten(c) for name, c in columns.items() if c.any()}
 
 
@@ -213,17 +220,41 @@ def _off_by(name: str, fitted: Fit) -> Array:
     return column
 
 
+def _shifted(name: str, fitted: Fit) -> Array:
+    """(n,) by which measured less predicted changes with one standard deviation of a zero; what of
+    it a record's own zeros take up is not left to the unknowns."""
+    quantity, std = ZEROS[name], fitted.parameters.std(name)
+    if quantity == "voltage":
+        return _volts_moved(fitted, lambda volts: volts + std)
+    return np.concatenate([
+        np.full(len(b.signal.value), std if b.signal.quantity == quantity else 0.0)
+        for b in fitted.problem.blocks
+    ])
+
+
 def _volts_up(fitted: Fit) -> Array:
     """(n,) d(measured - predicted)/d(log of all voltages)."""
     found = []
+    moved = _volts_moved(fitted, lambda volts: volts * (1.0 + _UP)) / _UP
+    start = 0
+    for one in fitted.problem.observations:
+        here = one.readings(one.simulate(fitted.parameters))
+        for signal, now in zip(one.signals, here, strict=True):
+            own = now if signal.quantity == "current" else 0.0  # a current is read off its volts
+            found.append(moved[start : start + len(now)] - own)
+            start += len(now)
+    return np.concatenate(found)
+
+
+def _volts_moved(fitted: Fit, move: Callable[[Array], Array]) -> Array:
+    """(n,) of measured less predicted, with other voltages."""
+    found = []
     for one in fitted.problem.observations:
         there, here = (
-            one.readings(one.simulate(fitted.parameters, one.voltage * factor))
-            for factor in (1.0 + _UP, 1.0)
+            one.readings(one.simulate(fitted.parameters, volts))
+            for volts in (move(one.voltage), one.voltage)
         )
-        for signal, up, now in zip(one.signals, there, here, strict=True):
-            own = now if signal.quantity == "current" else 0.0  # a current is read off its volts
-            found.append(-(up - now) / _UP - own)
+        found += [now - up for up, now in zip(there, here, strict=True)]
     return np.concatenate(found)
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,17 +26,22 @@ from sma_bench.identify.instruments.transition_temperatures import (
     identify_transition_temperatures,
 )
 from sma_bench.identify.run import (
+    COEFFICIENT,
+    RESISTANCE,
     Run,
+    about_wire,
     find_all_drives,
     run_heat_transfer,
     run_resistance,
     run_specific_heat,
 )
 from sma_bench.identify.signals import FEWEST_LEVELS, Drive, as_calibrated, sensors_of
+from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import BY_NAME, TRANSITIONS
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
-from sma_bench.records.check import check_response
+from sma_bench.records.check import check_record
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import Phase, TensileRecord
@@ -118,14 +123,22 @@ class Identification(Reported):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Everything a careful reader should know before using the numbers."""
-        found = [(note, "") for note in self.notes]
-        found += [(f, f"{e.name} ") for e in self.experiments for f in e.findings]
-        lines = [
-            f"{where}{finding.subject}: {finding.text}"
-            for finding, where in found
-            if finding.severity != "info"
-        ]
-        return tuple(dict.fromkeys(lines))
+        return tuple(dict.fromkeys(_line(f, own) for f, own in self._warned()))
+
+    @property
+    def doubts(self) -> dict[str, tuple[str, ...]]:
+        """Of every estimate the warnings that concern it."""
+        found: dict[str, list[str]] = {name: [] for name in self.estimates}
+        for finding, own in self._warned():
+            for name in concerned(finding, own, self.experiments):
+                if name in found:
+                    found[name].append(_line(finding, own))
+        return {name: tuple(dict.fromkeys(lines)) for name, lines in found.items()}
+
+    def _warned(self) -> list[tuple[Finding, Experiment | None]]:
+        every: list[tuple[Finding, Experiment | None]] = [(note, None) for note in self.notes]
+        every += [(f, e) for e in self.experiments for f in e.findings]
+        return [(f, e) for f, e in every if f.severity != "info"]
 
     def __str__(self) -> str:
         """The card: a number a line."""
@@ -143,12 +156,53 @@ class Identification(Reported):
 
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""
+        doubts = self.doubts
         return {
-            "parameters": {name: e.to_json() for name, e in self.estimates.items()},
+            "parameters": {
+                name: {**e.to_json(), "warnings": list(doubts[name])}
+                for name, e in self.estimates.items()
+            },
             "correlation": self.correlation.to_json(),
             "experiments": [experiment.to_json() for experiment in self.experiments],
             "warnings": list(self.warnings),
         }
+
+
+# What an experiment on bags reads, and what its numbers go with.
+_READS = {
+    "E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
+    "E3": ("voltage", "temperature"), "E8": ("temperature", "force"),
+}
+_GO_WITH = {RESISTANCE: (COEFFICIENT, SPECIFIC_HEAT), COEFFICIENT: (SPECIFIC_HEAT,)}
+_SYMBOLS = {
+    **TRANSITIONS, "C_A": "wire.stress_influence_austenite",
+    "C_M": "wire.stress_influence_martensite", "E_M": "wire.martensite_modulus",
+    "E_A": "wire.austenite_modulus", "eps_L": "wire.maximum_recoverable_strain",
+    "Theta_T": "wire.thermal_expansion_factor",
+}
+
+
+def concerned(
+    finding: Finding, own: Experiment | None, experiments: Sequence[Experiment]
+) -> tuple[str, ...]:
+    """Names of the parameters that a remark is about: the one it names, with what goes with it;
+    those read from the signal that it names; else all of its experiment, or of all."""
+    if finding.subject in BY_NAME:
+        return (finding.subject, *_GO_WITH.get(finding.subject, ()))
+    named = tuple(_SYMBOLS[s] for s in finding.subject.split(", ") if s in _SYMBOLS)
+    if named or (own is None and finding.subject in NEEDS):
+        return named
+    if own is not None:
+        return tuple(own.estimates)
+    kind = finding.subject.rpartition("." if "." in finding.subject else "/")[2]
+    direct = [
+        name for e in experiments if kind in _READS.get(e.name, (kind,)) for name in e.estimates
+    ]
+    return tuple(dict.fromkeys(n for name in direct for n in (name, *_GO_WITH.get(name, ()))))
+
+
+def _line(finding: Finding, own: Experiment | None) -> str:
+    return f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}"
 
 
 def identify(
@@ -186,9 +240,8 @@ def identify(
     bags = [as_calibrated(r, parameters) for r in records if isinstance(r, Record)]
     known = sensors_of(bags, parameters)
     run = Run(known, wanted, asked=experiments is not None)
-    run.notes.extend(
-        f for record in bags for f in (*record.findings, *check_response(record))
-    )
+    run.notes.extend(f for record in bags for f in _remarks(record))
+    run.notes.extend(about_wire(known))
     whole = _whole_model(run, bags, report)
     told = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     # Wires that move a load are identified by the whole model alone: their staircases bend it.
@@ -205,6 +258,12 @@ def identify(
     _report_missing(run, records, drives)
     improved = run.improved()
     return Identification(improved, run.estimates, tuple(run.experiments), tuple(run.notes))
+
+
+def _remarks(record: Record) -> Iterator[Finding]:
+    yield from record.findings
+    own = [f for f in check_record(record) if f.severity != "info"]
+    yield from (f for f in own if f not in record.findings)
 
 
 def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment | None:

@@ -1,5 +1,6 @@
 """One identification under way: what the records gave so far, and why something is missing."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,6 +18,7 @@ from sma_bench.identify.thermal.resistance import CHANNEL, heated, identify_resi
 from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import NITI_DENSITY
 from sma_bench.records import Record
 
 
@@ -60,9 +62,23 @@ class Run:
         """Put an experiment's estimates, joined over its records, among the results."""
         found = self.of(name)
         for parameter in dict.fromkeys(p for e in found for p in e.estimates):
-            self.estimates[parameter] = combine(
-                [e.estimates[parameter] for e in found if parameter in e.estimates]
-            )
+            own = combine([e.estimates[parameter] for e in found if parameter in e.estimates])
+            if parameter in self.estimates:
+                self._replaced(name, parameter, own)
+            self.estimates[parameter] = own
+
+    def _replaced(self, name: str, parameter: str, own: Estimate) -> None:
+        """What an experiment gives that is nearer to what the model uses, beside what another gave:
+        a calorimeter's tangents, the cosines of a loaded wire, the joint fit of all."""
+        other = self.estimates[parameter]
+        apart = (own.value - other.value) / math.hypot(own.std, other.std)
+        far = abs(apart) > _SIGNIFICANT
+        text = (
+            f"{own.value:.6g} +- {own.std:.2g} {own.unit} of {name} is taken, {apart:+.1f} "
+            f"standard errors from {other.value:.6g} +- {other.std:.2g} ({other.method})"
+        ) + (": one of the two is wrong, or the specimens differ" if far else "")
+        numbers = {"deviations": apart}
+        self.notes.append(Finding("warning" if far else "info", parameter, text, numbers))
 
     def improved(self) -> Parameters:
         """The given parameters with what is identified put in, as far as they may hold it."""
@@ -93,12 +109,24 @@ class Run:
             if whole is not None and estimate is whole.estimates.get(name):
                 continue
             prior = Estimate(self.given[name], self.given.std(name), estimate.unit, "given", 0)
-            self.estimates[name], remark = with_prior(
-                estimate, prior, name in self.given.given_uncertainty
-            )
+            stated = name in self.given.given_uncertainty
+            self.estimates[name], remark = with_prior(estimate, prior, stated)
             if remark:
                 self.notes.append(Finding("warning", name, remark))
+            elif stated and name != AMBIENT:
+                self._surprised(name, estimate, prior)
             self._wonder(name, estimate)
+
+    def _surprised(self, name: str, found: Estimate, prior: Estimate) -> None:
+        """A surer measurement replaces what was stated, but not without a word."""
+        away = (found.value - prior.value) / math.hypot(found.std, prior.std)
+        if abs(away) > _SURPRISING:
+            text = (
+                f"measured {found.value:.6g} +- {found.std:.2g} {found.unit} is {away:+.1f} "
+                f"standard errors from the stated {prior.value:.6g} +- {prior.std:.2g}: the "
+                "statement, the wire or a sensor is another"
+            )
+            self.notes.append(Finding("warning", name, text, {"deviations": away}))
 
     def _wonder(self, name: str, estimate: Estimate) -> None:
         """A camera's spot that is half filled shows in nothing but the size of h and c_p."""
@@ -118,11 +146,58 @@ class Run:
         return [name for name in names if name in self.wanted and not self.of(name)]
 
 
+# --- What is stated of the wire, against itself.
+
+_DENSITY_STD, _LENGTH_STD = 0.01, 0.005
+_BEHIND = {
+    "wire.mass": SPECIFIC_HEAT, "wire.surface_area": "wire.heat_transfer_coefficient",
+    "wire.diameter": "Theta_T, C_A, C_M",
+}
+
+
+def about_wire(known: Parameters) -> list[Finding]:
+    """Mass, area and diameter each tell the diameter of a wire whose length was stated; the one
+    that is off makes the number that it is behind as wrong."""
+    length = known["wire.length"]
+    if not length:
+        return []
+    doubt = {name: known.std(name) / known[name] for name in _BEHIND}
+    told = {
+        "wire.mass": math.sqrt(4.0 * known["wire.mass"] / (math.pi * NITI_DENSITY * length)),
+        "wire.surface_area": known["wire.surface_area"] / (math.pi * length),
+        "wire.diameter": known["wire.diameter"],
+    }
+    error = {
+        "wire.mass": 0.5 * math.hypot(doubt["wire.mass"], _DENSITY_STD, _LENGTH_STD),
+        "wire.surface_area": math.hypot(doubt["wire.surface_area"], _LENGTH_STD),
+        "wire.diameter": doubt["wire.diameter"],
+    }
+
+    def agree(one: str, other: str) -> bool:
+        apart = abs(math.log(told[one] / told[other]))
+        return apart <= _SIGNIFICANT * math.hypot(error[one], error[other])
+
+    pairs = {name: [n for n in told if n != name] for name in told}
+    if all(agree(*pair) for pair in pairs.values()):
+        return []
+    odd = [name for name, pair in pairs.items() if agree(*pair)] or list(told)
+    shown = ", ".join(f"{d * 1e3:.4g} mm by {name}" for name, d in told.items())
+    return [
+        Finding(
+            "warning", _BEHIND[name],
+            f"the diameter of {length * 1e3:g} mm of wire is {shown}: {name} is wrong, or what "
+            "it is compared with, and this number as much",
+        )
+        for name in odd
+    ]
+
+
 # --- E1 to E3 on bags: which records serve which experiment, and how their results join.
 
 RESISTANCE = "wire.resistance"
 COEFFICIENT = "wire.heat_transfer_coefficient"
 _SIGNIFICANT, _SMALL = 3.0, 0.01
+_SURPRISING = 3.5  # standard errors
 _OF_CAMERA = (COEFFICIENT, SPECIFIC_HEAT)
 _WRONG = 1.5  # a factor
 

@@ -53,6 +53,7 @@ def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     assert set(document) == {"parameters", "experiments", "warnings", "correlation"}
     assert set(document["parameters"][R]) == {
         "value", "std", "unit", "method", "n", "statistical", "systematic", "informed",
+        "warnings",
     }
     assert document["parameters"][R]["unit"] == "ohm"
     assert json.loads(json.dumps(document, allow_nan=False)) == document

@@ -90,7 +90,7 @@ def test_upfr_repeats_give_mean_and_deviation_of_the_paper() -> None:
     experiment = identify_isobaric(tests, TRUTH)
     a_s = experiment.estimates["wire.austenite_start_temperature"]
     assert a_s.value == pytest.approx(A_S, abs=0.4)
-    assert a_s.std == pytest.approx(1.06, abs=0.25)
+    assert a_s.statistical == pytest.approx(1.06, abs=0.25)
     eps = experiment.estimates["wire.maximum_recoverable_strain"]
     assert eps.value == pytest.approx(0.044, rel=0.01)
     assert "wire.martensite_start_temperature" not in experiment.estimates
@@ -154,8 +154,8 @@ def test_twenty_four_transition_temperatures_of_the_simulated_wire_lie_within_th
             for symbol, name in names.items():
                 e = found.estimates[name]
                 tangent = found.details[f"{symbol} (tangent), stress free"]
-                off.append(abs(e.value - truth[name]) / e.std)
-                tangents_off.append(abs(tangent.value - truth[name]) / e.std)
+                off.append(abs(e.value - truth[name]) / e.statistical)
+                tangents_off.append(abs(tangent.value - truth[name]) / e.statistical)
                 assert abs(e.value - truth[name]) < 0.1, (k, symbol)
             for influence in ("austenite", "martensite"):
                 name = f"wire.stress_influence_{influence}"

@@ -72,7 +72,7 @@ def test_moduli_of_table_three_come_back_with_repeats() -> None:
     e_a = experiment.estimates["wire.austenite_modulus"]
     assert e_m.value == pytest.approx(E_M, rel=0.01)
     assert e_a.value == pytest.approx(E_A, rel=0.01)
-    assert 0.0 < e_m.std < 0.02 * E_M
+    assert 0.0 < e_m.statistical < 0.02 * E_M
     assert "mean and deviation of 3 tests" in e_m.method
 
 

@@ -88,7 +88,7 @@ def test_channels_and_sides_must_pair_up():
 
 def test_uncertainty_falls_back_to_the_table_and_can_be_given():
     p = Parameters.defaults()
-    assert p.std("wire.resistance") == 0.03
+    assert p.std("wire.resistance") == 0.05
     assert p.replace(uncertainty={"wire.resistance": 0.001}).std("wire.resistance") == 0.001
     assert "expected a standard deviation" in complaint(
         p.replace, uncertainty={"wire.resistance": -1.0}

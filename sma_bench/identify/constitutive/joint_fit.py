@@ -12,6 +12,7 @@ from sma_bench.identify.constitutive import fit as remarks
 from sma_bench.identify.constitutive.fit import LawFit, Unknown, fit_law, has_several_stresses
 from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, Loop, make_loops
 from sma_bench.identify.estimate import Array, Correlation, Estimate, Experiment
+from sma_bench.identify.instruments.isobaric import with_scales
 from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
@@ -144,7 +145,8 @@ def _estimates(
     if not fit.loops[0].loop.is_relative:
         found.update(_strain_estimate(fit, method, n))
         found.update(_expansion_estimate(fit, parameters, method, n, findings))
-    return {name: e for name, e in found.items() if _is_in_range(name, e, findings)}
+    told = {name: e for name, e in found.items() if _is_in_range(name, e, findings)}
+    return with_scales(told, parameters)
 
 
 def _add_shift_error(

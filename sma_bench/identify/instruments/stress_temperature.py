@@ -240,7 +240,8 @@ def _sandwich(design: Array, residual: Array) -> Array:
     autocorrelation."""
     n, count = design.shape
     size = np.sqrt(np.sum(design**2, axis=0))
-    scaled = design / np.where(size > 0.0, size, 1.0)
+    size = np.where(size > 0.0, size, 1.0)
+    scaled = design / size
     bread = np.linalg.pinv(scaled.T @ scaled)
     colour = inflation(autocorrelation([residual])) * n / max(n - count, 1)
     rows = scaled * residual[:, None]

@@ -13,7 +13,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.signals import means
+from sma_bench.identify.signals import CAMERA, means
 from sma_bench.identify.straight_line import fit_linear
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
@@ -86,17 +86,19 @@ def identify_thermal_expansion(
             f"expected {FEWEST_LEVELS} or more"
         )
     slope, std, misfit, line = _line(t, t_std, stress, stress_std, group, chosen)
-    # The area behind stress has an error of its own, common to all points.
-    std = math.hypot(
-        std, 2.0 * slope * parameters.std("wire.diameter") / parameters["wire.diameter"]
-    )
-    findings.extend(check_size(slope, std, parameters))
+    # The area behind stress and the camera's scale have errors common to all points.
+    shares = {
+        "wire.diameter": -2.0 * slope * parameters.std("wire.diameter")
+        / parameters["wire.diameter"],
+        **{name: -slope * parameters.std(name) / parameters[name] for name in CAMERA},
+    }
+    findings.extend(check_size(slope, math.hypot(std, *shares.values()), parameters))
     findings.extend(_about_misfit(misfit))
     estimate = Estimate(
         slope, std, "Pa/K",
         f"line through {int(chosen.sum())} plateaus at {levels} temperatures below A_s",
         sum(p.n for p in all_points),
-    )
+    ).with_shares(shares)
     return Experiment(
         name=NAME, title=TITLE, estimates={PARAMETER: estimate}, findings=tuple(findings),
         curves={
@@ -118,6 +120,11 @@ def check_size(value: float, std: float, parameters: Parameters) -> list[Finding
         faults.append(
             "of the other sign: a clamped wire that expands loses tension; the clamps move, the "
             "sign of force is turned round, or the wire transforms"
+        )
+    if CONVECTION_FACTOR * soft < abs(value) - 2.0 * std <= CONVECTION_FACTOR * stiff:
+        faults.append(
+            f"{abs(value) / soft:.1f} times that of martensite, which a wire below A_s is: a "
+            "camera spot that the wire fills in part, or clamps that give way as they warm"
         )
     if abs(value) - 2.0 * std > CONVECTION_FACTOR * stiff:
         faults.append(

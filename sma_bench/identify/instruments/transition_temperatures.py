@@ -20,6 +20,9 @@ from sma_bench.identify.straight_line import fit_linear
 from sma_bench.records import DscRecord, DscSegment
 
 KELVIN = 273.15
+# A calorimeter is calibrated with indium to some tenths of a kelvin, which melts within seconds; a
+# wire in its pan follows by so many seconds more or less.
+_CALORIMETER_STD, _LAG_STD = 0.5, 5.0  # K, s
 _METHOD = "baseline against the steepest tangent of the outermost flank"
 _NAMES = {
     "heating": ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
@@ -129,7 +132,12 @@ def _estimate(chosen: ScanResult, of_kind: Sequence[ScanResult], end: int) -> Es
     method = f"{_METHOD}, {chosen.rate_per_minute:g} K/min, cycle {chosen.cycle}"
     return Estimate(
         onset.temperature, math.hypot(onset.std, apart), "K", method, len(of_kind)
-    )
+    ).with_shares(_instrument(chosen.rate_per_minute / 60.0))
+
+
+def _instrument(rate: float) -> dict[str, float]:
+    """K, what no scan at this rate (K/s) shows; at rate zero nothing lags."""
+    return {"calorimeter": _CALORIMETER_STD, "lag of the sample": _LAG_STD * rate}
 
 
 def _details(result: ScanResult) -> dict[str, Estimate]:
@@ -335,11 +343,13 @@ def _at_zero_rate(
         own = float(np.sqrt(np.mean(std**2)))
         cycle = "cycle " + ", ".join(str(s.cycle) for s in used)
         text = f"tangents, {rate[0] * 60.0:g} K/min, {cycle}"
-        return Estimate(slowest, max(own, spread), "K", text, len(used)), None, remarks
+        estimate = Estimate(slowest, max(own, spread), "K", text, len(used))
+        return estimate.with_shares(_instrument(float(rate[0]))), None, remarks
     fit = fit_linear(np.column_stack([np.ones(len(rate)), rate]), value, np.diag(std**2))
     rates = ", ".join(f"{r:g}" for r in sorted({round(r * 60.0, 3) for r in rate.tolist()}))
     method = f"tangents at {rates} K/min, extrapolated to zero rate"
     estimate = Estimate(float(fit.beta[0]), float(fit.std[0]), "K", method, len(used))
+    estimate = estimate.with_shares(_instrument(0.0))
     lag = Estimate(
         float(fit.beta[1]), float(fit.std[1]), "s", "change of onset with rate", len(used)
     )
@@ -386,11 +396,18 @@ def _prestrain(scans: Sequence[RatedScan], runs: Sequence[DscRecord]) -> list[Fi
                 "that the first heating recovers; cycle 2 is the material's own"
             )
         elif moved:
-            text += f": {', '.join(sorted(moved))} moved, and not as prestrain alone moves them"
+            text += (
+                f": {', '.join(sorted(moved))} moved, and not as prestrain alone moves them: the "
+                "sample still trains, or the calorimeter drifts"
+            )
         else:
             text += ": no shift beyond the errors"
         numbers = {n: d for n, (d, _) in shifts.items()}
-        findings.append(Finding("info", "prestrain", text, numbers))
+        trains = moved and not (falls and cooling < _STAYS * largest)
+        findings.append(
+            Finding("warning", ", ".join(sorted(moved)), text, numbers) if trains
+            else Finding("info", "prestrain", text, numbers)
+        )
     return findings
 
 

@@ -19,6 +19,7 @@ from sma_bench.records.record import has_samples, samples
 PARAMETER = "wire.heat_transfer_coefficient"
 GAIN = "thermal_gain"
 AMBIENT = "environment.ambient_temperature"
+ZERO = "sensor.voltage.offset"
 _SIGNIFICANT = 3.0
 _SIGNIFICANT_DRIFT = 4.0
 _LARGE_DRIFT = 0.01
@@ -139,7 +140,11 @@ def identify_heat_transfer(
     n = len(bounds)
     # Nobody calibrates a camera's zero better than to its own step.
     ambient_std = math.hypot(ambient_std, t.step / math.sqrt(12.0))
-    thermal_gain = Estimate(gain, gain_std, "K/V2", "steady temperature over squared voltage", n)
+    off = replace(v, value=v.value + parameters.std(ZERO))
+    share = float(replace(points, voltage=off).fit(t.value).beta[1]) - float(fit.beta[1])
+    thermal_gain = Estimate(
+        gain, gain_std, "K/V2", "steady temperature over squared voltage", n
+    ).with_shares({ZERO: share})
     estimates = {
         PARAMETER: coefficient(thermal_gain, resistance, parameters),
         AMBIENT: Estimate(
@@ -165,8 +170,9 @@ def coefficient(gain: Estimate, resistance: Estimate, parameters: Parameters) ->
     but for the scales of their sensors."""
     area = parameters["wire.surface_area"]
     value = 1.0 / (gain.value * resistance.value * area)
-    std = math.hypot(gain.relative_std, resistance.statistical / resistance.value)
+    std = math.hypot(gain.statistical / gain.value, resistance.statistical / resistance.value)
     shares = {name: -share / resistance.value for name, share in resistance.shares.items()}
+    shares |= {name: -share / gain.value for name, share in gain.shares.items()}
     for name, share in scale_of_gain(parameters).items():
         shares[name] = shares.get(name, 0.0) - share
     return Estimate(

@@ -1,0 +1,1 @@
+"""Benches and instruments with faults, made without any of the package's physics."""

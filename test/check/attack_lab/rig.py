@@ -1,0 +1,245 @@
+"""A wire on a bench and its sensors, with faults: the heat equation stepped here, nothing of
+`sma_bench.physics`."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from sma_bench.parameters import Parameters
+from sma_bench.records import Record, Signal
+
+ZERO = 273.15
+STEPS_PER_TAU = 30.0
+
+
+@dataclass(frozen=True)
+class Wire:
+    """What a wire is, SI units."""
+
+    resistance: float = 2.7
+    loss: float = 403.0  # W/(m2 K)
+    specific_heat: float = 343.0
+    mass: float = 0.091e-3
+    area: float = 395.84e-6
+    room: float = 297.0
+    room_drift: float = 0.0  # K over the record
+    lead: float = 0.0  # ohm outside the voltmeter's taps on the wire
+    loss_growth: float = 0.0  # of h, 1/K
+    wind: tuple[float, float] = (math.inf, 0.0)  # from this time on h is larger by this share
+    sheath: tuple[float, float] = (0.0, 1.0)  # J/K that follow through so many W/K
+    latent: float = 0.0  # J/kg, taken up around `change`
+    hot_resistance: float = 0.0  # of R, added around `change`
+    change: tuple[float, float] = (335.0, 350.0)  # K
+
+    @property
+    def tau(self) -> float:
+        return self.mass * self.specific_heat / (self.loss * self.area)
+
+    def share_changed(self, kelvin: float) -> float:
+        low, high = self.change
+        x = min(max((kelvin - low) / (high - low), 0.0), 1.0)
+        return 0.5 - 0.5 * math.cos(math.pi * x)
+
+    def run(self, voltage: Callable[[np.ndarray], np.ndarray], duration: float):
+        """Times, volts, amperes, kelvin, kelvin of the room, on a fine grid."""
+        step = self.tau / STEPS_PER_TAU
+        time = np.arange(0.0, duration + step, step)
+        volts = voltage(time)
+        room = self.room + self.room_drift * (time / duration - 0.5)
+        kelvin, amperes = np.empty_like(time), np.empty_like(time)
+        hot, around = room[0], room[0]
+        capacity, mantle, link = self.mass * self.specific_heat, *self.sheath
+        simple = not (self.latent or self.hot_resistance)
+        rise = self.change[1] - self.change[0]
+        for k, (t, v, air) in enumerate(
+            zip(time.tolist(), volts.tolist(), room.tolist(), strict=True)
+        ):
+            ohm = self.resistance
+            held = capacity
+            if not simple:
+                ohm *= 1.0 + self.hot_resistance * self.share_changed(hot)
+                x = (hot - self.change[0]) / rise
+                if self.latent and 0.0 < x < 1.0:
+                    slope = 0.5 * math.pi * math.sin(math.pi * x) / rise
+                    held += self.mass * self.latent * slope
+            current = v / (ohm + self.lead)
+            h = self.loss * (1.0 + self.loss_growth * (hot - air))
+            if t > self.wind[0]:
+                h *= 1.0 + self.wind[1]
+            kelvin[k], amperes[k] = hot, current
+            conductance = h * self.area
+            gained = current * current * ohm + conductance * air
+            if mantle:
+                gained += link * around
+                conductance += link
+                around += step / mantle * link * (hot - around)
+            steady = gained / conductance
+            hot = steady + (hot - steady) * math.exp(-step * conductance / held)
+        return time, volts, amperes, kelvin, room
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What a bench's instruments do to the truth."""
+
+    rate: float = 50.0  # Hz, volts and amperes
+    camera_rate: float = 50.0
+    volt_gain: float = 1.0
+    volt_offset: float = 0.0
+    volt_noise: float = 0.004
+    volt_step: float = 10.0 / 1023.0
+    volt_top: float = math.inf
+    ampere_gain: float = 1.0
+    ampere_offset: float = 0.0
+    ampere_noise: float = 0.015
+    ampere_step: float = 0.026
+    ampere_top: float = math.inf
+    camera_gain: float = 1.0  # of degrees Celsius
+    camera_zero: float = 0.0
+    emissivity: float = 1.0  # of the excess over the room
+    camera_lag: float = 0.0
+    camera_late: float = 0.0
+    camera_noise: float = 0.08
+    camera_step: float = 0.1
+    camera_top: float = math.inf
+    drift: float = 0.0  # K over the record
+    lost: float = 0.03
+    thermometer: bool = False
+
+
+def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Record:
+    """One bag, in memory."""
+    time, volts, amperes, kelvin, room = wire.run(voltage, duration)
+    power, camera = (_clock(random, duration, r, sensors.lost)
+                     for r in (sensors.rate, sensors.camera_rate))
+    after = np.clip(np.searchsorted(time, power, side="right") - 1, 0, None)
+    v = sensors.volt_gain * volts[after] + sensors.volt_offset
+    v = _reading(random, v, sensors.volt_noise, sensors.volt_step, sensors.volt_top)
+    i = sensors.ampere_gain * amperes[after] + sensors.ampere_offset
+    i = _reading(random, i, sensors.ampere_noise, sensors.ampere_step, sensors.ampere_top)
+    seen = kelvin
+    if sensors.camera_lag:
+        seen = _lagged(time, kelvin, sensors.camera_lag)
+    t = np.interp(camera, time, seen)
+    air = np.interp(camera, time, room)
+    t = air + sensors.emissivity * (t - air) + sensors.drift * camera / duration
+    t = sensors.camera_gain * (t - ZERO) + sensors.camera_zero
+    t = ZERO + _reading(
+        random, t, sensors.camera_noise, sensors.camera_step, sensors.camera_top - ZERO
+    )
+    signals = {
+        "wire.voltage": Signal("wire.voltage", "V", power, v),
+        "wire.current": Signal("wire.current", "A", power, i),
+        "wire.temperature": Signal("wire.temperature", "K", camera + sensors.camera_late, t),
+    }
+    if sensors.thermometer:
+        stamps = np.arange(0.0, duration, 1.0)
+        told = np.interp(stamps, time, room) + 0.05 * random.standard_normal(len(stamps))
+        signals["ambient.temperature"] = Signal("ambient.temperature", "K", stamps, told)
+    return Record(Path("attacked"), 0, signals)
+
+
+def _clock(random, duration, rate, lost):
+    stamps = np.arange(0.5 / rate, duration, 1.0 / rate)
+    stamps = stamps + random.uniform(-0.2, 0.2, len(stamps)) / rate
+    return stamps[random.random(len(stamps)) >= lost]
+
+
+def _reading(random, values, noise, step, top):
+    noisy = np.minimum(values + noise * random.standard_normal(len(values)), top)
+    return np.round(noisy / step) * step if step else noisy
+
+
+def _lagged(time, values, lag):
+    kept = math.exp(-(time[1] - time[0]) / lag)
+    out, state = np.empty_like(values), values[0]
+    for k, value in enumerate(values.tolist()):
+        state = value + (state - value) * kept
+        out[k] = state
+    return out
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A wire, its sensors, what is done with it, and what its lab knows of it."""
+
+    wire: Wire
+    sensors: Sensors
+    top: float  # V, of the staircase
+    levels: int
+    dwell: float  # s
+    ramp_top: float
+    rise: float
+    rest: float
+    known: Mapping[str, float] = field(default_factory=dict)
+    unsure: Mapping[str, float] = field(default_factory=dict)
+
+    def staircase(self, random, wire: Wire | None = None, sensors: Sensors | None = None) -> Record:
+        up = np.linspace(0.0, self.top, self.levels)
+        steps = np.concatenate([up, up[-2::-1]])
+
+        def voltage(time):
+            return steps[np.clip((time / self.dwell).astype(int), 0, len(steps) - 1)]
+
+        return read(wire or self.wire, sensors or self.sensors, voltage,
+                    self.dwell * len(steps), random)
+
+    def ramps(self, random, wire: Wire | None = None, sensors: Sensors | None = None,
+              repeat: int = 3) -> Record:
+        period = self.rise + self.rest
+
+        def voltage(time):
+            local = np.mod(time - 4.0, period)
+            inside = (time >= 4.0) & (local < self.rise)
+            return np.where(inside, self.ramp_top * local / self.rise, 0.0)
+
+        return read(wire or self.wire, sensors or self.sensors, voltage,
+                    4.0 + repeat * period, random)
+
+    def parameters(self) -> Parameters:
+        return Parameters.defaults().replace(dict(self.known), dict(self.unsure))
+
+    def truth(self) -> dict[str, float]:
+        return {
+            "wire.resistance": self.wire.resistance,
+            "wire.heat_transfer_coefficient": self.wire.loss,
+            "wire.specific_heat": self.wire.specific_heat,
+            "environment.ambient_temperature": self.wire.room,
+        }
+
+    def but(self, *, wire=None, sensors=None, **own) -> "Bench":
+        """The same with some numbers changed."""
+        return replace(
+            self, wire=replace(self.wire, **(wire or {})),
+            sensors=replace(self.sensors, **(sensors or {})), **own,
+        )
+
+
+def paper_bench(random) -> Bench:
+    """A wire near Table I, whose lab has stated nothing of it but what it is made of."""
+    near = 1.0 + 0.02 * random.standard_normal(3)
+    wire = Wire(2.7 * near[0], 403.0 * near[1], 343.0 * near[2], room=random.uniform(293.0, 300.0))
+    return Bench(wire, Sensors(), 6.0, 17, 8.0, 2.6, 7.0, 8.0,
+                 {"wire.mass": wire.mass, "wire.surface_area": wire.area})
+
+
+def bare_bench(random) -> Bench:
+    """A bare wire in still air as physics has it, whose lab knows it roughly."""
+    length, diameter = 0.2, 0.3e-3
+    wire = Wire(
+        random.uniform(2.4, 3.0), random.uniform(65.0, 85.0), random.uniform(430.0, 500.0),
+        6450.0 * 0.25 * math.pi * diameter**2 * length, math.pi * diameter * length,
+        random.uniform(293.0, 300.0),
+    )
+    known = {
+        "wire.mass": wire.mass, "wire.surface_area": wire.area, "wire.diameter": diameter,
+        "wire.length": length, "wire.resistance": 2.7, "wire.heat_transfer_coefficient": 75.0,
+        "wire.specific_heat": 465.0,
+    }
+    unsure = {
+        "wire.resistance": 0.3, "wire.heat_transfer_coefficient": 15.0, "wire.specific_heat": 60.0,
+    }
+    return Bench(wire, Sensors(25.0, 25.0), 1.6, 11, 30.0, 1.1, 10.0, 15.0, known, unsure)
