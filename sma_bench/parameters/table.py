@@ -3,22 +3,23 @@
 from sma_bench.parameters.effect_table import EFFECT_TABLE
 from sma_bench.parameters.parameter import Parameter
 
+# R, h, c_p and the room of Table I are known as far as the sensors of the data sheets tell them.
 WIRE = (
     Parameter(
         "wire.resistance", "ohm", 2.6987,
         "Electrical resistance of one wire (eq. 3).",
-        "Table I, by sensors of the data sheets' errors", 0.01, 1000.0, uncertainty=0.05,
+        "Table I", 0.01, 1000.0, uncertainty=0.05,
     ),
     Parameter(
         "wire.heat_transfer_coefficient", "W/(m2 K)", 403.26,
         "Heat loss per area and kelvin, referred to wire.surface_area (eq. 4).",
-        "Table I, by sensors of the data sheets' errors; suspect, see the audit", 1.0, 5000.0,
+        "Table I; suspect, see the audit", 1.0, 5000.0,
         uncertainty=15.0,
     ),
     Parameter(
         "wire.specific_heat", "J/(kg K)", 343.2,
         "Specific heat of the alloy (eq. 5).",
-        "Table I, by sensors of the data sheets' errors", 50.0, 2000.0, uncertainty=13.0,
+        "Table I", 50.0, 2000.0, uncertainty=13.0,
     ),
     Parameter(
         "wire.mass", "kg", 0.091e-3,
@@ -119,7 +120,7 @@ ENVIRONMENT = (
     Parameter(
         "environment.ambient_temperature", "K", 296.15,
         "T_inf, temperature of the surrounding air.",
-        "Table I; as far as a camera's zero is known", 230.0, 373.0, uncertainty=1.2,
+        "Table I", 230.0, 373.0, uncertainty=1.2,
     ),
 )
 

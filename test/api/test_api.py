@@ -95,7 +95,7 @@ def test_identification_is_that_of_the_command(tmp_path, staircase):
 def test_identification_finds_what_was_simulated(staircase):
     found = sma_bench.identify(staircase, {"wire.mass": 0.091e-3})
     r = found.estimates["wire.resistance"]
-    assert abs(r.value - 2.6987) < 0.02 < r.std < 0.04  # the sensors' gains are most of it
+    assert abs(r.value - 2.6987) < 0.02 < r.std < 0.06  # the sensors' gains are most of it
 
 
 def test_a_bag_and_its_voltages_drive_the_same_simulation(tmp_path, pytestconfig):
