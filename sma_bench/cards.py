@@ -128,7 +128,7 @@ def number_rows(result: IdentifyResult) -> list[tuple[str, ...]]:
         (
             n.name, two_errors(n),
             percent(n.informed) if math.isfinite(n.informed) else "", *_agreement(n),
-            told.get(n.name, ""),
+            ", ".join([told.get(n.name, ""), *["warned"] * bool(n.warned)]),
         )
         for n in result.parameters
     ]

@@ -77,7 +77,7 @@ T = TypeVar("T")
 class Number:
     """A number with one standard deviation, both in `unit`; `systematic` is the part of it that
     more of the same records would not lower, `informed` the share of its information that came from
-    the records, NaN where that is not said."""
+    the records, NaN where that is not said; `warned`: how many warnings concern it."""
 
     name: str
     value: float
@@ -87,6 +87,7 @@ class Number:
     n: int
     systematic: float = 0.0
     informed: float = math.nan
+    warned: int = 0
 
     @property
     def statistical(self) -> float:
@@ -283,6 +284,7 @@ def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:
             name, _number(entry["value"]), _number(entry["std"]), _text(entry["unit"]),
             _text(entry.get("method", "")), int(entry.get("n", 0)),
             _number(entry.get("systematic", 0.0)), _number(entry.get("informed")),
+            len(entry.get("warnings", [])),
         )
         for name, entry in found.items()
     )

@@ -46,7 +46,7 @@ _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that sm
 _DRAWN, _SEED = 2, 17  # further starts, drawn from the prior
 _UNINFORMED = 0.2  # share of information
 _TIED = 0.95
-_FAR = 3.5  # prior deviations
+_FAR, _FAR_TOO = 3.5, 2.0  # prior deviations
 _FOUND = 4.0  # standard deviations of a zero or a delay
 _LAGS, _RARE = 20, 1e-6
 _FLOOR = 1.3
@@ -254,9 +254,11 @@ def _tied(result: Result) -> list[Finding]:
 
 def _surprising(numbers: Sequence[Number]) -> list[Finding]:
     remarks = []
+    # Where one statement is contradicted, what drags it along drags others too.
+    limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in numbers) else _FAR
     for number in numbers:
         away = (number.value - number.believed) / number.prior_std
-        if abs(number.moved) > _FAR:
+        if abs(number.moved) > limit:
             text = (
                 f"the records say {number.value:.6g} +- {number.std:.2g} "
                 f"{BY_NAME[number.name].unit}, {away:+.1f} standard deviations from the stated "
