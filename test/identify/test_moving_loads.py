@@ -141,6 +141,6 @@ def test_a_spring_bench_without_its_motion_says_what_is_missing():
 @pytest.mark.parametrize("load", loads.LOADS)
 def test_two_runs_of_another_reality_predict_five_of_other_shapes(load):
     """Of which the wire has latent heat, free convection and a resistance that changes."""
-    found = loads.try_bench((load, 7, True))
+    found = loads.try_bench((load, 7, "rich"))
     assert np.median(found["believed"]) > 5.0 * np.median(found["unseen"])
     assert np.median(found["unseen"]) < loads.MEDIAN and max(found["unseen"]) < loads.TAIL
