@@ -1,7 +1,7 @@
 // Keeps the page alive: updates in, the stop out, and never an old number shown as a live one.
 
 import { Plot } from "./plot.js";
-import { element, inOrder, showDiagnosis, showAgain, showMeters, showNodes, showPlug, showProtocol, showStop } from "./panels.js";
+import { element, inOrder, showDiagnosis, showIdentification, showWork, showAgain, showMeters, showNodes, showPlug, showProtocol, showStop } from "./panels.js";
 
 const SILENT = 1.5; // s without an update or a reading
 const RETRY = 1000; // ms
@@ -26,7 +26,7 @@ function connect() {
   const address = new URL("live", location.href);
   address.protocol = address.protocol.replace("http", "ws");
   socket = new WebSocket(address);
-  page = { panels: {}, points: new Map(), signals: [], now: 0, due: 0 };
+  page = { panels: {}, points: new Map(), signals: [], now: 0, due: 0, opened: clock() };
   socket.onmessage = (event) => whole(() => take(JSON.parse(event.data)));
   socket.onclose = () => setTimeout(connect, RETRY);
 }
@@ -75,6 +75,15 @@ function watch() {
     for (const old of document.querySelectorAll("#meters .fill")) old.style.width = 0;
     byId("protocol-text").textContent = cut ? "unknown: connection lost" : "unknown";
     byId("protocol-bar").hidden = true;
+    for (const state of document.querySelectorAll("#node-rows td:last-child")) {
+      Object.assign(state, { textContent: "unknown", className: "" });
+    }
+    for (const button of document.querySelectorAll("#work-form button")) button.disabled = true;
+    const stopped = byId("stop-result");
+    if (stopped.className === "ok") {
+      stopped.className = "old";
+      stopped.prepend(element("p", "Of before the connection was lost:"));
+    }
   } else if (lastUpdate !== null) {
     tellAge();
   }
@@ -103,6 +112,8 @@ function show() {
   showNodes(page.panels, page.now);
   showPlug(page.panels);
   showDiagnosis(page.panels);
+  showIdentification(page.panels);
+  showWork(page.panels);
   showAgain(page.panels);
   byId("no-signals").hidden = page.signals.length > 0;
   for (const quantity of Object.keys(quantities)) {
@@ -116,10 +127,11 @@ function showPlot(quantity, signals) {
   const { title, unit } = quantities[quantity];
   if (!plots.has(quantity)) plots.set(quantity, addPlot(quantity, title, unit));
   const { plot, note, legend } = plots.get(quantity);
-  const places = inOrder(signals.map((signal) => signal.place), page.panels);
-  const colours = new Map(places.map((place, k) => [place, colourOf(place, k)]));
-  const curves = signals.map((signal) => ({
-    ...signal, colour: `--c${colours.get(signal.place)}`,
+  const places = inLife(signals.map((signal) => signal.place));
+  const colours = new Map(places.map((place) => [place, colourOf(place)]));
+  const byPlace = signals.toSorted((a, b) => places.indexOf(a.place) - places.indexOf(b.place));
+  const curves = byPlace.map((signal) => ({
+    ...signal, colour: `--c${colours.get(signal.place)}`, second: isSecond(signal.place),
     label: signal.kind === "measured" ? signal.place : `${signal.place} ${signal.kind}`,
   }));
   const limits = (page.panels.limits || { values: {} }).values;
@@ -132,16 +144,34 @@ function showPlot(quantity, signals) {
     entry(place, signals.filter((signal) => signal.place === place), colours.get(place), unit)));
 }
 
-// A wire has one colour in all plots.
-function colourOf(place, k) {
-  const channel = (page.panels.channels || []).indexOf(place);
-  if (channel >= 0) return channel % COLOURS;
-  return place === "ambient" ? COLOURS - 1 : k % COLOURS;
+// A wire has one place in every list and one colour in all plots, as long as the page is open:
+// whatever comes, goes or is asked anew. The bench's own order is waited for.
+const life = [];
+const CHANNELS_LATE = 3; // s
+
+function inLife(places) {
+  const known = page.panels.channels;
+  if (known || clock() - page.opened > CHANNELS_LATE) {
+    const all = [...(known || []), ...inOrder(places, page.panels)];
+    for (const place of all) if (!life.includes(place)) life.push(place);
+  }
+  const rank = (place) => (life.includes(place) ? life.indexOf(place) : life.length);
+  return inOrder(places, page.panels).sort((a, b) => rank(a) - rank(b));
+}
+
+function colourOf(place) {
+  const wires = life.filter((name) => name !== "ambient");
+  return place === "ambient" ? COLOURS - 1 : Math.max(wires.indexOf(place), 0) % (COLOURS - 1);
+}
+
+function isSecond(place) {
+  const stem = place.replace(/\d+$/, "");
+  return stem !== place && life.find((name) => name.replace(/\d+$/, "") === stem) !== place;
 }
 
 function entry(place, signals, index, unit) {
   const made = element("span");
-  made.append(element("span", "", `swatch k${index}`), `${place} `);
+  made.append(element("span", "", `swatch k${index}${isSecond(place) ? " second" : ""}`), `${place} `);
   for (const { kind, latest, heard } of signals.toSorted((a, b) => LEADS[a.kind] - LEADS[b.kind])) {
     const silent = page.now - heard > SILENT;
     const text = silent ? `silent ${(page.now - heard).toFixed(0)} s` :
@@ -191,6 +221,22 @@ async function stop() {
   showStop(result);
 }
 
+byId("work-form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const kind = event.submitter.value;
+  const records = byId("records").value || byId("records").placeholder;
+  const said = byId("work-said");
+  said.textContent = `${kind}: asked \u2026`;
+  let text;
+  try {
+    const answer = await fetch("work", { method: "POST", body: JSON.stringify({ kind, records }),
+      signal: AbortSignal.timeout(STOP_PATIENCE) });
+    text = answer.ok ? (await answer.json()).said : await answer.text();
+  } catch {
+    text = "the dashboard does not answer";
+  }
+  said.textContent = `${kind}: ${text}`;
+});
 byId("stop-form").addEventListener("submit", (event) => {
   event.preventDefault();
   stop();

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from sma_bench.border import read_json_object, shown
-from sma_bench.cards import verdict_card
+from sma_bench.cards import identification_text, verdict_card
 from sma_bench.errors import InputError
-from sma_bench.results import diagnosis_from
+from sma_bench.results import diagnosis_from, identification_from
 
 # --- The last minute of one signal, small enough to send to a page and with every peak in it.
 
@@ -240,6 +240,17 @@ def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
 
 _MOST_CANDIDATES = 5
 _LEAST_SHOWN = 0.005
+
+
+def identification_summary(text: str) -> dict[str, Any]:
+    """`text`, the card of a result as the identification node latches it; `problem` where it is
+    none."""
+    try:
+        where = "identification/result"
+        result = identification_from(Path(where), read_json_object(text, where))
+        return {"text": identification_text(result)}
+    except InputError as error:
+        return {"problem": shown(str(error))}
 
 
 def diagnosis_summary(text: str) -> dict[str, Any]:

@@ -97,6 +97,27 @@ export function showNodes(panels, now) {
   get("stops").textContent = asked + other;
 }
 
+export function showWork(panels) {
+  const works = panels.works || [];
+  get("work").hidden = !works.length;
+  for (const button of get("work-form").querySelectorAll("button")) {
+    button.hidden = !works.includes(button.value);
+    button.disabled = false;
+  }
+  if (panels.recorded) get("records").placeholder = panels.recorded;
+  const said = panels.work;
+  if (!said) return;
+  get("work-said").textContent = said.text;
+  get("work-said").className = said.good ? "" : "bad";
+}
+
+export function showIdentification(panels) {
+  const found = panels.identification;
+  if (!found) return;
+  const card = found.problem ? element("p", found.problem, "error") : element("pre", found.text, "card");
+  get("identification-content").replaceChildren(card);
+}
+
 export function showDiagnosis(panels) {
   const found = panels.diagnosis;
   if (!found) return;

@@ -108,7 +108,8 @@ export class Plot {
 
   line(pen, curve, x, y) {
     pen.strokeStyle = this.colour(curve.colour);
-    pen.lineWidth = 1.6;
+    // Two wires of a pair read the same: the second is a thin line upon a wide one.
+    pen.lineWidth = curve.kind !== "measured" ? 1.4 : curve.second ? 1.2 : 3.2;
     pen.lineJoin = "round";
     pen.setLineDash(DASHES[curve.kind]);
     pen.beginPath();

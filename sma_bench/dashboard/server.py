@@ -6,6 +6,7 @@ import hmac
 import ipaddress
 import json
 import secrets
+import shlex
 import socket
 from collections.abc import Callable
 from http import HTTPStatus
@@ -20,6 +21,7 @@ import tornado.template
 import tornado.web
 import tornado.websocket
 
+from sma_bench.border import TEXT, read_fields
 from sma_bench.dashboard.live_state import Seen, quantity_table
 from sma_bench.dashboard.stopping import Bench, stop
 from sma_bench.errors import InputError
@@ -96,6 +98,7 @@ UPDATE_PERIOD = 0.2
 """s between two updates of a page"""
 _MOST_PAGES = 16
 _MOST_STRANGERS = 32
+_WORK_PATIENCE = 5.0
 _IDLE = 30.0
 """s without a whole request"""
 _LARGEST_REQUEST = 1 << 14
@@ -142,6 +145,7 @@ class DashboardServer:
                 (r"/([^/]+)/", _Page, shared),
                 (r"/([^/]+)/live", _Live, shared),
                 (r"/([^/]+)/stop", _Stop, shared),
+                (r"/([^/]+)/work", _Work, shared),
                 (r"/([^/]+)/([a-z]+\.[a-z]+)", _File, shared),
             ],
             default_handler_class=_Nothing, default_handler_args=shared,
@@ -240,6 +244,26 @@ class _File(_Guarded):
 class _Stop(_Guarded):
     async def post(self, _: str) -> None:
         self.finish(await stop(self.bench))
+
+
+class _Work(_Guarded):
+    """Starts a computation on records; nothing here drives a wire."""
+
+    async def post(self, _: str) -> None:
+        try:
+            asked = read_fields(
+                self.request.body.decode(errors="replace"), {"kind": TEXT, "records": TEXT}, "work"
+            )
+            records = shlex.split(asked["records"])
+        except ValueError as error:
+            self.refuse(HTTPStatus.BAD_REQUEST, str(error))
+            return
+        begun = self.bench.start_work(asked["kind"], records)
+        try:
+            good, said = await asyncio.wait_for(asyncio.wrap_future(begun), _WORK_PATIENCE)
+        except TimeoutError:
+            good, said = False, "the node does not answer"
+        self.finish({"begun": good, "said": said})
 
 
 class _Live(_Guarded, tornado.websocket.WebSocketHandler):

@@ -28,6 +28,9 @@ class Bench(Protocol):
     def send_zero(self) -> bool:
         """Command 0 V to every channel; False where their number is not known."""
 
+    def start_work(self, kind: str, records: list[str]) -> Future[tuple[bool, str]]:
+        """Have records identified or diagnosed; whether it has begun, and a line."""
+
 
 @dataclass
 class Wires:

@@ -15,9 +15,10 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.exceptions import InvalidNamespaceException
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
@@ -33,6 +34,7 @@ from sma_bench.dashboard.live_state import (
     MODEL,
     LiveState,
     diagnosis_summary,
+    identification_summary,
     shown_limits,
 )
 from sma_bench.errors import InputError
@@ -56,6 +58,7 @@ _LEVELS = {
 }  # fmt: skip
 _MODEL_TOPICS = "twin"
 _RECORDER = "recorder"
+_WORK = {"identify": "identification", "diagnose": "diagnosis"}
 _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
 # Anybody may make topics and services without end.
 _MOST_TOPICS, _MOST_NODES, _MOST_CHANNELS = 500, 100, 64
@@ -71,6 +74,7 @@ class DashboardNode(OverridableNode):
         self._listened: set[str] = set()
         self._stops: dict[str, Client] = {}
         self._askable: dict[str, Client] = {}
+        self._workers: dict[str, tuple[Client, Client]] = {}
         self._reported: dict[str, dict[str, Any]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
@@ -96,6 +100,51 @@ class DashboardNode(OverridableNode):
             self._command.publish(voltage_command(channels, [0.0] * count, self._signature))
         return bool(count)
 
+    # --- work on records ----------------------------------------------------------------------
+
+    def start_work(self, kind: str, records: list[str]) -> Future[tuple[bool, str]]:
+        """Set a node's records and call it; its result comes over its topic."""
+        answer: Future[tuple[bool, str]] = Future()
+        clients = self._workers.get(kind)
+        if clients is None or not all(client.service_is_ready() for client in clients):
+            answer.set_result((False, f"no node here does {kind}"))
+            return answer
+        if not records:
+            answer.set_result((False, "no records given"))
+            return answer
+        setting, call = clients
+
+        def worked(response: rclpy.Future) -> None:
+            result = response.result()
+            text = f"{kind}: {'done' if result.success else shown(result.message)}"
+            self.state.show("work", {"text": text, "good": bool(result.success)})
+
+        def was_set(response: rclpy.Future) -> None:
+            result = response.result().results[0]
+            if result.successful:
+                call.call_async(Trigger.Request()).add_done_callback(worked)
+                self.state.show("work", {"text": f"{kind}: {' '.join(records)}", "good": True})
+            reason = "begun" if result.successful else shown(result.reason)
+            answer.set_result((bool(result.successful), reason))
+
+        chosen = RosParameter("record", value=records).to_parameter_msg()
+        request = SetParameters.Request(parameters=[chosen])
+        setting.call_async(request).add_done_callback(was_set)
+        return answer
+
+    def _look_for_work(self, services: Mapping[str, list[str]]) -> None:
+        for kind, node in _WORK.items():
+            service = f"{self._inside}{node}/{kind}"
+            if kind not in self._workers and _TRIGGER in services.get(service, []):
+                self._workers[kind] = (
+                    self.create_client(SetParameters, f"{self._inside}{node}/set_parameters"),
+                    self.create_client(Trigger, service),
+                )
+        self.state.show("works", sorted(
+            kind for kind, clients in self._workers.items()
+            if all(client.service_is_ready() for client in clients)
+        ))  # fmt: skip
+
     # --- what is there ------------------------------------------------------------------------
 
     def _look(self) -> None:
@@ -106,7 +155,9 @@ class DashboardNode(OverridableNode):
             elif (place := place_of(topic)) and place.meaning.endswith("/power"):
                 elsewhere.add(place.namespace)
         self.state.show("elsewhere", sorted(elsewhere))
-        for service, types in self.get_service_names_and_types():
+        services = dict(self.get_service_names_and_types())
+        self._look_for_work(services)
+        for service, types in services.items():
             name = service.removeprefix(self._inside).rpartition("/")[0]
             if not service.startswith(self._inside) or name == self.get_name():
                 continue
@@ -137,6 +188,8 @@ class DashboardNode(OverridableNode):
                 handler = JointState, partial(self._on_joints, kind), _READINGS
             case ["voltage_command"] if kind == MEASURED:
                 handler = Float64MultiArray, self._on_command, _READINGS
+            case ["identification", "result"] if kind == MEASURED:
+                handler = String, self._on_identification, LATCHED
             case ["diagnosis", "result"] if kind == MEASURED:
                 handler = String, self._on_diagnosis, LATCHED
             case [node, "state"] if kind == MEASURED:
@@ -221,6 +274,8 @@ class DashboardNode(OverridableNode):
 
     def _on_state(self, node: str, message: String) -> None:
         self.state.merge("states", {node: _one_line(message.data)})
+        if node == _RECORDER and (recorder := recorder_state(message.data)):
+            self.state.show("recorded", shown(recorder["output"]))
 
     def _on_progress(self, node: str, message: String) -> None:
         try:
@@ -230,6 +285,9 @@ class DashboardNode(OverridableNode):
         texts = {name: shown(progress[name]) for name in ("protocol", "step")}
         heard = self.state.clock()
         self.state.show("progress", {**progress, **texts, "node": node, "heard": heard})
+
+    def _on_identification(self, message: String) -> None:
+        self.state.show("identification", identification_summary(message.data))
 
     def _on_diagnosis(self, message: String) -> None:
         self.state.show("diagnosis", diagnosis_summary(message.data))

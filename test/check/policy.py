@@ -44,9 +44,15 @@ CONTRACT = (
     "voltage_command", "*/power", "*/temperature", "front/range", "back/range", "joint_states",
     "thermal_image", "ambient/temperature", "experiment/marker",
 )  # fmt: skip
-# These listen to whatever of the contract is there, and stop what can be stopped.
+# These listen to whatever of the contract is there, and stop what can be stopped; the dashboard
+# has records worked on, too.
 LISTENERS = ("recorder", DASHBOARD)
 _STOPS = ("*/stop", "*/get_parameters")
+_WORK = tuple(
+    f"{node}/{service}"
+    for node, own in (("diagnosis", "diagnose"), ("identification", "identify"))
+    for service in (own, "set_parameters")
+)
 _CLOCK = "/clock"
 _STATES = ("/diagnostics", "*/state", "*/progress", "*/result")
 _PICTURE = (382, 288)
@@ -76,7 +82,7 @@ def nodes_rules() -> tuple[Rules, list[str]]:
         of["subscribe"] |= set(CONTRACT)
     rules[DASHBOARD]["subscribe"] |= set(_STATES)
     rules[DASHBOARD]["publish"] |= {"voltage_command", "/rosout", "/parameter_events"}
-    rules[DASHBOARD]["request"] |= set(_STOPS)
+    rules[DASHBOARD]["request"] |= {*_STOPS, *_WORK}
     return rules, left_out
 
 

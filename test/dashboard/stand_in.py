@@ -23,6 +23,7 @@ class StandIn:
         self.zeros = 0
         self.stops = 0
         self.celsius = 80.0
+        self.work: list[tuple[str, list[str]]] = []
 
     def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
         self.stops += 1
@@ -38,6 +39,12 @@ class StandIn:
     def send_zero(self) -> bool:
         self.zeros += 1
         return True
+
+    def start_work(self, kind: str, records: list[str]) -> Future[tuple[bool, str]]:
+        self.work.append((kind, records))
+        begun: Future[tuple[bool, str]] = Future()
+        begun.set_result((True, "begun"))
+        return begun
 
     def read(self) -> None:
         """One reading of everything."""

@@ -181,16 +181,56 @@ def test_a_voltage_that_comes_back_after_a_stop_is_red(browser, bench, url):
         assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
 
 
+def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(browser, bench):
+    """And the second wire of a pair, which reads the same, can be seen beside the first."""
+    bench.volts = dict.fromkeys(("front_2", "front_1", "back_1"), 3.0)
+    bench.state.show("channels", ["front_1", "front_2", "back_1"])
+    legend = "[...document.querySelectorAll('.legend')[0].children].map((e) => e.innerText.trim()"
+    colours = legend + ".split(/\\s/)[0] + ' ' + e.querySelector('.swatch').className)"
+    wanted = ["front_1 swatch k0", "front_2 swatch k1 second", "back_1 swatch k2"]
+    with bench.readings(), served(bench) as url, opened(browser, url) as shown:
+        shown.until(SETTLED)
+        assert shown.page.evaluate(colours) == wanted
+        bench.state.show("channels", ["back_1", "a_1", "front_2", "front_1"])
+        bench.volts["a_1"] = 1.0
+        shown.until("document.querySelectorAll('.legend')[0].children.length === 4")
+        assert shown.page.evaluate(colours) == [*wanted, "a_1 swatch k3"]
+
+
+def test_records_are_worked_on_from_the_page_and_the_cards_are_shown(browser, bench, url):
+    bench.state.show("works", ["identify"])
+    bench.state.show("recorded", "monday")
+    bench.state.show("identification", {"text": "wire.resistance  2.7 ± 0.03 ohm " + EVIL})
+    with opened(browser, url) as shown:
+        shown.until("!document.getElementById('work').hidden")
+        assert "Diagnose" not in shown.text("#work")
+        assert EVIL in shown.text("#identification-content")
+        shown.page.click("#work-form button[value=identify]")
+        shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
+        shown.page.fill("#records", "tuesday 'wednes day'")
+        shown.page.click("#work-form button[value=identify]")
+        shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
+    assert bench.work == [("identify", ["monday"]), ("identify", ["tuesday", "wednes day"])]
+    assert bench.stops == 0
+
+
 def test_a_lost_connection_is_red_and_leaves_no_number(browser, bench):
+    bench.volts = dict.fromkeys(bench.volts, 0.0)
     with bench.readings(), served(bench) as url:
         context = opened(browser, url)
         shown = context.__enter__()
         shown.until("document.body.className === 'live'")
+        shown.page.keyboard.press("Escape")
+        shown.until("document.getElementById('stop-result').className === 'ok'")
     try:
         shown.until("document.body.className === 'lost'")
         assert "CONNECTION LOST" in shown.text("#connection")
         assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
         assert shown.text("#protocol-text") == "unknown: connection lost"
+        assert shown.page.evaluate("document.getElementById('stop-result').className") == "old"
+        assert shown.text("#stop-result").startswith("Of before the connection was lost:")
+        states = "[...document.querySelectorAll('#node-rows td:last-child')].map(e => e.innerText)"
+        assert set(shown.page.evaluate(states)) == {"unknown"}
         shown.page.keyboard.press("Escape")
         shown.until(ANSWERED)
         assert shown.text("#stop-result").startswith("NOT CONFIRMED: the dashboard does not answer")

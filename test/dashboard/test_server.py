@@ -32,13 +32,13 @@ def url(bench):
         yield found
 
 
-def ask(url, method="GET", name="", token=None, **headers):
+def ask(url, method="GET", name="", token=None, body=None, **headers):
     """Status, headers and text of an answer."""
     parts = urlsplit(url)
     connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=30.0)
     path = parts.path if token is None else f"/{token}/"
     named = {key.replace("_", "-"): value for key, value in headers.items()}
-    connection.request(method, path + name, headers=named)
+    connection.request(method, path + name, body, named)
     response = connection.getresponse()
     found = response.status, dict(response.getheaders())
     # An open stream has no end to read to.
@@ -98,6 +98,18 @@ def test_its_own_page_may_listen_and_stop(bench, url):
     status, headers, text = ask(url, "POST", "stop", Origin=origin)
     assert status == 200 and headers["Content-Type"].startswith("application/json")
     assert bench.stops == 1 and json.loads(text)["stopped"] is False
+
+
+def test_work_on_records_is_started_by_the_page_alone_and_bad_requests_start_nothing(bench, url):
+    origin = "http://" + urlsplit(url).netloc
+    body = json.dumps({"kind": "diagnose", "records": "monday 'tue sday'"})
+    assert ask(url, "POST", "work", Origin="http://elsewhere", body=body)[0] == 403
+    for bad in ("", "[]", '{"kind": "diagnose"}', '{"kind": "diagnose", "records": "\'"}'):
+        assert ask(url, "POST", "work", Origin=origin, body=bad)[0] == 400
+    assert bench.work == []
+    status, _, text = ask(url, "POST", "work", Origin=origin, body=body)
+    assert (status, json.loads(text)) == (200, {"begun": True, "said": "begun"})
+    assert bench.work == [("diagnose", ["monday", "tue sday"])]
 
 
 def test_a_stop_needs_a_post(bench, url):
