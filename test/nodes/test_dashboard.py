@@ -10,11 +10,14 @@ import sys
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 import tornado.websocket
 from emulated_rig import bridged_rig
 from std_msgs.msg import Float64MultiArray, String
 
+from sma_bench.records import Signal
+from sma_bench.records.write import write_record
 from sma_bench.ros.node import LATCHED
 
 # s; the host shares the machine with the emulator, and with others.
@@ -59,11 +62,11 @@ class Dashboard:
     def panels(self):
         return self.update()["panels"]
 
-    def press(self):
+    def press(self, what="stop", body=None):
         """A connection on which the stop is asked for; `read` it for what came of it."""
         parts = urlsplit(self.url)
         connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=30.0)
-        connection.request("POST", parts.path + "stop")
+        connection.request("POST", parts.path + what, body)
         return connection
 
 
@@ -129,6 +132,28 @@ def test_it_finds_signals_limits_protocol_nodes_and_the_diagnosis(bench, tmp_pat
         assert answer["answers"][0]["message"] == "aborted: stopped on request"
         assert panels["there"] == ["experiment"]
         bench.until(lambda: shown.panels()["states"]["experiment"].startswith("aborted"))
+
+
+def test_a_record_is_identified_from_the_page_and_its_card_comes_back(bench, tmp_path):
+    clock = np.arange(0.0, 100.0, 0.05)
+    volts = np.floor(clock / 10.0) / 4.0
+    columns = {"voltage": ("V", volts), "current": ("A", volts / 2.8)}
+    write_record(tmp_path / "monday", [
+        Signal(f"wire.{name}", unit, clock, values) for name, (unit, values) in columns.items()
+    ])  # fmt: skip
+    bench.start("identification", record_root=str(tmp_path))
+    with dashboard(bench, tmp_path) as shown:
+        bench.until(lambda: shown.panels().get("works") == ["identify"])
+        asked = json.dumps({"kind": "identify", "records": "monday"})
+        assert read(shown.press("work", asked)) == {"begun": True, "said": "begun"}
+        bench.until(lambda: "identification" in shown.panels())
+        assert "wire.resistance" in shown.panels()["identification"]["text"]
+        bench.until(lambda: shown.panels()["work"] == {"text": "identify: done", "good": True})
+        read(shown.press("work", asked.replace("monday", "nowhere")))
+        bench.until(lambda: not shown.panels()["work"]["good"])
+        assert "nowhere" in shown.panels()["work"]["text"]
+        other = asked.replace("identify", "diagnose")
+        assert read(shown.press("work", other))["said"] == "no node here does diagnose"
 
 
 def test_a_bench_without_a_stop_service_is_commanded_to_zero(bench, tmp_path):

@@ -1,0 +1,244 @@
+"""Pictures of the documentation, taken by a browser from pages of synthetic records.
+
+    ./bench check pictures [--write]     says which are older than what they show, or takes them anew
+    ./bench check pictures --look DIR    every page at 1280 and 390 px, light and dark
+
+The record, its results and the bench on the dashboard are those of the first tutorial;
+the diagnosis takes minutes. What a picture shows is known by a hash of the code that draws it.
+"""
+
+import argparse
+import hashlib
+import io
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "test"), str(ROOT / "test" / "dashboard")]
+from browser_page import DESKTOP, PHONE, opened  # noqa: E402
+from stand_in import StandIn, served  # noqa: E402
+
+from sma_bench.dashboard.live_state import (  # noqa: E402
+    CELSIUS_ZERO,
+    COMMANDED,
+    MEASURED,
+    MODEL,
+    LiveState,
+    diagnosis_summary,
+    identification_summary,
+    shown_limits,
+)
+from sma_bench.live.virtual_bench import VirtualBench  # noqa: E402
+from sma_bench.parameters import read_parameters  # noqa: E402
+from sma_bench.parameters.node_tables import SIMULATOR  # noqa: E402
+from sma_bench.physics.effects import effect_values  # noqa: E402
+from sma_bench.protocols import load_protocol  # noqa: E402
+
+FOLDER = ROOT / "docs" / "pictures"
+KNOWN = FOLDER / "pictures.json"
+LARGEST = 1_000_000  # bytes of all of them
+RIG = ROOT / "config" / "composite_rig.yaml"
+EFFECT = ("side_heat_coupling", 0.004)
+COLOURS = 128
+SHOWN_AT, PERIOD = 58.0, 0.02  # s of the protocol
+
+# Picture: page, window, scheme, element (the window where none), and the code that draws it.
+_DASHBOARD, _REPORT = ("sma_bench/dashboard/*",), ("sma_bench/report/*", "sma_bench/cards.py")
+PICTURES: dict[str, tuple[str, tuple[int, int], str, str, tuple[str, ...]]] = {
+    "dashboard.png": ("dashboard", DESKTOP, "light", "", _DASHBOARD),
+    "dashboard_phone.png": ("dashboard", PHONE, "dark", "", _DASHBOARD),
+    "twin.png": ("dashboard", DESKTOP, "light", "#plots", _DASHBOARD),
+    "diagnosis.png": ("gap", DESKTOP, "light", "", _REPORT),
+    "identification.png": ("page", DESKTOP, "light", "", _REPORT),
+}
+
+# The tutorial's commands, with what they write.
+_COMMANDS = (
+    f"parameters --params {RIG} --set wire.resistance=2.72 --out lab.yaml",
+    f"simulate --protocol composite_triangle --params {RIG} --rate 50 "
+    f"--effect {EFFECT[0]}={EFFECT[1]} --noise 1 --out monday",
+    "identify monday --params lab.yaml --json identified.json",
+    "report monday identified.json --params lab.yaml --out page",
+    "diagnose monday --params lab.yaml --report gap --json gap.json",
+)
+
+
+def source_hash(patterns: Sequence[str]) -> str:
+    """Of the code that draws a picture."""
+    files = sorted({file for pattern in patterns for file in ROOT.glob(pattern) if file.is_file()})
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def make_results(folder: Path) -> None:
+    """The tutorial's files; those that are there stay."""
+    for command in _COMMANDS:
+        words = command.split()
+        made = folder / next(words[k + 1] for k, word in enumerate(words)
+                             if word in ("--out", "--json", "--report"))  # fmt: skip
+        if not made.exists():
+            subprocess.run([sys.executable, "-m", "sma_bench.cli", *words], cwd=folder, check=True)
+
+
+def live_bench(folder: Path) -> StandIn:
+    """The synthetic bench of the tutorial in the middle of its protocol, the model beside it."""
+    lab, now = read_parameters(folder / "lab.yaml"), [0.0]
+    hidden = read_parameters(RIG).replace(effect_values(*EFFECT))
+    protocol = load_protocol("composite_triangle", lab)
+    settings = {parameter.name: parameter.default for parameter in SIMULATOR}
+    quiet = {name: 0.0 if name.endswith(("_noise", "_resolution")) else value
+             for name, value in settings.items()}  # fmt: skip
+    bench = StandIn()
+    bench.state = state = LiveState(lambda: now[0])
+    pairs = ((VirtualBench(hidden, settings), MEASURED), (VirtualBench(lab, quiet), MODEL))
+    for k in range(round(SHOWN_AT / PERIOD)):
+        volts = tuple(protocol.voltage(k * PERIOD).tolist())
+        for channel, volt in zip(protocol.channels, volts, strict=True):
+            state.reading("voltage", channel, volt, COMMANDED)
+        for virtual, kind in pairs:
+            for reading in virtual.advance(volts, round((k + 1) * PERIOD * 1e9)):
+                now[0] = reading.time / 1e9
+                _show(state, reading, kind, protocol.channels, settings["sensor.range_standoff"])
+    state.show("channels", list(protocol.channels))
+    state.show("limits", {
+        "values": shown_limits({"bench.maximum_temperature": lab["bench.maximum_temperature"]}),
+        "of": ["experiment", "simulator"],
+    })  # fmt: skip
+    nodes = {"experiment": f"running: {protocol.name}", "recorder": "recording: monday",
+             "identification": "idle", "diagnosis": "idle"}  # fmt: skip
+    state.merge("states", nodes)
+    for panel, content in {
+        "there": list(nodes), "stops": ["experiment"], "works": ["diagnose", "identify"],
+        "recorded": "monday", "elsewhere": [],
+        "progress": {"protocol": protocol.name, "step": protocol.step_at(SHOWN_AT),
+                     "elapsed": SHOWN_AT, "duration": protocol.duration, "node": "experiment",
+                     "heard": now[0]},
+        "identification": identification_summary((folder / "identified.json").read_text()),
+        "diagnosis": diagnosis_summary((folder / "gap.json").read_text()),
+    }.items():  # fmt: skip
+        state.show(panel, content)
+    return bench
+
+
+def _show(
+    state: LiveState, reading: Any, kind: str, channels: Sequence[str], standoff: float
+) -> None:
+    for channel, value in zip(channels, reading.values, strict=False):
+        if reading.kind == "power":
+            if kind == MEASURED:
+                state.reading("voltage", channel, value[0], kind)
+            state.reading("current", channel, value[1], kind)
+        elif reading.kind == "temperature":
+            state.reading("temperature", channel, value + CELSIUS_ZERO, kind)
+    if reading.kind == "mechanics":
+        state.reading("deflection", "tip", standoff - reading.values[0], kind)
+
+
+@contextmanager
+def pages(folder: Path) -> Iterator[dict[str, str]]:
+    """Addresses of the pages by name."""
+    with served(live_bench(folder)) as dashboard:
+        reports = {name: (folder / name / "index.html").as_uri() for name in ("gap", "page")}
+        yield {"dashboard": dashboard, **reports}
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """A headless Chromium of the system."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        found = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        try:
+            yield found
+        finally:
+            found.close()
+
+
+def taken(window: Any, url: str, size: tuple[int, int], scheme: str, element: str = "",
+          whole: bool = False) -> bytes:  # fmt: skip
+    """A picture of a page, as PNG."""
+    with opened(window, url, size, scheme) as shown:
+        shown.page.wait_for_timeout(1500)  # figures and the first updates are drawn
+        if element:
+            return shown.page.locator(element).screenshot()
+        return shown.page.screenshot(full_page=whole)
+
+
+def small(picture: bytes) -> bytes:
+    """The same with few colours."""
+    image = Image.open(io.BytesIO(picture)).convert("RGB").quantize(COLOURS, dither=0)
+    stream = io.BytesIO()
+    image.save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+def stale() -> list[str]:
+    """A line a picture that is missing, or older than the code that draws what it shows."""
+    known = json.loads(KNOWN.read_text()) if KNOWN.is_file() else {}
+    return [
+        f"{name}: {'older than ' + ', '.join(patterns) if name in known else 'not taken yet'}"
+        for name, (*_, patterns) in PICTURES.items()
+        if known.get(name) != source_hash(patterns) or not (FOLDER / name).is_file()
+    ]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """0 when no picture is older than what it shows."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="take them anew")
+    parser.add_argument("--look", type=Path, metavar="DIR", help="every page, in every way")
+    parser.add_argument("--results", type=Path, metavar="DIR", help="the tutorial's files, kept")
+    args = parser.parse_args(arguments)
+    if not (args.write or args.look):
+        lines = stale()
+        print("\n".join(lines) or f"{len(PICTURES)} pictures, none is old")
+        return 1 if lines else 0
+    with tempfile.TemporaryDirectory() as own:
+        folder = (args.results or Path(own)).resolve()
+        folder.mkdir(exist_ok=True, parents=True)
+        make_results(folder)
+        with pages(folder) as urls, browser() as window:
+            if args.look:
+                _look(window, urls, args.look)
+            if args.write:
+                _write(window, urls)
+    return 0
+
+
+def _write(window: Any, urls: dict[str, str]) -> None:
+    FOLDER.mkdir(exist_ok=True)
+    made = {name: small(taken(window, urls[page], size, scheme, element))
+            for name, (page, size, scheme, element, _) in PICTURES.items()}  # fmt: skip
+    total = sum(map(len, made.values()))
+    if total > LARGEST:
+        raise SystemExit(f"pictures: {total} bytes, expected at most {LARGEST}")
+    for name, content in made.items():
+        (FOLDER / name).write_bytes(content)
+    hashes = {name: source_hash(patterns) for name, (*_, patterns) in PICTURES.items()}
+    KNOWN.write_text(json.dumps(hashes, indent=1) + "\n")
+    print(f"{FOLDER}: {len(made)} pictures, {total} bytes")
+
+
+def _look(window: Any, urls: dict[str, str], folder: Path) -> None:
+    folder.mkdir(exist_ok=True, parents=True)
+    for page, url in urls.items():
+        for size in (DESKTOP, PHONE):
+            for scheme in ("light", "dark"):
+                path = folder / f"{page}_{size[0]}_{scheme}.png"
+                path.write_bytes(taken(window, url, size, scheme, whole=True))
+                print(path)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
