@@ -131,7 +131,7 @@ function showPlot(quantity, signals) {
   const colours = new Map(places.map((place) => [place, colourOf(place)]));
   const byPlace = signals.toSorted((a, b) => places.indexOf(a.place) - places.indexOf(b.place));
   const curves = byPlace.map((signal) => ({
-    ...signal, colour: `--c${colours.get(signal.place)}`, second: isSecond(signal.place),
+    ...signal, colour: `--c${colours.get(signal.place)}`, paired: isFirst(signal.place),
     label: signal.kind === "measured" ? signal.place : `${signal.place} ${signal.kind}`,
   }));
   const limits = (page.panels.limits || { values: {} }).values;
@@ -164,10 +164,11 @@ function colourOf(place) {
   return place === "ambient" ? COLOURS - 1 : Math.max(wires.indexOf(place), 0) % (COLOURS - 1);
 }
 
-function isSecond(place) {
-  const stem = place.replace(/\d+$/, "");
-  return stem !== place && life.find((name) => name.replace(/\d+$/, "") === stem) !== place;
-}
+// Of wires that are numbered alike, front_1 and front_2, which mostly read the same.
+const pairOf = (place) => life.filter((name) =>
+  /\d$/.test(place) && name.replace(/\d+$/, "") === place.replace(/\d+$/, ""));
+const isFirst = (place) => pairOf(place).length > 1 && pairOf(place)[0] === place;
+const isSecond = (place) => pairOf(place).length > 1 && pairOf(place)[0] !== place;
 
 function entry(place, signals, index, unit) {
   const made = element("span");

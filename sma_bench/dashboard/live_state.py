@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from sma_bench.border import read_json_object, shown
-from sma_bench.cards import identification_text, verdict_card
+from sma_bench.cards import identification_rows, verdict_card
 from sma_bench.errors import InputError
 from sma_bench.results import diagnosis_from, identification_from
 
@@ -243,12 +243,13 @@ _LEAST_SHOWN = 0.005
 
 
 def identification_summary(text: str) -> dict[str, Any]:
-    """`text`, the card of a result as the identification node latches it; `problem` where it is
-    none."""
+    """`rows` of name and number of a result as the identification node latches it; `problem` where
+    it is none."""
     try:
         where = "identification/result"
         result = identification_from(Path(where), read_json_object(text, where))
-        return {"text": identification_text(result)}
+        rows = identification_rows(result)[:_MOST_ENTRIES]
+        return {"rows": [(shown(name), shown(number)) for name, number in rows]}
     except InputError as error:
         return {"problem": shown(str(error))}
 

@@ -114,8 +114,19 @@ export function showWork(panels) {
 export function showIdentification(panels) {
   const found = panels.identification;
   if (!found) return;
-  const card = found.problem ? element("p", found.problem, "error") : element("pre", found.text, "card");
-  get("identification-content").replaceChildren(card);
+  if (found.problem) {
+    get("identification-content").replaceChildren(element("p", found.problem, "error"));
+    return;
+  }
+  const table = element("table", "", "numbers");
+  table.append(...found.rows.filter(([name]) => name).map(([name, number]) => {
+    const row = element("tr");
+    row.append(element("td", name), element("td", number));
+    return row;
+  }));
+  const warnings = found.rows.filter(([name]) => !name);
+  const rest = warnings.length ? [element("p", `${warnings.length} warnings, the first: ${warnings[0][1]}`, "quiet")] : [];
+  get("identification-content").replaceChildren(table, ...rest);
 }
 
 export function showDiagnosis(panels) {

@@ -1,6 +1,6 @@
 """Pictures of the documentation, taken by a browser from pages of synthetic records.
 
-    ./bench check pictures [--write]     says which are older than what they show, or takes them anew
+    ./bench check pictures [--write]     which are older than what they show; takes them anew
     ./bench check pictures --look DIR    every page at 1280 and 390 px, light and dark
 
 The record, its results and the bench on the dashboard are those of the first tutorial;
@@ -57,7 +57,6 @@ PICTURES: dict[str, tuple[str, tuple[int, int], str, str, tuple[str, ...]]] = {
     "dashboard_phone.png": ("dashboard", PHONE, "dark", "", _DASHBOARD),
     "twin.png": ("dashboard", DESKTOP, "light", "#plots", _DASHBOARD),
     "diagnosis.png": ("gap", DESKTOP, "light", "", _REPORT),
-    "identification.png": ("page", DESKTOP, "light", "", _REPORT),
 }
 
 # The tutorial's commands, with what they write.

@@ -200,11 +200,14 @@ def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(b
 def test_records_are_worked_on_from_the_page_and_the_cards_are_shown(browser, bench, url):
     bench.state.show("works", ["identify"])
     bench.state.show("recorded", "monday")
-    bench.state.show("identification", {"text": "wire.resistance  2.7 ± 0.03 ohm " + EVIL})
+    bench.state.show("identification", {
+        "rows": [("wire.resistance", "2.7 ± 0.03 ohm"), ("wire.mass", EVIL), ("", "a warning")],
+    })
     with opened(browser, url) as shown:
         shown.until("!document.getElementById('work').hidden")
         assert "Diagnose" not in shown.text("#work")
-        assert EVIL in shown.text("#identification-content")
+        said = shown.text("#identification-content")
+        assert EVIL in said and "2.7 ± 0.03 ohm" in said and "the first: a warning" in said
         shown.page.click("#work-form button[value=identify]")
         shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
         shown.page.fill("#records", "tuesday 'wednes day'")

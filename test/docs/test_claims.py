@@ -1,6 +1,7 @@
 """What the pages of claims name as their proof is there."""
 
 import ast
+import json
 import re
 from pathlib import Path
 
@@ -16,7 +17,7 @@ FUNCTIONS = {
 NAMES = {function.partition("::")[2] for function in FUNCTIONS}
 
 
-@pytest.mark.parametrize("page", ["threats", "safety", "reliability"])
+@pytest.mark.parametrize("page", ["threats", "safety", "reliability", "how_to/ten_tasks"])
 def test_every_test_that_a_page_names_exists(page: str) -> None:
     named = re.findall(r"`((?:test/|test_)[^`\s]*)`", (ROOT / "docs" / f"{page}.md").read_text())
     assert named
@@ -28,3 +29,13 @@ def test_every_test_that_a_page_names_exists(page: str) -> None:
             else name in files or name in NAMES
         )  # fmt: skip
         assert there, f"docs/{page}.md names {name}"
+
+
+def test_pictures_are_small_and_each_is_shown_on_a_page() -> None:
+    pictures = sorted((ROOT / "docs" / "pictures").glob("*.png"))
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    text = "".join(page.read_text() for page in pages)
+    known = json.loads((ROOT / "docs" / "pictures" / "pictures.json").read_text())
+    assert pictures and sorted(known) == [picture.name for picture in pictures]
+    assert sum(picture.stat().st_size for picture in pictures) < 1_000_000
+    assert [p.name for p in pictures if f"pictures/{p.name}" not in text] == []

@@ -147,7 +147,8 @@ def test_a_record_is_identified_from_the_page_and_its_card_comes_back(bench, tmp
         asked = json.dumps({"kind": "identify", "records": "monday"})
         assert read(shown.press("work", asked)) == {"begun": True, "said": "begun"}
         bench.until(lambda: "identification" in shown.panels())
-        assert "wire.resistance" in shown.panels()["identification"]["text"]
+        names = [name for name, _ in shown.panels()["identification"]["rows"]]
+        assert "wire.resistance" in names
         bench.until(lambda: shown.panels()["work"] == {"text": "identify: done", "good": True})
         read(shown.press("work", asked.replace("monday", "nowhere")))
         bench.until(lambda: not shown.panels()["work"]["good"])
