@@ -221,12 +221,6 @@ def identification_text(result: IdentifyResult) -> str:
     return "\n".join([title, *map(printable, table), *below])
 
 
-def identification_rows(result: IdentifyResult) -> list[tuple[str, str]]:
-    """Name and number of everything identified, and the warnings behind an empty name."""
-    numbers = [(printable(n.name), printable(_number(n))) for n in result.parameters]
-    return numbers + [("", printable(warning)) for warning in result.warnings]
-
-
 def identification_html(result: IdentifyResult) -> str:
     """The same as a table, every text escaped."""
     rows = [f"<tr>{''.join(f'<th>{head}</th>' for head in NUMBER_HEADER)}</tr>"]

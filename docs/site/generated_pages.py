@@ -199,10 +199,27 @@ def _row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
 
 
+def _shown(output: dict[str, Any]) -> list[str]:
+    """What a cell showed: a picture, a table, or text."""
+    data = output.get("data", {})
+    if "image/png" in data:
+        return [f'<img alt="figure" src="data:image/png;base64,{data["image/png"]}">']
+    if "text/html" in data:
+        table = "".join(data["text/html"])
+        table = re.sub(r"<style.*?</style>", "", table, flags=re.DOTALL)
+        return [re.sub(r"\n\s*", "", table)]
+    return ["```text", "".join(output.get("text") or data.get("text/plain", "")).rstrip(), "```"]
+
+
 def notebook_page(path: Path) -> str:
     """The cells of a notebook as a page."""
     lines = []
     for cell in json.loads(path.read_text())["cells"]:
         text = "".join(cell["source"])
-        lines += [text, ""] if cell["cell_type"] == "markdown" else ["```python", text, "```", ""]
+        if cell["cell_type"] == "markdown":
+            lines += [text, ""]
+            continue
+        lines += ["```python", text, "```", ""]
+        for output in cell["outputs"]:
+            lines += [*_shown(output), ""]
     return "\n".join([*lines, f"As a notebook: [{path.name}]({path.name}).", ""])

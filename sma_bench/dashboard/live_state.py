@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from sma_bench.border import read_json_object, shown
-from sma_bench.cards import identification_rows, verdict_card
+from sma_bench.cards import identification_card, number_rows, verdict_card
 from sma_bench.errors import InputError
 from sma_bench.results import diagnosis_from, identification_from
 
@@ -243,13 +243,17 @@ _LEAST_SHOWN = 0.005
 
 
 def identification_summary(text: str) -> dict[str, Any]:
-    """`rows` of name and number of a result as the identification node latches it; `problem` where
-    it is none."""
+    """`title`, `rows` of name and number and `lines` of a result as the identification node latches
+    it; `problem` where it is none."""
     try:
         where = "identification/result"
         result = identification_from(Path(where), read_json_object(text, where))
-        rows = identification_rows(result)[:_MOST_ENTRIES]
-        return {"rows": [(shown(name), shown(number)) for name, number in rows]}
+        card = identification_card(result, numbers=False)
+        return {
+            "title": shown(card.title),
+            "rows": [(shown(row[0]), shown(row[1])) for row in number_rows(result)[:_MOST_ENTRIES]],
+            "lines": [shown(f"{label}: {text}" if label else text) for label, text in card.rows],
+        }
     except InputError as error:
         return {"problem": shown(str(error))}
 

@@ -119,14 +119,14 @@ export function showIdentification(panels) {
     return;
   }
   const table = element("table", "", "numbers");
-  table.append(...found.rows.filter(([name]) => name).map(([name, number]) => {
+  table.append(...found.rows.map(([name, number]) => {
     const row = element("tr");
     row.append(element("td", name), element("td", number));
     return row;
   }));
-  const warnings = found.rows.filter(([name]) => !name);
-  const rest = warnings.length ? [element("p", `${warnings.length} warnings, the first: ${warnings[0][1]}`, "quiet")] : [];
-  get("identification-content").replaceChildren(table, ...rest);
+  const head = element("p");
+  head.append(element("strong", found.title));
+  get("identification-content").replaceChildren(head, table, ...found.lines.map((line) => element("p", line, "quiet")));
 }
 
 export function showDiagnosis(panels) {

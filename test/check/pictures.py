@@ -3,11 +3,15 @@
     ./bench check pictures [--write]     which are older than what they show; takes them anew
     ./bench check pictures --look DIR    every page at 1280 and 390 px, light and dark
 
-The record, its results and the bench on the dashboard are those of the first tutorial;
-the diagnosis takes minutes. What a picture shows is known by a hash of the code that draws it.
+The record, its results and the bench on the dashboard are of the first tutorial; the diagnosis
+takes minutes. The notebook is run, and keeps what its cells show. What a picture shows is known by
+a hash of the code that draws it.
 """
 
 import argparse
+import ast
+import base64
+import contextlib
 import hashlib
 import io
 import json
@@ -43,6 +47,7 @@ from sma_bench.physics.effects import effect_values  # noqa: E402
 from sma_bench.protocols import load_protocol  # noqa: E402
 
 FOLDER = ROOT / "docs" / "pictures"
+NOTEBOOK = ROOT / "docs" / "tutorials" / "notebook.ipynb"
 KNOWN = FOLDER / "pictures.json"
 LARGEST = 1_000_000  # bytes of all of them
 RIG = ROOT / "config" / "composite_rig.yaml"
@@ -224,9 +229,55 @@ def _write(window: Any, urls: dict[str, str]) -> None:
         raise SystemExit(f"pictures: {total} bytes, expected at most {LARGEST}")
     for name, content in made.items():
         (FOLDER / name).write_bytes(content)
+    total += _execute_notebook()
     hashes = {name: source_hash(patterns) for name, (*_, patterns) in PICTURES.items()}
     KNOWN.write_text(json.dumps(hashes, indent=1) + "\n")
-    print(f"{FOLDER}: {len(made)} pictures, {total} bytes")
+    print(f"{FOLDER}: {len(made)} pictures and those of the notebook, {total} bytes")
+
+
+def _execute_notebook() -> int:
+    """Run the notebook as Jupyter does, and keep what its cells show; the bytes of its pictures."""
+    import matplotlib.pyplot as plt
+
+    document = json.loads(NOTEBOOK.read_text())
+    names: dict[str, Any] = {"__name__": "__main__"}
+    total = 0
+    for number, cell in enumerate((c for c in document["cells"] if c["cell_type"] == "code"), 1):
+        plt.close("all")
+        printed, said = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+            value = _value_of("".join(cell["source"]), names)
+        cell["outputs"], cell["execution_count"] = [], number
+        if printed.getvalue():
+            cell["outputs"].append({"output_type": "stream", "name": "stdout",
+                                    "text": printed.getvalue().splitlines(True)})  # fmt: skip
+        if value is not None:
+            data = {"text/plain": repr(value).splitlines(True)}
+            if shown := getattr(value, "_repr_html_", lambda: "")():
+                data["text/html"] = shown.splitlines(True)
+            cell["outputs"].append({"output_type": "execute_result", "execution_count": number,
+                                    "metadata": {}, "data": data})  # fmt: skip
+        for figure in map(plt.figure, plt.get_fignums()):
+            stream = io.BytesIO()
+            figure.savefig(stream, format="png", dpi=80, facecolor="white")
+            picture = small(stream.getvalue())
+            total += len(picture)
+            data = {"image/png": base64.b64encode(picture).decode(), "text/plain": ["<Figure>"]}
+            cell["outputs"].append({"output_type": "display_data", "metadata": {}, "data": data})
+    NOTEBOOK.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    return total
+
+
+def _value_of(source: str, names: dict[str, Any]) -> Any:
+    """Run a cell; the value of the expression at its end, unless a semicolon follows."""
+    tree = ast.parse(source)
+    last = tree.body[-1]
+    if not isinstance(last, ast.Expr) or source.rstrip().endswith(";"):
+        exec(compile(tree, "cell", "exec"), names)
+        return None
+    tree.body.pop()
+    exec(compile(tree, "cell", "exec"), names)
+    return eval(compile(ast.Expression(last.value), "cell", "eval"), names)
 
 
 def _look(window: Any, urls: dict[str, str], folder: Path) -> None:

@@ -201,13 +201,14 @@ def test_records_are_worked_on_from_the_page_and_the_cards_are_shown(browser, be
     bench.state.show("works", ["identify"])
     bench.state.show("recorded", "monday")
     bench.state.show("identification", {
-        "rows": [("wire.resistance", "2.7 ± 0.03 ohm"), ("wire.mass", EVIL), ("", "a warning")],
+        "title": "2 numbers", "lines": ["a warning"],
+        "rows": [("wire.resistance", "2.7 ± 0.03 ohm"), ("wire.mass", EVIL)],
     })
     with opened(browser, url) as shown:
         shown.until("!document.getElementById('work').hidden")
         assert "Diagnose" not in shown.text("#work")
         said = shown.text("#identification-content")
-        assert EVIL in said and "2.7 ± 0.03 ohm" in said and "the first: a warning" in said
+        assert EVIL in said and "2.7 ± 0.03 ohm" in said and "a warning" in said
         shown.page.click("#work-form button[value=identify]")
         shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
         shown.page.fill("#records", "tuesday 'wednes day'")
