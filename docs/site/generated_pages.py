@@ -5,7 +5,6 @@ are filled in; pages that the nav does not name are put under "More".
 """
 
 import ast
-import base64
 import fnmatch
 import html
 import importlib
@@ -17,7 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from matplotlib import mathtext
+from matplotlib import mathtext, rc_context
+from matplotlib.font_manager import FontProperties
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
@@ -32,6 +32,7 @@ from sma_bench.report.errata import paper_errata
 ROOT = Path(__file__).resolve().parents[2]
 MORE = "More"
 _WIDTH = "96"
+_INK = "#010203"  # of equations; becomes the colour of the text around them
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -64,11 +65,14 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def _typeset(found: re.Match[str]) -> str:
-    stream = io.BytesIO()
-    mathtext.math_to_image(f"${' '.join(found[1].split())}$", stream, format="svg", color="#777")
-    drawn = base64.b64encode(stream.getvalue()).decode()
+    stream, formula = io.StringIO(), f"${' '.join(found[1].split())}$"
+    with rc_context({"savefig.transparent": True}):
+        mathtext.math_to_image(formula, stream, FontProperties(size=14), format="svg", color=_INK)
+    drawn = re.sub(r"<metadata>.*?</metadata>", "", stream.getvalue(), flags=re.DOTALL)
+    drawn = drawn[drawn.index("<svg") :].replace(_INK, "currentColor").replace("\n", " ")
     said = html.escape(found[1], quote=True)
-    return f'<p><img class="equation" alt="{said}" src="data:image/svg+xml;base64,{drawn}"></p>'
+    named = f'<svg role="img" aria-label="{said}" style="max-width: 100%; height: auto"'
+    return f"<div>{drawn.replace('<svg', named, 1)}</div>"
 
 
 def _filled(nav: list[Any], pages: list[str], named: set[str]) -> Iterator[Any]:
