@@ -299,8 +299,8 @@ assert not simulate(Parameters.defaults(), time, np.zeros(101)).stress.any()
 
 def test_a_new_effect_is_one_file(tmp_path, pytestconfig):
     package = tmp_path / "sma_bench"
-    rooms = ("errors.py", "border.py", "findings.py", "compiled.py", "lifeline.py", "parameters",
-             "physics")
+    rooms = ("errors.py", "border.py", "findings.py", "compiled.py", "drawn.py", "lifeline.py",
+             "parameters", "physics")
     for room in rooms:
         source = pytestconfig.rootpath / "sma_bench" / room
         package.mkdir(exist_ok=True)

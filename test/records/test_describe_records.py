@@ -51,7 +51,8 @@ def test_info_shows_topics_signals_markers_and_findings(
 
 def test_info_of_a_bag_without_signals(tmp_path, write_bag, messages, capsys):
     bag = write_bag(tmp_path / "bag", [("/chatter", messages.text("hello"), messages.start)])
-    assert run_info(bag) == 0
+    with pytest.raises(InputError, match="nothing of a bench in it, expected topics"):
+        run_info(bag)
     assert "no signal of the bench contract" in capsys.readouterr().out
 
 

@@ -27,5 +27,6 @@ def test_each_channel_is_held_until_its_next_sample():
 
 
 def test_a_channel_without_voltage_is_named():
-    with pytest.raises(InputError, match="no voltage of channel b.*record one of 1 channel .a."):
+    said = "no voltage of channel b.*bench of 2 channels .a, b., the record of one of 1 channel .a."
+    with pytest.raises(InputError, match=said):
         held_voltages(record(a=([0.0], [1.0])), ["a", "b"])
