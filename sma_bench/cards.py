@@ -304,7 +304,7 @@ def _error(s: Shrunk, result: DiagnoseResult) -> str:
     if result.verdict == NO_GAP or not math.isfinite(s.fraction):
         return said
     low, high = s.ci90
-    between = f" [{100 * low:.0f}, {100 * high:.0f}]" if math.isfinite(low) else ""
+    between = f" [{round(100 * low)}, {round(100 * high)}]" if math.isfinite(low) else ""
     return f"{said}: {percent(s.fraction)}{between} of the gap gone"
 
 

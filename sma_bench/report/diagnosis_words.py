@@ -115,7 +115,7 @@ def how_far(result: Diagnosis) -> list[str]:
             f"On data that the fit had not seen, the {quantity}'s error goes from "
             f"{in_print(quantity, s.rmse_before)} to {in_print(quantity, s.rmse_after)} rms "
             f"(noise {in_print(quantity, s.noise_floor)}): {percent(s.fraction)} of the gap "
-            f"beyond the noise is gone, 90 % interval {100 * low:.0f} to {100 * high:.0f} %."
+            f"beyond the noise is gone, 90 % interval {round(100 * low)} to {round(100 * high)} %."
         )
     return said
 
