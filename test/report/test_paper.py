@@ -210,7 +210,11 @@ def test_rows_are_the_estimates_of_their_experiments(page):
     assert table["m"].printed.value == pytest.approx(0.091)
     moduli = {row.printed.symbol: row for row in page.tables["table_3"]}
     assert moduli["E_A"].value == pytest.approx(55.4, abs=0.2)
-    assert moduli["E_A"].std == pytest.approx(2.5, rel=0.05)
+    # The paper's deviation is of its three wires; gauge length and diameter are off for all alike.
+    e_a = moduli["E_A"]
+    assert e_a.estimate.statistical == pytest.approx(2.5e9, rel=0.05)
+    assert e_a.estimate.systematic == pytest.approx(np.hypot(0.01, 2.0 * 0.01) * 55.4e9, rel=0.01)
+    assert e_a.std == pytest.approx(np.hypot(2.5, np.hypot(0.01, 0.02) * 55.4), rel=0.05)
     text = {row.printed.symbol: row for row in page.tables["numbers_in_the_text"]}
     assert text["Θ_T"].value == pytest.approx(-0.15, abs=0.01)
     assert text["C_A"].value == pytest.approx(7.0, abs=0.3)
@@ -345,7 +349,10 @@ def test_e6_and_e8_run_from_protocol_to_table_by_way_of_a_bag(tmp_path):
         ("A_f (tangent) at *", 353.61 + shift - inward),
     ):  # fmt: skip
         row = rows[name]
-        assert abs(row.value - true) < 3.0 * row.std < 0.1 * abs(true), name
+        # Simulated instruments have noise, but scale, zero and section as stated.
+        noise = row.std * row.estimate.statistical / row.estimate.std
+        assert abs(row.value - true) < 3.0 * noise < 0.1 * abs(true), name
+        assert row.std < 0.05 * abs(true), name
         assert str(tmp_path) in row.source
 
 
