@@ -13,7 +13,7 @@ from campaign.allowance import TooLong, allowance  # noqa: E402
 from campaign.damaged_bags import damaged_bags, judge  # noqa: E402
 from campaign.full_disk import full_disk  # noqa: E402
 from campaign.fuzzed_parsers import edited, fuzzed_parsers, try_input  # noqa: E402
-from campaign.hostile_inputs import hostile_inputs, targets  # noqa: E402
+from campaign.hostile_inputs import FOR_ALL, hostile_inputs, targets  # noqa: E402
 from campaign.numbered_bag import MESSAGES, numbered_bag  # noqa: E402
 from campaign.parser_seeds import Parser, parsers  # noqa: E402
 
@@ -55,6 +55,8 @@ def test_parsers_take_anything(tmp_path):
 def test_well_formed_hostile_inputs_end_every_command_in_a_line_or_a_result(tmp_path):
     outcomes = hostile_inputs(46, 3, tmp_path)
     assert sum(outcome.tried for outcome in outcomes) == 46
+    results = " ".join(outcome.found for outcome in outcomes)
+    assert [command for command in FOR_ALL if f"{command} " not in results] == []
     assert failed(outcomes) == []
 
 
