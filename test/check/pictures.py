@@ -13,6 +13,7 @@ import ast
 import base64
 import contextlib
 import hashlib
+import importlib.util
 import io
 import json
 import subprocess
@@ -235,49 +236,70 @@ def _write(window: Any, urls: dict[str, str]) -> None:
     print(f"{FOLDER}: {len(made)} pictures and those of the notebook, {total} bytes")
 
 
-def _execute_notebook() -> int:
-    """Run the notebook as Jupyter does, and keep what its cells show; the bytes of its pictures."""
-    import matplotlib.pyplot as plt
+class _Cells:
+    """Keeps what each cell shows, as Jupyter does: its text, its value, its figures."""
 
-    document = json.loads(NOTEBOOK.read_text())
-    names: dict[str, Any] = {"__name__": "__main__"}
-    total = 0
-    for number, cell in enumerate((c for c in document["cells"] if c["cell_type"] == "code"), 1):
-        plt.close("all")
-        printed, said = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
-            value = _value_of("".join(cell["source"]), names)
-        cell["outputs"], cell["execution_count"] = [], number
-        if printed.getvalue():
-            cell["outputs"].append({"output_type": "stream", "name": "stdout",
-                                    "text": printed.getvalue().splitlines(True)})  # fmt: skip
+    def __init__(self, cells: Sequence[dict[str, Any]], printed: io.StringIO) -> None:
+        self._cells, self._printed = iter(cells), printed
+        self.pictures = 0  # bytes
+
+    def end(self, number: int, value: Any = None) -> None:
+        """Called behind a cell, with the value of the expression at its end."""
+        import matplotlib.pyplot as plt
+
+        cell = next(self._cells)
+        outputs: list[dict[str, Any]] = []
+        cell["outputs"], cell["execution_count"] = outputs, number
+        if text := self._printed.getvalue():
+            outputs.append({"output_type": "stream", "name": "stdout",
+                            "text": text.splitlines(True)})  # fmt: skip
         if value is not None:
-            data = {"text/plain": repr(value).splitlines(True)}
+            data: dict[str, Any] = {"text/plain": repr(value).splitlines(True)}
             if shown := getattr(value, "_repr_html_", lambda: "")():
                 data["text/html"] = shown.splitlines(True)
-            cell["outputs"].append({"output_type": "execute_result", "execution_count": number,
-                                    "metadata": {}, "data": data})  # fmt: skip
+            outputs.append({"output_type": "execute_result", "execution_count": number,
+                            "metadata": {}, "data": data})  # fmt: skip
         for figure in map(plt.figure, plt.get_fignums()):
             stream = io.BytesIO()
             figure.savefig(stream, format="png", dpi=80, facecolor="white")
             picture = small(stream.getvalue())
-            total += len(picture)
+            self.pictures += len(picture)
             data = {"image/png": base64.b64encode(picture).decode(), "text/plain": ["<Figure>"]}
-            cell["outputs"].append({"output_type": "display_data", "metadata": {}, "data": data})
+            outputs.append({"output_type": "display_data", "metadata": {}, "data": data})
+        plt.close("all")
+        self._printed.seek(0)
+        self._printed.truncate()
+
+
+def _execute_notebook() -> int:
+    """Run the notebook as a module, and keep what its cells show; the bytes of its pictures."""
+    document = json.loads(NOTEBOOK.read_text())
+    cells = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
+    printed, said = io.StringIO(), io.StringIO()
+    shown = _Cells(cells, printed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "notebook.py"
+        path.write_text("\n".join(_ending_told("".join(cell["source"]), number)
+                                  for number, cell in enumerate(cells, 1)))  # fmt: skip
+        spec = importlib.util.spec_from_file_location("__main__", path)
+        assert spec and spec.loader
+        module = importlib.util.module_from_spec(spec)
+        vars(module)["_end_of_cell"] = shown.end
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+            spec.loader.exec_module(module)
     NOTEBOOK.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return total
+    return shown.pictures
 
 
-def _value_of(source: str, names: dict[str, Any]) -> Any:
-    """Run a cell; the value of the expression at its end, unless a semicolon follows."""
+def _ending_told(source: str, number: int) -> str:
+    """A cell that hands on the value of the expression at its end, unless a semicolon follows."""
     tree = ast.parse(source)
     last = tree.body[-1]
-    if not isinstance(last, ast.Expr) or source.rstrip().endswith(";"):
-        exec(compile(tree, "cell", "exec"), names)
-        return None
-    tree.body.pop()
-    exec(compile(tree, "cell", "exec"), names)
-    return eval(compile(ast.Expression(last.value), "cell", "eval"), names)
+    value = ""
+    if isinstance(last, ast.Expr) and not source.rstrip().endswith(";"):
+        tree.body.pop()
+        value = f", {ast.unparse(last.value)}"
+    return f"{ast.unparse(tree)}\n_end_of_cell({number}{value})\n"
 
 
 def _look(window: Any, urls: dict[str, str], folder: Path) -> None:
