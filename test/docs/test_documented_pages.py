@@ -52,14 +52,19 @@ def test_page_can_be_played(page, tmp_path, monkeypatch):
         answer = json.loads((tmp_path / "gap.json").read_text())
         check_first_diagnosis(answer)
         card = verdict_card(diagnosis_from(tmp_path, answer))
+        place = dict(card.rows)["where"].partition(",")[0]
         for shown in (page, ROOT / "README.md"):
             assert card.title in shown.read_text()
+            assert f"where   {place}," in shown.read_text()
 
 
 def check_first_diagnosis(answer):
     """The page says what the reader sees."""
     assert answer["verdict"] == "effect" and answer["cause"] == ["side_heat_coupling"]
-    assert answer["where"]["signal"].endswith("temperature")
+    where = answer["where"]
+    assert (where["signal"], where["phase"], where["stage"]) == ("deflection", "drive", "thermal")
+    # What convicts are the temperatures.
+    assert max(where["chain"], key=lambda block: block["gap"])["block"] == "V -> temperature"
     assert answer["shrinkage"]["temperature"]["fraction"] > 0.5
 
 
