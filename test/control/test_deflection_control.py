@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from closed_loops import rmse, run_deflection, run_voltages
+from closed_loops import identified, rmse, run_deflection, run_voltages
 
 from sma_bench.control.deflection import DeflectionController, deflection_reference_fault
 from sma_bench.errors import InputError
@@ -12,7 +12,7 @@ from sma_bench.physics import simulate
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
 from sma_bench.synthetic.bench_records import ClosedLoop, Loop
 
-COMPOSITE = Parameters.defaults().replace(
+COMPOSITE = identified(
     {
         "bench.channels": ["front_1", "front_2", "back_1", "back_2"],
         "bench.channel_sides": ["front", "front", "back", "back"],

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from closed_loops import step_figures
+from closed_loops import identified, step_figures
 
 from sma_bench.control.temperature import HeatBudget, Heating, TemperatureController
 from sma_bench.errors import InputError
@@ -13,7 +13,7 @@ from sma_bench.physics import simulate
 from sma_bench.physics.heat import direct_reading
 from sma_bench.synthetic.bench_records import Loop, run_temperature
 
-WIRE = Parameters.defaults()
+WIRE = identified()
 SLOW_WIRE = WIRE.replace({"wire.heat_transfer_coefficient": 70.0})  # still air: tau 1.1 s
 THERMAL = [
     p.name for p in TABLE
