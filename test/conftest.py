@@ -30,8 +30,11 @@ os.environ.pop("COLUMNS", None)
 # Before anything imports numpy, as the command line does: small matrices, idle threads.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Tests end processes by the end of their terminal too, which nohup would have every one ignore.
+# Tests end processes by the end of their terminal and by Ctrl-C, which nohup and a shell's `&`
+# would have every one ignore.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A busy machine is no failure; what hangs is seen all the same.
 hypothesis.settings.register_profile("any machine", deadline=None)
