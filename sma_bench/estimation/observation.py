@@ -157,9 +157,9 @@ class Observation:
 
     @cached_property
     def coarse(self) -> "Observation":
-        """The same record on cells of half a bin, for differences: what coarse cells are off by
-        drops out of them. It is this one where little would be gained."""
-        cell = 0.5 * min((signal.period for signal in self.signals), default=0.0)
+        """The same record on cells of a quarter of a bin, for differences: what coarse cells are
+        off by drops out of them. It is this one where little would be gained."""
+        cell = 0.25 * min((signal.period for signal in self.signals), default=0.0)
         grid = _every(self.grid, cell)
         if self.holds or len(grid) > _WORTHWHILE * len(self.grid):
             return self

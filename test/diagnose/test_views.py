@@ -87,7 +87,7 @@ def test_readings_are_the_bins_of_the_courses_with_their_stamps_late(view):
 
 def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
     problem = Problem.of([view])
-    assert len(problem.coarse.observations[0].grid) < 0.4 * len(view.grid)
+    assert len(problem.coarse.observations[0].grid) < 0.5 * len(view.grid)
     unknowns = unknowns_of_records(believed(), view.quantities).with_effects(
         ["viscoelastic_matrix", "side_heat_coupling", "latent_heat"]
     )
@@ -102,9 +102,9 @@ def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
     off, size = (np.linalg.norm(a, axis=0) for a in (rows["coarse"] - rows["own"], rows["own"]))
     moved = size > 1.0  # what the record tells of at all
     assert moved.sum() > 15
-    assert np.max(off[moved] / size[moved]) < 0.15
+    assert np.max(off[moved] / size[moved]) < 0.08
     tells = {k: 0.5 * np.linalg.slogdet(r.T @ r + np.eye(len(x)))[1] for k, r in rows.items()}
-    assert tells["coarse"] == pytest.approx(tells["own"], abs=0.5)  # nats
+    assert tells["coarse"] == pytest.approx(tells["own"], abs=0.1)  # nats
 
 
 def test_whitened_drift_is_white_and_its_likelihood_that_of_the_covariance():
