@@ -184,6 +184,9 @@ _OTHER_PROCESS = (
 
 def compile_here() -> None:
     """The other process: what its standard input names is compiled, and kept on the disk."""
+    if hasattr(os, "sched_setscheduler"):
+        # The child of a node that has real-time priority inherits it, and has no hurry.
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(5)
     module, name, *described = json.load(sys.stdin)
     function = getattr(import_module(module), name)

@@ -6,7 +6,6 @@ import random
 import shutil
 import signal
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -53,7 +52,6 @@ LONGEST = (
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
 DOMAINS = range(10, 102)
 LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
-SHARED_MEMORY = Path("/dev/shm")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -181,7 +179,6 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     try:
         yield domain
     finally:
-        _remove_ports(domain)
         os.close(lock)
 
 
@@ -196,33 +193,3 @@ def _lock_free_domain() -> tuple[int, int]:
         else:
             return lock, domain
     raise RuntimeError(f"no free ROS domain: all of {LOCKS} are locked")
-
-
-def _remove_ports(domain: int) -> None:
-    """Shared memory of killed nodes, which the next user of the domain would stumble over."""
-    first = 7400 + 250 * domain
-    for port in range(first, first + 250):
-        for name in (f"fastrtps_port{port}", f"fastrtps_port{port}_el"):
-            (SHARED_MEMORY / name).unlink(missing_ok=True)
-        (SHARED_MEMORY / f"sem.fastrtps_port{port}_mutex").unlink(missing_ok=True)
-
-
-def pytest_sessionfinish() -> None:
-    """Remove the shared memory that killed nodes left: 0.6 MB each."""
-    for held in SHARED_MEMORY.glob("fastrtps_*_el"):
-        segment = held.with_name(held.name.removesuffix("_el"))
-        if "port" not in held.name and _is_abandoned(held):
-            segment.unlink(missing_ok=True)
-            held.unlink(missing_ok=True)
-
-
-def _is_abandoned(held: Path) -> bool:
-    """Living owners keep a shared lock on this file; a newborn one may not have it yet."""
-    try:
-        with held.open() as file:
-            if time.time() - os.fstat(file.fileno()).st_mtime < 60:
-                return False
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

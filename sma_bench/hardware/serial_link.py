@@ -308,6 +308,10 @@ class SerialLink:
             self._note_refusal(message, now)
         elif isinstance(message, Named) and message.letter == "S":
             self._status.counters = {key: int(value) for key, value in message.values.items()}
+        elif isinstance(message, Named) and message.letter == "H" and "nonce" not in message.values:
+            # Clock and count may have gone on as if nothing had happened: a host that stood still
+            # for as long as the device ran before sees no step.
+            raise LinkError("the device restarted by itself")
 
     def _note_refusal(self, refused: Refused, now: float) -> None:
         self._status.refused += 1

@@ -21,11 +21,13 @@ THIS_MACHINE, NETWORK = "LOCALHOST", "SUBNET"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 # Another name of it, in later releases.
 _PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")
+# Opened, a node does without shared memory too: the profile says why.
+TRANSPORTS, _SOCKETS = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
 # Else Fast DDS reads a profile from the folder of the start too, which may hold foreign records.
 _NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
 _ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
-USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, *_PROFILES)
+USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, TRANSPORTS, *_PROFILES)
 _PATIENCE = 2.0
 """s for which a name may still be held by a node that is ending"""
 _OPEN_RANGES = (NETWORK, "SYSTEM_DEFAULT")
@@ -35,10 +37,11 @@ def discovery_variables(
     network: bool, environment: Mapping[str, str] = os.environ
 ) -> dict[str, str]:
     """Variables to set for a node: open to the network, else what the user has set, else local."""
+    sockets = {} if _set(environment, TRANSPORTS) else {TRANSPORTS: _SOCKETS}
     if network:
-        return {RANGE: NETWORK}
+        return {RANGE: NETWORK} | sockets
     if _opened(environment):
-        return {}
+        return sockets
     variables = {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
     if not _set(environment, *_PROFILES):
         variables |= dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}

@@ -235,12 +235,29 @@ def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(
 def test_restart_of_the_device_is_noticed_and_disarms(bench: PtyBench, link: Watched) -> None:
     link.arm()
     link.drive(VOLTS)
-    wait_for(lambda: bench.device.read() or len(link.readings) > 30)
+    wait_for(lambda: len(link.readings) > 30)
     bench.do(bench.device.restart)
     wait_for(lambda: link.status.connections == 2)
     assert "not connected: the device restarted by itself" in link.events
     with pytest.raises(LinkError, match="not armed"):
         link.drive(VOLTS)
+
+
+def test_restart_behind_the_back_of_a_host_that_stood_still_is_noticed(
+    bench: PtyBench, link: Watched
+) -> None:
+    """Clock and count of the device are where they would be without it."""
+    wait_for(lambda: len(link.readings) > 30)
+
+    def restart() -> None:
+        uptime = 1e-6 * link.readings[-1].telemetry.time_us
+        bench.device.restart()
+        # Nobody reads meanwhile: what it sends waits in the cable.
+        bench.device.run(uptime)
+
+    bench.do(restart)
+    wait_for(lambda: link.status.connections == 2)
+    assert "not connected: the device restarted by itself" in link.events
 
 
 def test_killed_host_leaves_nothing_driven(bench: PtyBench) -> None:

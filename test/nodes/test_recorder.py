@@ -98,11 +98,10 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     def small_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 
-    # Fast DDS's shared memory are files too, larger than this disk.
-    environment = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
     states = bench.latched("recorder/state", String)
     diagnostics = bench.listen("/diagnostics", DiagnosticArray)
-    node = start_with(bench, environment, small_disk, tmp_path / "bag")
+    options = {"preexec_fn": small_disk}
+    node = bench.start("recorder", options=options, output=tmp_path / "bag")
     bench.until(lambda: publisher.get_subscription_count() and diagnostics)  # it is heard
     published = 0
     while node.process.poll() is None:
@@ -138,13 +137,6 @@ def test_the_diagnostics_tell_of_a_disk_that_fills(monkeypatch, free, failure, l
     [(_, found, words, values)] = Recorder.health(recorder)
     assert (found, words) == (level, message)
     assert values["free_bytes"] == free and values["messages"] == 3
-
-
-def start_with(bench, environment, preexec, output):
-    import os
-
-    options = {"env": {**os.environ, **environment}, "preexec_fn": preexec}
-    return bench.start("recorder", options=options, output=output)
 
 
 def test_an_output_that_exists_is_refused(bench, tmp_path):

@@ -10,6 +10,7 @@ from sma_bench.nodes.bench_plan import ARGUMENTS, COMPOSITE, WIRE
 from sma_bench.ros.discovery import (
     PROFILE,
     RANGE,
+    TRANSPORTS,
     USERS_VARIABLES,
     choose_discovery,
     discovery_variables,
@@ -37,6 +38,14 @@ def test_without_a_word_of_the_user_nodes_are_bound_to_this_machine() -> None:
     assert "<address>127.0.0.1</address>" in Path(variables[PROFILE]).read_text()
 
 
+def test_no_node_waits_for_the_health_check_of_shared_memory() -> None:
+    profile = Path(discovery_variables(False, {})[PROFILE]).read_text()
+    assert "<type>SHM</type>" not in profile
+    for network, user in ((True, {}), (False, {RANGE: "SUBNET"})):
+        assert discovery_variables(network, user)[TRANSPORTS] == "UDPv4"
+        assert TRANSPORTS not in discovery_variables(network, {TRANSPORTS: "DEFAULT", **user})
+
+
 LOCAL = [{}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {RANGE: "OFF"}, {RANGE: "SUBNETT"},
          {"ROS_LOCALHOST_ONLY": "1"}, {"ROS_STATIC_PEERS": "10.0.0.1"},
          {"ROS_LOCALHOST_ONLY": "1", RANGE: "SUBNET"}]  # fmt: skip
@@ -57,7 +66,7 @@ def test_only_a_word_that_asks_for_the_network_opens_it(user: dict[str, str]) ->
 def test_a_word_that_asks_for_the_network_stays(user: dict[str, str]) -> None:
     environment = dict(user)
     choose_discovery(environment=environment)
-    assert environment == user
+    assert environment == {**user, TRANSPORTS: "UDPv4"}
 
 
 def test_the_switch_opens_a_child_of_a_bound_process_and_a_profile_of_the_user_stays() -> None:
@@ -65,7 +74,7 @@ def test_the_switch_opens_a_child_of_a_bound_process_and_a_profile_of_the_user_s
     choose_discovery(environment=environment)
     choose_discovery(network=True, environment=environment)
     choose_discovery(environment=environment)
-    assert environment == {RANGE: "SUBNET"}
+    assert environment == {RANGE: "SUBNET", TRANSPORTS: "UDPv4"}
     for network in (False, True):
         assert PROFILE not in discovery_variables(network, {PROFILE: "own.xml"})
 
