@@ -155,6 +155,23 @@ def test_a_room_that_drifts_is_in_the_errors_or_taken_off(staircase, recorded):
         assert said[0].numbers["drift"] == pytest.approx(1.5, rel=0.1)
 
 
+def test_a_room_s_thermometer_is_believed_as_far_as_its_own_variance(staircase):
+    record = staircase(seed=5, dwell=12.0)
+    time = record["wire.temperature"].time[::50]
+
+    def warned(std):
+        room = Signal("ambient.temperature", "K", time, np.full(len(time), AMBIENT + 1.0),
+                      std=None if std is None else np.full(len(time), std))  # fmt: skip
+        known = KNOWN.replace(uncertainty={ROOM: 0.1})
+        found = identify(
+            [replace(record, signals={**record.signals, room.name: room})], known, ["E1", "E2"]
+        )
+        return [w for w in found.warnings if "measured ambient" in w]
+
+    assert warned(None) and warned(0.1)
+    assert not warned(2.0)
+
+
 def test_a_still_room_is_not_said_to_drift(staircase):
     for seed in range(4):
         found = identify([staircase(seed=seed, dwell=12.0)], KNOWN, ["E1", "E2"])

@@ -306,10 +306,11 @@ def _ambient_findings(
     known: list[tuple[str, float, float]] = []
     if AMBIENT in parameters.given:
         known.append(("stated", parameters[AMBIENT], parameters.std(AMBIENT)))
-    if has_samples(record, "ambient.temperature"):
-        _, measured = samples(record, "ambient.temperature")
-        scatter = max(float(np.std(measured)), parameters.std(AMBIENT))
-        known.append(("measured", float(np.mean(measured)), scatter))
+    if has_samples(record, _ROOM):
+        _, measured = samples(record, _ROOM)
+        stated = record[_ROOM].std
+        own = parameters.std(AMBIENT) if stated is None else float(np.median(stated))
+        known.append(("measured", float(np.mean(measured)), max(float(np.std(measured)), own)))
     findings = []
     for how, value, error in known:
         difference = ambient - value

@@ -247,7 +247,8 @@ def _unknown_alloy() -> Parameters:
 OF_LOADS = (A_S, A_F, M_S, M_F, C_A, C_M, EPS_L)
 
 
-def _frame(loads: Sequence[float] = LOADS, one: dict | None = None, other: bool = False, **own):
+def _frame(loads: Sequence[float] = LOADS, one: dict | None = None, other: bool = False,
+           experiments: tuple[str, ...] | None = None, **own):
     """`one`: what is wrong with the third load only; `other`: that is another alloy."""
     def make(random, seed: int) -> Case:
         alloy = Alloy.drawn(random)
@@ -258,8 +259,7 @@ def _frame(loads: Sequence[float] = LOADS, one: dict | None = None, other: bool 
                      **{**own, **(one if one and k == 2 else {})})
             for k, load in enumerate(loads)
         ]
-        truth = alloy.truth(*OF_LOADS)
-        return Case(tests, _lab(alloy), truth)
+        return Case(tests, _lab(alloy), alloy.truth(*OF_LOADS), experiments)
 
     return make
 
@@ -363,7 +363,26 @@ def clean_tables(random, seed: int) -> Case:
                 alloy.truth(*OF_LOADS, E_M, E_A, THETA))
 
 
-# --- E9, E10: whole-model fits, a minute each.
+# --- E9: all loops of a load frame fitted together.
+
+
+def _loops(**own):
+    return _frame(experiments=("E9",), **own)
+
+
+LOOPS = (
+    ("thermocouple 2 K high", _loops(zero=2.0)),
+    ("thermocouple lags by 2 K", _loops(lag=2.0)),
+    ("section 4 % off", _loops(area=1.04)),
+    ("gauge length 2 % off", _loops(gauge=1.02)),
+    ("creep", _loops(creep=1.5e-3)),
+    ("an R-phase step of 8 %", _loops(tail=0.08)),
+    ("another wire at one load", _loops(other=True)),
+    ("friction of 8 MPa", _loops(friction=8e6)),
+)
+
+
+# --- E10: whole-model fits, a minute each.
 
 
 def _beam(**own):
@@ -419,5 +438,6 @@ BEAMS = (
 ATTACKS = (
     *(Attack("E1 to E3", name, make) for name, make in WIRES),
     *(Attack(*row) for row in INSTRUMENTS),
+    *(Attack("E9", name, make) for name, make in LOOPS),
     *(Attack("E10", name, make) for name, make in BEAMS),
 )
