@@ -31,9 +31,11 @@ def deviation(seed, wire, sensors, staircase, ramp):
     moving = sensors(
         100.0, 80.0, offset=0.01, delay=rng.uniform(-0.005, 0.005), scale_error=gain
     )
+    # Nor does a supply know when it will be read: in step with the readings c_p is 0.1 % low.
+    lead = 4.0 + rng.uniform(0.0, 1.0 / moving.power_rate)
     records = [
         staircase(truth, steady, seed, top=6.25 * scale, increment=0.25 * scale),
-        ramp(truth, moving, seed + 5000, top=2.5 * scale),
+        ramp(truth, moving, seed + 5000, top=2.5 * scale, lead=lead),
     ]
     found = identify(records, KNOWN).estimates
     true = (truth.resistance, truth.coefficient, truth.specific_heat)
@@ -51,6 +53,6 @@ def test_intervals_of_95_percent_hold_the_truth_as_often_as_they_say(
     covered = np.mean(np.abs(errors) < 1.96, axis=0)
     for name, share in zip(NAMES, covered, strict=True):
         assert share >= 0.88, (name, share)
-    # And neither a bias that hides in the spread (c_p comes out 0.1 % low) nor errors for show.
-    assert np.all(np.abs(errors.mean(axis=0)) < (0.3, 0.3, 0.7))
+    # And neither a bias that hides in the spread nor errors for show.
+    assert np.all(np.abs(errors.mean(axis=0)) < 0.35), errors.mean(axis=0)
     assert np.all((errors.std(axis=0) > 0.7) & (errors.std(axis=0) < 1.2))
