@@ -26,7 +26,7 @@ ARROWS = {
     "compiled": {"lifeline"},
     "progress": set(),
     "lifeline": set(),
-    "worker_pool": {"lifeline"},
+    "worker_pool": {"errors", "lifeline"},
     "share": {"errors"},
     "parameters": LEAVES,
     "protocols": LEAVES | {"parameters", "share"},

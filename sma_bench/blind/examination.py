@@ -5,11 +5,12 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -37,6 +38,7 @@ from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.protocols import Protocol, parse_protocol
 from sma_bench.records.write import write_record
+from sma_bench.worker_pool import Lost, over_cluster, over_threads
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[2]
 RECORD, HOLD_OUT, NOMINAL, EXPERIMENT = "record", "hold_out", "nominal.yaml", "experiment"
@@ -71,6 +73,12 @@ class Examinee:
         self._running: set[subprocess.Popen[str]] = set()
         self._lock = threading.Lock()
         self._stopped = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """On another machine the same program is run by the Python there."""
+        first, *words = self._program
+        own = first == sys.executable
+        return _examinee_here, ("" if own else first, words, self._limit)
 
     def stop(self) -> None:
         """End what runs, and start nothing more."""
@@ -151,6 +159,10 @@ class Examinee:
                 raise InputError(f"{command[0]}: cannot be started: {error.strerror}") from None
             self._running.add(process)
             return process
+
+
+def _examinee_here(first: str, words: Sequence[str], time_limit: float) -> Examinee:
+    return Examinee((first or sys.executable, *words), time_limit)
 
 
 def _environment(desk: Path) -> dict[str, str]:
@@ -238,21 +250,24 @@ def examine(
     answers: Path,
     jobs: int = 1,
     report: Report = lambda done, line: None,
+    cluster: str | None = None,
 ) -> None:
     """Put `cases` to a program, `jobs` at a time, and keep each answer as soon as it is there.
 
-    Interrupted, it ends the running programs and leaves their cases open.
+    Interrupted, it ends the running programs (those on a cluster end by themselves, unheard) and
+    leaves their cases open, as it does those whose worker is lost.
 
     Args:
         cases: names below `folder`.
         answers: folder of the examinee.
         report: called after each case.
+        cluster: address of the dask scheduler whose workers do it instead.
 
     Raises:
-        InputError: a case cannot be read or an answer not be written.
+        InputError: a case cannot be read or an answer not be written, or the cluster fails.
     """
-    ask = {case: partial(examinee.ask, folder / case) for case in cases}
-    ask_all(examinee, ask, answers, jobs, report)
+    ask = {case: partial(examinee.ask, folder.absolute() / case) for case in cases}
+    ask_all(examinee, ask, answers, jobs, report, cluster)
 
 
 def ask_all(
@@ -261,26 +276,26 @@ def ask_all(
     answers: Path,
     jobs: int,
     report: Report,
+    cluster: str | None = None,
 ) -> None:
     """Do every call of `ask`, and keep what it gives under its name in `answers`."""
-    waiting = list(ask)[::-1]
-    running: dict[Future[Given], str] = {}
-    done = 0
-    with ThreadPoolExecutor(jobs) as pool:
-        try:
-            while waiting or running:
-                while waiting and len(running) < jobs:
-                    case = waiting.pop()
-                    running[pool.submit(ask[case])] = case
-                finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    case, given = running.pop(future), future.result()
-                    keep(answers, case, given.result, given.line, given.seconds, given.improved)
-                    done += 1
-                    report(done, f"{case}: {given.line}" if given.line else "")
-        except BaseException:
-            examinee.stop()
-            raise
+    names = list(ask)
+    work: Generator[tuple[int, Given | Lost], None, None]
+    if cluster:
+        work = over_cluster(_ask, list(ask.values()), cluster)
+    else:
+        work = over_threads(_ask, list(ask.values()), jobs, examinee.stop)
+    with closing(work):
+        for done, (k, given) in enumerate(work, start=1):
+            if isinstance(given, Lost):
+                report(done, f"{names[k]}: {given.why}")
+                continue
+            keep(answers, names[k], given.result, given.line, given.seconds, given.improved)
+            report(done, f"{names[k]}: {given.line}" if given.line else "")
+
+
+def _ask(ask: Callable[[], Given]) -> Given:
+    return ask()
 
 
 # --- What an answer asks for, done, and the diagnosis asked again: at most three times.
@@ -312,6 +327,7 @@ def follow_up(
     answers: Path,
     jobs: int = 1,
     report: Report = lambda done, line: None,
+    cluster: str | None = None,
 ) -> None:
     """Do what is asked for, and keep each answer after it in `answers`/after_1 to after_3.
 
@@ -328,25 +344,24 @@ def follow_up(
             and asks_for_more(history[-1])
         }
         ask = {
-            case: partial(_do_and_ask, cases, labels[case], history, examinee)
+            case: partial(_do_and_ask, cases.folder.absolute() / case, cases.seed, labels[case],
+                          history, examinee)
             for case, history in asking.items()
         }
-        ask_all(examinee, ask, answers / name, jobs, report)
+        ask_all(examinee, ask, answers / name, jobs, report, cluster)
 
 
 def _do_and_ask(
-    cases: CaseSet, label: Mapping[str, Any], history: Sequence[Kept], examinee: Examinee
+    case: Path, seed: int, label: Mapping[str, Any], history: Sequence[Kept], examinee: Examinee
 ) -> Given:
-    name = history[0].case
-    case = cases.folder / name
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         bags: list[Path] = []
         try:
             believed = read_parameters(case / NOMINAL)
             for number, kept in enumerate(history):
                 assert kept.answer is not None and kept.answer.next_experiment is not None
-                key = (_STREAM, int(name), *([number] if number else []))
-                random = np.random.default_rng(np.random.SeedSequence(cases.seed, spawn_key=key))
+                key = (_STREAM, int(case.name), *([number] if number else []))
+                random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
                 asked = kept.answer.next_experiment
                 if asked.parameters:
                     believed = after_tests(label, asked.parameters, believed, random)

@@ -4,9 +4,8 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -50,7 +49,7 @@ from sma_bench.blind.severity import (
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.records.write import write_record
-from sma_bench.worker_pool import WorkerPool
+from sma_bench.worker_pool import Lost, over_processes
 
 _PLACES = 12
 Readings = Mapping[str, Mapping[str, Array]]
@@ -257,19 +256,12 @@ def _make_all(
             progress(len(labels))
         return labels
     found: dict[int, dict[str, Any]] = {}
-    waiting: dict[Future, int] = {}
-    coming = list(enumerate(cases))[::-1]
-    try:
-        with WorkerPool(jobs) as pool:
-            while coming or waiting:
-                while coming and len(waiting) < jobs:
-                    k, case = coming.pop()
-                    waiting[pool.submit(make_case, case, folder)] = k
-                for done in wait(waiting, return_when=FIRST_COMPLETED).done:
-                    found[waiting.pop(done)] = done.result()
-                progress(len(found))
-    except BrokenProcessPool:
-        raise InputError("blind make: a process was killed, expected enough memory") from None
+    with closing(over_processes(partial(make_case, folder=folder), cases, jobs)) as work:
+        for k, label in work:
+            if isinstance(label, Lost):
+                raise InputError(f"blind make: case {cases[k].name}: {label.why}")
+            found[k] = label
+            progress(len(found))
     return [found[k] for k in range(len(cases))]
 
 
@@ -279,6 +271,7 @@ def make_case(case: Case, folder: Path) -> dict[str, Any]:
     sized = size(case, stage)
     label = _label(case, stage, sized)
     place = folder / case.name
+    shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
     place.mkdir()
     for record in RECORDS:
         _write_bag(case, stage, sized, record, place / record)

@@ -2,12 +2,11 @@
 
 import argparse
 import os
-from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FILE, OWN, add_output, keep_safe
+from sma_bench.commands.parser import FILE, OWN, add_dask_option, add_output, keep_safe
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -20,10 +19,10 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import write_parameters
 from sma_bench.progress import counted
-from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, on_cluster, on_processes
+from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
+from sma_bench.worker_pool import interrupts_held
 
 _BAD_INPUT = 2
-_STOPPED = "not done: interrupted"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,11 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
         help="processes (default: one a core); the results do not depend on it",
     )
-    parser.add_argument(
-        "--dask", metavar="ADDRESS",
-        help="on the workers of this dask scheduler instead, tcp://host:8786 say; they see the "
-        "records under the same paths",
-    )
+    add_dask_option(parser, "the records")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -62,25 +57,21 @@ def run(args: argparse.Namespace) -> int:
         _make(Path(args.out))
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:
-        with progress(f"batch {args.kind}") as report, closing(_work(args, tasks)) as work:
+        done_so_far = closing(do_tasks(tasks, args.jobs, args.dask))
+        with progress(f"batch {args.kind}") as report, done_so_far as work:
             count = counted(report, len(tasks), "record")
             for done, (k, outcome) in enumerate(work, start=1):
                 outcomes[k] = outcome
                 if args.out:
                     _write(Path(args.out), names[k], outcome)
                 count(done)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, InputError) as error:
         if any(outcomes):
-            _print_outcomes(args, paths, outcomes)
+            reason = str(error) if isinstance(error, InputError) else "interrupted"
+            _print_outcomes(args, paths, outcomes, f"not done: {reason}")
         raise
     _print_outcomes(args, paths, outcomes)
     return _BAD_INPUT if any(o is None or o.error for o in outcomes) else 0
-
-
-def _work(
-    args: argparse.Namespace, tasks: list[Task]
-) -> Generator[tuple[int, Outcome], None, None]:
-    return on_cluster(tasks, args.dask) if args.dask else on_processes(tasks, args.jobs)
 
 
 def _names(paths: list[str]) -> list[str]:
@@ -106,15 +97,16 @@ def _make(folder: Path) -> None:
 def _write(folder: Path, name: str, outcome: Outcome) -> None:
     if outcome.result is None or outcome.parameters is None:
         return
-    write_json(str(folder / f"{name}.json"), outcome.result)
     comment = f"By sma-bench batch from {outcome.path}".replace("\n", " ")
-    write_parameters(folder / f"{name}.yaml", outcome.parameters, comment)
+    with interrupts_held():  # both or none
+        write_json(str(folder / f"{name}.json"), outcome.result)
+        write_parameters(folder / f"{name}.yaml", outcome.parameters, comment)
 
 
 def _print_outcomes(
-    args: argparse.Namespace, paths: list[str], outcomes: list[Outcome | None]
+    args: argparse.Namespace, paths: list[str], outcomes: list[Outcome | None], stopped: str = ""
 ) -> None:
-    whole = [o or Outcome(path, error=_STOPPED) for path, o in zip(paths, outcomes, strict=True)]
+    whole = [o or Outcome(path, error=stopped) for path, o in zip(paths, outcomes, strict=True)]
     if args.json:
         entries = [
             {"record": o.path, "seconds": o.seconds, "error": o.error or None, "result": o.result}

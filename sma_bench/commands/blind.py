@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.commands.parser import FILE, FOLDER, NEW, add_output, command_parser, one_of
+from sma_bench.commands.parser import (
+    FILE,
+    FOLDER,
+    NEW,
+    add_dask_option,
+    add_output,
+    command_parser,
+    one_of,
+)
 from sma_bench.commands.terminal import (
     add_json_option,
     output_console,
@@ -113,6 +121,7 @@ def examine_arguments(parser: argparse.ArgumentParser) -> None:
         "--answers", metavar="DIR", help="folder for the answers (default: DIR/answers/<who>)"
     )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time")
+    add_dask_option(parser, "the folder")
     parser.add_argument("--limit", type=int, metavar="N", help="stop after N more cases")
     parser.add_argument(
         "--time-limit", type=float, default=120.0, metavar="S",
@@ -139,7 +148,7 @@ def examine_cases(args: argparse.Namespace) -> int:
     answers = Path(args.answers) if args.answers else cases.answers / name
     write_examination(answers, Examination(name, program, args.time_limit, cases.sealed_sha256))
     waiting = open_cases(cases.names, answers, args.again)[: args.limit]
-    failed = _ask(cases, Examinee(program, args.time_limit), waiting, answers, args.jobs)
+    failed = _ask(cases, Examinee(program, args.time_limit), waiting, answers, args)
     left = len(open_cases(cases.names, answers))
     if args.json:
         write_json(args.json, {
@@ -173,7 +182,8 @@ def _who(args: argparse.Namespace) -> tuple[str, tuple[str, ...]]:
 
 
 def _ask(
-    cases: "CaseSet", examinee: "Examinee", waiting: list[str], answers: Path, jobs: int
+    cases: "CaseSet", examinee: "Examinee", waiting: list[str], answers: Path,
+    args: argparse.Namespace,
 ) -> int:
     """Examine under a progress bar; the number of failed cases."""
     from sma_bench.blind.examination import examine
@@ -188,7 +198,7 @@ def _ask(
                 print_failure(line)
             count(done)
 
-        examine(examinee, waiting, cases.folder, answers, jobs, after)
+        examine(examinee, waiting, cases.folder, answers, args.jobs, after, args.dask)
     return len(failures)
 
 
@@ -208,6 +218,7 @@ def score_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of answers (repeatable; default: all that lie in DIR/answers)",
     )
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="follow-ups at a time")
+    add_dask_option(parser, "the folder")
     parser.add_argument(
         "--no-follow-up", action="store_true",
         help="do not perform the experiments that ambiguous answers ask for",
@@ -231,7 +242,7 @@ def score_cases(args: argparse.Namespace) -> int:
     labels = open_labels(cases)
     if not args.no_follow_up:
         for paper in papers:
-            _follow_up(cases, labels, paper, args.jobs)
+            _follow_up(cases, labels, paper, args)
         papers += followed_up(papers)
     with progress("blind score") as report:
         scores = judge(cases, papers, labels, counted(report, len(cases.names), "case"))
@@ -260,7 +271,9 @@ def _write_pages(
         print(f"result {write_markdown(args.markdown, cases, papers, scores)}")
 
 
-def _follow_up(cases: "CaseSet", labels: "Labels", paper: "Paper", jobs: int) -> None:
+def _follow_up(
+    cases: "CaseSet", labels: "Labels", paper: "Paper", args: argparse.Namespace
+) -> None:
     from sma_bench.blind.examination import Examinee, asks_for_more, follow_up
 
     if not any(asks_for_more(kept) for kept in paper.kept):
@@ -273,7 +286,7 @@ def _follow_up(cases: "CaseSet", labels: "Labels", paper: "Paper", jobs: int) ->
                 print_failure(line)
             report(0.0, f"{done} of this round done")
 
-        follow_up(cases, labels, examinee, paper.folder, jobs, after)
+        follow_up(cases, labels, examinee, paper.folder, args.jobs, after, args.dask)
 
 
 _MET_STYLE = {"aim": "green", "floor": "yellow", "missed": "red", "": ""}

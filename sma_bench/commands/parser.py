@@ -226,6 +226,15 @@ def add_output(parser: argparse.ArgumentParser, option: str, kind: str, **rest: 
         )
 
 
+def add_dask_option(parser: argparse.ArgumentParser, shared: str) -> None:
+    """Add the address of a cluster."""
+    parser.add_argument(
+        "--dask", metavar="ADDRESS",
+        help="on the workers of this dask scheduler instead, tcp://host:8786 say; they see "
+        f"{shared} under the same path",
+    )
+
+
 def keep_safe(
     targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], force: bool
 ) -> None:

@@ -9,10 +9,12 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
 
+from sma_bench import worker_pool
 from sma_bench.commands import batch
 from sma_bench.commands.batch import _names
 from sma_bench.commands.parser import command_parser
@@ -20,7 +22,8 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records.write import write_record
 from sma_bench.synthetic.bench_records import protocol_record
-from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Task, on_cluster, on_processes, run_task
+from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks, run_task
+from sma_bench.worker_pool import Lost, over_cluster
 
 _MANY = 60  # records that nobody has done before he is interrupted
 _LONG = 120.0  # s, on a busy machine
@@ -159,15 +162,26 @@ def test_ctrl_c_while_processes_begin_is_one_line(bags):
     assert "Traceback" not in stderr and stderr.endswith("sma-bench: interrupted\n")
 
 
+def test_what_was_done_is_said_where_the_cluster_is_lost(tmp_path, capsys, monkeypatch):
+    def lost_after_one(tasks, jobs, cluster):
+        yield 1, Outcome(tasks[1].path, error="b: cannot be read")
+        raise InputError(f"dask scheduler {cluster}: lost")
+
+    monkeypatch.setattr(batch, "do_tasks", lost_after_one)
+    parser = command_parser("batch", None)
+    batch.add_arguments(parser)
+    words = ["identify", "a", "b", "--dask", "tcp://x", "--json", str(tmp_path / "all.json")]
+    with pytest.raises(InputError, match="dask scheduler tcp://x: lost"):
+        batch.run(parser.parse_args(words))
+    assert "0 of 2 records done" in capsys.readouterr().out
+    first, second = json.loads((tmp_path / "all.json").read_text())["records"]
+    assert first["error"] == "not done: dask scheduler tcp://x: lost"
+    assert second["error"] == "b: cannot be read"
+
+
 def test_files_of_records_with_one_name_do_not_meet():
     assert _names(["/a/bag", "/b/bag", "/c/other"]) == ["bag", "bag_2", "other"]
     assert len(set(_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
-
-
-def test_a_cluster_that_does_not_answer_is_one_line():
-    pytest.importorskip("distributed")
-    with pytest.raises(InputError, match="dask scheduler nowhere://x: cannot be reached"):
-        list(on_cluster([], "nowhere://x"))
 
 
 @pytest.mark.slow
@@ -185,7 +199,7 @@ def test_a_diagnosis_is_a_task_as_well(bags):
 
 def test_number_of_jobs_is_checked():
     with pytest.raises(InputError, match="jobs 0: expected 1 to"):
-        list(on_processes([], 0))
+        list(do_tasks([], 0))
 
 
 class Stuck(str):
@@ -215,7 +229,7 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
 
     killer = threading.Thread(target=kill_what_hangs, daemon=True)
     killer.start()
-    for k, outcome in on_processes(tasks, 2):
+    for k, outcome in do_tasks(tasks, 2):
         done[k] = outcome
     finished.set()
     killer.join()
@@ -224,19 +238,83 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
     assert set(multiprocessing.active_children()) <= before
 
 
-@pytest.mark.slow
-def test_a_local_cluster_gives_the_same_as_processes(bags, tmp_path):
+# --- a cluster ----------------------------------------------------------------------------------
+
+
+@contextmanager
+def cluster_of(workers, folder, processes=False):
+    """Address of a local cluster, and the cluster."""
     distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=workers, threads_per_worker=1, dashboard_address=None, processes=processes,
+        host="127.0.0.1", protocol="tcp", local_directory=str(folder),
+    ) as cluster:
+        yield cluster.scheduler_address, cluster
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_as_this_process_whatever_befalls_its_workers(bags, tmp_path):
     paths = [str(bags / "wire_2.5"), str(tmp_path / "missing"), str(bags / "wire_2.9")]
     tasks = [Task(IDENTIFY, path, Parameters.defaults()) for path in paths]
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None,
-        host="127.0.0.1", local_directory=str(tmp_path),
-    ) as cluster:
-        spread = dict(on_cluster(tasks, cluster.scheduler_address))
-    here = dict(on_processes(tasks, 2))
-    assert sorted(spread) == sorted(here) == [0, 1, 2]
+
+    def kills_once(mark):  # in here, for the workers do not know this file
+        import os
+
+        if mark.exists():
+            return "done"
+        mark.touch()
+        os._exit(1)
+
+    with cluster_of(2, tmp_path, processes=True) as (address, cluster):
+        spread = dict(do_tasks(tasks, 1, address))
+        again = dict(over_cluster(kills_once, [tmp_path / "killed"], address))
+        cluster.scheduler.allowed_failures = 0
+        lost = dict(over_cluster(os._exit, [1], address))
+    assert again == {0: "done"}
+    assert lost == {0: Lost("its process was killed (out of memory?)")}
+    here = list(map(run_task, tasks))
+    assert sorted(spread) == [0, 1, 2]
     assert "no such file" in spread[1].error and spread[1].error == here[1].error
     for k in (0, 2):
         assert spread[k].result["parameters"] == here[k].result["parameters"]
         assert spread[k].result["parameters"]["wire.resistance"]["n"] > 0
+
+
+
+
+def test_a_cluster_that_does_not_answer_is_one_line():
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match="dask scheduler nowhere://x: cannot be reached"):
+        list(over_cluster(int, [], "nowhere://x"))
+
+
+def test_what_is_wrong_with_a_cluster_is_one_line(tmp_path, monkeypatch):
+    with cluster_of(1, tmp_path) as (address, cluster):
+        assert dict(over_cluster(int, ["1", "2"], address)) == {0: 1, 1: 2}
+        with pytest.raises(InputError, match=f"scheduler {address}: ValueError: invalid literal"):
+            list(over_cluster(int, ["one"], address))
+        monkeypatch.setattr(worker_pool, "__version__", "0.0")
+        monkeypatch.setattr(worker_pool, "_version", str)
+        with pytest.raises(InputError, match="dask worker tcp://.*: sma_bench , expected 0.0"):
+            list(over_cluster(int, ["1"], address))
+        cluster.scale(0)
+        wait_for(lambda: not cluster.scheduler.workers)
+        with pytest.raises(InputError, match=f"scheduler {address}: no workers for 0.1 s"):
+            list(over_cluster(int, ["1"], address, patience=0.1))
+
+
+def test_a_batch_that_stops_asking_leaves_a_cluster_nothing_to_do(tmp_path):
+    with cluster_of(1, tmp_path) as (address, cluster):
+        with closing(over_cluster(time.sleep, [0.0, 0.1, *[1.0] * 9], address)) as work:
+            assert next(work) == (0, None)
+        wait_for(lambda: len(cluster.scheduler.tasks) <= 1)
+
+
+def test_a_scheduler_that_goes_away_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(worker_pool, "_CONNECTING", "1s")
+    with cluster_of(1, tmp_path) as (address, cluster):
+        work = over_cluster(time.sleep, [0.0, 5.0], address)
+        assert next(work) == (0, None)
+        cluster.close()
+        with pytest.raises(InputError, match=f"dask scheduler {address}: lost"):
+            list(work)

@@ -13,7 +13,7 @@ from whole_commands import staircase_signals
 
 from sma_bench.parameters import Parameters
 from sma_bench.records.write import write_record
-from sma_bench.tasks.batch import IDENTIFY, Task, on_cluster, on_processes
+from sma_bench.tasks.batch import IDENTIFY, Task, do_tasks
 
 BAGS = 200
 _DURATION = 300.0  # s, of each
@@ -27,16 +27,16 @@ def measure(tiny: bool = False) -> list[Outcome]:
         bag = Path(folder, "bag")
         write_record(bag, staircase_signals(_DURATION))
         tasks = [Task(IDENTIFY, str(bag), Parameters.defaults())] * count
-        one = _seconds(lambda: on_processes(tasks, 1))
+        one = _seconds(lambda: do_tasks(tasks, 1))
         outcomes: list[Outcome] = [Figure(case, "one process", count / one, "bags/s")]
         if tiny:
             return outcomes
         sizes = np.array([count // 8, count // 4, count // 2, count])
-        fewer = [_seconds(lambda n=n: on_processes(tasks[:n], 1)) for n in sizes[:-1].tolist()]
+        fewer = [_seconds(lambda n=n: do_tasks(tasks[:n], 1)) for n in sizes[:-1].tolist()]
         growth = exponent(sizes, np.array([*fewer, one]))
         what = f"one process: exponent from {sizes[0]} to {count} bags"
         outcomes.append(Figure(case, what, growth, "", at_most(1.15)))
-        many = _seconds(lambda: on_processes(tasks, cores))
+        many = _seconds(lambda: do_tasks(tasks, cores))
         outcomes += [
             Figure(case, f"{cores} processes", count / many, "bags/s"),
             Figure(case, f"gain of {cores} processes over one", one / many, "x",
@@ -57,7 +57,7 @@ def _on_dask(
         local_directory=folder,
     ) as cluster:
         address = cluster.scheduler_address
-        spread = _seconds(lambda: on_cluster(tasks, address))
+        spread = _seconds(lambda: do_tasks(tasks, 1, address))
     return [
         Figure(case, f"dask, {cores} local workers", len(tasks) / spread, "bags/s"),
         Figure(case, "dask: times the time of processes", spread / processes, "x"),
