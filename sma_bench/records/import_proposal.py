@@ -343,7 +343,9 @@ def _ask_for_missing(proposal: _Proposal, made: ImportMap, unknown: list[str]) -
     names = {entry.signal.rpartition(".")[2] for entry in made.entries}
     moves, drives = bool(names & {*POSITIONS, "force"}), bool(names & {"voltage", "current"})
     rest = ", ".join(map(repr, unknown[:8])) or "no others"
-    if not moves:
+    # A clamped wire moves nothing, and shows its heat and its resistance.
+    clamped = "temperature" in names or {"voltage", "current"} <= names
+    if not moves and (unknown or not clamped):
         proposal.ask("signals", f"no position or force recognised; the other columns: {rest}")
     if not drives and not {"elongation", "force"} <= names:
         proposal.ask("signals", f"no voltage, duty or current recognised; others: {rest}")

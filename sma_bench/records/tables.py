@@ -332,21 +332,64 @@ def _read_matlab(content: bytes, budget: Budget) -> Found:
     return _from_leaves(leaves, ".", budget)
 
 
+# Data types of MAT 5 elements; scipy's compiled reader ends the process at any other.
+_NUMBERS_AND_TEXTS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
+_MATRIX, _COMPRESSED = 14, 15
+# Of matrices: cells, structures, objects, functions and opaque ones hold matrices, all others none.
+_HOLD_MATRICES = frozenset({1, 2, 3, 16, 17})
+
+
 def _measure_matlab(content: bytes, budget: Budget) -> None:
-    """Unfold the compressed elements piece by piece, to know that they are not too large."""
+    """Unfold the compressed elements piece by piece, to know that they are neither too large nor
+    of a kind that nobody knows."""
+    if 0 in content[:4] or content[124:126] not in (b"\0\1", b"\1\0"):
+        return  # MAT 4, which has neither
     order = "<" if content[126:128] == b"IM" else ">"
-    position = 128
+    for kind, body in _elements(content[128:], order):
+        unfolded = [(kind, body)]
+        if kind == _COMPRESSED:
+            unfolded = list(_elements(b"".join(_inflated(body, budget)), order))
+        else:
+            budget.take(len(body))
+        for inner, part in unfolded:
+            _check_element(inner, part, order, 0)
+
+
+def _inflated(body: bytes, budget: Budget) -> Iterator[bytes]:
+    inflate = zlib.decompressobj()
+    while body and not inflate.eof:
+        yield (piece := inflate.decompress(body, MEGABYTE))
+        budget.take(len(piece))
+        body = inflate.unconsumed_tail
+
+
+def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Type and bytes of the elements one after the other; short ones lie within their tag."""
+    position = 0
     while position + 8 <= len(content):
         kind, size = struct.unpack_from(order + "II", content, position)
-        if kind == 15:
-            inflate = zlib.decompressobj()
-            rest = content[position + 8 : position + 8 + size]
-            while rest and not inflate.eof:
-                budget.take(len(inflate.decompress(rest, MEGABYTE)))
-                rest = inflate.unconsumed_tail
+        if kind >> 16:
+            kind, size, start, step = kind & 0xFFFF, min(kind >> 16, 4), position + 4, 8
         else:
-            budget.take(size)
-        position += 8 + size
+            start, step = position + 8, 8 + size + (0 if kind == _COMPRESSED else -size % 8)
+        yield kind, content[start : start + size]
+        position += step
+
+
+def _check_element(kind: int, body: bytes, order: str, depth: int) -> None:
+    if kind in _NUMBERS_AND_TEXTS:
+        return
+    if kind != _MATRIX:
+        raise InputError(f"not a readable MATLAB file: an element of type {kind}")
+    if depth > _DEEPEST:
+        raise OverBudget(f"nested deeper than {_DEEPEST} levels")
+    held = list(_elements(body, order))
+    flags = held[0][1] if held else b""
+    shape = flags[0 if order == "<" else 3] if len(flags) >= 4 else 0
+    for inner, part in held:
+        if inner == _MATRIX and shape not in _HOLD_MATRICES:
+            raise InputError("not a readable MATLAB file: numbers expected, a matrix found")
+        _check_element(inner, part, order, depth + 1)
 
 
 def _matlab_leaves(path: tuple[str, ...], value: Any) -> Iterator[_Leaf]:

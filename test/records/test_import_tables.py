@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -329,6 +330,34 @@ def test_tables_that_unfold_without_end_are_refused(tmp_path, monkeypatch):
                        (outside, "another file")):  # fmt: skip
         with pytest.raises(InputError, match=said):
             read_table_file(path)
+
+
+@pytest.mark.parametrize("kind", [0, 8, 10, 14, 15, 19, 255])
+@pytest.mark.parametrize("packed", [False, True])
+def test_numbers_of_a_type_that_matlab_has_not_are_refused_before_they_end_the_process(
+    kind, packed, tmp_path
+):
+    plain = tmp_path / "plain.mat"
+    io.savemat(plain, {"t": np.arange(40) / 7.0, "s": {"u": np.arange(40) * 1.5}})
+    content = plain.read_bytes()
+    doubles = (9).to_bytes(4, "little") + (320).to_bytes(4, "little")
+    assert content.count(doubles) == 2
+    content = content.replace(doubles, kind.to_bytes(4, "little") + doubles[4:])
+    if packed:
+        elements = zlib.compress(content[128:])
+        size = len(elements).to_bytes(4, "little")
+        content = content[:128] + b"\x0f\0\0\0" + size + elements
+    (tmp_path / "odd.mat").write_bytes(content)
+    with pytest.raises(InputError, match="not a readable MATLAB file"):
+        read_table_file(tmp_path / "odd.mat")
+    assert len(read_table_file(plain).columns) == 2
+
+
+def test_a_clamped_wire_needs_no_position(tmp_path, rig):
+    source = text_file(tmp_path / "heated.csv", ["time [s]", "duty [%]", "temperature [degC]"],
+                       [TIME, DUTY * 100, 23.0 + 400.0 * DUTY])  # fmt: skip
+    signals = imported(source, rig, tmp_path / "bag").signals
+    assert set(signals) == {"wire.voltage", "wire.temperature"}
 
 
 def test_texts_of_a_spreadsheet_without_end_take_no_longer_than_its_budget(tmp_path, monkeypatch):

@@ -506,10 +506,12 @@ def _warm_up(folder: Path) -> None:
     bag = folder / "warm"
     write_record(bag, list(drive().signals.values()))
     table = folder / "warm.csv"
-    table.write_text("time [s],voltage [V]\n" + "".join(f"{k},{k % 5}\n" for k in range(20)))
+    rows = "".join(f"{k},{k % 5},{20 + k}\n" for k in range(20))
+    table.write_text("time [s],voltage [V],temperature [degC]\n" + rows)
     for command in FOR_ALL:
         run_command(command, Case(bag, ("--params", str(_RIG))), folder / "out", 600.0)
-    run_command("import", Case(table, tabled=()), folder / "out", 600.0)
+    said, code = run_command("import", Case(table, tabled=()), folder / "out", 600.0)
+    assert not said and code == 0, f"import of a plain table ends with {code}: {said}"
 
 
 def try_case(maker: Maker, rng: random.Random, folder: Path) -> tuple[list[str], list[str]]:
