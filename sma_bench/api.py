@@ -39,7 +39,12 @@ from sma_bench.records.overlay import Overlay, overlay
 from sma_bench.records.samples import held_voltages
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.records.write import write_record
-from sma_bench.synthetic.bench_records import played, read_signals, signals_of, simulate_finely
+from sma_bench.synthetic.bench_records import (
+    read_signals,
+    signals_of,
+    simulate_finely,
+    simulate_protocol,
+)
 
 __all__ = [
     "Diagnosis",
@@ -153,8 +158,7 @@ def simulate(
     for name, size in (effects or {}).items():
         bench = bench.replace(effect_values(name, float(size)), where="effects")
     if (protocol := _protocol(drive, bench)) is not None:
-        driven = protocol.bench(bench)
-        return simulate_finely(driven, *played(protocol, driven, _period(rate)))
+        return simulate_protocol(protocol, bench, _period(rate))
     time_and_volts = _voltages(drive, bench)
     return simulate_finely(
         bench if isinstance(drive, tuple) else as_recorded(bench), *time_and_volts

@@ -15,7 +15,12 @@ from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
 from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
-from sma_bench.identify.load_frame import holds_frame, is_clamped_wire, isobaric_tests
+from sma_bench.identify.load_frame import (
+    holds_frame,
+    is_clamped_wire,
+    isobaric_tests,
+    tensile_tests,
+)
 from sma_bench.identify.signals import find_drives
 from sma_bench.identify.whole_model import moves
 from sma_bench.parameters import Parameters
@@ -110,6 +115,8 @@ def _bag_uses(record: Record, parameters: Parameters) -> list[tuple[str, object]
     if moves(record, parameters):
         return [("composite", record)] if len(driven) > 1 else []
     uses: list[tuple[str, object]] = []
+    if pulls := tensile_tests(record, parameters):
+        return [("tensile", test) for test in pulls]
     if is_clamped_wire(record):
         uses.append(("clamped", record))
     elif holds_frame(record):

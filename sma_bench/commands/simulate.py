@@ -1,7 +1,10 @@
 """sma-bench simulate: the paper's model on a protocol or on the voltages of a bag."""
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import BAG, add_output
@@ -14,6 +17,9 @@ from sma_bench.commands.terminal import (
 )
 from sma_bench.errors import InputError
 from sma_bench.progress import part
+
+if TYPE_CHECKING:
+    from sma_bench.physics import Simulation
 
 LARGEST_RATE = 10_000.0
 _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
@@ -55,32 +61,33 @@ def run(args: argparse.Namespace) -> int:
     from sma_bench.records.write import write_record
     from sma_bench.synthetic.bench_records import (
         limits_passed,
-        played,
         read_signals,
         signals_of,
         simulate_finely,
+        simulate_protocol,
     )
 
     parameters = parameters_from_options(args)
     for text in args.effects:
         parameters = parameters.replace(_effect(text), where="--effect")
     start_ns = 0
+    drive: Callable[[], Simulation]
     if args.protocol:
         if not 0.0 < args.rate <= LARGEST_RATE:
             raise InputError(f"--rate is {args.rate:g} Hz, expected 0 to {LARGEST_RATE:g}")
         protocol = load_protocol(args.protocol, parameters)
-        parameters = protocol.bench(parameters)
-        time, voltage = played(protocol, parameters, 1.0 / args.rate)
+        drive = partial(simulate_protocol, protocol, parameters, 1.0 / args.rate)
     else:
         record = read_record(args.input)
         start_ns = record.start_ns
         time, voltage = held_voltages(record, parameters["bench.channels"])
-        parameters = as_recorded(parameters)
+        drive = partial(simulate_finely, as_recorded(parameters), time, voltage)
     if args.noise is not None and args.noise < 0:
         raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
     with progress("simulate") as report:
         report(0.0, "the model")
-        simulation = simulate_finely(parameters, time, voltage)
+        simulation = drive()
+        time = simulation.time
         signals, noise = signals_of(simulation), "no noise"
         if args.noise is not None:
             signals = read_signals(signals, args.noise, part(report, *_INSTRUMENTS))

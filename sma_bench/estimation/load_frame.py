@@ -11,7 +11,7 @@ from sma_bench.estimation.noise_model import (
     inflation,
     white_noise_level,
 )
-from sma_bench.estimation.voltage import find_segments
+from sma_bench.estimation.voltage import FEWEST_SAMPLES, Segment, find_segments
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.physics import Boundary
@@ -20,6 +20,7 @@ from sma_bench.records.record import Record, has_samples, samples
 
 LOAD_FRAME = ("elongation", "force")
 _MOSTLY = 0.7  # of a record, that is held
+_PULL, _SHORTEST_PULL = 0.5, 5.0  # of the range of the force; s
 _SHORTEST_HOLD, _RAMP_PIECE = 2.0, 0.25  # s; of a changing load the pieces
 _NARROW = 1e-3  # s
 _STILL = 1.5  # of its noise: an elongation that stands still scatters no more
@@ -78,8 +79,7 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
     if not has_samples(record, "force"):
         raise InputError(f"{record.path}: elongation without force, expected the load held")
     time, force = samples(record, "force")
-    plateaus = [p for p in find_segments(time, force).plateaus if p.duration >= _SHORTEST_HOLD]
-    held_for = sum(p.duration for p in plateaus)
+    plateaus, held_for = _plateaus(record)
     if held_for < _MOSTLY * (time[-1] - time[0]):
         raise InputError(
             f"{record.path}: the force is held for {held_for:.0f} of "
@@ -95,6 +95,31 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
         holds.append(Hold(first, last, False, *_mean(force[inside])))
         here = last
     return (*holds, *_followed(time, force, here, stop))
+
+
+def _plateaus(record: Record) -> tuple[list[Segment], float]:
+    """Where the force is held, and for how long in all (s)."""
+    found = [
+        p for p in find_segments(*samples(record, "force")).plateaus
+        if p.duration >= _SHORTEST_HOLD
+    ]
+    return found, sum(p.duration for p in found)
+
+
+def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
+    """From when to when (s) a frame, that mostly neither holds a load nor stands still, pulls
+    evenly."""
+    if is_clamped(record) or not has_samples(record, "force"):
+        return ()
+    time, force = samples(record, "force")
+    if len(time) < FEWEST_SAMPLES or _plateaus(record)[1] >= _MOSTLY * (time[-1] - time[0]):
+        return ()
+    largest = float(np.ptp(force))
+    return tuple(
+        (ramp.start, ramp.stop) for ramp in find_segments(time, force).ramps
+        if ramp.voltage_stop - ramp.voltage_start > _PULL * largest
+        and ramp.duration >= _SHORTEST_PULL
+    )
 
 
 def _mean(values: Array) -> tuple[float, float]:

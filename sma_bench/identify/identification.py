@@ -250,7 +250,8 @@ def identify(
     for name, thermal in _THERMAL.items():
         told(name)
         thermal(run, drives)
-    _instruments(run, records, phases or {}, told, report)
+    pulled = [test for r in still for test in load_frame.tensile_tests(r, run.improved())]
+    _instruments(run, [*records, *pulled], phases or {}, told, report)
     told("E8")
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
@@ -269,7 +270,10 @@ def _remarks(record: Record) -> Iterator[Finding]:
 def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment | None:
     """E10 where a record shows the bench moving, else E9 where one shows a load frame."""
     bent = [record for record in bags if whole_model.moves(record, run.given)]
-    framed = [r for r in bags if load_frame.holds_frame(r) and r not in bent]
+    framed = [
+        r for r in bags
+        if load_frame.holds_frame(r) and r not in bent and not load_frame.find_pulls(r)
+    ]
     name = whole_model.NAME if bent else load_frame.NAME
     if not (bent or framed) or name not in run.wanted:
         return None

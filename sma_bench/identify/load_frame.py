@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import has_load_frame, is_clamped
+from sma_bench.estimation.load_frame import find_pulls, has_load_frame, is_clamped
+from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import find_rig
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment
@@ -23,12 +24,14 @@ from sma_bench.physics.bending import wire_section
 from sma_bench.progress import Report, silent
 from sma_bench.records.isobaric import IsobaricRecord, find_cycles
 from sma_bench.records.record import Record, has_samples, samples
+from sma_bench.records.tensile import FEWEST_ROWS, STEADY, TensileRecord
 
 NAME = "E9"
 TITLE = "Constitutive parameters from the load frame"
 _SHORTEST_TEST = 10.0
 _FAR = 4.0
 _SMALLEST_RANGE = 5.0
+_ROWS = 60
 
 
 def identify_load_frame(
@@ -94,6 +97,40 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
             IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks))
         )
     return tuple(tests)
+
+
+def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord, ...]:
+    """The pulls of a load-frame bag at steady temperature as tensile tests, one a pull.
+
+    A row is a mean over a part of the pull: what an extensometer scatters within one would make
+    the wire look softer.
+    """
+    names = ("elongation", "force", *(f"{channel}.temperature" for channel in record.channels[:1]))
+    if len(record.channels) != 1 or not all(has_samples(record, name) for name in names):
+        return ()
+    tests = []
+    for number, (start, stop) in enumerate(find_pulls(record), 1):
+        edges = np.linspace(start, stop, _ROWS + 1)
+        elongation, force, kelvin = (
+            _means_within(*samples(record, name), edges) for name in names
+        )
+        known = np.isfinite(elongation + force)
+        if np.nanmax(kelvin) - np.nanmin(kelvin) > STEADY or known.sum() < FEWEST_ROWS:
+            continue
+        tests.append(TensileRecord(
+            record.path / f"pull {number}", elongation[known] / wire_length(parameters),
+            force[known] / wire_section(parameters), float(np.nanmean(kelvin)),
+        ))
+    return tuple(tests)
+
+
+def _means_within(time: Array, values: Array, edges: Array) -> Array:
+    """(m,) means between (m + 1,) times; NaN where nothing was measured."""
+    index = np.searchsorted(edges, time, side="right") - 1
+    inside = (index >= 0) & (index < len(edges) - 1)
+    count = np.bincount(index[inside], minlength=len(edges) - 1)
+    total = np.bincount(index[inside], values[inside], len(edges) - 1)
+    return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
 
 
 def about_length(parameters: Parameters) -> Finding:

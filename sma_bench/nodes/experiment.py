@@ -189,6 +189,8 @@ class Experiment(BenchNode):
     def _plan(self) -> Protocol:
         """What is followed, from the parameters of the moment."""
         protocol = self._loop.plan(self.settings, self.parameters)
+        if protocol.pulls:
+            self.get_logger().warning(f"{protocol.name}: the frame has to pull as its steps say")
         self._loop.begin(self.settings, self.parameters)
         return protocol
 

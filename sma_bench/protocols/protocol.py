@@ -52,7 +52,8 @@ class Until:
 class Segment:
     """A straight line: from `start` to `stop` (levels, one per channel) in `duration` s at most.
 
-    `step` is what people and markers call it; `until` ends it earlier.
+    `step` is what people and markers call it; `until` ends it earlier; `force` (N) is what the load
+    frame has come to by its end, None where it goes on holding what it held.
     """
 
     step: str
@@ -60,6 +61,7 @@ class Segment:
     start: tuple[float, ...]
     stop: tuple[float, ...]
     until: Until | None = None
+    force: float | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,18 @@ class Protocol:
     def waits(self) -> bool:
         """Whether a step ends by what is measured."""
         return any(segment.until for segment in self.segments)
+
+    @property
+    def pulls(self) -> bool:
+        """Whether its steps change the force that a load frame holds."""
+        return any(segment.force is not None for segment in self.segments)
+
+    def forces(self, time: Array, first: float) -> Array:
+        """(n,) N that the load frame holds, `first` before any step says so."""
+        held = [first]
+        for segment in self.segments:
+            held.append(held[-1] if segment.force is None else segment.force)
+        return np.interp(time, self._edges, held)
 
     @property
     def length(self) -> str:

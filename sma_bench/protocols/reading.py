@@ -107,12 +107,16 @@ KINDS: dict[str, StepKind] = {
 #
 #       until: {temperature_above: 330.0, deflection_below: -0.01, settled: temperature, over: 5.0}
 #
+# `force` is the N that the frame of a protocol with `load: force` has come to, evenly, by the end
+# of a step; `simulate` pulls so, at a real frame it is the frame's own program.
+#
 # `steps` may be a text, and a whole file or a protocol's name too: the words of `spoken`.
 
 SUFFIX, SPOKEN_SUFFIX = ".yaml", ".txt"
 PROTOCOL_KEYS = ("name", "description", "repeat", "steps")
-STEP_KEYS = ("kind", "name", "drive", "repeat", "until")
+STEP_KEYS = ("kind", "name", "drive", "repeat", "until", "force")
 _LONGEST_TEXT = 100_000
+_LARGEST_FORCE = 1e4  # N
 _THRESHOLDS = {
     f"{quantity}_{side}": (quantity, side, unit)
     for quantity, unit in (("temperature", "K"), ("deflection", "m"))
@@ -215,7 +219,7 @@ def parse_levels(
         _require_count(len(once), where)
     _require_count(len(once) * times, where)
     _require_length(sum(segment.duration for segment in once) * times, where)
-    return Protocol(
+    protocol = Protocol(
         name=_text(document, "name", where) or name,
         channels=quantity.targets(parameters)[0],
         segments=tuple(_numbered(once, times)),
@@ -223,6 +227,11 @@ def parse_levels(
         load=_load(document, where),
         rest=quantity.rest(parameters),
     )
+    if protocol.pulls and (protocol.load != "force" or protocol.waits):
+        raise InputError(
+            f"{where}: a step has a force, expected load: force beside the steps, and no until"
+        )
+    return protocol
 
 
 def _load(document: Any, where: str) -> str:
@@ -290,7 +299,20 @@ def _segments(
     _require_count(len(lines) * times, where)
     driven = _driven(step, kind, quantity.targets(parameters), where)
     until = _until(step["until"], kind, parameters, where) if "until" in step else None
-    return _numbered([_segment(name, line, driven, scale.rest, until) for line in lines], times)
+    segments = [_segment(name, line, driven, scale.rest, until) for line in lines]
+    if "force" in step:
+        segments = [_pulled(step, segments, where)]
+    return _numbered(segments, times)
+
+
+def _pulled(step: dict[str, Any], segments: list[Segment], where: str) -> Segment:
+    force = _number(step, "force", "N", where)
+    if not 0.0 <= force <= _LARGEST_FORCE or len(segments) > 1:
+        raise InputError(
+            f"{where}: force is {force:g} N, expected 0 to {_LARGEST_FORCE:g} N in a step of one "
+            "line"
+        )
+    return replace(segments[0], step=f"{segments[0].step} to {force:g} N", force=force)
 
 
 def _until(given: Any, kind: StepKind, parameters: Parameters, where: str) -> Until:

@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control import TemperatureController
+from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import Limits, current_fault, temperature_fault
@@ -16,6 +18,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench, Boundary, Simulation, simulate
+from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.heat import direct_reading
@@ -73,6 +76,7 @@ class Sensors:
 # s. The paper's model is exact in any step; effects that act within one, latent heat above all,
 # need short ones.
 _FINE_STEP = 0.0025
+_PULL_STEP = 0.1  # s, in which a frame's force stands still
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
                "bending", "temperature_reading")  # fmt: skip
 
@@ -86,18 +90,69 @@ def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike)
     Raises:
         InputError: as `simulate`.
     """
-    seconds = np.asarray(time, dtype=np.float64)
-    if not active_effects(parameters) or seconds.ndim != 1 or len(seconds) < 2:
-        return simulate(parameters, time, voltage)
-    gaps = np.diff(seconds)
+    fine, volts, first = _refined(parameters, time, voltage)
+    run = simulate(parameters, fine, volts)
+    if len(first) == len(run.time):
+        return run
+    return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
+
+
+def _refined(
+    parameters: Parameters, time: ArrayLike, voltage: ArrayLike
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Time and voltage in short enough steps, and where the given samples are among these."""
+    seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
+    gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)
+    if not active_effects(parameters) or not np.all(gaps > 0.0):
+        # What is wrong with them, the simulation says.
+        return seconds, volts, np.arange(seconds.size)
     parts = np.append(np.maximum(np.ceil(gaps / _FINE_STEP), 1.0), 1.0).astype(int)
-    if not np.all(gaps > 0.0):
-        return simulate(parameters, time, voltage)  # which says what is wrong with them
     first = np.cumsum(parts) - parts
     within = np.arange(parts.sum()) - np.repeat(first, parts)
     fine = np.repeat(seconds, parts) + within * np.repeat(np.append(gaps, 0.0) / parts, parts)
-    run = simulate(parameters, fine, np.repeat(np.asarray(voltage), parts, axis=0))
-    return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
+    return fine, np.repeat(volts, parts, axis=0), first
+
+
+def simulate_protocol(
+    protocol: Protocol, parameters: Parameters, period: float
+) -> Simulation:
+    """A protocol on the bench that runs it, sampled every `period` s; a frame pulls as its steps
+    say.
+
+    Raises:
+        InputError: steps with forces on a bench whose load is no held force.
+    """
+    bench = protocol.bench(parameters)
+    time, voltage = played(protocol, bench, period)
+    if not protocol.pulls:
+        return simulate_finely(bench, time, voltage)
+    if load_kind(bench) != "force":
+        raise InputError(
+            f"{protocol.name}: its steps hold forces, expected load.kind force, "
+            f"not {load_kind(bench)}"
+        )
+    return _pulled(bench, time, voltage, protocol.forces(time, bench["load.force"]))
+
+
+def _pulled(parameters: Parameters, time: Array, voltage: Array, force: Array) -> Simulation:
+    """Under a force (n,) N that changes; elongation counts from the wire without any."""
+    section = channel_section(parameters)
+    fine, volts, first = _refined(parameters, time, voltage)
+    edges = np.unique(np.append(first[:: max(round(_PULL_STEP / (time[1] - time[0])), 1)],
+                                len(fine) - 1))  # fmt: skip
+    held = np.interp(fine[edges], time, force) / section
+    bench = Bench(parameters, boundary=Boundary.held_stress(float(held[0])))
+    parts = []
+    for start, stop, stress in zip(edges[:-1], edges[1:], held[1:].tolist(), strict=True):
+        bench.pull_against(Boundary.held_stress(stress))
+        parts.append(bench.follow(fine[start : stop + 1], volts[start : stop + 1]))
+    joined: dict[str, Any] = {
+        name: np.concatenate([
+            *(getattr(p, name)[:-1] for p in parts), getattr(parts[-1], name)[-1:]
+        ])[first]
+        for name in _OF_SAMPLES
+    }
+    return replace(parts[-1], **joined, started=0.0)
 
 
 def played(

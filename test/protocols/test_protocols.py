@@ -6,8 +6,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sma_bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length
 from sma_bench.protocols import load_protocol, parse_protocol, protocol_names
 
 WIRE = Parameters.defaults()
@@ -214,3 +216,29 @@ def test_isobaric_hangs_a_wire_under_the_papers_force_unless_the_bench_has_a_loa
     assert triangle.bench(Parameters.defaults())["load.kind"] == ""
     with pytest.raises(InputError, match="load is 'rope', expected clamped, force"):
         parse_protocol({"steps": [{"kind": "rest", "duration": 1.0}], "load": "rope"}, COMPOSITE)
+
+
+def test_steps_say_what_force_the_frame_comes_to():
+    steps = [
+        {"kind": "rest", "name": "pull", "duration": 10.0, "force": 20.0},
+        {"kind": "rest", "name": "wait", "duration": 5.0},
+        {"kind": "rest", "name": "release", "duration": 5.0, "force": 0.0},
+    ]
+    pulled = parse_protocol({"steps": steps, "load": "force"}, WIRE)
+    assert pulled.step_at(5.0) == "pull to 20 N"
+    assert pulled.forces([0.0, 5.0, 12.0, 17.5], 1.0) == pytest.approx([1.0, 10.5, 20.0, 10.0])
+    run = sma_bench.simulate({"steps": steps, "load": "force"}, WIRE, rate=10.0)
+    assert run.force[120, 0] == pytest.approx(20.0)
+    stiffness = 22.8e9 * np.pi * 0.15e-3**2 / wire_length(WIRE)
+    assert run.elongation[120, 0] == pytest.approx(20.0 / stiffness, rel=1e-6)
+    for change, message in (
+        ({"load": ""}, "expected load: force beside the steps"),
+        ({"steps": [{**steps[0], "force": -1.0}]}, "force is -1 N, expected 0 to 10000 N"),
+        ({"steps": [{**steps[1], "until": "settled"}, steps[0]]}, "and no until"),
+    ):
+        with pytest.raises(InputError, match=message):
+            parse_protocol({"steps": steps, "load": "force", **change}, WIRE)
+    with pytest.raises(InputError, match="its steps hold forces, expected load.kind force"):
+        sma_bench.simulate(
+            {"steps": steps, "load": "force"}, WIRE.replace({"load.kind": "clamped"})
+        )

@@ -14,8 +14,8 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 RIGS = {name: read_parameters(CONFIG / f"{name}_rig.yaml") for name in ("wire", "composite")}
 VOLTAGE_DRIVEN = {  # experiment: protocols
     "E1": "staircase", "E2": "staircase", "E3": "ramp", "E4": "triangle", "E6": "isobaric",
-    "E8": "thermal_expansion", "E10": "composite_step", "E11": "composite_operating_point",
-    "E12": "composite_triangle",
+    "E7": "tensile", "E8": "thermal_expansion", "E10": "composite_step",
+    "E11": "composite_operating_point", "E12": "composite_triangle",
 }
 
 

@@ -323,17 +323,20 @@ def test_geometry_of_two_layers_comes_out_of_a_fine_lattice():
     assert "2.4% of δ" in paper_errata()[18].remark
 
 
-def test_e6_and_e8_run_from_protocol_to_table_by_way_of_a_bag(tmp_path):
-    """A wire under 1 N and one between clamps, simulated, recorded, read and identified."""
+def test_e6_to_e8_run_from_protocol_to_table_by_way_of_a_bag(tmp_path):
+    """A wire under 1 N, one pulled cold and hot, one between clamps: simulated, recorded, read and
+    identified."""
     bags = []
-    for seed, (name, rate) in enumerate((("isobaric", 5.0), ("thermal_expansion", 10.0)), 1):
+    protocols = (("isobaric", 5.0), ("tensile", 50.0), ("thermal_expansion", 10.0))
+    for seed, (name, rate) in enumerate(protocols, 1):
         run = sma_bench.measure(sma_bench.simulate(name, PAPER, rate=rate), seed)
         write_record(tmp_path / name, run)
         bags.append(sma_bench.load(tmp_path / name))
     assert np.median(bags[0]["force"].values) == pytest.approx(1.0, abs=0.01)
     sorted_, notes = sort_records(bags, PAPER)
-    outcomes, reasons = identify_lab(sorted_.only(("upfr", "clamped")), PAPER, synthetic=True)
-    assert not notes and not reasons and set(outcomes) == {"E6", "E8"}
+    groups = ("upfr", "tensile", "clamped")
+    outcomes, reasons = identify_lab(sorted_.only(groups), PAPER, synthetic=True)
+    assert not notes and not reasons and set(outcomes) == {"E6", "E7", "E8"}
     rows = {
         row.printed.estimate: row for name in TABLES for row in table_rows(name, outcomes)
         if row.estimate is not None
@@ -345,6 +348,7 @@ def test_e6_and_e8_run_from_protocol_to_table_by_way_of_a_bag(tmp_path):
         ("wire.martensite_start_temperature", 353.39),
         ("wire.martensite_finish_temperature", 325.09),
         ("wire.maximum_recoverable_strain", 4.4), ("wire.thermal_expansion_factor", -0.15),
+        ("wire.martensite_modulus", 22.8), ("wire.austenite_modulus", 55.4),
         ("A_s (tangent) at *", 331.81 + shift + inward),
         ("A_f (tangent) at *", 353.61 + shift - inward),
     ):  # fmt: skip
