@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import FOLDER, add_output
 from sma_bench.commands.terminal import (
+    add_figure_options,
     add_json_option,
+    column_of,
     output_console,
     print_table,
     say,
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="of eq. (1); 0 as in the paper's eq. (2)")
     add_json_option(parser, "point, coefficients and state space")
     add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with the figure")
+    add_figure_options(parser)
     add_parameter_options(parser)
 
 
@@ -52,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """Print point, coefficients as printed and corrected, gains; write what was asked for."""
     from sma_bench.physics.linearised import linearise
 
-    parameters = parameters_from_options(args)
+    parameters, column = parameters_from_options(args), column_of(args)
     point = _point(args, parameters)
     model = linearise(point, args.latent_heat)
     if args.json:
@@ -64,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
         picture = operating_point_picture(model)
         page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
-                            [Section("Operating point", pictures=[picture])])
+                            [Section("Operating point", pictures=[picture])], column=column)
         say(f"report {page}")
     return 0
 

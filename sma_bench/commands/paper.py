@@ -6,7 +6,14 @@ from pathlib import Path
 
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import FOLDER, add_output
-from sma_bench.commands.terminal import add_json_option, print_findings, progress, write_json
+from sma_bench.commands.terminal import (
+    add_figure_options,
+    add_json_option,
+    column_of,
+    print_findings,
+    progress,
+    write_json,
+)
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import in_turn, part
 
@@ -39,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(
         parser, "--out", FOLDER, metavar="DIR", required=True, help="folder to write to"
     )
+    add_figure_options(parser)
     add_json_option(parser, "tables and errata")
     add_parameter_options(parser)
 
@@ -51,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from sma_bench.report.paper_page import csv_text
 
     started = time.monotonic()
-    parameters = parameters_from_options(args)
+    parameters, column = parameters_from_options(args), column_of(args)
     given = ", ".join(args.records)
     own = ", ".join([*([args.params] if args.params else []), *args.overrides])
     origin = _OWN.format(given=own) if own else _SYNTHETIC
@@ -61,7 +69,9 @@ def run(args: argparse.Namespace) -> int:
         records = [open_record(path) for path in reading]
         page = paper_page(records, parameters, part(report, _READ, _COMPARED))
         drawing = part(report, _COMPARED, 1.0)
-        index = write_report(args.out, _TITLE, summary, page.sections(), report=drawing)
+        index = write_report(
+            args.out, _TITLE, summary, page.sections(), column=column, report=drawing
+        )
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(rows))
     if args.json:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.calibration import Calibration, RangeCalibration
@@ -96,7 +97,7 @@ _BLOCK = 4096
 
 
 class Instrument:
-    """One sensor chain; `read` is called for every sample, so the noise is drawn in blocks."""
+    """One sensor chain; a node reads every sample by itself, so the noise is drawn in blocks."""
 
     def __init__(self, noise: float, resolution: float, seed: np.random.SeedSequence) -> None:
         """Gaussian `noise` (standard deviation) and `resolution` (step; 0 for none), in the unit
@@ -114,10 +115,26 @@ class Instrument:
             value = round(value / self._resolution) * self._resolution
         return value
 
+    def read_all(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The readings of true values (n,), bit by bit as of one `read` after the other."""
+        if self._noise > 0.0:
+            while len(self._drawn) < len(values):
+                self._drawn = self._block() + self._drawn
+            first = len(self._drawn) - len(values)
+            values = values + np.array(self._drawn[first:])[::-1]
+            del self._drawn[first:]
+        if self._resolution > 0.0:
+            values = np.rint(values / self._resolution) * self._resolution + 0.0  # no -0.0
+        return values
+
     def _next(self) -> float:
         if not self._drawn:
-            self._drawn = (self._noise * self._random.standard_normal(_BLOCK)).tolist()
+            self._drawn = self._block()
         return self._drawn.pop()
+
+    def _block(self) -> list[float]:
+        drawn: list[float] = (self._noise * self._random.standard_normal(_BLOCK)).tolist()
+        return drawn
 
 
 # --- What the device measures as readings of the bench: which wire and which sensor hang where.

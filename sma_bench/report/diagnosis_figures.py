@@ -28,6 +28,7 @@ from sma_bench.report.drawing import (
     legend_above,
     new_figure,
     noise_band,
+    plain_axes,
 )
 from sma_bench.report.page import Picture
 from sma_bench.results import scale_of
@@ -135,9 +136,7 @@ def shrinkage_picture(result: Diagnosis) -> Picture:
     right.axvline(100.0, color=MEASURED, lw=1.2, ls="--")
     right.axvline(0.0, color=FAINT, lw=0.8)
     right.set_xlabel("gap that is gone [%], 90 % interval")
-    for ax in (left, right):
-        ax.grid(alpha=0.25)
-        ax.spines[["top", "right"]].set_visible(False)
+    plain_axes(left, right)
     caption = (
         "On data that no fit saw. Fraction: 1 - sqrt((after² - noise²)/(before² - noise²)), "
         "so that a perfect model reaches 100 %, whatever the sensor; interval by drawing "
@@ -188,9 +187,7 @@ def _signals_over_time(result: Diagnosis, obs: Observation, quantity: str) -> Pi
         fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False
     )
     axes[-1].set_xlabel("time [s]")
-    for ax in axes:
-        ax.grid(alpha=0.25)
-        ax.spines[["top", "right"]].set_visible(False)
+    plain_axes(*axes)
     caption = (
         f"{obs.path}, held out; means over {shown[0][0].period:.2g} s; of each side the signal "
         "with the largest error. Error: measured less simulated, the band is twice the noise of a "

@@ -69,10 +69,15 @@ def new_figure(
     """
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=shared, squeeze=False)[:, 0]
+    plain_axes(*axes)
+    return figure, list(axes)
+
+
+def plain_axes(*axes: Axes) -> None:
+    """A faint grid and no lines above and to the right."""
     for ax in axes:
         ax.grid(alpha=0.25)
         ax.spines[["top", "right"]].set_visible(False)
-    return figure, list(axes)
 
 
 def drawable(values: Array) -> Array:

@@ -42,6 +42,7 @@ from sma_bench.report.drawing import (
     legend_above,
     line_style,
     new_figure,
+    plain_axes,
     thinned,
 )
 from sma_bench.report.page import Picture
@@ -307,9 +308,7 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
     figure = Figure(figsize=(7.2, 0.9 + 2.4 * len(worst)), layout="constrained")
     axes = figure.subplots(2 * len(worst), 1, sharex=True, squeeze=False,
                            gridspec_kw={"height_ratios": (1.6, 1.0) * len(worst)})[:, 0]
-    for ax in axes:
-        ax.grid(alpha=0.25)
-        ax.spines[["top", "right"]].set_visible(False)
+    plain_axes(*axes)
     for k, signal in enumerate(worst.values()):
         _overlay_signal(axes[2 * k], axes[2 * k + 1], found, signal)
     legend_above(axes[0])
@@ -378,9 +377,7 @@ def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
     informed = [100.0 * n.informed for n, _ in shown]
     right.barh(place, np.nan_to_num(informed), color=MEASURED, height=0.55)
     right.set(xlabel="informed [%]", xlim=(0.0, 100.0), xticks=(0, 50, 100))
-    for ax in (left, right):
-        ax.grid(alpha=0.25)
-        ax.spines[["top", "right"]].set_visible(False)
+    plain_axes(left, right)
     caption = (
         "Reference: the paper's number or a data sheet's (docs/parameters.md); marked *: assumed. "
         "Errors: one standard deviation. Informed: the share of what is known of a number "

@@ -68,7 +68,7 @@ class Sensors:
         )
         # The camera's steps are those of the Celsius scale.
         zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
-        return np.array([sensor.read(value) for value in (values - zero).tolist()]) + zero
+        return sensor.read_all(values - zero) + zero
 
 
 # --- A simulated bench, and its signals: exact, or as the simulator node's instruments read them.
@@ -233,7 +233,7 @@ def read_signals(
     def read(quantity: str, values: np.ndarray) -> np.ndarray:
         noise, step = f"sensor.{quantity}_noise", f"sensor.{quantity}_resolution"
         instrument = Instrument(settings[noise], settings.get(step, 0.0), next(seeds))
-        return np.array([instrument.read(value) for value in values.tolist()])
+        return instrument.read_all(values)
 
     found = []
     for signal in in_turn(signals, report, lambda s: f"reading {s.name}"):

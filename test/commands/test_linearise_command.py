@@ -62,8 +62,11 @@ def test_pole_is_the_rate_at_which_the_simulated_wire_settles(rig, tmp_path):
 
 def test_a_report_shows_the_tangent(rig, tmp_path):
     words = ["--params", rig, "--temperature", "345", "345", "296.15", "296.15"]
-    assert main(["linearise", *words, "--report", str(tmp_path / "page")]) == 0
+    words += ["--report", str(tmp_path / "page"), "--column", "single", "--font", "6"]
+    assert main(["linearise", *words]) == 0
     assert (tmp_path / "page" / "linearised.png").stat().st_size > 10_000
+    assert 'width="252' in (tmp_path / "page" / "linearised.svg").read_text()  # pt, 89 mm
+    assert (tmp_path / "page" / "linearised.csv").read_text().startswith("panel,curve,")
 
 
 @pytest.mark.parametrize(("words", "said"), [

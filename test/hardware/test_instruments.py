@@ -30,3 +30,11 @@ def test_readings_are_whole_steps():
 def test_the_seed_makes_the_noise():
     assert np.array_equal(readings(0.1, 0.0, seed=3), readings(0.1, 0.0, seed=3))
     assert not np.array_equal(readings(0.1, 0.0, seed=3), readings(0.1, 0.0, seed=4))
+
+
+def test_many_at_once_are_what_one_after_the_other_reads():
+    true = np.linspace(-0.3, 2.0, 9000)
+    apart, together = (Instrument(0.08, 0.1, np.random.SeedSequence(5)) for _ in range(2))
+    one_by_one = np.array([apart.read(value) for value in true.tolist()])
+    parts = [together.read_all(true[:10]), [together.read(true[10])], together.read_all(true[11:])]
+    assert np.concatenate(parts).tobytes() == one_by_one.tobytes()

@@ -5,6 +5,7 @@ import io
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 import sma_bench
 from sma_bench.cli import main
+from sma_bench.commands import paper_drawing
 from sma_bench.commands.paper_drawing import identify_lab, paper_page, sort_records
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -45,8 +47,25 @@ LABELS = {  # of the axes, as in the paper
 }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def synthetic_experiments_once():
+    """Every page of the paper's own numbers has the same ones, made and identified in seconds."""
+    made = {}
+
+    def once(paper, measured, report):
+        if dict(paper) != dict(PAPER):
+            return run(paper, measured, report)
+        made.update(made or run(paper, {}, report))
+        return {kind: outcome for kind, outcome in made.items() if kind not in measured}
+
+    run = paper_drawing._synthetic_outcomes
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper_drawing, "_synthetic_outcomes", once)
+        yield
+
+
 @pytest.fixture(scope="module")
-def page():
+def page(synthetic_experiments_once):
     return paper_page([], PAPER)
 
 
@@ -506,8 +525,14 @@ def test_force_moment_and_curvature_of_the_drawing_obey_the_equations(page, pict
 
 
 @pytest.mark.slow
-def test_one_command_writes_page_pictures_and_tables(tmp_path, capsys):
+def test_one_command_writes_page_pictures_and_tables(page, tmp_path, capsys, monkeypatch):
     out, answer = tmp_path / "paper", tmp_path / "paper.json"
+
+    def same(records, parameters, report):  # page by page and number by number
+        assert records == [] and dict(parameters) == dict(PAPER)
+        return page
+
+    monkeypatch.setattr(paper_drawing, "paper_page", same)
     assert main(["paper", "--out", str(out), "--json", str(answer)]) == 0
     assert "8 synthetic" in capsys.readouterr().out
     html = (out / "index.html").read_text()
@@ -524,3 +549,12 @@ def test_one_command_writes_page_pictures_and_tables(tmp_path, capsys):
     document = json.loads(answer.read_text())
     assert len(document["errata"]) == 19 and set(document["tables"]) == set(TABLES)
     assert "nan" not in re.sub(r'base64,[^"]*', "", html)
+
+
+def test_figures_for_a_column_are_written_when_asked_for(page, tmp_path, monkeypatch):
+    one = SimpleNamespace(sections=lambda: page.sections()[:2], tables={}, notes=[], outcomes={})
+    monkeypatch.setattr(paper_drawing, "paper_page", lambda *_: one)
+    assert main(["paper", "--out", str(tmp_path / "p"), "--column", "single"]) == 0
+    (svg, *_) = (tmp_path / "p").glob("figure_*.svg")
+    assert 'width="252' in svg.read_text()  # pt, 89 mm
+    assert svg.with_suffix(".pdf").is_file() and svg.with_suffix(".csv").is_file()

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
@@ -325,9 +326,10 @@ def _first_settled(t: Array, strain: Array) -> int:
 
 def _steepness(t: Array, strain: Array) -> float:
     """Largest slope over a few points."""
-    windows = range(len(t) - _SHORTEST_LINE)
-    pieces = (slice(first, first + _SHORTEST_LINE) for first in windows)
-    return max(abs(fit_line(t[piece], strain[piece])[0].slope) for piece in pieces)
+    times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
+    centred = times - times.mean(axis=1, keepdims=True)
+    slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
+    return float(np.max(np.abs(slopes)))
 
 
 def _straight_count(t: Array, strain: Array, tolerance: float) -> int:

@@ -63,5 +63,5 @@ class Instruments:
             seed,
         )
         zero = _CELSIUS_ZERO if quantity == "temperature" else 0.0
-        values = [sensor.read(value) for value in (course.at(time) - zero).tolist()]
+        values = sensor.read_all(course.at(time) - zero)
         return Signal(name, _UNITS[quantity], time, np.array(values) + zero)
