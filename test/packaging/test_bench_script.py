@@ -52,7 +52,8 @@ def start(house: Path, *arguments: str, python: str = sys.executable) -> subproc
     # Its own process group, so that a test can end it with everything that it started.
     return subprocess.Popen(
         [house / "bench", *arguments],
-        env={**os.environ, "BENCH_PYTHON": python},
+        # Byte code of what is only looked at would take most of the time.
+        env={**os.environ, "BENCH_PYTHON": python, "PIP_NO_COMPILE": "1"},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

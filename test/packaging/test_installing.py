@@ -12,6 +12,8 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 EXECUTABLES = {"sma-bench", *NODE_TABLES}
+# Of hundreds of files of which a few are run.
+NO_BYTE_CODE = {"PIP_NO_COMPILE": "1", "PYTHONDONTWRITEBYTECODE": "1"}
 WHERE = "from sma_bench.share import share_directory; print(share_directory())"
 LOAD = """
 from importlib.metadata import distribution
@@ -27,7 +29,7 @@ def run(*command: str | Path, cwd: Path, **variables: str) -> str:
     process = subprocess.run(
         list(map(str, command)),
         cwd=cwd,
-        env={**os.environ, **variables},
+        env={**os.environ, **NO_BYTE_CODE, **variables},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
