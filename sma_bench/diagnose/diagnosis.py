@@ -27,7 +27,7 @@ from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
 from sma_bench.diagnose.sizes import Cell, contribution, locate
-from sma_bench.diagnose.stages import stage_of
+from sma_bench.diagnose.stages import stages_of
 from sma_bench.diagnose.tails import widened
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
@@ -61,8 +61,9 @@ class Diagnosis(Reported):
     Attributes:
         decision: candidates and verdict; search: all fits behind them.
         model: the fit that the improved parameters are of; improved: these parameters.
-        where: cells of the gap, the largest share first; stage: of the chain, "" without a gap;
-            chain: its blocks, each driven by what was measured before it.
+        where: cells of the gap, the largest share first; stages: of the chain, with their
+            probabilities, the most probable first; chain: its blocks, each driven by what was
+            measured before it.
         shrinkage: by quantity.
         observations: all records; fitted, held_out: those, or the parts of them, that the fit of
             the shrinkage has seen and has not.
@@ -78,7 +79,7 @@ class Diagnosis(Reported):
     model: Fit
     improved: Parameters
     where: tuple[Cell, ...]
-    stage: str
+    stages: dict[str, float]
     chain: tuple[Link, ...]
     shrinkage: dict[str, Shrinkage]
     observations: tuple[Observation, ...]
@@ -87,6 +88,11 @@ class Diagnosis(Reported):
     why: tuple[str, ...]
     findings: tuple[Finding, ...]
     next_experiment: NextExperiment | None
+
+    @property
+    def stage(self) -> str:
+        """The most probable one; "" without a gap."""
+        return next(iter(self.stages), "")
 
     def to_json(self) -> dict[str, Any]:
         """The diagnosis result of contract section 5."""
@@ -97,6 +103,7 @@ class Diagnosis(Reported):
             "candidates": [self._candidate(c) for c in self.decision.candidates],
             "where": {
                 "signal": top.signal, "phase": top.phase, "side": top.side, "stage": self.stage,
+                "stages": dict(self.stages),
                 "table": [asdict(cell) for cell in self.where],
                 "chain": [{**asdict(link), "ci90": list(link.ci90)} for link in self.chain],
             },
@@ -198,7 +205,7 @@ def diagnose(
     return Diagnosis(
         parameters, decision, found, model, improved,
         tuple(_where(found, model, decision.verdict)),
-        stage_of(decision, found, locate(found.recalibrated.problem, missing_term(found))),
+        stages_of(decision, found, locate(found.recalibrated.problem, missing_term(found))),
         tuple(break_chain(found.recalibrated)),
         shrinkage(
             unfitted, parameters, moved.parameters, _believable(blind, decision, parameters), model

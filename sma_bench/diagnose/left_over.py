@@ -23,7 +23,8 @@ class Left:
             signals; signal: which one.
         size: of the part that is not noise, over the white noise of a sample, which is the same
             for all fits; 0 where the ratio is not sure.
-        outlier: largest whitened residual, in standard deviations: a single event shows there.
+        outlier: largest whitened residual, in standard deviations: a single event shows there;
+            event: the signal that it is in.
         drift: nats, how improbable the drift is that sensors had to be credited with.
         shows: all signals whose ratio is sure.
     """
@@ -34,6 +35,7 @@ class Left:
     outlier: float
     drift: float
     shows: tuple[str, ...] = ()
+    event: str = ""
 
 
 def left_over(fitted: Fit) -> Left:
@@ -54,7 +56,9 @@ def left_over(fitted: Fit) -> Left:
         fast, slow = float(np.mean(white[moving] ** 2)), float(np.mean(white[~moving] ** 2))
         spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
         ratio = float(np.log(fast / slow) / spread)
-        outlier = max(found.outlier, float(np.max(np.abs(white))))
+        outlier, event = max(
+            (found.outlier, found.event), (float(np.max(np.abs(white))), signal.name)
+        )
         size, shows = found.size, found.shows
         if ratio > _SURE:
             # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
@@ -64,5 +68,5 @@ def left_over(fitted: Fit) -> Left:
             size = max(size, drifting / sample)
             shows = tuple(dict.fromkeys((*shows, signal.name)))
         first = max((ratio, signal.name), (found.ratio, found.signal), key=lambda r: r[0])
-        found = Left(*first, size, outlier, drift, shows)
+        found = Left(*first, size, outlier, drift, shows, event)
     return found

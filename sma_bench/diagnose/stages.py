@@ -1,9 +1,10 @@
-"""The stage of the chain in which a gap arises, from all explanations by their probability.
+"""The stages of the chain in which a gap may arise, by the probability of all explanations.
 
 An effect has its stage, of two the one that does more. Recalibration has the stage whose parameters
 moved further than anyone believed; where all moved as far as believed they tell of no stage (six
 transition numbers move further than one resistance by their number alone), and the most probable
-effect does. What nothing explains has that of an effect which would put the same signals off.
+effect does. What nothing explains has that of an effect which would put the same signals off; the
+share that `unexplained` keeps without any sign of it tells of none.
 """
 
 from collections.abc import Sequence
@@ -13,18 +14,21 @@ from scipy.stats import chi2
 
 from sma_bench.diagnose.decision import (
     FLEXIBLE,
+    LEFT_OUTLIER,
     NO_GAP,
     RECALIBRATION,
     UNEXPLAINED,
+    UNSEEN,
     Candidate,
     Decision,
+    scale_of,
 )
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import Cell, contribution, largest_gap
 from sma_bench.physics.effects import EFFECTS
 
-ELECTRICAL, THERMAL, TRANSFORMATION, MECHANICAL = (
-    "electrical", "thermal", "transformation", "mechanical",
+ELECTRICAL, THERMAL, TRANSFORMATION, MECHANICAL, SENSOR = (
+    "electrical", "thermal", "transformation", "mechanical", "sensor",
 )
 _STAGES = {
     "wire.resistance": ELECTRICAL,
@@ -39,32 +43,50 @@ _STAGES = {
     "wire.stress_influence_martensite": TRANSFORMATION,
 }
 _FIRST_OFF = {"current": ELECTRICAL, "temperature": THERMAL, "deflection": MECHANICAL}
+# A wire's temperature does not jump, whatever happens; what holds it may slip.
+_OF_AN_EVENT = {"current": ELECTRICAL, "temperature": SENSOR, "deflection": MECHANICAL}
 _NOTICEABLE = 0.2  # of a smooth response
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
 
 
-def stage_of(decision: Decision, found: Search, missing: Sequence[Cell]) -> str:
-    """The most probable stage; "" where there is no gap.
+def stages_of(decision: Decision, found: Search, missing: Sequence[Cell]) -> dict[str, float]:
+    """Probability of each stage, the most probable first; what tells of none is in no stage. Empty
+    where there is no gap.
 
     Args:
         missing: cells of what no candidate explains, the largest share first.
     """
     if decision.verdict == NO_GAP:
-        return ""
+        return {}
     shares: dict[str, float] = {}
     for candidate in decision.candidates:
-        stage = _stage_of_candidate(candidate, found, missing)
-        if stage:
-            shares[stage] = shares.get(stage, 0.0) + candidate.probability
-    return max(shares, key=lambda s: shares[s]) if shares else _moved_furthest(found)[0]
+        share = candidate.probability
+        if candidate.name == UNEXPLAINED:
+            share -= _without_a_sign(decision)
+        if share > 0.0:
+            for stage, part in _stages_of_candidate(candidate, found, missing).items():
+                shares[stage] = shares.get(stage, 0.0) + share * part
+    ranked = sorted(shares, key=lambda s: shares[s], reverse=True)
+    return {s: shares[s] for s in ranked} or {_moved_furthest(found)[0]: 0.0}
 
 
-def _stage_of_candidate(candidate: Candidate, found: Search, missing: Sequence[Cell]) -> str:
-    if candidate.name == RECALIBRATION:
-        return stage_of_recalibration(found)
+def _without_a_sign(decision: Decision) -> float:
+    """What `unexplained` has because a record without a sign is no proof."""
+    benign = sum(c.probability for c in decision.candidates if c.name in (RECALIBRATION, NO_GAP))
+    return float(np.exp(UNSEEN)) * benign
+
+
+def _stages_of_candidate(
+    candidate: Candidate, found: Search, missing: Sequence[Cell]
+) -> dict[str, float]:
+    """Shares of the stages that a candidate tells of."""
     if candidate.name == UNEXPLAINED:
-        return _stage_of_missing(found, missing)
-    return _stage_of_effects(candidate)
+        return _stages_of_missing(found, missing)
+    if candidate.name == RECALIBRATION:
+        stage = stage_of_recalibration(found)
+    else:
+        stage = _stage_of_effects(candidate)
+    return {stage: 1.0} if stage else {}
 
 
 def _stage_of_effects(candidate: Candidate) -> str:
@@ -100,26 +122,35 @@ def _moved_furthest(found: Search) -> tuple[str, float]:
     return least, float(np.exp(chances[least])) * len(moved)
 
 
-def _stage_of_missing(found: Search, missing: Sequence[Cell]) -> str:
+def _stages_of_missing(found: Search, missing: Sequence[Cell]) -> dict[str, float]:
     """Where what nothing explains acts.
 
-    Parameters that nobody believes in tell it; else the chain does: it is the stage of the effect
-    that comes nearest and acts on the signals that are off and on no other. A temperature that is
-    off without the deflection that it should drive is its sensor's doing, a deflection after right
-    temperatures that of what comes behind them.
+    Parameters that nobody believes in tell it, or the signal of a single event where nothing else
+    is off; else the chain does: the stages of the effects that act on the signals that are off and
+    on no other, by how near each comes. A temperature that is off without the deflection that it
+    should drive is its sensor's doing, a deflection after right temperatures that of what comes
+    behind them.
     """
     moved = stage_of_recalibration(found)
     if moved:
-        return moved
+        return {moved: 1.0}
     off = {_quantity(name) for name in found.left.shows}
+    if found.left_by_best.outlier > LEFT_OUTLIER and not off:
+        return {_OF_AN_EVENT.get(_quantity(found.left_by_best.event), MECHANICAL): 1.0}
     if found.flexible.gain > FLEXIBLE:
         off |= _noticed(missing)
     seen = {_quantity(cell.signal) for cell in missing}
-    for effect in (EFFECTS[name] for name in found.ranked):
-        if not off or set(effect.acts_on) & seen == off:
-            return effect.stage
-    first = next((quantity for quantity in _FIRST_OFF if quantity in off), "deflection")
-    return _FIRST_OFF[first]
+    like = [n for n in found.ranked if not off or set(EFFECTS[n].acts_on) & seen == off]
+    if not like:
+        first = next((quantity for quantity in _FIRST_OFF if quantity in off), "deflection")
+        return {_FIRST_OFF[first]: 1.0}
+    gains = np.array([found.gain(name) for name in like])
+    near = np.exp((gains - gains[0]) / scale_of(max(float(gains[0]), 0.0)))
+    shares: dict[str, float] = {}
+    for name, share in zip(like, near / near.sum(), strict=True):
+        stage: str = EFFECTS[name].stage
+        shares[stage] = shares.get(stage, 0.0) + float(share)
+    return shares
 
 
 def _noticed(missing: Sequence[Cell]) -> set[str]:

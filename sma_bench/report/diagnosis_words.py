@@ -15,6 +15,8 @@ from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.results import AT_NOISE, DiagnoseResult, in_print, percent, with_error
 
+_LIKELY = 0.02  # probability of a stage that is worth a word
+
 
 def headline(result: Diagnosis) -> str:
     """The verdict in one sentence."""
@@ -71,8 +73,8 @@ def where_is_it(result: Diagnosis) -> list[str]:
         missing = result.where[0]
         return [
             f"What is missing is largest in {cell_in_words(missing)}: {missing.gap:.2g} times the "
-            f"noise, {in_print(missing.signal, missing.rms)} rms. It is most likely of the "
-            f"{result.stage} stage."
+            f"noise, {in_print(missing.signal, missing.rms)} rms.",
+            _stages(result),
         ]
     top = result.where[0]
     named = result.model.unknowns.effects
@@ -85,11 +87,9 @@ def where_is_it(result: Diagnosis) -> list[str]:
         f"{top.gap:.2g} times the noise, {in_print(top.signal, top.rms)} rms."
     ]
     if named:
-        stages: list[str] = list(dict.fromkeys(EFFECTS[n].stage for n in named))
-        sure = " and ".join(f"{s} ({percent(stage_probability(result, s))})" for s in stages)
         said.append(
-            f"The chain breaks at this stage: {sure}. All signals are fitted together, so what an "
-            "upstream signal explains is not counted again downstream."
+            f"{_stages(result)} All signals are fitted together, so what an upstream signal "
+            "explains is not counted again downstream."
         )
     reading = reading_of(result.chain)
     return [*said, reading] if reading else said
@@ -153,13 +153,11 @@ def candidate_named(result: Diagnosis, name: str) -> Candidate:
     return next(c for c in result.decision.candidates if c.name == name)
 
 
-def stage_probability(result: Diagnosis, stage: str) -> float:
-    """Probability that an effect of this stage is at work."""
-    return sum(
-        c.probability
-        for c in result.decision.candidates
-        if any(EFFECTS[name].stage == stage for name in c.effects)
-    )
+def _stages(result: Diagnosis) -> str:
+    """Where the chain breaks, over all explanations."""
+    likely = [s for s in result.stages if result.stages[s] >= _LIKELY] or [result.stage]
+    said = ", ".join(f"{s} ({percent(result.stages[s])})" for s in likely)
+    return f"By all explanations together the chain breaks at this stage: {said}."
 
 
 def estimates(candidate: Candidate) -> list[str]:

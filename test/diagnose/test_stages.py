@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sma_bench.diagnose import stages
-from sma_bench.diagnose.decision import FLEXIBLE, Candidate, Decision
+from sma_bench.diagnose.decision import FLEXIBLE, UNSEEN, Candidate, Decision
 from sma_bench.diagnose.sizes import Cell
-from sma_bench.diagnose.stages import stage_of, stage_of_recalibration
+from sma_bench.diagnose.stages import stage_of_recalibration, stages_of
 
 RESISTANCE, LOSS, CAPACITY = (
     "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
@@ -35,7 +35,7 @@ RANKED = (
 )
 
 
-def searched(moved=(), shows=(), flexible=0.0, ranked=RANKED):
+def searched(moved=(), shows=(), flexible=0.0, ranked=RANKED, event=""):
     x = np.array([dict(moved).get(name, 0.0) for name in NAMES])
     recalibrated = SimpleNamespace(
         unknowns=SimpleNamespace(bench_names=NAMES),
@@ -43,8 +43,14 @@ def searched(moved=(), shows=(), flexible=0.0, ranked=RANKED):
     )
     return SimpleNamespace(
         recalibrated=recalibrated, left=SimpleNamespace(shows=tuple(shows)),
+        left_by_best=SimpleNamespace(outlier=20.0 if event else 0.0, event=event),
         flexible=SimpleNamespace(gain=flexible), ranked=list(ranked),
+        gain=lambda name: -20.0 * list(ranked).index(name),
     )
+
+
+def stage_of(said, found, missing):
+    return next(iter(stages_of(said, found, missing)), "")
 
 
 SLACK = candidate("slack", 0.02, ("slack",))
@@ -84,6 +90,34 @@ def test_a_recalibration_without_rivals_has_the_stage_that_moved_most():
     assert stage_of(said, searched({RESISTANCE: 1.0}), []) == "electrical"
 
 
+def test_every_stage_has_the_probability_of_its_explanations():
+    said = decision(
+        "effect",
+        candidate("slack", 0.5, ("slack",)),
+        candidate("latent_heat", 0.2, ("latent_heat",)),
+        candidate("recalibration", 0.2),
+        candidate("side_asymmetry", 0.1, ("side_asymmetry",)),
+    )
+    found = stages_of(said, searched({RESISTANCE: 0.1}), [])
+    assert found == pytest.approx({"mechanical": 0.6, "thermal": 0.2})  # 0.2 tell of none
+    assert list(found) == ["mechanical", "thermal"]
+    electrical = stages_of(said, searched({RESISTANCE: 9.0}), [])
+    assert electrical == pytest.approx({"mechanical": 0.6, "thermal": 0.2, "electrical": 0.2})
+
+
+def test_what_is_granted_to_the_unexplained_without_a_sign_tells_of_no_stage():
+    granted = 0.6 * float(np.exp(UNSEEN))
+    said = decision(
+        "recalibration",
+        candidate("recalibration", 0.6),
+        candidate("unexplained", granted + 0.01),
+        candidate("latent_heat", 0.02, ("latent_heat",)),
+    )
+    found = stages_of(said, searched(shows=("deflection",)), cells())
+    assert found["thermal"] == 0.02
+    assert sum(found.values()) == pytest.approx(0.03)
+
+
 def test_effects_add_up_by_stage():
     said = decision(
         "ambiguous",
@@ -120,6 +154,27 @@ def test_what_is_unexplained_has_the_stage_of_an_effect_that_puts_the_same_signa
 ):
     said = decision("unexplained", candidate("unexplained", 0.9))
     assert stage_of(said, searched(shows=shows), cells()) == stage
+
+
+@pytest.mark.parametrize("event, stage", [
+    ("deflection", "mechanical"),  # something slipped
+    ("front_1.temperature", "sensor"),  # which no wire does
+    ("front_1.current", "electrical"),
+])
+def test_a_single_event_has_the_stage_of_what_can_jump(event, stage):
+    said = decision("unexplained", candidate("unexplained", 0.9))
+    found = searched(event=event, ranked=("ambient_drift", "deflection_drift"))
+    assert stage_of(said, found, cells()) == stage
+
+
+def test_effects_that_come_near_alike_share_what_is_unexplained():
+    said = decision("unexplained", candidate("unexplained", 0.9))
+    found = searched(shows=("deflection",), ranked=("residual_strain", "transition_drift"))
+    found.gain = {"residual_strain": 7.0, "transition_drift": 6.0}.get
+    shares = stages_of(said, found, cells())
+    assert list(shares) == ["mechanical", "transformation"]
+    assert sum(shares.values()) == pytest.approx(0.9)
+    assert shares["mechanical"] < 2.0 * shares["transformation"]
 
 
 def test_a_sure_smooth_response_tells_which_signals_are_off():

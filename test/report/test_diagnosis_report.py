@@ -21,12 +21,12 @@ from sma_bench.report.diagnosis_words import (
     headline,
     how_far,
     is_there_a_gap,
-    stage_probability,
     what_next,
     where_is_it,
     which_effect,
     with_error,
 )
+from sma_bench.results import percent
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -126,11 +126,10 @@ def test_a_value_is_printed_to_the_digits_that_its_error_leaves(value, std, text
     assert with_error(value, std) == text
 
 
-def test_probability_of_the_stage_counts_every_candidate_of_it_once(planted_diagnosis):
-    total = sum(c.probability for c in planted_diagnosis.decision.candidates
-                if "side_heat_coupling" in c.effects)
-    assert stage_probability(planted_diagnosis, "thermal") >= total - 1e-9
-    assert stage_probability(planted_diagnosis, "thermal") <= 1.0 + 1e-9
+def test_the_stage_is_said_with_its_probability_over_all_explanations(planted_diagnosis):
+    said = " ".join(where_is_it(planted_diagnosis))
+    assert f"thermal ({percent(planted_diagnosis.stages['thermal'])})" in said
+    assert planted_diagnosis.to_json()["where"]["stages"]["thermal"] > 0.9
 
 
 @pytest.mark.parametrize("verdict", ["recalibration", "no_gap", "ambiguous"])
