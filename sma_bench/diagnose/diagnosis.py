@@ -25,7 +25,7 @@ from sma_bench.diagnose.decision import (
 from sma_bench.diagnose.missing_term import missing_term
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.search import Progress, Search, search
-from sma_bench.diagnose.shrinkage import Shrinkage, shrinkage
+from sma_bench.diagnose.shrinkage import Shrinkage, sensors_noise, shrinkage, unknown_share
 from sma_bench.diagnose.sizes import Cell, contribution, locate
 from sma_bench.diagnose.stages import stages_of
 from sma_bench.diagnose.tails import widened
@@ -46,6 +46,7 @@ from sma_bench.results import NOT_COMPARED, DiagnoseResult, diagnosis_from, json
 
 Array = NDArray[np.float64]
 
+_OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
 _FIT_SHARE = 0.6  # of a single record without another to hold out
 _WOULD_ADD = {
     "current": "heat and resistance could not be told apart by the current",
@@ -208,12 +209,16 @@ def diagnose(
         stages_of(decision, found, locate(found.recalibrated.problem, missing_term(found))),
         tuple(break_chain(found.recalibrated)),
         shrinkage(
-            unfitted, parameters, moved.parameters, _believable(blind, decision, parameters), model
+            unfitted, parameters, moved.parameters, _believable(blind, decision, parameters),
+            sensors_noise(
+                model, [found.recalibrated, *found.singles.values(), *found.pairs.values()]
+            ),
         ),
         (*seen, *unseen), tuple(fitted), tuple(unfitted), tuple(why(decision, found, model)),
         (
             *unrelated, *audit(parameters, papers_own=False),
-            *_missing([*seen, *unseen], parameters), *remarks,
+            *_missing([*seen, *unseen], parameters),
+            _of_another_kind(fitted, unfitted, improved), *remarks,
         ),
         following if following and following.settles else None,
     )
@@ -328,6 +333,20 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
     if not any(obs.signals for obs in early):
         raise InputError("diagnose: too few readings to fit a model to some and try it on the rest")
     return early, late
+
+
+def _of_another_kind(
+    fitted: Sequence[Observation], held_out: Sequence[Observation], parameters: Parameters
+) -> Finding:
+    """How far the held-out data try what the fitted ones have not shown."""
+    share = unknown_share(fitted, held_out, parameters)
+    text = (
+        f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had one "
+        "(temperature, its rate, martensite, the other side's temperature)"
+    )
+    if share < _OF_ONE_KIND:
+        text += ": how far the gap shrinks under drives of another kind was not tried"
+    return Finding("info", "held-out data", text)
 
 
 def _missing(observations: Sequence[Observation], parameters: Parameters) -> list[Finding]:

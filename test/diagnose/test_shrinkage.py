@@ -1,0 +1,67 @@
+"""What is claimed of held-out data is what the improved file keeps on other drives."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from planted import believed, planted_record, true_bench
+
+from sma_bench.diagnose.shrinkage import sensors_noise, shrinkage, unknown_share
+from sma_bench.estimation.noise_model import Noise
+from sma_bench.estimation.observation import observe, shared_bin
+
+NOISE = Noise(white=1e-5, drift=3e-4, time=5.0, period=0.5, usual=5e-5)
+
+
+def fitted(**drift):
+    noise = {name: replace(NOISE, drift=value) for name, value in drift.items()}
+    return SimpleNamespace(problem=SimpleNamespace(noise=noise))
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory):
+    """A record, and one of the same drive with the sides swapped."""
+    folder = tmp_path_factory.mktemp("views")
+    wanted = {"quantities": ("deflection",)}
+    records = [
+        planted_record(folder / "one", **wanted),
+        planted_record(folder / "turned", turned=True, **wanted),
+    ]
+    shortest = shared_bin(records, believed())
+    return [observe(record, believed(), shortest, ("deflection",)) for record in records]
+
+
+def test_what_a_model_misses_slowly_is_no_noise_where_another_candidate_needs_none():
+    model, other = fitted(deflection=3e-4), fitted(deflection=2e-5)
+    assert sensors_noise(model, [model, other])["deflection"].drift == 2e-5
+    assert sensors_noise(model, [model])["deflection"].drift == NOISE.usual
+
+
+def test_a_true_model_takes_all_of_the_gap_away_and_its_interval_is_narrow(views):
+    noise = {"deflection": replace(NOISE, drift=0.0)}
+    believes, truth = believed(), true_bench()
+    found = shrinkage(views, believes, truth, truth, noise)["deflection"]
+    assert found.fraction > 0.95
+    assert found.ci90[1] - found.ci90[0] < 0.1
+
+
+def test_what_is_left_of_a_gap_may_be_more_on_another_drive_the_more_of_it_there_is(views):
+    noise = {"deflection": replace(NOISE, drift=0.0)}
+    truth, believes = true_bench(), believed()
+    half = truth.replace({
+        name: 0.5 * (believes[name] + truth[name])
+        for name in ("wire.heat_transfer_coefficient", "wire.austenite_start_temperature")
+    })
+    wide = shrinkage(views, believes, half, half, noise)["deflection"]
+    left = 1.0 - wide.fraction
+    assert wide.ci90[0] < 1.0 - 1.4 * left
+    assert wide.fraction <= wide.ci90[1] <= 1.0
+
+
+def test_a_drive_that_no_record_has_shown_is_said_to_be_one(views):
+    one, turned = views
+    late = one.between(float(np.median(one.grid)), np.inf)
+    assert unknown_share([one], [one], believed()) == 0.0
+    assert unknown_share([one], [late], believed()) < 0.05
+    assert unknown_share([late], [one], believed()) > unknown_share([one], [turned], believed())
