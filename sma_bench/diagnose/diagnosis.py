@@ -149,7 +149,7 @@ class Diagnosis(Reported):
         }
         if candidate.fit is not None and candidate.effects:
             unknowns = candidate.fit.unknowns
-            values, stds = unknowns.values(candidate.fit.x), candidate.fit.std
+            values, stds = unknowns.values(candidate.fit.x), candidate.fit.errors
             for k in range(unknowns.baseline, len(values)):
                 name = unknowns.names[k]
                 found["parameters"][name] = {
@@ -287,7 +287,7 @@ def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Paramet
         return parameters
     values = model.parameters
     names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
-    stds = dict(zip(model.unknowns.names, model.std.tolist(), strict=True))
+    stds = dict(zip(model.unknowns.names, model.errors.tolist(), strict=True))
     for twin, name in model.unknowns.tied.items():
         names.append(twin)
         stds[twin] = stds[name]

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
@@ -116,6 +117,20 @@ class Problem:
     def of_signal(self, name: str) -> Iterator[Block]:
         """Blocks of one signal."""
         return (block for block in self.blocks if block.signal.name == name)
+
+    def stretches(self, parts: int) -> Iterator[NDArray[np.intp]]:
+        """Rows of all signals in each of the equally long parts of every record."""
+        for observation in self.observations:
+            borders = np.linspace(observation.grid[0], observation.grid[-1], parts + 1)[1:-1]
+            own = [block for block in self.blocks if block.observation is observation]
+            part = [np.searchsorted(borders, block.signal.time) for block in own]
+            for number in range(parts):
+                found = [
+                    block.rows.start + np.flatnonzero(where == number)
+                    for block, where in zip(own, part, strict=True)
+                ]
+                if any(len(rows) for rows in found):
+                    yield np.concatenate(found)
 
     @cached_property
     def measured(self) -> Array:

@@ -169,7 +169,7 @@ def _candidates(result: Diagnosis) -> Table:
 
 def _improved(result: Diagnosis) -> Table:
     unknowns = result.model.unknowns
-    values, stds = unknowns.values(result.model.x), result.model.std
+    values, stds = unknowns.values(result.model.x), result.model.errors
     rows = []
     for name, value, std in zip(unknowns.names, values, stds, strict=True):
         believed = float(result.parameters[name])

@@ -165,7 +165,7 @@ def estimates(candidate: Candidate) -> list[str]:
     if candidate.fit is None or not candidate.effects:
         return []
     unknowns = candidate.fit.unknowns
-    values, stds = unknowns.values(candidate.fit.x), candidate.fit.std
+    values, stds = unknowns.values(candidate.fit.x), candidate.fit.errors
     return [
         f"{name.removeprefix('effect.')} {with_error(value, std)} {BY_NAME[name].unit}".strip()
         for name, value, std in list(zip(unknowns.names, values, stds, strict=True))[
