@@ -61,8 +61,6 @@ class Noise:
             return np.zeros_like(residual)
         if len(residual) < 2:  # no band beside the diagonal
             return residual * (self.drift**2 / (self.drift**2 + self.white**2))
-        if len(residual) < 2:  # no band beside the diagonal
-            return residual * (self.drift**2 / (self.drift**2 + self.white**2))
         phi = np.exp(-self.period / self.time)
         driven = self.drift**2 * (1.0 - phi**2)
         diagonal = np.full(len(residual), (1.0 + phi**2) / driven)
