@@ -32,6 +32,7 @@ _SHORTEST = 1e-2
 _NEAR = 0.1  # prior deviations: derivatives of the baseline are not taken anew
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 _STRETCHES = 6  # a record: about a pulse and its rest
+_TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +83,27 @@ class Fit:
 
     @cached_property
     def errors(self) -> Array:
-        """(k,) standard errors as large as what the model leaves asks for, prior's at most.
+        """(k,) standard errors as large as what the model leaves asks for, the prior's at most.
 
         A misfit is no noise: it is the same in every bin of a pulse. So the records are cut into
-        stretches, and the numbers are told once without each (delete-a-group jackknife; Shao and
-        Tu, The Jackknife and Bootstrap, 1995), by a straight line from the optimum. Where they
-        scatter by more than the noise lets them, that is their error.
+        stretches, and the numbers are told once without each (the jackknife over groups; Shao and
+        Tu, The Jackknife and Bootstrap, 1995), by a straight line from the optimum. Where noise is
+        all that is left, the squares of these moves sum up to the variances that they add; by as
+        much as they sum up to more, the variance of a number is larger. The pull of the priors,
+        of which a stretch is no sample, is taken off before.
         """
         rows = np.hstack([self.problem.whiten(self.derivatives), self.problem.white_nuisances])
-        information = rows.T @ rows + np.eye(rows.shape[1])
-        white = self.problem.whiten(self.left)
-        moves = []
+        information, known = rows.T @ rows + np.eye(rows.shape[1]), np.diag(self.joint)
+        pulled = rows @ (self.joint @ np.concatenate([self.x, self.z]))
+        white = self.problem.whiten(self.left) - pulled
+        moved, expected = np.zeros(len(known)), np.zeros(len(known))
         for index in self.problem.stretches(_STRETCHES):
             own = rows[index]
-            moves.append(np.linalg.solve(information - own.T @ own, own.T @ white[index]))
-        scatter = (1.0 - 1.0 / len(moves)) * np.sum(np.square(moves), axis=0)[: len(self.x)]
-        variance = np.clip(scatter, np.diag(self.covariance), 1.0)
+            without = np.linalg.inv(information - own.T @ own)
+            moved += (without @ (own.T @ white[index])) ** 2
+            expected += np.diag(without) - known
+        excess = moved / np.maximum(expected, _TINY)
+        variance = np.minimum(known * np.maximum(excess, 1.0), 1.0)[: len(self.x)]
         return self.unknowns.slopes(self.x) * np.sqrt(variance)
 
 

@@ -149,9 +149,9 @@ def best_fitting(
     seen = tuple(observe(record, known, shortest) for record in records)
     baseline = unknowns_of_records(known, tuple({q: 0 for o in seen for q in o.quantities}))
     unknowns = baseline.with_effects(found.unknowns.effects)
-    start = np.concatenate([baseline.start(), found.x[baseline.baseline :]])
+    start = np.clip(unknowns.x_of(found.unknowns.values(found.x)), *unknowns.bounds())
     problem = Problem(seen, found.problem.noise, ()).with_nuisances(unknowns.parameters(start))
-    best = fit(problem, unknowns, start, rounds=1, keep_noise=True)
+    best = fit(problem, unknowns, start, rounds=2, keep_noise=True)
     values = unknowns.values(best.x)
     return {unknowns.names[k]: float(values[k]) for k in range(baseline.baseline, len(values))}
 
