@@ -15,10 +15,18 @@ from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import Cell, locate
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.results import DIFFER_MOST, NEEDS_NONE, NEEDS_OFF, SOMETHING_ELSE, percent
+from sma_bench.results import (
+    DIFFER_MOST,
+    NEEDS_NONE,
+    NEEDS_OFF,
+    SOMETHING_ELSE,
+    percent,
+    with_error,
+)
 
 SURPRISING = 2.0  # prior deviations
 _MOST_NAMED = 3
+_SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
 _WORTH_SAYING = 0.02  # probability of `unexplained`
 _PHASES = {
     "initial": "before the first drive", "drive": "while a wire is driven",
@@ -98,12 +106,13 @@ def _fit(candidate: Candidate) -> Fit:
 
 
 def _moved(model: Fit) -> str:
-    """Which parameters the model needs elsewhere than where they are believed."""
+    """Which parameters the model needs elsewhere than where they are believed, and whether its
+    kinetics are smoother than the cosine's, which is neither that nor an effect."""
     moved = surprising(model)
     if not moved:
         return (
             f"{NEEDS_NONE} farther than two of its standard deviations from where it is "
-            "believed."
+            f"believed.{_kinetics(model)}"
         )
     named = "; ".join(
         f"{name} {change:+.3g} {BY_NAME[name].unit}".rstrip() + f" ({deviations:+.1f})"
@@ -111,7 +120,21 @@ def _moved(model: Fit) -> str:
     )
     more = len(moved) - _MOST_NAMED
     rest = f"; and {more} more" if more > 0 else ""
-    return f"{NEEDS_OFF} what is believed (in standard deviations): {named}{rest}."
+    far = f"{NEEDS_OFF} what is believed (in standard deviations): {named}{rest}."
+    return far + _kinetics(model)
+
+
+def _kinetics(model: Fit) -> str:
+    """"" where the cosine's do as well."""
+    values, stds = model.unknowns.values(model.x), model.std
+    smooth = [
+        f"{name.partition('.')[2].replace('_', ' ')} {with_error(value, std)} {BY_NAME[name].unit}"
+        for name, value, std in zip(model.unknowns.names, values, stds.tolist(), strict=True)
+        if name in _SMOOTHER and value > SURPRISING * std
+    ]
+    if not smooth:
+        return ""
+    return f" Its kinetics are mildly smoother than the cosine's, no effect: {', '.join(smooth)}."
 
 
 def _left_over(search: Search, model: Fit) -> str:

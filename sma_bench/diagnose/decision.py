@@ -27,7 +27,7 @@ SHARE = 0.013
 FORM = 0.1  # of what the best single effect gains, which another's equation may be off by
 THRESHOLD = 5.0  # nats that an effect must gain over recalibration
 SMALLEST_OF_INTEREST = 0.57  # of the noise of a sample
-PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.08  # nats over the single, and of the single's gain
+PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.07  # nats over the single, and of the single's gain
 PARTNER_OF_INTEREST = 0.5
 # Signs of something unexplained. Of what is left: motion against rest in standard deviations,
 # share of what recalibration leaves, size in noise, largest outlier in standard deviations.

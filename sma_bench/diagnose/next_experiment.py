@@ -23,6 +23,7 @@ from scipy.sparse import csr_array
 from scipy.special import ndtri
 
 from sma_bench.diagnose.decision import (
+    JOIN,
     LARGEST_SIGN,
     NAMED,
     NO_GAP,
@@ -40,7 +41,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import offsets
 from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
-from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.residual import DRIFT_EFFECT, Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.threads import in_threads
 from sma_bench.parameters import Parameters
@@ -179,10 +180,24 @@ class Matter:
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
         self.level = _highest(observations, parameters)
+        self.minutes = sum(map(_minutes, observations))
 
     def leading(self) -> dict[str, Fit]:
         """The few causes that drives are searched for."""
         return dict(list(self.fits.items())[:_SEARCHED])
+
+    def wandering(self, tellings: Tellings, minutes: float) -> dict[tuple[str, str], Telling]:
+        """Whether a zero wanders, no model predicts: another record tells as much a minute as the
+        records have."""
+        found = {}
+        for pair in tellings:
+            one, other = sorted(map(_parts, pair), key=len)
+            if other - one == {DRIFT_EFFECT} and one < other:
+                steady, wanders = sorted(pair, key=lambda name: len(_parts(name)))
+                gains = self.weights.gains
+                told = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * minutes / self.minutes
+                found[pair] = Telling(told, float(np.sqrt(2.0 * told)))
+        return found
 
     def experiment(self, kind: str, why: str, minutes: float, tellings: Tellings,
                    **more: Any) -> NextExperiment:
@@ -238,6 +253,15 @@ def next_experiment(
     return _quickest(options)
 
 
+def _parts(name: str) -> frozenset[str]:
+    """Effects in a candidate's name."""
+    return frozenset(() if name == RECALIBRATION else name.split(JOIN))
+
+
+def _minutes(obs: Observation) -> float:
+    return float(obs.grid[-1] - obs.grid[0]) / 60.0
+
+
 def _of_what_is_missing(matter: Matter) -> NextExperiment | None:
     """The known drive that shows most a minute of what no effect explains, as far as a smooth
     response of free form tells it."""
@@ -252,7 +276,7 @@ def _of_what_is_missing(matter: Matter) -> NextExperiment | None:
         _require_cool(obs, recalibrated.parameters)
         term = missing.on(obs, obs.simulate(recalibrated.parameters))
         size = float(np.linalg.norm(planned.whiten(term)))
-        minutes = float(obs.grid[-1] - obs.grid[0]) / 60.0
+        minutes = _minutes(obs)
         shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
     _, size, minutes, document = max(shown, key=lambda one: one[0])
     why = (
@@ -319,8 +343,9 @@ def _driven(
     planned = _planned(document, first.problem, matter, mounted)
     _require_cool(planned.observations[0], first.parameters)
     tellings = _tellings(*_on(planned, fits, most))
-    grid = planned.observations[0].grid
-    minutes += float(grid[-1] - grid[0]) / 60.0
+    driven = _minutes(planned.observations[0])
+    tellings |= matter.wandering(tellings, driven)
+    minutes += driven
     why = document["description"]
     if mounted:
         why += f", with the {' and the '.join(mounted)} of the wires measured too"

@@ -25,7 +25,8 @@ _CLOSE = 0.35  # of the best gain in evidence: what lies this near is fitted car
 _NEAR = 15.0  # nats
 _MOST_REFINED = 4
 _MOST_FROM_BELIEF = 3
-_PARTNERS = 3
+_MOST_PAIRED, _PARTNERS = 3, 3
+_HOPELESS = 0.5  # of the best single's gain: with a partner, less than that is no rival of it
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _LOST = 5.0  # nats below the same model without the effect: the fit went astray
 _STUCK = 5.0  # nats that show a fit had not arrived
@@ -212,16 +213,24 @@ def _refined(found: Fit) -> Fit:
 def _pairs(
     baseline: Unknowns, singles: dict[str, Fit], recalibrated: Fit
 ) -> dict[tuple[str, str], Fit]:
-    """The best singles, each with the partners that promise most."""
+    """The best singles, each with the partners that promise most; the best pair again with its own
+    nuisances, as the best singles."""
     ranked = sorted(singles, key=lambda name: singles[name].evidence, reverse=True)
+    gains = {name: singles[name].evidence - recalibrated.evidence for name in ranked}
     pairs: dict[tuple[str, str], Fit] = {}
-    for name in ranked[:2]:
-        if singles[name].evidence - recalibrated.evidence < _WORTH_PAIRING:
+
+    def keep(found: Fit) -> None:
+        one, other = sorted(found.unknowns.effects)
+        if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
+            pairs[one, other] = found
+
+    for name in ranked[:_MOST_PAIRED]:
+        if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):
             break
         for found in _pairs_with(name, baseline, singles):
-            one, other = sorted(found.unknowns.effects)
-            if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
-                pairs[one, other] = found
+            keep(found)
+    if pairs:
+        keep(_refined(max(pairs.values(), key=lambda f: f.evidence)))
     return pairs
 
 

@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 # Prior deviations of the number that switches an effect on: what a large one does says little
 # about a small one.
 _SIZES = (0.012, 0.06, 0.3, 1.5)
-_QUICK = (0.3,)
 _STRETCH = (0.3, 2.0)  # of a tried size that is still believed
 # Numbers that shape an effect are tried over their range; the others start at their default.
 _SHAPES = {
@@ -78,7 +77,7 @@ def find_start(
 
     Args:
         remainder: of the fit without this effect; unknowns: with this effect's numbers last.
-        quick: one size only, and every shape at its default.
+        quick: every shape at its default.
 
     Where no size promises anything the fit begins with the effect off.
     """
@@ -126,7 +125,7 @@ def _offsets(name: str, quick: bool) -> list[Array]:
         if number not in effect.switches:
             continue
         signs = (1.0, -1.0) if number.low is not None and number.low < 0.0 else (1.0,)
-        for shape, size, sign in product(product(*shapes), _QUICK if quick else _SIZES, signs):
+        for shape, size, sign in product(product(*shapes), _SIZES, signs):
             offset = np.array(shape)
             offset[k] = sign * size
             trials.append(offset)

@@ -1,9 +1,11 @@
 """What an experiment would settle: by the decision's own rule, not by distance."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from sma_bench.diagnose.decision import SCALE, Weights
-from sma_bench.diagnose.next_experiment import WORTH, NextExperiment, Telling, prospect
+from sma_bench.diagnose.next_experiment import WORTH, Matter, NextExperiment, Telling, prospect
 
 
 def after(tellings, signs=-5.0, surprise=-5.0, **gains):
@@ -86,3 +88,21 @@ def test_freedom_alone_settles_nothing_where_neither_would_be_seen():
 @pytest.mark.parametrize("worth, settles", [(0.4, True), (WORTH, True), (0.01, False)])
 def test_only_what_is_worth_it_is_proposed(worth, settles):
     assert NextExperiment("protocol", "", BOTH, {}, 1.0, 0.9, worth).settles is settles
+
+
+def matter(minutes, **gains):
+    made = Matter.__new__(Matter)
+    made.minutes, made.weights = minutes, SimpleNamespace(gains=gains)
+    return made
+
+
+def test_another_record_tells_of_a_wandering_zero_as_much_a_minute_as_the_records_have():
+    known = matter(5.0, deflection_drift=4.0, slack=9.0, **{"deflection_drift+slack": 15.0})
+    names = ("recalibration", "deflection_drift", "slack", "deflection_drift+slack")
+    found = known.wandering(apart(100.0, *names), 10.0)
+    assert found["recalibration", "deflection_drift"].evidence == pytest.approx(8.0)
+    assert found["deflection_drift+slack", "slack"].evidence == pytest.approx(12.0)
+    assert ("slack", "recalibration") not in found  # what a model predicts is simulated
+    assert ("slack", "deflection_drift") not in found
+    short = matter(5.0, deflection_drift=-1.0).wandering(apart(9.0, *names[:2]), 10.0)
+    assert set(short.values()) == {Telling(0.0, 0.0)}

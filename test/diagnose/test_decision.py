@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from sma_bench.diagnose import search
 from sma_bench.diagnose.decision import Weights, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
 
@@ -61,3 +62,29 @@ def test_an_equation_that_explains_nearly_as_much_stays_a_rival_however_much_tha
     assert close["stress_dependent_transition"] < 0.8 < sum(close[n] for n in list(close)[:2])
     far = weighed(stress_dependent_transition=400.0, opposing_wires=300.0)
     assert far["stress_dependent_transition"] > 0.98
+
+
+def fitted(evidence, *effects):
+    return SimpleNamespace(evidence=evidence, unknowns=SimpleNamespace(effects=effects))
+
+
+def test_pairs_are_built_around_every_single_that_comes_near_the_best_and_fitted_afresh(
+    monkeypatch,
+):
+    singles = {
+        name: fitted(evidence, name)
+        for name, evidence in {"a": 100.0, "b": 70.0, "c": 60.0, "d": 30.0}.items()
+    }
+    asked = []
+
+    def with_partners(name, baseline, singles):
+        asked.append(name)
+        return [fitted({"a": 150.0, "b": 180.0, "c": 90.0}[name], name, "d")]
+
+    monkeypatch.setattr(search, "_pairs_with", with_partners)
+    monkeypatch.setattr(search, "_refined", lambda f: fitted(f.evidence + 9.0, *f.unknowns.effects))
+    pairs = search._pairs(None, singles, fitted(0.0))
+    assert asked == ["a", "b", "c"]  # d explains too little to be the better half of a rival
+    assert {key: f.evidence for key, f in pairs.items()} == {
+        ("a", "d"): 150.0, ("b", "d"): 189.0, ("c", "d"): 90.0,
+    }

@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from sma_bench.diagnose import diagnose
+from sma_bench.diagnose.argument import _kinetics
 from sma_bench.diagnose.tails import RARE, WIDE, gain_of_tails
 
 
@@ -64,3 +65,14 @@ def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewi
     (said,) = [sentence for sentence in result.why if "parameters off" in sentence]
     assert name in said
     assert result.improved[name] == pytest.approx(bench[name], abs=2.0 * lab.std(name))
+
+
+def test_kinetics_that_are_surely_smoother_than_the_cosines_are_said_to_be_no_effect():
+    names = ("wire.transition_spread", "wire.transition_tail")
+
+    def said(values, stds):
+        unknowns = SimpleNamespace(names=names, values=lambda x: np.array(values))
+        return _kinetics(SimpleNamespace(unknowns=unknowns, x=None, std=np.array(stds)))
+
+    assert "no effect: transition spread 0.47 ± 0.02 K" in said((0.47, 0.01), (0.02, 0.02))
+    assert said((0.47, 0.01), (0.3, 0.02)) == ""
