@@ -330,7 +330,8 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
             border = float(np.quantile(np.concatenate([s.time for s in obs.signals]), _FIT_SHARE))
         early.append(obs.between(-np.inf, border))
         late.append(obs.between(border, np.inf))
-    if not any(obs.signals for obs in early):
+    early, late = ([obs for obs in some if obs.signals] for some in (early, late))
+    if not early or not late:
         raise InputError("diagnose: too few readings to fit a model to some and try it on the rest")
     return early, late
 

@@ -140,6 +140,16 @@ def test_a_record_whose_runs_are_swapped_is_told(wire_rig, tmp_path):
     assert any("stored runs or channels swapped" in f.text for f in result.findings)
 
 
+def test_a_record_whose_readings_end_early_leaves_none_to_try_the_model_on(tmp_path):
+    made = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
+    tip = made["deflection"]
+    first = slice(len(tip.time) // 3)
+    early = replace(tip, time=tip.time[first], values=tip.values[first])
+    short = replace(made, signals={**made.signals, "deflection": early})
+    with few_effects(("residual_strain",)), pytest.raises(InputError, match="too few readings"):
+        diagnose([short], believed())
+
+
 def test_no_record_is_refused():
     with pytest.raises(InputError, match="no record"):
         diagnose([], believed())
