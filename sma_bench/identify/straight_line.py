@@ -48,6 +48,8 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
         factor = cholesky(covariance, lower=True, check_finite=False)
         whitened = solve_triangular(factor, design, lower=True, check_finite=False)
         target = solve_triangular(factor, values, lower=True, check_finite=False)
+        if not np.isfinite(whitened).all() or not np.isfinite(target).all():
+            raise np.linalg.LinAlgError  # LAPACK would write on the terminal
         beta, *_ = np.linalg.lstsq(whitened, target, rcond=None)
     except np.linalg.LinAlgError:
         raise InputError("readings that no bench has: no straight line fits them") from None

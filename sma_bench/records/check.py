@@ -340,6 +340,8 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
             left = float(np.exp(-(grid[1] - grid[0]) / lag))
             columns.append(lfilter([1.0 - left], [1.0, -left], heat))
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
+    if not np.isfinite(design).all() or not np.isfinite(np.var(wanted)):
+        return None  # readings that no bench has; LAPACK would write on the terminal
     residual = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
     unexplained = max(float(np.var(residual)) - noise, 0.0)
     return 1.0 - unexplained / (float(np.var(wanted)) - noise)

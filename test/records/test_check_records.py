@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sma_bench.errors import InputError
+from sma_bench.identify.straight_line import fit_linear
 from sma_bench.records import Record, Signal, check_record, read_record
+from sma_bench.records.check import check_response
 from sma_bench.records.write import write_record
 
 CLOCK = np.arange(2000) * 0.01
@@ -221,3 +224,15 @@ def test_noise_alone_and_a_bench_at_rest_say_nothing_of_what_belongs_together():
     noise = 296.0 + 0.1 * np.random.default_rng(1).standard_normal(len(CLOCK))
     assert found(record(wire_voltage=TRIANGLE, wire_temperature=noise)) == {}
     assert found(record(wire_voltage=0.0 * TRIANGLE, wire_temperature=settling())) == {}
+
+
+def test_readings_beyond_all_measure_leave_the_terminal_alone(capfd):
+    """LAPACK writes past Python when it is given an infinity."""
+    time = np.linspace(0.0, 19.9, 500)
+    odd = record(wire_voltage=(time, np.where(time > 5.0, 1e200, 0.0)),
+                 wire_temperature=(time, 296.0 + 20.0 * (time > 5.0)))  # fmt: skip
+    assert list(check_response(odd)) == []
+    design = np.column_stack([np.ones(4), np.array([0.0, 1.0, 2.0, np.inf])])
+    with pytest.raises(InputError, match="no straight line"):
+        fit_linear(design, np.ones(4), 1e-6 * np.eye(4))
+    assert capfd.readouterr() == ("", "")
