@@ -126,6 +126,26 @@ def planted_diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.fixture(scope="session")
+def papers_experiments_once() -> Iterator[None]:
+    """Every page of `sma-bench paper` has the same synthetic experiments of the paper's own wire;
+    to make and identify them takes seconds."""
+    from sma_bench.commands import paper_drawing
+    from sma_bench.parameters import Parameters
+
+    run, made = paper_drawing._synthetic_outcomes, {}
+
+    def once(paper: Any, measured: Any, report: Any) -> dict[str, Any]:
+        if dict(paper) != dict(Parameters.defaults()):
+            return run(paper, measured, report)
+        made.update(made or run(paper, {}, report))
+        return {kind: outcome for kind, outcome in made.items() if kind not in measured}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper_drawing, "_synthetic_outcomes", once)
+        yield
+
+
+@pytest.fixture(scope="session")
 def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image that is flashed into the Uno."""
     from sma_bench.emulation.emulated_uno import build_firmware

@@ -88,9 +88,9 @@ def bench_of(named: Mapping[str, Any], where: str) -> Bench:
     def number(name: str) -> float | None:
         value = named.get(name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))
-                                  or not 0 < value < np.inf):
-            raise InputError(f"{where}: {name} is {value!r}, expected a number > 0")
-        return None if value is None else float(value)
+                                  or not 0 <= value < np.inf):
+            raise InputError(f"{where}: {name} is {value!r}, expected a number, 0 or more")
+        return float(value) if value else None  # 0, the default of a length, says nothing
 
     channels = named.get("bench.channels", ["wire"])
     if not isinstance(channels, (list, tuple)) or not channels or not all(

@@ -8,6 +8,7 @@ import numpy as np
 from sma_bench.parameters import Parameters
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.synthetic import paper_specimens
+from sma_bench.synthetic.bench_records import protocol_record
 from sma_bench.synthetic.instruments import isobaric_test, tensile_test
 
 COLD, HOT = 293.15, 403.15  # K, Table III
@@ -22,7 +23,7 @@ _DSC_COLUMNS = """\tTime\tUnsubtracted\tBaseline\tProgram\tSample\tApprox.
 
 
 def write(name: str) -> None:
-    """`DSC.txt`, `50_MPa.txt`, `cold_1.csv`, `hot_2.csv` or `front_current.csv`, here."""
+    """Here: `DSC.txt`, `50_MPa.txt`, `cold_1.csv`, `hot_2.csv`, `front_current.csv`, `run.csv`."""
     makers = {
         r"DSC\.txt": lambda: _dsc(),
         r"(\d+)_MPa\.txt": lambda megapascal: _isobaric(float(megapascal)),
@@ -30,6 +31,7 @@ def write(name: str) -> None:
         r"\w+_current\.csv": lambda: "reading,known\n" + "".join(
             f"{1.02 * amps + 0.03:.3f},{amps:.3f}\n" for amps in (0.0, 0.5, 1.0, 1.5, 2.0)
         ),
+        r"run\.csv": _logger,
     }  # fmt: skip
     for pattern, make in makers.items():
         if found := re.fullmatch(pattern, name):
@@ -56,6 +58,22 @@ def _dsc() -> str:
     points = sum(len(s.time) for s in run.segments)
     head = _DSC_HEAD.format(milligrams=1e6 * run.mass, points=points, steps="\n".join(steps))
     return head + "".join(blocks)
+
+
+def _logger() -> str:
+    """A staircase of a wire in a room that warms by 0.05 K/s, from a lab's own logger."""
+    wire = paper_specimens.wire_rig(Parameters.defaults())
+    effect = {"effect.ambient_drift.rate": 0.05}
+    record = protocol_record("quick_staircase", wire.replace(effect), 1)
+    time = record["wire.temperature"].time[::4]
+    volts, amps, kelvin = (
+        record[f"wire.{name}"].values[np.searchsorted(record[f"wire.{name}"].time, time)]
+        for name in ("voltage", "current", "temperature")
+    )
+    rows = zip(time, volts, amps, kelvin - CELSIUS_ZERO, strict=True)
+    return "time [s],voltage [V],current [A],temperature [degC]\n" + "".join(
+        f"{t:.3f},{v:.3f},{i:.4f},{c:.2f}\n" for t, v, i, c in rows
+    )
 
 
 def _isobaric(megapascal: float) -> str:

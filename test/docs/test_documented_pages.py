@@ -44,10 +44,15 @@ PLAYED = [page for page in PAGES if is_played(page)]
 
 @pytest.mark.slow
 @pytest.mark.skipif(compiled.numba is None, reason="some pages take minutes uncompiled")
+@pytest.mark.usefixtures("papers_experiments_once")
 @pytest.mark.parametrize("page", PLAYED, ids=name_of)
 def test_page_can_be_played(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert PageRunner(tmp_path).play(page) > 0
+    if name_of(page) == "docs/how_to/ten_tasks.md":
+        card = verdict_card(diagnosis_from(tmp_path, json.loads(Path("gap.json").read_text())))
+        assert card.title.startswith("ambient_drift explains the gap")
+        assert "ambient_drift explains the gap" in page.read_text()
     if name_of(page) == "docs/tutorials/first_diagnosis.md":
         answer = json.loads((tmp_path / "gap.json").read_text())
         check_first_diagnosis(answer)

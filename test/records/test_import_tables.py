@@ -15,9 +15,10 @@ from sma_bench import border
 from sma_bench.api import load
 from sma_bench.cli import main
 from sma_bench.errors import InputError
+from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.records import describe, open_record, read_record
 from sma_bench.records.import_map import convert, read_map
-from sma_bench.records.import_proposal import Bench, propose
+from sma_bench.records.import_proposal import Bench, bench_of, propose
 from sma_bench.records.isobaric import read_isobaric
 from sma_bench.records.table_cells import split_title
 from sma_bench.records.tables import read_table_file
@@ -516,3 +517,11 @@ def test_a_dsc_table_with_titles_is_a_dsc_run(tmp_path):
     record = open_record(source)
     assert [s.kind for s in record.segments if s.kind != "isothermal"] == ["heating", "cooling"]
     assert "no sample mass" in record.findings[0].text
+
+
+def test_the_file_that_parameters_writes_is_a_rig_whose_zero_length_says_nothing(tmp_path):
+    lab = tmp_path / "lab.yaml"
+    assert main(["parameters", "--out", str(lab)]) == 0
+    assert bench_of(read_parameter_names(lab), "lab.yaml").wire_length is None
+    with pytest.raises(InputError, match="wire.length is -1, expected a number, 0 or more"):
+        bench_of({"wire.length": -1}, "lab.yaml")

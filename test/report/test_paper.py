@@ -29,6 +29,8 @@ from sma_bench.report.paper_page import TABLES, csv_text, html_table, row_remark
 from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.bench_records import protocol_record
 
+pytestmark = pytest.mark.usefixtures("papers_experiments_once")
+
 PAPER = Parameters.defaults()
 FIGURES = [*range(1, 17)]
 DRAWINGS = {1, 11, 12, 13, 14}
@@ -47,25 +49,8 @@ LABELS = {  # of the axes, as in the paper
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def synthetic_experiments_once():
-    """Every page of the paper's own numbers has the same ones, made and identified in seconds."""
-    made = {}
-
-    def once(paper, measured, report):
-        if dict(paper) != dict(PAPER):
-            return run(paper, measured, report)
-        made.update(made or run(paper, {}, report))
-        return {kind: outcome for kind, outcome in made.items() if kind not in measured}
-
-    run = paper_drawing._synthetic_outcomes
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper_drawing, "_synthetic_outcomes", once)
-        yield
-
-
 @pytest.fixture(scope="module")
-def page(synthetic_experiments_once):
+def page(papers_experiments_once):
     return paper_page([], PAPER)
 
 
