@@ -21,17 +21,18 @@ SECTIONS = {
     "reading": ("reading", "bags: rosbags, mcap-ros2-support, the bytes alone"),
     "commands": ("whole_commands", "help, identification, diagnosis; cold and warm"),
     "diagnosis": ("diagnosing", "by stage, its derivatives, records of minutes to hours"),
+    "identification": ("identifying", "E10 over minutes to hours, memory; the coverage check"),
     "nodes": ("node_rates", "rates, jitter, latency, share of a core; the camera"),
     "first-start": ("first_start", "nodes on a fresh install: first word, first topic"),
     "twin": ("twin_pace", "whether the twin keeps 500 Hz, and what it takes of a core"),
     "growth": ("growth", "with length, wires, effects, parameter sets"),
-    "batch": ("batches", "many bags over processes and a dask cluster"),
+    "batch": ("batches", "identified, diagnosed; processes, a dask cluster; a thousand"),
 }
 
 
 def main(argv: list[str]) -> int:
     """Measure the sections, print a table of each, write `--json FILE`."""
-    lines = "\n".join(f"  {name:11} {text}" for name, (_, text) in SECTIONS.items())
+    lines = "\n".join(f"  {name:14} {text}" for name, (_, text) in SECTIONS.items())
     parser = argparse.ArgumentParser(
         prog="bench perf", description=f"{__doc__}\n\nsections:\n{lines}",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from figures import Figure, Skipped, as_json, at_least, at_most
-from perf import SECTIONS
+from perf import SECTIONS, main
 from timing import exponent, interleaved, ratio
 
 PERF = Path(__file__).with_name("perf.py")
@@ -19,12 +19,19 @@ CASES = ("one wire", "one wire, effects on", "four wires", "four wires, effects 
 
 def run(tmp_path, *sections):
     file = tmp_path / "perf.json"
+    assert main([*sections, "--tiny", "--json", str(file)]) == 0
+    return json.loads(file.read_text())
+
+
+def run_apart(tmp_path, *sections):
+    """In a process of its own, as what speaks to nodes."""
+    file = tmp_path / "perf.json"
     process = subprocess.run(
         [sys.executable, str(PERF), *sections, "--tiny", "--json", str(file)],
         capture_output=True, text=True, check=False,
     )
     assert process.returncode == 0, process.stderr
-    return json.loads(file.read_text()), process.stdout
+    return json.loads(file.read_text())
 
 
 def measures(document, section):
@@ -41,8 +48,9 @@ def is_there(module):
 
 
 @pytest.mark.slow
-def test_simulation_is_held_against_solvers_and_c(tmp_path):
-    document, out = run(tmp_path, "simulation")
+def test_simulation_is_held_against_solvers_and_c(tmp_path, capsys):
+    document = run(tmp_path, "simulation")
+    out = capsys.readouterr().out
     found = measures(document, "simulation")
     for case in CASES:
         assert case in out
@@ -60,8 +68,10 @@ def test_simulation_is_held_against_solvers_and_c(tmp_path):
 
 
 @pytest.mark.slow
-def test_reading_growth_commands_and_batch_are_complete(tmp_path):
-    document, _ = run(tmp_path, "reading", "growth", "commands", "batch", "solver")
+def test_reading_growth_commands_identification_and_batch_are_complete(tmp_path):
+    document = run(
+        tmp_path, "reading", "growth", "commands", "batch", "solver", "identification"
+    )
     for case, found in measures(document, "solver").items():
         assert found["ours: simulations"] < found["least_squares: simulations"], case
     bags = measures(document, "reading")
@@ -78,15 +88,20 @@ def test_reading_growth_commands_and_batch_are_complete(tmp_path):
     assert {"--help", "identify --help", "identify a minute's bag"} == set(commands)
     assert all(found["warm: processor"] > 0.0 for found in commands.values())
     assert sum(len(found) for found in measures(document, "batch").values()) == 1
+    (of_e10,) = measures(document, "identification").values()
+    assert of_e10["identification: processor"] > 0.0 and of_e10["largest memory"] > 0.0
 
 
 @pytest.mark.slow
-def test_a_node_is_measured(tmp_path, ros_domain):
+def test_nodes_and_the_twin_are_measured(tmp_path, ros_domain):
     pytest.importorskip("rclpy")
-    document, _ = run(tmp_path, "nodes")
+    document = run_apart(tmp_path, "nodes", "twin")
     found = measures(document, "nodes")["simulator at 100 Hz"]
     assert found["power readings a second"] > 0.0
     assert found["command to reading, median"] > 0.0
+    for rig in ("one wire", "four wires"):
+        assert measures(document, "twin")[f"{rig} at 500 Hz"]["twin without ROS"] > 0.0
+    assert measures(document, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
 
 
 @pytest.mark.slow
@@ -94,27 +109,18 @@ def test_a_node_of_a_fresh_install_speaks_and_publishes_in_seconds_of_the_proces
     tmp_path, ros_domain
 ):
     pytest.importorskip("rclpy")
-    document, _ = run(tmp_path, "first-start")
+    document = run_apart(tmp_path, "first-start")
     found = measures(document, "first-start")["simulator"]
     assert 0.0 < found["fresh install: first word"] <= 1.0
     assert found["fresh install: first front_1/power"] <= 10.0
 
 
-@pytest.mark.slow
-def test_the_twin_is_measured(tmp_path, ros_domain):
-    pytest.importorskip("rclpy")
-    document, _ = run(tmp_path, "twin")
-    for rig in ("one wire", "four wires"):
-        assert measures(document, "twin")[f"{rig} at 500 Hz"]["twin without ROS"] > 0.0
-    assert measures(document, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
-
-
-def test_an_unknown_section_is_one_line():
-    process = subprocess.run(
-        [sys.executable, str(PERF), "speed"], capture_output=True, text=True, check=False
-    )
-    assert process.returncode == 2
-    assert "no section speed, expected one of simulation, solver, reading" in process.stderr
+def test_an_unknown_section_is_one_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["speed"])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "no section speed, expected one of simulation, solver, reading" in said
     assert "nodes" in SECTIONS
 
 
