@@ -5,7 +5,14 @@ from types import SimpleNamespace
 import pytest
 
 from sma_bench.diagnose.decision import SCALE, Weights
-from sma_bench.diagnose.next_experiment import WORTH, Matter, NextExperiment, Telling, prospect
+from sma_bench.diagnose.next_experiment import (
+    WORTH,
+    Matter,
+    NextExperiment,
+    Telling,
+    prospect,
+    taken_up,
+)
 
 
 def after(tellings, signs=-5.0, surprise=-5.0, **gains):
@@ -106,3 +113,13 @@ def test_another_record_tells_of_a_wandering_zero_as_much_a_minute_as_the_record
     assert ("slack", "deflection_drift") not in found
     short = matter(5.0, deflection_drift=-1.0).wandering(apart(9.0, *names[:2]), 10.0)
     assert set(short.values()) == {Telling(0.0, 0.0)}
+
+
+def test_an_effect_that_is_not_there_takes_up_what_the_model_misses():
+    exact = apart(3.0, "slack", "recalibration")
+    real = taken_up(exact)
+    assert real["slack", "recalibration"] == exact["slack", "recalibration"]
+    assert 0.0 < real["recalibration", "slack"].evidence < exact["recalibration", "slack"].evidence
+    assert after(real, slack=4.0).named < after(exact, slack=4.0).named
+    nothing = apart(0.0, "slack", "recalibration")
+    assert taken_up(nothing) == nothing
