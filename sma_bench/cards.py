@@ -275,7 +275,7 @@ def _where(result: DiagnoseResult) -> str:
     if result.verdict == NO_GAP or not result.where:
         return ""
     signal, phase, side, gap, share, rms = result.where[0]
-    place = f"{signal} {_PHASES.get(phase, phase)}, {side} side"
+    place = f"{signal} {_PHASES.get(phase, phase)}" + f", {side} side" * bool(side)
     size = f"{in_print(signal, rms)} rms, {gap:.3g} times the noise of a reading"
     return f"{place}: {percent(share)} of it ({size})"
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from sma_bench.parameters import Parameters
 # --- Every effect as features of the reality: what moves, how far it goes in practice.
 
 LOG, EVEN = "log", "even"
+LOADS = ("beam", "force", "spring", "antagonist")
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Symptom:
         stage: where it acts.
         in_deflection: whether a record of voltages and deflection can show it at all.
         of_peak_current: its amount is a share of the record's largest current.
+        loads: of the rigs that can have it.
     """
 
     moves: tuple[Move, ...]
@@ -63,8 +65,10 @@ class Symptom:
     stage: str = ""
     in_deflection: bool = True
     of_peak_current: bool = False
+    loads: tuple[str, ...] = LOADS
 
 
+_BEAM = ("beam",)
 _BOTH = (1, -1)
 
 # The contract's effects; sizes of the literature (matrix: 1 to 90 times the wire's own heat
@@ -84,9 +88,9 @@ EFFECTS: dict[str, Symptom] = {
     ),
     "matrix_thermal_mass": Symptom(
         (Move("silicone_heat_capacity"),), (0.04, 3.4),
-        settings=(Setting("silicone_share", 0.25, 0.75),),
+        settings=(Setting("silicone_share", 0.25, 0.75),), loads=_BEAM,
     ),
-    "side_heat_coupling": Symptom((Move("side_conductance"),), (0.01, 0.05)),
+    "side_heat_coupling": Symptom((Move("side_conductance"),), (0.01, 0.05), loads=_BEAM),
     "ambient_drift": Symptom(
         (Move("ambient_rate"), Move("ambient_wave", (-60.0, 60.0))), (3.3e-4, 8.3e-3), _BOTH
     ),
@@ -105,14 +109,16 @@ EFFECTS: dict[str, Symptom] = {
     "residual_strain": Symptom((Move("unrecovered_strain"),), (0.01, 0.3)),
     "viscoelastic_matrix": Symptom(
         (Move("matrix_relaxation"),), (0.05, 0.2),
-        settings=(Setting("relaxation_time", 1.0, 100.0, LOG),),
+        settings=(Setting("relaxation_time", 1.0, 100.0, LOG),), loads=_BEAM,
     ),
     "opposing_wires": Symptom(
         (Move("opposing"),), (0.1, 1.0),
-        settings=(Setting("detwinning_stress", 40e6, 150e6, LOG),),
+        settings=(Setting("detwinning_stress", 40e6, 150e6, LOG),), loads=_BEAM,
     ),
-    "side_asymmetry": Symptom((Move("stiffness_asymmetry"),), (0.05, 0.5), _BOTH),
-    "slack": Symptom((Move("slack"),), (5e-4, 0.01)),
+    "side_asymmetry": Symptom(
+        (Move("stiffness_asymmetry"),), (0.05, 0.5), _BOTH, loads=_BEAM
+    ),
+    "slack": Symptom((Move("slack"),), (5e-4, 0.01), loads=("beam", "spring")),
     "temperature_underfill": Symptom(
         (Move("spot_fill"),), (0.05, 0.6), (-1,), in_deflection=False
     ),
@@ -120,8 +126,7 @@ EFFECTS: dict[str, Symptom] = {
     "deflection_drift": Symptom((Move("deflection_drift"),), (2e-4, 1.75e-3), _BOTH),
 }
 EFFECTS = {
-    name: Symptom(s.moves, s.natural, s.signs, s.settings, STAGE_OF[name], s.in_deflection)
-    for name, s in EFFECTS.items()
+    name: replace(symptom, stage=STAGE_OF[name]) for name, symptom in EFFECTS.items()
 }
 
 # What no diagnosis has in its library.
@@ -139,7 +144,9 @@ OUTSIDE: dict[str, Symptom] = {
         (Move("transformation_lag"),), (0.05, 2.0), stage="transformation"
     ),
     "friction": Symptom((Move("friction"),), (1e-4, 3e-3), stage="mechanical"),
-    "stiffening": Symptom((Move("stiffening"),), (10.0, 400.0), stage="mechanical"),
+    "stiffening": Symptom(
+        (Move("stiffening"),), (10.0, 400.0), stage="mechanical", loads=_BEAM
+    ),
     "clamp_slip": Symptom(
         (Move("clamp_slip"),), (1e-4, 2e-3), _BOTH, stage="mechanical",
         settings=(Setting("clamp_slip_time", 20.0, 90.0),),
@@ -289,14 +296,19 @@ class Card:
     mild_kinetics: bool = False
 
 
-def deal(n: int, rng: np.random.Generator) -> list[Card]:
+def possible(symptoms: Mapping[str, Symptom], load: str) -> tuple[str, ...]:
+    """Names of those that a rig with this load can have."""
+    return tuple(name for name, symptom in symptoms.items() if load in symptom.loads)
+
+
+def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
     """n cards in random order, every share kept as nearly as n allows.
 
     Signals and noise models are dealt within each kind, so that neither reveals the kind.
     """
     cards: list[Card] = []
     for kind, count in _counts(n, rng).items():
-        hidden = _HIDDEN[kind](count, rng)
+        hidden = _HIDDEN[kind](count, rng, load)
         noises = _in_turns(tuple(NOISE_MODELS), count, rng)
         signals = _signals([effects for effects, _ in hidden], rng)
         mild = _mild(kind, noises, rng)
@@ -342,27 +354,28 @@ def _one_of(
     return hidden
 
 
-def _singles(n: int, rng: np.random.Generator) -> list[_Hidden]:
-    return _one_of(tuple(EFFECTS), n, rng)
+def _singles(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    return _one_of(possible(EFFECTS, load), n, rng)
 
 
-def _outsiders(n: int, rng: np.random.Generator) -> list[_Hidden]:
-    return _one_of(tuple(OUTSIDE), n, rng)
+def _outsiders(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    return _one_of(possible(OUTSIDE, load), n, rng)
 
 
-def _pairs(n: int, rng: np.random.Generator) -> list[_Hidden]:
-    names = _in_turns(tuple(EFFECTS), 2 * n, rng)
+def _pairs(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    every = possible(EFFECTS, load)
+    names = _in_turns(every, 2 * n, rng)
     levels = _in_turns(PAIR_SEVERITIES, 2 * n, rng)
     hidden: list[_Hidden] = []
     for k in range(n):
         first, second = names[2 * k], names[2 * k + 1]
         while second == first:
-            second = str(rng.choice(tuple(EFFECTS)))
+            second = str(rng.choice(every))
         hidden.append(((first, second), (levels[2 * k], levels[2 * k + 1])))
     return hidden
 
 
-def _nothing(n: int, rng: np.random.Generator) -> list[_Hidden]:
+def _nothing(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
     return [((), ())] * n
 
 
@@ -476,22 +489,25 @@ def split_of(seed: int) -> str:
     return next((name for name, seeds in SPLITS.items() if seed in seeds), OPEN)
 
 
-def draw_cases(seed: int, n: int) -> list[Case]:
-    """The n cases of a seed, nothing simulated."""
-    cards = deal(n, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DECK,))))
+def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
+    """The n cases of a seed on rigs with a load, nothing simulated."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DECK,)))
     width = max(4, len(str(n)))
-    return [draw_case(seed, k, card, f"{k + 1:0{width}d}") for k, card in enumerate(cards)]
+    return [
+        draw_case(seed, k, card, f"{k + 1:0{width}d}", load)
+        for k, card in enumerate(deal(n, rng, load))
+    ]
 
 
-def draw_case(seed: int, index: int, card: Card, name: str) -> Case:
+def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") -> Case:
     """One case; its card decides about the noise model and the owners' mistakes, no more."""
 
     def stream(purpose: str) -> np.random.Generator:
         return _stream(seed, index, purpose)
 
-    truth = draw_truth(stream("rig"))
+    truth = draw_truth(stream("rig"), load)
     beliefs = stream("beliefs")
-    mistakes = draw_wrong(beliefs)
+    mistakes = draw_wrong(beliefs, load)
     wrong = mistakes if card.kind == RECALIBRATION else {}
     little = stream("nuisances")
     nuisances = {n: float(little.uniform(*limits)) for n, limits in _NUISANCES.items()}

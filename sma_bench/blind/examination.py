@@ -30,8 +30,8 @@ from sma_bench.blind.case_files import (
     read_kept,
 )
 from sma_bench.blind.cases import QUANTITIES
-from sma_bench.blind.reality import World, happen
-from sma_bench.blind.rigs import BACK, CHANNELS, COMMAND_PERIOD, FRONT, rig_of
+from sma_bench.blind.reality import happen
+from sma_bench.blind.rigs import BACK, COMMAND_PERIOD, FRONT, rig_of, world_of
 from sma_bench.blind.sensors import Sensors, measure
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
@@ -397,7 +397,7 @@ def after_tests(
 
 def _hidden(label: Mapping[str, Any], name: str) -> float:
     """What an instrument finds in the hidden wire, with what its world does to it."""
-    value, world = label["truth"][name], World(rig_of(label["truth"]), label["features"])
+    value, world = label["truth"][name], world_of(rig_of(label), label["features"])
     if name == "wire.resistance":
         return float(value + world.feature("supply_resistance"))
     kind = name.removeprefix("wire.stress_influence_")
@@ -434,11 +434,11 @@ def perform(
         asked: for the quantities that are measured more; number: of the experiment.
     """
     time, voltage = protocol.sample(COMMAND_PERIOD)
-    world = World(rig_of(label["truth"]), label["features"])
+    world = world_of(rig_of(label), label["features"])
     sensors = Sensors.from_json(label["sensors"])
     outcome = happen(world, time, voltage)
     more = asked.quantities if asked else ()
     wanted = {*QUANTITIES[label["signals"]], *more}
     quantities = tuple(q for q in QUANTITIES["all"] if q in wanted)
-    write_record(bag, measure(outcome, world, sensors, CHANNELS, rng, quantities), "bench",
-                 "mcap", _START_NS + number * _HOUR_NS)  # fmt: skip
+    signals = measure(outcome, world, sensors, protocol.channels, rng, quantities)
+    write_record(bag, signals, "bench", "mcap", _START_NS + number * _HOUR_NS)

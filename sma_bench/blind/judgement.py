@@ -19,7 +19,6 @@ from sma_bench.blind.case_files import (
     Claim,
 )
 from sma_bench.blind.rigs import (
-    CHANNELS,
     PER_WIRE,
     Drive,
     Pulse,
@@ -295,14 +294,16 @@ _HILLS = ((5.0, 20.0, 1.0), (31.0, 18.0, 0.98), (56.0, 16.0, 0.9), (79.0, 22.0, 
 _CORNERS = 17
 
 
-def unseen_drive(drives: Mapping[str, Drive]) -> Drive:
+def unseen_drive(
+    drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", "front")
+) -> Drive:
     """Raised cosines that reach as high as a case's own records; no family of theirs."""
     highest = max(max(pulse.volts) for drive in drives.values() for pulse in drive.pulses)
     phase = np.linspace(0.0, 1.0, _CORNERS)
     shape = (1.0 - np.cos(2.0 * np.pi * phase)) / 2.0
     pulses = tuple(
         Pulse(
-            ("back", "front")[k % 2],
+            sides[k % len(sides)],
             tuple(np.round(start + length * phase, 2).tolist()),
             tuple((height * highest * np.sqrt(shape)).tolist()),
         )
@@ -317,7 +318,8 @@ class UnseenRecord:
     def __init__(self, label: Mapping[str, Any]) -> None:
         """Play the world of a sealed label."""
         seen = Stage.from_label(label)
-        self.stage = replace(seen, drives={UNSEEN: unseen_drive(seen.drives)})
+        sides = tuple(sorted(set(seen.sides)))
+        self.stage = replace(seen, drives={UNSEEN: unseen_drive(seen.drives, sides)})
         outcome = self.stage.play(label["features"], UNSEEN)
         self.time, self.voltage = outcome.time, outcome.voltage
         self.readings = self.stage.read(label["features"], UNSEEN)
@@ -330,7 +332,7 @@ class UnseenRecord:
             for signal, read in self.readings.items()
         }
         for quantity in PER_WIRE:
-            of_wires = [square[f"{channel}.{quantity}"] for channel in CHANNELS]
+            of_wires = [square[f"{channel}.{quantity}"] for channel in self.stage.channels]
             square[quantity] = float(np.mean(of_wires))
         return {name: float(np.sqrt(value)) for name, value in square.items()}
 

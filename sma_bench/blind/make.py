@@ -23,9 +23,7 @@ from sma_bench.blind.cases import (
     draw_cases,
     split_of,
 )
-from sma_bench.blind.reality import World
 from sma_bench.blind.rigs import (
-    CHANNELS,
     RECORDS,
     Array,
     Stage,
@@ -35,6 +33,7 @@ from sma_bench.blind.rigs import (
     stage_of_parameter,
     true_values,
     where,
+    world_of,
 )
 from sma_bench.blind.sensors import measure
 from sma_bench.blind.severity import (
@@ -48,6 +47,7 @@ from sma_bench.blind.severity import (
 )
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.write import write_record
 from sma_bench.worker_pool import Lost, over_processes
 
@@ -113,6 +113,7 @@ def make_label(
         "separation": separation.to_json() if separation else None,
         "features": dict(sorted(sized.features.items())),
         "base": dict(sorted(sized.base.items())),
+        "load": load_kind(case.truth),
         "truth": true_values(case.truth),
         "sensors": stage.sensors.to_json(),
         "drives": {name: drive.to_json() for name, drive in case.drives.items()},
@@ -181,6 +182,7 @@ def make(
     n: int,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
+    load: str = "beam",
 ) -> dict[str, Any]:
     """Make n cases in a new folder, which appears when all of them are there.
 
@@ -190,6 +192,7 @@ def make(
         n: number of cases.
         jobs: processes that share the work.
         progress: called with the number of finished cases.
+        load: what the wires of all rigs pull against.
 
     Returns:
         The manifest.
@@ -203,13 +206,14 @@ def make(
     _require(1 <= jobs <= 64, f"jobs {jobs}", "1 to 64")
     with new_folder(out) as folder:
         (folder / CASES).mkdir()
-        labels = _make_all(draw_cases(seed, n), folder / CASES, jobs, progress)
+        labels = _make_all(draw_cases(seed, n, load), folder / CASES, jobs, progress)
         manifest = {
             "layout": _LAYOUT,
             "version": __version__,
             "seed": seed,
             "n": n,
             "split": split_of(seed),
+            "load": load,
             "cases": [label["id"] for label in labels],
             "sha256": seal(folder / LABELS, labels),
         }
@@ -291,9 +295,9 @@ def _label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
 
 def _write_bag(case: Case, stage: Stage, sized: Sized, record: str, path: Path) -> None:
     outcome = stage.play(sized.features, record)
-    world = World(case.truth, sized.features)
+    world, quantities = world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
     signals = measure(
-        outcome, world, case.sensors, CHANNELS, case.stream(record), QUANTITIES[case.card.signals]
+        outcome, world, case.sensors, stage.channels, case.stream(record), quantities
     )
     write_record(path, signals, case.namespace, case.storage, case.starts[record])
 

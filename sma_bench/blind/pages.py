@@ -28,8 +28,16 @@ from sma_bench.blind.cases import (
     draw_case,
 )
 from sma_bench.blind.measures import OTHERS, TARGETS
-from sma_bench.blind.reality import BY_NAME, World
-from sma_bench.blind.rigs import CHANNELS, COARSE, RECORDS, Stage, gaps, largest, quantity_of
+from sma_bench.blind.reality import BY_NAME
+from sma_bench.blind.rigs import (
+    COARSE,
+    RECORDS,
+    Stage,
+    gaps,
+    largest,
+    quantity_of,
+    world_of,
+)
 from sma_bench.blind.score import (
     COLUMNS,
     FOLLOWED_UP,
@@ -146,9 +154,9 @@ def _shown(gap: dict[str, float]) -> list[str]:
 
 
 def _measured(case: Case, stage: Stage, features: dict[str, float]) -> dict[str, Signal]:
-    outcome, world = stage.play(features, RECORDS[0]), World(case.truth, features)
+    outcome, world = stage.play(features, RECORDS[0]), world_of(case.truth, features)
     rng = case.stream(RECORDS[0])
-    return {s.name: s for s in measure(outcome, world, case.sensors, CHANNELS, rng)}
+    return {s.name: s for s in measure(outcome, world, case.sensors, stage.channels, rng)}
 
 
 def _compare(ax: Axes, with_effect: Signal, without: Signal) -> None:

@@ -29,6 +29,9 @@ _WIRES: dict[str, dict[str, Any]] = {
     "antagonist": {"bench.channels": ("front", "back"), "bench.channel_sides": ("front", "back")},
 }
 
+# The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
+_STILL = {"antagonist": {"detwinning_stress": 1e9}}
+
 # Of two equal stiffnesses the owners know one number.
 FRONT = "composite.stress_per_deflection_front"
 BACK = "composite.stress_per_deflection_back"
@@ -64,7 +67,7 @@ _ABSOLUTE: dict[str, tuple[float, float, float]] = {
 BELIEVED = (*_RELATIVE, *_OF_LOAD["beam"], *_ABSOLUTE)
 # Only together do the area and h, the mass and c_p act; the owners have weighed and measured the
 # wire well, so a wrong number hides in the other one.
-RECALIBRATED = tuple(n for n in BELIEVED if n not in ("wire.mass", "wire.surface_area"))
+_WEIGHED = ("wire.mass", "wire.surface_area")
 _DIGITS = 3
 # How wrong a wrong number is, in its own stated standard deviations.
 WRONG_BY = (2.5, 5.0)
@@ -134,16 +137,27 @@ def draw_nominal(
     return _rig(values, stds, load_kind(truth))
 
 
-def draw_wrong(rng: np.random.Generator) -> dict[str, float]:
+def recalibrated(load: str) -> tuple[str, ...]:
+    """Numbers of a rig that may hide a wrong one."""
+    names = (*_RELATIVE, *_OF_LOAD[load], *_ABSOLUTE)
+    return tuple(name for name in names if name not in _WEIGHED)
+
+
+def draw_wrong(rng: np.random.Generator, load: str = "beam") -> dict[str, float]:
     """One to three parameters and their errors in stated standard deviations."""
-    names = rng.choice(RECALIBRATED, size=int(rng.integers(1, 4)), replace=False)
+    names = rng.choice(recalibrated(load), size=int(rng.integers(1, 4)), replace=False)
     sizes = rng.uniform(*WRONG_BY, len(names)) * rng.choice([-1.0, 1.0], len(names))
     return {str(name): float(size) for name, size in zip(names, sizes, strict=True)}
 
 
-def rig_of(values: Mapping[str, float]) -> Parameters:
-    """Parameters of a composite rig with equal sides from the numbers of BELIEVED."""
-    return _rig(dict(values), {})
+def rig_of(label: Mapping[str, Any]) -> Parameters:
+    """The true rig of a label."""
+    return _rig(dict(label["truth"]), {}, label.get("load", "beam"))
+
+
+def world_of(truth: Parameters, features: Mapping[str, float]) -> World:
+    """A rig of the population with these features."""
+    return World(truth, {**_STILL.get(load_kind(truth), {}), **features})
 
 
 def _rig(values: dict[str, float], stds: dict[str, float], load: str = "beam") -> Parameters:
@@ -377,12 +391,22 @@ class Stage:
     drives: Mapping[str, Drive]
     _played: dict[Any, Outcome] = field(default_factory=dict, repr=False, compare=False)
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the wires."""
+        return tuple(self.truth["bench.channels"])
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Side of each wire."""
+        return tuple(self.truth["bench.channel_sides"])
+
     @classmethod
     def from_label(cls, label: Mapping[str, Any]) -> Self:
         """The stage of a case; its features are label["features"] and, without the effect,
         label["base"]."""
         drives = {name: Drive.from_json(drive) for name, drive in label["drives"].items()}
-        return cls(rig_of(label["truth"]), Sensors.from_json(label["sensors"]), drives)
+        return cls(rig_of(label), Sensors.from_json(label["sensors"]), drives)
 
     def play(
         self,
@@ -403,8 +427,8 @@ class Stage:
         if parameters is None and key in self._played:
             return self._played[key]
         time = self.drives[record].grid(COMMAND_PERIOD)
-        world = World(parameters or self.truth, features)
-        outcome = happen(world, time, self.drives[record].voltage(time), fine)
+        world = world_of(parameters or self.truth, features)
+        outcome = happen(world, time, self.drives[record].voltage(time, self.sides), fine)
         if parameters is None:
             self._played[key] = outcome
         return outcome
@@ -418,11 +442,11 @@ class Stage:
     ) -> dict[str, Array]:
         """What the instruments would read without noise: signal -> (n,), every 20 ms."""
         outcome = self.play(features, record, fine, parameters)
-        clean = readings(outcome, World(self.truth, features), self.sensors)
+        clean = readings(outcome, world_of(self.truth, features), self.sensors)
         signals = {
             f"{channel}.{quantity}": clean[quantity][:, wire]
             for quantity in PER_WIRE
-            for wire, channel in enumerate(CHANNELS)
+            for wire, channel in enumerate(self.channels)
         }
         return {**signals, "deflection": clean["deflection"]}
 
@@ -499,7 +523,12 @@ def where(
     for name in gaps(with_effect, without, stage.sensors, quantities):
         quantity = quantity_of(name)
         square = ((with_effect[name] - without[name]) / stage.sensors.std(quantity)) ** 2
-        here = np.full(len(side), _side_of(name)) if quantity in PER_WIRE else side
+        here = side
+        if quantity in PER_WIRE:
+            own = stage.sides[stage.channels.index(name.partition(".")[0])]
+            here = np.full(len(side), own)
+        if len(set(stage.sides)) == 1:  # no other side to tell it from
+            here = np.full(len(side), "")
         for p, s in sorted(set(zip(phase.tolist(), here.tolist(), strict=True))):
             cell = square[(phase == p) & (here == s)]
             energy = float(cell.sum() * stage.sensors.rate(quantity))
@@ -508,10 +537,6 @@ def where(
     total = sum(row["share"] for row in rows) or 1.0
     rows = [{**row, "share": row["share"] / total} for row in rows]
     return sorted(rows, key=lambda row: -row["share"])
-
-
-def _side_of(signal: str) -> str:
-    return SIDES[CHANNELS.index(signal.partition(".")[0])]
 
 
 def simulated_reading(simulation: Simulation, signal: str) -> Array:

@@ -19,6 +19,7 @@ from sma_bench.blind.cases import (
     Symptom,
     amount_for,
     draw,
+    possible,
 )
 from sma_bench.blind.reality import BY_NAME
 from sma_bench.blind.rigs import (
@@ -26,14 +27,15 @@ from sma_bench.blind.rigs import (
     COARSE,
     COMMAND_PERIOD,
     FRONT,
-    RECALIBRATED,
     RECORDS,
     Stage,
     gaps,
     largest,
     quantity_of,
+    recalibrated,
     stated_std,
 )
+from sma_bench.parameters.parameters import load_kind
 
 Array = npt.NDArray[np.float64]
 
@@ -232,7 +234,9 @@ def separation(
 
     rest = beyond_parameters(difference[:, None])[:, 0]
     distances = {RECALIBRATION: float(np.linalg.norm(rest))}
-    for name, symptom in EFFECTS.items():
+    load = load_kind(stage.truth)
+    for name in possible(EFFECTS, load):
+        symptom = EFFECTS[name]
         if name != own and any(q in quantities for q in _shown_by(symptom)):
             columns = _effect_columns(symptom, stage, base, origin, whitener)
             distances[name] = _left_over(rest, beyond_parameters(columns), symptom)
@@ -297,7 +301,7 @@ def _parameter_columns(
 ) -> Array:
     """(m, p) differences that one stated standard deviation of each parameter makes."""
     columns = []
-    for name in RECALIBRATED:
+    for name in recalibrated(load_kind(stage.truth)):
         step = _STEP * stated_std(name, stage.truth[name])
         twins = (FRONT, BACK) if name == FRONT else (name,)
         moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})

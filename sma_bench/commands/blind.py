@@ -75,6 +75,10 @@ def make_cases_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--n", type=int, default=200, metavar="N", help="cases (default 200)")
     add_output(parser, "--out", NEW, required=True, metavar="DIR", help="new folder")
     parser.add_argument(
+        "--load", default="beam", type=one_of(loads), metavar="KIND",
+        help="what the wires pull against: beam (default), force, spring, antagonist",
+    )
+    parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="J",
         help="processes (default: one a core); the result does not depend on it",
     )
@@ -88,7 +92,7 @@ def make_cases(args: argparse.Namespace) -> int:
     started = time.monotonic()
     with progress("blind make") as report:
         cases = counted(report, args.n, "case")
-        manifest = make(args.out, args.seed, args.n, args.jobs, cases)
+        manifest = make(args.out, args.seed, args.n, args.jobs, cases, args.load)
     if args.json:
         write_json(args.json, {"set": args.out, **manifest})
     print(
@@ -97,6 +101,13 @@ def make_cases(args: argparse.Namespace) -> int:
     )
     print(f"labels sealed, sha256 {manifest['sha256']}")
     return 0
+
+
+def loads() -> tuple[str, ...]:
+    """Kinds of load that a set can have."""
+    from sma_bench.blind.cases import LOADS
+
+    return LOADS
 
 
 # --- run: put every case to the diagnosis, or to a naive rival.

@@ -49,9 +49,9 @@ def cell_in_words(cell: Cell) -> str:
     """A place of the gap: signal, phase and side."""
     phase = _PHASES[cell.phase]
     if cell.signal == "deflection":
-        return f"the deflection {phase}, {cell.side} side driven last"
+        return f"the deflection {phase}" + f", {cell.side} side driven last" * bool(cell.side)
     channel, _, quantity = cell.signal.rpartition(".")
-    return f"the {quantity} of {channel} ({cell.side} side) {phase}"
+    return f"the {quantity} of {channel}{f' ({cell.side} side)' * bool(cell.side)} {phase}"
 
 
 def surprising(model: Fit) -> list[tuple[str, float, float]]:

@@ -91,8 +91,11 @@ def locate(problem: Problem, difference: Array) -> list[Cell]:
 
 
 def _sides(block: Block) -> NDArray[np.str_]:
-    """The wire's own side; for the deflection the side that was driven last."""
+    """The wire's own side; for the deflection the side that was driven last; "" where there is but
+    one."""
     obs, time = block.observation, block.signal.time
+    if len(set(obs.sides)) == 1:
+        return np.full(len(time), "")
     if block.signal.quantity != "deflection":
         return np.full(len(time), obs.sides[block.signal.wire])
     names = list(dict.fromkeys(obs.sides))

@@ -38,7 +38,7 @@ class Plant:
         self.bench = Bench(parameters.replace({"bench.drive": "voltage"}))
         self._squares = np.array(uno.electrics.square_time)
         self._time = uno.time
-        resistance = parameters["wire.resistance"]
+        resistance = parameters["wire.resistance"] / parameters["wire.count"]
         uno.electrics.resistance[:] = [
             resistance if channel < self._wires else math.inf for channel in range(CHANNELS)
         ]

@@ -24,6 +24,7 @@ from sma_bench.parameters import Parameters
 _STEP = 0.02  # prior deviations, of a derivative
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
+MOTIONS = ("deflection", "elongation", "force")
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +92,22 @@ class Problem:
                 self.noise[name].wanders,
             )
         return replace(self, noise=found)
+
+    def with_misfit(self, residual: Array) -> Self:
+        """Noise of what a model leaves (n,), what is slow of the motion taken for its misfit.
+
+        A misfit is no noise: every stroke shows it again, so n of them tell no more of it than
+        one. Its variance counts n-fold.
+        """
+        strokes = max(sum(one.strokes for one in self.observations), 1)
+        found = self.with_noise(residual)
+        motion = {b.signal.name for b in self.blocks if b.signal.quantity in MOTIONS}
+        noise = {
+            name: replace(own, drift=float(np.sqrt(strokes)) * own.drift)
+            if name in motion else own
+            for name, own in found.noise.items()
+        }
+        return replace(found, noise=noise)
 
     def for_effects(self, effects: Sequence[str]) -> Self:
         """The same, the deflection's zero wandering if that is one of the effects."""

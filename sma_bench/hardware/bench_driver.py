@@ -225,7 +225,9 @@ class BenchDriver:
         self._guard.commanded(outputs)
         self._driven = now
         try:
-            self._link.drive(self._sensors.millivolts(outputs, self._supply_reading))
+            # Of a duty the commanded mean; the device is told the direct volts of the same heat.
+            volts = [self._limits.model.reading(volt) for volt in outputs]
+            self._link.drive(self._sensors.millivolts(volts, self._supply_reading))
         except LinkError as error:
             reason = self._fault(now) or str(error)
             self.stop(reason)
@@ -245,10 +247,12 @@ class BenchDriver:
         fault = _device_fault(status)
         if fault:
             return fault + ("; reset first" if status.connected else "")
-        highest = self._limits.maximum_voltage
+        limit = self._limits.maximum_voltage
+        highest = self._limits.model.reading(limit)
         if status.device and highest > status.device.maximum_voltage:
+            heats = f" and heats as {highest:.4g} V do" if highest != limit else ""
             return (
-                f"bench.maximum_voltage is {highest:g} V, the device allows "
+                f"bench.maximum_voltage is {limit:g} V{heats}, the device allows "
                 f"{status.device.maximum_voltage:g} V"
             )
         if status.device and status.device.command_timeout < _LEAST_TIMEOUTS * REFRESH:
@@ -270,7 +274,7 @@ def device_limits(limits: Limits, device: DeviceIdentity, supply: float) -> list
     peak = min(device.maximum_peak_current, _PER_BOARD * _MARGIN * supply / least)
     peak = max(peak, mean + _LEAST_STEP)
     values = (
-        min(device.maximum_voltage, _MARGIN * limits.maximum_voltage),
+        min(device.maximum_voltage, _MARGIN * model.reading(limits.maximum_voltage)),
         mean,
         peak,
         least,

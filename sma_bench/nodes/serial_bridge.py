@@ -28,7 +28,6 @@ from sma_bench.hardware.serial_port import Port, find_port, open_port
 from sma_bench.nodes.base import BRIDGE, be_punctual, run_node
 from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics, follow_recorder
 from sma_bench.nodes.managed_node import ACTIVE, INACTIVE, ManagedNode
-from sma_bench.parameters.parameters import require_plain_drive
 from sma_bench.ros.commander import COMMAND, COMMANDED, Commanders, layout_fault
 from sma_bench.ros.node import LATCHED
 
@@ -69,7 +68,11 @@ class SerialBridge(ManagedNode):
         self._let_go = False
         # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
         self._to_ros = 0
-        require_plain_drive(self.parameters, "serial_bridge", ("bench.lead_resistance",))
+        if self.parameters["bench.drive"] == "current":
+            raise InputError(
+                "serial_bridge: bench.drive is current, but the Uno switches a voltage, "
+                "expected voltage or duty"
+            )
         self._channels = self.parameters["bench.channels"]
         self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
         self._build()

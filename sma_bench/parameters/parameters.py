@@ -31,22 +31,6 @@ def load_kind(parameters: Mapping[str, Any]) -> str:
     return parameters["load.kind"] or default
 
 
-def require_plain_drive(
-    parameters: Mapping[str, Any], what: str, understood: tuple[str, ...] = ()
-) -> None:
-    """Refuse a drive that `what` would take for volts at one wire a channel.
-
-    `understood` are names that it takes for what they are.
-
-    Raises:
-        InputError: a duty or a current source, resistance of leads, wires in parallel.
-    """
-    for name, plain in (("bench.drive", "voltage"), ("bench.lead_resistance", 0.0),
-                        ("wire.count", 1)):  # fmt: skip
-        if name not in understood and parameters[name] != plain:
-            raise InputError(f"{what}: {name} is {parameters[name]}, expected {plain} so far")
-
-
 class Parameters(Mapping[str, Value]):
     """Values of all contract parameters in SI units, each with a standard deviation.
 

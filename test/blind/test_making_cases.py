@@ -13,6 +13,7 @@ import pytest
 
 from sma_bench.blind.case_files import unseal
 from sma_bench.blind.cases import EFFECTS, NUISANCE_LIMIT, OUTSIDE, QUANTITIES, draw_cases
+from sma_bench.blind.judgement import UnseenRecord
 from sma_bench.blind.make import digest, make
 from sma_bench.blind.rigs import RECORDS, Stage
 from sma_bench.cli import main
@@ -184,3 +185,25 @@ def test_figures_refuse_an_existing_folder(tmp_path, capsys):
     assert main(["blind", "figures", "--out", str(tmp_path)]) == 2
     assert "exists already, expected a new folder" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "load", ["spring", *(pytest.param(n, marks=pytest.mark.slow) for n in ("force", "antagonist"))]
+)
+def test_rigs_with_another_load_have_their_own_effects_motion_and_beliefs(load, tmp_path):
+    manifest = make(tmp_path / "set", SEED, 2, load=load)
+    assert manifest["load"] == load
+    for label in unseal(tmp_path / "set" / "labels.sealed", manifest["sha256"]):
+        case = tmp_path / "set" / "cases" / label["id"]
+        nominal, record = read_parameters(case / "nominal.yaml"), read_record(case / "record")
+        assert label["load"] == nominal["load.kind"] == load
+        assert all(load in {**EFFECTS, **OUTSIDE}[name].loads for name in label["effects"])
+        motion = "deflection" if load == "antagonist" else "elongation"
+        assert np.ptp(record[motion].values) > 2e-3
+        assert set(record.channels) == set(nominal["bench.channels"])
+        unseen = UnseenRecord(label)
+        gaps = unseen.gaps(unseen.stage.truth)
+        # The true numbers leave what the case hides and nothing else.
+        assert gaps["deflection"] < 0.05 * np.ptp(unseen.readings["deflection"])
+        places = [row["side"] for row in (label["where"] or {"table": []})["table"]]
+        assert all(bool(side) == (load == "antagonist") for side in places)

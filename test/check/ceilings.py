@@ -147,8 +147,8 @@ def effects_of(whole: CaseSet, label: Label) -> dict[str, float]:
 
 
 def make_by_model(case: Path, label: Label, effects: Mapping[str, float]) -> None:
-    bench = rig_of(label["truth"]).replace(dict(effects))
-    sensors, world = Sensors.from_json(label["sensors"]), World(rig_of(label["truth"]), {})
+    bench = rig_of(label).replace(dict(effects))
+    sensors, world = Sensors.from_json(label["sensors"]), World(rig_of(label), {})
     for number, record in enumerate((RECORD, HOLD_OUT)):
         drive = Drive.from_json(label["drives"][record])
         time = drive.grid(COMMAND_PERIOD)

@@ -35,6 +35,7 @@ from sma_bench.blind.rigs import (
     draw_drive,
     draw_nominal,
     draw_truth,
+    world_of,
 )
 from sma_bench.blind.sensors import Noise, Sensors, measure
 from sma_bench.estimation.unknowns import SHAPES
@@ -59,7 +60,6 @@ HARD = RICH | {
     "return_point_memory": (0.2, 1.0), "r_phase": (0.0, 0.12), "unrecovered_strain": (0.0, 0.03),
 }  # fmt: skip
 BENCHES = {"mild": MILD, "rich": MILD | RICH, "hard": MILD | HARD}
-STILL = {"detwinning_stress": 1e9}  # the model's cold martensite is a spring
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -103,7 +103,7 @@ def try_bench(job: tuple[str, int, str]) -> dict[str, Any]:
     truth = draw_truth(rng, load)
     nominal = draw_nominal(truth, rng)
     ranges = BENCHES[kind]
-    world = World(truth, {n: float(rng.uniform(*r)) for n, r in ranges.items()} | STILL)
+    world = world_of(truth, {n: float(rng.uniform(*r)) for n, r in ranges.items()})
     families = rng.permutation(FAMILIES).tolist()
     seen = [draw_drive(family, truth, rng) for family in families[:2]]
     unseen = [draw_drive(families[2 + k % 2], truth, rng) for k in range(UNSEEN)]

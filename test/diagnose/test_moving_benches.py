@@ -94,6 +94,8 @@ def test_what_was_planted_is_named_from_motion_and_voltage(load, effect, drive):
     ]
     assert found.shrinkage["deflection"].fraction > 0.8
     assert {o.quantities for o in found.observations} == {("deflection",)}
+    assert bool(found.to_json()["where"]["side"]) == (load == "antagonist")
+    assert ("side" in f"{found} {' '.join(found.to_json()['why'])}") == (load == "antagonist")
 
 
 def test_what_was_identified_beside_the_model_is_moved_and_no_candidate():

@@ -8,7 +8,7 @@ import numpy as np
 from sma_bench.parameters import Parameters
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.synthetic import paper_specimens
-from sma_bench.synthetic.bench_records import protocol_record
+from sma_bench.synthetic.bench_records import protocol_record, simulate_finely
 from sma_bench.synthetic.instruments import isobaric_test, tensile_test
 
 COLD, HOT = 293.15, 403.15  # K, Table III
@@ -23,11 +23,13 @@ _DSC_COLUMNS = """\tTime\tUnsubtracted\tBaseline\tProgram\tSample\tApprox.
 
 
 def write(name: str) -> None:
-    """Here: `DSC.txt`, `50_MPa.txt`, `cold_1.csv`, `hot_2.csv`, `front_current.csv`, `run.csv`."""
+    """Here: `DSC.txt`, `50_MPa.txt`, `cold_1.csv`, `hot_2.csv`, `front_current.csv`, `run.csv`,
+    `monday.csv`."""
     makers = {
         r"DSC\.txt": lambda: _dsc(),
         r"(\d+)_MPa\.txt": lambda megapascal: _isobaric(float(megapascal)),
         r"(cold|hot)_(\d+)\.csv": lambda phase, number: _tensile(phase, int(number)),
+        r"(monday|tuesday|wednesday)\.csv": _logger,
         r"\w+_current\.csv": lambda: "reading,known\n" + "".join(
             f"{1.02 * amps + 0.03:.3f},{amps:.3f}\n" for amps in (0.0, 0.5, 1.0, 1.5, 2.0)
         ),
@@ -38,6 +40,36 @@ def write(name: str) -> None:
             Path(name).write_text(make(*found.groups()))
             return
     raise ValueError(f"{name}: no instrument writes this")
+
+
+_SPRING_BENCH = Parameters({
+    "bench.drive": "duty", "bench.supply_voltage": 12.0, "load.kind": "spring",
+    "load.stiffness": 216.0, "load.preload": 6.1, "wire.length": 0.38, "wire.diameter": 0.25e-3,
+    "wire.mass": 0.12e-3, "wire.surface_area": 298e-6, "wire.resistance": 6.95,
+    "wire.heat_transfer_coefficient": 84.0, "wire.specific_heat": 515.0,
+    "wire.austenite_start_temperature": 337.0, "wire.austenite_finish_temperature": 353.5,
+    "wire.martensite_start_temperature": 334.5, "wire.martensite_finish_temperature": 323.0,
+    "effect.latent_heat.heat": 7000.0,
+})  # fmt: skip
+
+
+def _logger(day: str) -> str:
+    """Duty of a 12 V supply and position of a wire against a spring, as a data logger has them."""
+    time = np.arange(0.0, 100.0, 0.05)
+    inside = ((time - 3.0) % 32.0) / 32.0
+    peak = 10.0 * np.choose((time // 32.0).astype(int), (1.0, 0.7, 0.85, 0.0))
+    shape = {
+        "monday": 2.0 * np.minimum(inside, 1.0 - inside), "tuesday": 1.0 * (inside < 0.5),
+        "wednesday": np.sin(np.pi * inside) ** 2,
+    }[day]  # fmt: skip
+    duty = np.round(np.where(time > 3.0, peak * shape, 0.0), 2)  # %
+    run = simulate_finely(_SPRING_BENCH, time, 0.12 * duty)
+    noise = 0.005 * np.random.default_rng(len(day)).standard_normal(len(time))
+    position = 12.34 - 1e3 * run.deflection + noise  # mm
+    rows = zip(1e3 * time, duty, position, strict=True)
+    return "time [ms],duty [%],position [mm]\n" + "".join(
+        f"{t:.0f},{d:.2f},{x:.3f}\n" for t, d, x in rows
+    )
 
 
 def _dsc() -> str:

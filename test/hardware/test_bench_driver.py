@@ -340,3 +340,28 @@ def test_an_open_wire_beside_a_driven_one_stops_the_drive_until_it_is_reset(monk
     found[0] = ""
     made.read()
     made.driver.enable(made.now)
+
+
+def test_a_duty_is_driven_as_the_direct_voltage_of_its_heat():
+    bench = Bench(drive="duty", supply_voltage=12.0, maximum_voltage=8.0)
+    bench.pass_time(0.1)
+    bench.driver.enable(bench.now)
+    assert bench.link.limits[0] == DEVICE.maximum_voltage * 1e3  # 9.8 V and a margin
+    assert bench.pass_time(1.0, command=0.75) == ""
+    assert bench.link.sent[-1] == [3000, 0, 0, 0]  # sqrt(0.75 V x 12 V)
+    assert bench.driver.applied == pytest.approx((3.0,))
+    # 6 V are expected.
+    assert "disagreement" in bench.pass_time(3.0, command=3.0, volt=0.5)
+
+
+def test_a_duty_that_heats_as_more_than_the_device_allows_is_refused():
+    bench = Bench(drive="duty", supply_voltage=12.0, maximum_voltage=12.0)
+    bench.pass_time(0.1)
+    message = r"maximum_voltage is 12 V, the device allows 10 V"
+    with pytest.raises(LinkError, match=message):
+        bench.driver.enable(bench.now)
+
+
+def test_wires_in_parallel_conduct_together():
+    parameters = Parameters({"wire.count": 2})
+    assert Limits.from_parameters(parameters).model.circuit == pytest.approx(RESISTANCE / 2.0)
