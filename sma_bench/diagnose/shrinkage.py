@@ -102,8 +102,8 @@ def _states(obs: Observation, parameters: Parameters) -> Array:
     """(n, wires, 4) at even times, while something was read."""
     run, sides = obs.simulate(parameters), np.array(obs.sides)
     read = np.concatenate([signal.time for signal in obs.signals])
-    step = max(_STATE_STEP, float(np.ptp(read)) / _MOST_STATES)
-    time = np.arange(read.min(), read.max(), step)
+    steps = min(max(round(float(np.ptp(read)) / _STATE_STEP), 1), _MOST_STATES)
+    time = np.linspace(read.min(), read.max(), steps + 1)
 
     def at(columns: Array) -> Array:
         return np.column_stack([np.interp(time, obs.grid, column) for column in columns.T])

@@ -64,4 +64,6 @@ def test_a_drive_that_no_record_has_shown_is_said_to_be_one(views):
     late = one.between(float(np.median(one.grid)), np.inf)
     assert unknown_share([one], [one], believed()) == 0.0
     assert unknown_share([one], [late], believed()) < 0.05
+    moment = one.between(one.signals[0].time[-2], np.inf)
+    assert unknown_share([one], [moment], believed()) == 0.0
     assert unknown_share([late], [one], believed()) > unknown_share([one], [turned], believed())

@@ -341,3 +341,10 @@ def test_seven_cycles_drift_and_are_not_called_repeats(measured_data: Path) -> N
     assert last.value == pytest.approx(286.0, abs=3.0)
     strain = experiment.details["recovered strain at 2401 MPa"]
     assert strain.unit == "relative"
+
+
+def test_strains_too_small_for_their_squares_are_one_line():
+    t = np.linspace(293.15, 413.15, 200)
+    strain = 1e-200 * (1.0 - np.tanh((t - 350.0) / 4.0))
+    with pytest.raises(InputError, match="no transformation"):
+        strain_tangents(Branch("heating", t, strain, np.full(200, 1e8)))

@@ -562,6 +562,8 @@ def _steep_line(t: Array, strain: Array) -> tuple[Line, Array] | None:
     # Where the curve is steep the error is in temperature: regress it on strain.
     centred = strain - strain.mean()
     power = float(centred @ centred)
+    if not power > 0.0:  # strains too small for their squares
+        return None
     inverse = float(centred @ (t - t.mean())) / power
     if inverse == 0.0:
         return None
