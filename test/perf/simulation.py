@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from c_limit import NoCompiler, PlainC
 from figures import Figure, Outcome, Skipped, at_least, at_most
-from stiff_rivals import CVODE, Problem, Solver, cvode, lsoda
+from stiff_rivals import CVODE, Problem, Solver, cvode, lsoda, side_by_side
 from timing import interleaved, ratio
 
 from sma_bench.parameters import Parameters
@@ -18,8 +18,9 @@ COMPOSITE = {
     "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
     "bench.channel_sides": ("front", "front", "back", "back"),
 }
+LATENT = {"effect.latent_heat.heat": 12e3}
 EFFECTS = {
-    "effect.latent_heat.heat": 12e3,
+    **LATENT,
     "effect.phase_dependent_resistance.austenite_change": -0.1,
     "effect.phase_dependent_resistance.temperature_coefficient": 4e-4,
     "effect.temperature_dependent_convection.rise": 2e-3,
@@ -31,6 +32,17 @@ LADDER = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # A solver need not be better than this where the simulation is: a millionth of the range.
 ENOUGH = 1e-6
 SETS = 32
+DERIVED = (
+    "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
+    "wire.austenite_start_temperature", "wire.austenite_finish_temperature",
+    "wire.martensite_start_temperature", "wire.martensite_finish_temperature",
+    "wire.stress_influence_austenite", "wire.stress_influence_martensite",
+    "wire.austenite_modulus", "wire.martensite_modulus", "wire.maximum_recoverable_strain",
+    "environment.ambient_temperature",
+)
+# Derivatives need not be better: a fit's steps bear far more. The relative step of differences.
+ENOUGH_OF_DERIVATIVES = 5e-3
+_MOVED = 1e-5
 
 
 def benches() -> dict[str, Parameters]:
@@ -61,6 +73,8 @@ def measure(tiny: bool = False) -> list[Outcome]:
     outcomes: list[Outcome] = []
     for case, parameters in benches().items():
         outcomes += _beside_solvers(case, parameters, 161 if tiny else 10_001, tiny)
+        if case == "one wire":
+            outcomes += _derivatives(case, parameters, 1001 if tiny else 10_001, tiny)
         outcomes += _beside_c(case, parameters, 1000 if tiny else 200_000, tiny)
     return outcomes + _many_sets(1000 if tiny else 40_000)
 
@@ -133,6 +147,59 @@ def _error(states: np.ndarray, truth: np.ndarray) -> float:
     off = np.abs(states - truth)
     kelvin = off[:, :w].max() / np.ptp(truth[:, :w])
     return float(max(kelvin, off[:, w:].max() / np.ptp(truth[:, w:])))
+
+
+def _derivatives(case: str, parameters: Parameters, n: int, tiny: bool) -> list[Outcome]:
+    """A trajectory and its derivatives, of the temperatures by relative changes of DERIVED; with
+    latent heat, by which temperatures feel every one of them."""
+    if not CVODE:
+        return [Skipped(f"{case}: derivatives by CVODE", "scikit-sundae is not installed")]
+    case, parameters = f"{case}, latent heat", parameters.replace(LATENT)
+    time_, voltage = drive(n, len(parameters["bench.channels"]))
+    up, down = (
+        [parameters.replace({name: parameters[name] * (1.0 + step)}) for name in DERIVED]
+        for step in (_MOVED, -_MOVED)
+    )
+    problems = [Problem.of(bench) for bench in (parameters, *up)]
+    both = side_by_side([Problem.of(b) for b in (*up, *down)], time_, voltage, REFERENCE)
+    truth = (both[:, : len(up)] - both[:, len(up) :]) / (2.0 * _MOVED)
+
+    def ours() -> np.ndarray:
+        first, *moved = (simulate(b, time_, voltage).temperature for b in (parameters, *up))
+        return (np.stack(moved, axis=1) - first[:, None]) / _MOVED
+
+    def cvode_s(rtol: float) -> np.ndarray:
+        states = side_by_side(problems, time_, voltage, rtol)
+        return (states[:, 1:] - states[:, :1]) / _MOVED
+
+    own = _derivative_error(ours(), truth)
+    for rtol in LADDER:
+        error = _derivative_error(cvode_s(rtol), truth)
+        if error <= max(own, ENOUGH_OF_DERIVATIVES):
+            break
+    seconds = interleaved(
+        {"plain": lambda: simulate(parameters, time_, voltage), "ours": ours,
+         "CVODE": lambda: cvode_s(rtol)},
+        2 if tiny else 5, budget=15.0,
+    )
+    what = f"with {len(DERIVED)} derivatives"
+    return [
+        Figure(case, f"{what}: error, of their size", own, ""),
+        Figure(case, f"{what}: plain simulations", ratio(seconds["ours"], seconds["plain"]), ""),
+        Figure(case, f"{what}, CVODE: rtol for equal error", rtol, ""),
+        Figure(case, f"{what}, CVODE: its error", error, ""),
+        Figure(case, f"{what}, CVODE: times slower", ratio(seconds["CVODE"], seconds["ours"]),
+               "x", at_least(100.0)),
+    ]
+
+
+def _derivative_error(found: np.ndarray, truth: np.ndarray) -> float:
+    """Root mean square difference of the derivatives of temperatures, the first w of a last axis,
+    as a share of their own; the worst parameter's. Where a range begins or ends a derivative
+    jumps, so its largest difference would say how near a sample lies to that."""
+    w = truth.shape[2] // 2
+    off = np.square(found[:, :, :w] - truth[:, :, :w]).mean(axis=(0, 2))
+    return float(np.sqrt(np.max(off / np.square(truth[:, :, :w]).mean(axis=(0, 2)))))
 
 
 # --- C ------------------------------------------------------------------------------------------

@@ -62,6 +62,10 @@ def test_simulation_is_held_against_solvers_and_c(tmp_path, capsys):
         if shutil.which("cc"):
             assert found[case]["difference from C, of the range"] < 1e-9
             assert found[case]["times the time of C"] > 0.0
+    if is_there("sksundae"):
+        with_derivatives = found["one wire, latent heat"]
+        assert with_derivatives["with 13 derivatives: error, of their size"] < 0.01
+        assert with_derivatives["with 13 derivatives, CVODE: times slower"] > 0.0
     assert any("parameter sets" in case for case in found)
     assert list(document["sections"]) == ["simulation"]
     assert document["machine"]["cores"] >= 1 and document["machine"]["versions"]["numpy"]
