@@ -29,7 +29,7 @@ def write(name: str) -> None:
         r"DSC\.txt": lambda: _dsc(),
         r"(\d+)_MPa\.txt": lambda megapascal: _isobaric(float(megapascal)),
         r"(cold|hot)_(\d+)\.csv": lambda phase, number: _tensile(phase, int(number)),
-        r"(monday|tuesday|wednesday)\.csv": _logger,
+        r"(monday|tuesday|wednesday)\.csv": _spring_run,
         r"\w+_current\.csv": lambda: "reading,known\n" + "".join(
             f"{1.02 * amps + 0.03:.3f},{amps:.3f}\n" for amps in (0.0, 0.5, 1.0, 1.5, 2.0)
         ),
@@ -53,7 +53,7 @@ _SPRING_BENCH = Parameters({
 })  # fmt: skip
 
 
-def _logger(day: str) -> str:
+def _spring_run(day: str) -> str:
     """Duty of a 12 V supply and position of a wire against a spring, as a data logger has them."""
     time = np.arange(0.0, 100.0, 0.05)
     inside = ((time - 3.0) % 32.0) / 32.0
