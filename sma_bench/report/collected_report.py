@@ -76,7 +76,8 @@ def summary_section(shown: Sequence[Shown]) -> Section:
     rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
     warnings = [text for one in shown for text in one.warnings]
     table = Table(("", "input", "kind", "what it says"), rows, frozenset({0}), "summary")
-    said = f"{len(warnings)} warnings." if warnings else "No warnings."
+    count = len(warnings) or "No"
+    said = f"{count} warning{'s' if count != 1 else ''}."
     return Section("Summary", [said], warnings, [table])
 
 

@@ -344,13 +344,13 @@ def _is_tall(card: Card) -> bool:
 
 
 _MEASURED = re.compile(r"(?<![A-Za-z]\d)(?<=\d) (?=%|(?:K|mA|A|mm|ohm|min|s|V)\b)")
-_OPTION = re.compile(r"--[a-z][\w-]*")
+_KEPT = re.compile(r"--[a-z][\w-]*|\[-?[\d.]+, -?[\d.]+\]")
 
 
 def _together(text: str) -> str:
-    """Escaped; no line ends between a number and its unit, or within an option."""
+    """Escaped; no line ends between a number and its unit, or within an option or an interval."""
     safe = _MEASURED.sub("&nbsp;", html.escape(printable(text)))
-    return _OPTION.sub(lambda found: f'<span class="keep">{found[0]}</span>', safe)
+    return _KEPT.sub(lambda found: f'<span class="keep">{found[0]}</span>', safe)
 
 
 def _without_controls(shown: object) -> object:

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
+from sma_bench.report import page
 from sma_bench.report.drawing import COLUMNS
 from sma_bench.report.page import Picture, Section, Table, write_report
 
@@ -102,3 +103,9 @@ def test_names_from_outside_are_text_in_page_and_table(tmp_path):
     assert "=HYPERLINK(1)\\x1b[2J\\udcff\\u202e" in text and "\x1b" not in text
     rows = (tmp_path / "r" / "names.csv").read_text().splitlines()
     assert rows == ["name", "'=HYPERLINK(1)\\x1b[2J\\udcff\\u202e", "-1.5"]
+
+
+def test_no_line_ends_within_an_interval_or_an_option():
+    kept = page._together("96 % [93, 99] of the gap gone, then --out improved.yaml")
+    assert '<span class="keep">[93, 99]</span> of' in kept
+    assert '<span class="keep">--out</span>' in kept
