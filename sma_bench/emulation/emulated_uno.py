@@ -232,6 +232,8 @@ def build_emulator(folder: Path) -> Path:
 
 def _run(command: list[str]) -> None:
     process = subprocess.run(command, capture_output=True, text=True, check=False)
+    if process.returncode < 0:  # Ctrl-C is heard by the compiler too
+        raise KeyboardInterrupt
     if process.returncode:
         said = (process.stderr or process.stdout).strip().splitlines() or ["no reason given"]
         raise InputError(f"{command[0]}: {said[0]}")

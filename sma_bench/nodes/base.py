@@ -255,7 +255,7 @@ def run_node(
             _spin(node, executor_type(), signals)
         except InputError as error:
             return _refuse(name, error)
-        except ExternalShutdownException:
+        except (ExternalShutdownException, KeyboardInterrupt):  # the latter of what it waited for
             pass
         finally:
             _end(node)

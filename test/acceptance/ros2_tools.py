@@ -372,7 +372,10 @@ def every_mode(stage: Stage) -> str:
             continue
         namespace = f"{file}_{mode}"
         bench = stage.launch(file, namespace=namespace, mode=mode, camera=camera)
-        ready = {"simulated": "simulating", "hardware": "not connected", "emulated": "idle"}[mode]
+        ready = {
+            "simulated": "simulating", "hardware": "not connected",
+            "emulated": "serial_bridge]: idle",
+        }[mode]  # fmt: skip
         bench.says(ready, 120.0)
         bench.says("identification")
         bench.says("experiment]: idle")

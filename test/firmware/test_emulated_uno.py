@@ -1,6 +1,7 @@
 """The real image on an emulated ATmega328P, in virtual time: what it does at its pins, and when."""
 
 import math
+import os
 import random
 import re
 import statistics
@@ -9,7 +10,13 @@ from pathlib import Path
 import pytest
 from virtual_host import VirtualHost
 
-from sma_bench.emulation.emulated_uno import EmulatedUno, Relay, Reset, Switch
+from sma_bench.emulation.emulated_uno import (
+    EmulatedUno,
+    Relay,
+    Reset,
+    Switch,
+    build_emulator,
+)
 from sma_bench.hardware.bench_sensors import PowerCalibration, channel_powers
 from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch, WireModel
@@ -444,3 +451,12 @@ def test_replayed_commands_are_refused(driving: VirtualHost) -> None:
     driving.uno.write(replayed)
     driving.run(0.05)
     assert sum(driving.uno.electrics.on_time) == on_time
+
+
+def test_a_compiler_that_hears_ctrl_c_is_no_error_of_the_sources(tmp_path, monkeypatch):
+    compiler = tmp_path / "cc"
+    compiler.write_text("#!/bin/sh\nkill -INT $$\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(KeyboardInterrupt):
+        build_emulator(tmp_path)
