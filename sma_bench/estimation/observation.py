@@ -22,9 +22,11 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics import simulate
-from sma_bench.physics.boundary import moves_tip
+from sma_bench.physics.bending import channel_section
+from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
+from sma_bench.physics.sensitivities import Sensitivities, carries
 from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
 from sma_bench.records.samples import require_channels
@@ -179,14 +181,57 @@ class Observation:
             parameters: of the model; channels are this record's own.
             voltage: (n, w) V, another one; loads: (h,) errors of the holds, m or N.
         """
-        if tuple(parameters["bench.channels"]) != self.channels:
-            own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
-            parameters = parameters.replace(own)
-        parameters = as_recorded(parameters)
+        parameters = self._own_bench(parameters)
         volts = self.voltage if voltage is None else voltage
         if not self.holds:
             return simulate(parameters, self.grid, volts)
         return self._under_loads(parameters, volts, loads)
+
+    def _own_bench(self, parameters: Parameters) -> Parameters:
+        if tuple(parameters["bench.channels"]) != self.channels:
+            own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
+            parameters = parameters.replace(own)
+        return as_recorded(parameters)
+
+    def derivatives(
+        self, parameters: Parameters, moved: Sequence[Parameters], steps: Array
+    ) -> Array | None:
+        """d(readings) (rows, p), signal after signal, carried along with one simulation; None where
+        that cannot be.
+
+        Args:
+            moved: the bench with one number moved by a very small step (p,), p times.
+        """
+        if self.holds or not carries(as_recorded(parameters)):
+            return None
+        benches = [self._own_bench(other) for other in moved]
+        simulation = self.simulate(parameters)
+        carried = Sensitivities.of(simulation, benches, steps)
+        gains = _gains(simulation.parameters)
+        by_gains = np.stack([_gains(other) - gains for other in benches], axis=-1) / steps
+        return np.concatenate([
+            average @ self._course_derivatives(signal, simulation, carried, gains, by_gains)
+            for average, signal in zip(self._delayed, self.signals, strict=True)
+        ])  # fmt: skip
+
+    def _course_derivatives(
+        self, signal: BinnedSignal, simulation: Simulation, carried: Sensitivities, gains: Array,
+        by_gains: Array,
+    ) -> Array:
+        """(n, p), of what `_course` has."""
+        wire, count = signal.wire, simulation.contraction.shape[1]
+        if signal.quantity == "temperature":
+            return carried.temperature[wire]
+        if signal.quantity == "force":
+            direct = np.multiply.outer(simulation.stress[:, wire], by_gains[_SECTION])
+            return gains[_SECTION] * carried.stress[wire] + direct
+        if signal.quantity == "elongation":
+            direct = np.multiply.outer(simulation.contraction[:, 0], by_gains[_LENGTH])
+            return -gains[_LENGTH] * carried.contraction[0] - direct
+        if signal.quantity == "deflection":
+            of_contraction = sum(gains[_LEVER + k] * carried.contraction[k] for k in range(count))
+            return of_contraction + simulation.contraction @ by_gains[_LEVER : _LEVER + count]
+        return np.broadcast_to(by_gains[_CONDUCTANCE], (len(self.grid), by_gains.shape[1]))
 
     def _under_loads(
         self, parameters: Parameters, volts: Array, loads: Array | None
@@ -219,8 +264,12 @@ class Observation:
     @cached_property
     def _averages(self) -> csr_array:
         """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
-        averages = [s.average @ self._delay(s.quantity) for s in self.signals]
-        return csr_array(block_diag(averages, format="csr"))
+        return csr_array(block_diag(self._delayed, format="csr"))
+
+    @cached_property
+    def _delayed(self) -> list[csr_array]:
+        """(b, n) of each signal, stamps delayed."""
+        return [csr_array(s.average @ self._delay(s.quantity)) for s in self.signals]
 
     def _delay(self, quantity: str) -> csr_array:
         """(n, n) from a course on the grid to the same later, as `course` has it."""
@@ -301,6 +350,21 @@ class Observation:
     def load_errors(self) -> list[Array]:
         """(h,) one standard error of each held load in turn."""
         return [row for row in np.diag([hold.std for hold in self.holds]) if row.any()]
+
+
+_CONDUCTANCE, _LENGTH, _SECTION, _LEVER = range(4)
+
+
+def _gains(parameters: Parameters) -> Array:
+    """Conductance of a wire that has no effect, length, section, levers of the sides: what turns a
+    simulation into readings."""
+    ambient = parameters["environment.ambient_temperature"]
+    levers = per_side("lever", Boundary.of(parameters).lever, len(side_names(parameters)))
+    own = (
+        float(current(parameters, 1.0, ambient, 1.0)), wire_length(parameters),
+        channel_section(parameters),
+    )
+    return np.concatenate([own, levers])
 
 
 def _joined(parts: Sequence[Simulation]) -> Simulation:

@@ -21,7 +21,8 @@ from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 
-_STEP = 0.02  # prior deviations, of a derivative
+_STEP = 0.02  # prior deviations, of a difference
+_TINY = 2e-6  # of the numbers that the model is computed from
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
 MOTIONS = ("deflection", "elongation", "force")
@@ -166,24 +167,58 @@ class Problem:
         self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int],
         central: bool = False,
     ) -> Array:
-        """d(readings)/dx (n, k) of the `which` unknowns.
+        """d(readings)/dx (n, k) of the `which` unknowns, on coarse cells.
 
-        Across a valley where several derivatives all but cancel, what one-sided differences are
-        off by is information that the records do not hold; `central` ones, twice the simulations,
-        are for places where errors and evidence are stated. Cells of a quarter of a bin are off by
-        hundredths of a nat (of half a bin: by up to 0.9, which let a rival in).
+        Carried along with one simulation where that can be; else differences. Across a valley where
+        several derivatives all but cancel, what one-sided differences are off by is information
+        that the records do not hold; `central` ones, twice the simulations, are for places where
+        errors and evidence are stated. Cells of a quarter of a bin are off by hundredths of a nat
+        (of half a bin: by up to 0.9, which let a rival in).
         """
+        seen, own = self.coarse, [*which]
+        columns = np.empty((len(predicted), len(own)))
+        carried = [k for k, i in enumerate(own) if unknowns.is_carried(i)]
+        found = seen.carried(unknowns, x, [own[k] for k in carried]) if carried else None
+        if found is not None:
+            columns[:, carried] = found
+        left = [k for k in range(len(own)) if found is None or k not in carried]
+        others = [own[k] for k in left]
+        if others:
+            columns[:, left] = seen.differences(unknowns, x, self, predicted, others, central)
+        return columns
+
+    def carried(self, unknowns: Unknowns, x: Array, which: Sequence[int]) -> Array | None:
+        """The same (n, k), carried along with one simulation a record; None where an effect that is
+        on cannot be."""
+        high = unknowns.bounds()[1]
+        steps = np.where(x + _TINY <= high, _TINY, -_TINY)[[*which]]
+        here = unknowns.parameters(x)
+        moved = [
+            unknowns.nudged(here, x, i, float(step)) for i, step in zip(which, steps, strict=True)
+        ]
+        parts = []
+        for observation in self.observations:
+            part = observation.derivatives(here, moved, steps)
+            if part is None:
+                return None
+            parts.append(part)
+        return np.concatenate(parts)
+
+    def differences(
+        self, unknowns: Unknowns, x: Array, fine: Self, predicted: Array, which: Sequence[int],
+        central: bool,
+    ) -> Array:
+        """The same (n, k) as differences; `predicted` are the readings of the problem `fine`."""
         low, high = unknowns.bounds()
-        seen = self.coarse
         inside = central & (x + _STEP <= high) & (x - _STEP >= low)
         here = predicted
-        if seen is not self and not all(inside[which]):
-            here = seen.predict(unknowns.parameters(x))
+        if fine is not self and not all(inside[which]):
+            here = self.predict(unknowns.parameters(x))
 
         def reading(i: int, step: float) -> Array:
             there = x.copy()
             there[i] = np.clip(x[i] + step, low[i], high[i])
-            return seen.predict(unknowns.parameters(there))
+            return self.predict(unknowns.parameters(there))
 
         def column(i: int) -> Array:
             if inside[i]:
@@ -191,8 +226,7 @@ class Problem:
             step = _STEP if x[i] + _STEP <= high[i] else -_STEP
             return (reading(i, step) - here) / step
 
-        columns = in_threads(column, [(i,) for i in which])
-        return np.column_stack(columns) if columns else np.zeros((len(predicted), 0))
+        return np.column_stack(in_threads(column, [(i,) for i in which]))
 
     @cached_property
     def coarse(self) -> "Problem":

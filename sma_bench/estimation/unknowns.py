@@ -84,6 +84,7 @@ _STRAIGHT = {
     "load.stiffness",
     "load.preload",
 }
+_NOT_CARRIED = {name for effect in EFFECTS.values() for name in effect.not_carried}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
 _NARROWEST_RANGE = 0.2
@@ -174,6 +175,10 @@ class Unknowns:
         """Parameters that take another one's value."""
         return {other: item.name for item in self.items for other in item.tied}
 
+    def is_carried(self, i: int) -> bool:
+        """Whether derivatives by this one can be carried along with a simulation."""
+        return self.items[i].name not in _NOT_CARRIED
+
     @cached_property
     def _bounds(self) -> tuple[Array, Array]:
         ends = [(item.x_of(item.low), item.x_of(item.high)) for item in self.items]
@@ -210,6 +215,15 @@ class Unknowns:
                 values[upper] = middle + 0.5 * _NARROWEST_RANGE
         values |= {other: values[name] for other, name in self.tied.items()}
         return self.base.replace(values)
+
+    def nudged(self, bench: Parameters, x: Array, i: int, step: float) -> Parameters:
+        """The bench at x, one of its unknowns moved."""
+        item = self.items[i]
+        if any(item.name in pair for pair in _ORDERED):
+            there = x.copy()
+            there[i] += step
+            return self.parameters(there)
+        return bench.replace(dict.fromkeys((item.name, *item.tied), item.value(x[i] + step)))
 
     def start(self, spread: float = 0.3) -> Array:
         """What is believed, effects off; `spread` in its prior's deviations, at 0 of which its

@@ -41,6 +41,8 @@ class Effect:
         constants, state, scratch: further columns of that row: what a bench is; what one step hands
             to the next, 0 at the start; what is noted within a step. A name that stands n times is
             the first of n columns.
+        carried: numbers that are no more than a number in the rows of the core, so that derivatives
+            are carried along with a simulation (physics/sensitivities.py) while no other is on.
         text: title, equation and source: the docstring of its file.
     """
 
@@ -56,6 +58,7 @@ class Effect:
     constants: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
     scratch: tuple[str, ...] = ()
+    carried: tuple[str, ...] = ()
     text: str = ""
 
     @property
@@ -68,9 +71,22 @@ class Effect:
         """Numbers of which any one switches it on: those whose default is 0."""
         return tuple(p for p in self.parameters if p.default == 0.0)
 
+    @cached_property
+    def _switch_names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.switches)
+
     def is_on(self, parameters: Mapping[str, object]) -> bool:
         """Whether these parameters switch it on."""
-        return any(parameters[p.name] != 0.0 for p in self.switches)
+        for name in self._switch_names:  # noqa: SIM110 (a generator takes twice as long)
+            if parameters[name] != 0.0:
+                return True
+        return False
+
+    @cached_property
+    def not_carried(self) -> tuple[str, ...]:
+        """Full names of its numbers by which no derivative is carried along."""
+        carried = {f"{EFFECT_PREFIX}{self.name}.{number}" for number in self.carried}
+        return tuple(p.name for p in self.parameters if p.name not in carried)
 
     def named(self, number: str) -> Parameter:
         """The table's entry of one of its numbers.

@@ -136,14 +136,14 @@ def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
 
     A given value (above 0) is used as it is, otherwise the geometry gives it.
     """
+    alpha, front, back = (parameters[f"composite.{name}"] for name in (
+        "deflection_per_strain", "stress_per_deflection_front", "stress_per_deflection_back"
+    ))  # fmt: skip
+    if alpha and front and back:
+        return alpha, front, back
     beam = Beam.of(parameters)
-    derived = {
-        "composite.deflection_per_strain": deflection_per_strain(beam),
-        "composite.stress_per_deflection_front": stress_per_deflection(beam),
-        "composite.stress_per_deflection_back": stress_per_deflection(beam),
-    }
-    alpha, front, back = (parameters[name] or value for name, value in derived.items())
-    return alpha, front, back
+    beta = stress_per_deflection(beam)
+    return alpha or deflection_per_strain(beam), front or beta, back or beta
 
 
 def _of_one_width(beam: Beam) -> Beam:

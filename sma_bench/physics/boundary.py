@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -114,6 +115,11 @@ class Boundary:
         }  # fmt: skip
         return kinds[load_kind(parameters)](parameters)
 
+    @property
+    def idle(self) -> bool:
+        """Whether martensite at ambient temperature bears nothing."""
+        return self.load == 0.0 and self.prestretch == 0.0 and self.contraction in (None, 0.0)
+
     def stretch_of_wires(self, parameters: Parameters) -> NDArray[np.float64]:
         """(w,) prestretch of each wire."""
         sides = per_side("prestretch", self.prestretch, len(side_names(parameters)))
@@ -127,14 +133,21 @@ def moves_tip(parameters: Parameters) -> bool:
 
 def side_names(parameters: Parameters) -> tuple[str, ...]:
     """Sides that have wires, front first."""
-    sides = parameters["bench.channel_sides"]
-    return tuple(name for name in SIDE_SIGNS if name in sides)
+    return _sides(tuple(parameters["bench.channel_sides"]))[0]
 
 
 def side_of_channels(parameters: Parameters) -> NDArray[np.int64]:
-    """(w,) number of the side of each channel, in the order of `side_names`."""
-    names = side_names(parameters)
-    return np.array([names.index(side) for side in parameters["bench.channel_sides"]], np.int64)
+    """(w,) number of the side of each channel, in the order of `side_names`; not to be changed."""
+    return _sides(tuple(parameters["bench.channel_sides"]))[1]
+
+
+@lru_cache(maxsize=64)
+def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """A fit asks some times a simulation."""
+    names = tuple(name for name in SIDE_SIGNS if name in of_channels)
+    numbers = np.array([names.index(side) for side in of_channels], np.int64)
+    numbers.flags.writeable = False
+    return names, numbers
 
 
 def per_side(name: str, value: PerSide, sides: int) -> NDArray[np.float64]:
@@ -143,6 +156,8 @@ def per_side(name: str, value: PerSide, sides: int) -> NDArray[np.float64]:
     Raises:
         InputError: wrong number of sides, or not finite.
     """
+    if isinstance(value, float) and math.isfinite(value):
+        return np.full(sides, value)
     array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
         raise InputError(

@@ -169,6 +169,7 @@ def _of_effects(
 
 _WIRE_EFFECT_NUMBERS, _WIRE_MARKS = _of_effects("wire", at.WIRE_NAMES)
 _SIDE_EFFECT_NUMBERS, _SIDE_MARKS = _of_effects("side", at.SIDE_NAMES)
+_WIRE_PARAMETERS = [f"wire.{name}" for name in _WIRE_NUMBERS]
 
 
 def wire_rows(parameters: Parameters, boundary: Boundary) -> Array:
@@ -177,12 +178,13 @@ def wire_rows(parameters: Parameters, boundary: Boundary) -> Array:
     wire = np.zeros(at.WIRE_COLUMNS)
     wire[list(columns)] = list(columns.values())
     side = side_of_channels(parameters)
-    wires = np.tile(wire, (side.size, 1))
-    wires[:, at.SIDE] = side
+    wires = np.empty((side.size, at.WIRE_COLUMNS))
+    wires[:], wires[:, at.SIDE] = wire, side
     # Between unequal numbers of wires: what one side gives, the other gets.
-    own = np.bincount(side)[side]
+    if wire[at.ACROSS]:
+        own = np.bincount(side)[side]
+        wires[:, at.ACROSS] *= (side.size - own) / np.maximum(own, side.size - own)
     wires[:, at.PRESTRETCH] = boundary.stretch_of_wires(parameters)
-    wires[:, at.ACROSS] *= (side.size - own) / np.maximum(own, side.size - own)
     return wires
 
 
@@ -192,15 +194,16 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides = np.zeros((count, at.SIDE_COLUMNS))
     sides[:, at.PRESCRIBED] = boundary.contraction is not None
     sides[:, at.COUPLED] = boundary.coupled
-    for column in (at.STIFFNESS, at.OWN_STIFFNESS):
-        sides[:, column] = per_side("stiffness", boundary.stiffness, count)
-    for column in (at.LOAD, at.OWN_LOAD):
-        sides[:, column] = per_side("load", boundary.load, count)
+    stiffness = per_side("stiffness", boundary.stiffness, count)
+    load = per_side("load", boundary.load, count)
+    sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
+    sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
     # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
     elastic = boundary.contraction is None and not boundary.coupled
     bends = (sides[:, at.OWN_STIFFNESS] > 0.0) & elastic
     for column, number in _SIDE_EFFECT_NUMBERS:
-        sides[bends, column] = parameters[number]
+        if parameters[number]:
+            sides[bends, column] = parameters[number]
     for effect, mark in _SIDE_MARKS:
         if effect.is_on(parameters):
             sides[bends if effect.row == "side" else slice(None), mark] = 1.0
@@ -210,13 +213,14 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
 
 def _effects(parameters: Parameters) -> Mapping[int, float]:
     """Columns that hold an effect's number as it is, and its marks."""
-    columns = {column: float(parameters[number]) for column, number in _WIRE_EFFECT_NUMBERS}
+    columns = {column: parameters[number] for column, number in _WIRE_EFFECT_NUMBERS}
     columns.update((mark, 1.0) for effect, mark in _WIRE_MARKS if effect.is_on(parameters))
     return columns
 
 
 def _wire(parameters: Parameters) -> Mapping[int, float]:
-    wire = {name: float(parameters[f"wire.{name}"]) for name in _WIRE_NUMBERS}
+    numbers = [parameters[name] for name in _WIRE_PARAMETERS]
+    wire = dict(zip(_WIRE_NUMBERS, numbers, strict=True))
     loss = wire["heat_transfer_coefficient"] * wire["surface_area"]
     a_s, a_f = wire["austenite_start_temperature"], wire["austenite_finish_temperature"]
     m_s, m_f = wire["martensite_start_temperature"], wire["martensite_finish_temperature"]
@@ -284,6 +288,13 @@ class Kernel:
 
     @cached_property
     def _rest(self) -> State:
+        ambient = self.parameters["environment.ambient_temperature"]
+        if self.boundary.idle and ambient < self.parameters["wire.austenite_finish_temperature"]:
+            # What `initial_state` finds as well; a fit begins each of its simulations so.
+            return State(
+                np.full(self.wires, ambient), np.ones(self.wires), np.zeros(self.wires),
+                np.zeros(len(self.rows[1])),
+            )
         return initial_state(self.parameters, boundary=self.boundary)
 
     def against(self, boundary: Boundary) -> "Kernel":
@@ -315,7 +326,9 @@ class Kernel:
             sides[:, at.PASSIVE_FRACTION] = 1.0
             for column in (at.CONTRACTION, at.BENDING, at.RELAXED):
                 sides[:, column] = state.contraction
-            for i in range(len(wires)):
+            for column in (at.READING, at.SEEN):
+                wires[:, column] = state.temperature
+            for i in np.flatnonzero(wires[:, at.READ_OTHERWISE]):
                 wires[i, [at.READING, at.SEEN]] = see(wires, i)
         # Of effects that may be off by now:
         wires[:, at.OFFSET] = wires[:, at.PRESTRETCH]

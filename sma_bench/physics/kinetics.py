@@ -140,6 +140,77 @@ def fraction(wires, i, temperature, stress):
     return xi, by_g - by_f, by_f * wires[i, AUSTENITE_SHIFT] - by_g * wires[i, MARTENSITE_SHIFT]
 
 
+@inlined
+def ramp_gradient(position, spread, tail):
+    """Ramp of `smooth_ramp`; its slopes along position, spread and tail."""
+    share, slope = ramp(position)
+    by_spread = 0.0
+    if spread > 0.0:
+        early, early_slope = ramp(position + spread)
+        late, late_slope = ramp(position - spread)
+        share, slope = 0.5 * (early + late), 0.5 * (early_slope + late_slope)
+        by_spread = 0.5 * (1.0 - tail) * (early_slope - late_slope)
+    normal, normal_slope = normal_ramp(position)
+    by_tail = normal - share
+    return share + tail * by_tail, slope + tail * (normal_slope - slope), by_spread, by_tail
+
+
+@inlined
+def left_gradient(wires, i, own, other, own_spread, other_spread):
+    """Slopes of `phase_left` without return points: along own and other position, own and other
+    spread, tail, the phase and both ramps at the last reversal, and the memory."""
+    phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
+    other_reversed, memory = wires[i, OTHER_REVERSED], wires[i, MEMORY]
+    share, share_slope, share_by_spread, share_by_tail = ramp_gradient(
+        own, own_spread, wires[i, TAIL]
+    )
+    rest, rest_slope, rest_by_spread, rest_by_tail = ramp_gradient(
+        other, other_spread, wires[i, TAIL]
+    )
+    left, by_share, by_rest, by_phase = 0.0, 0.0, 0.0, 0.0
+    by_own_reversed, by_other_reversed, by_memory = 0.0, 0.0, 0.0
+    if own_reversed > 0.0:
+        left, by_share = share * phase / own_reversed, phase / own_reversed
+        by_phase, by_own_reversed = share / own_reversed, -left / own_reversed
+        if phase > 0.0:
+            flat, flat_by_share, flat_by_phase, flat_by_reversed = phase, 0.0, 1.0, 0.0
+            if share < min(phase, own_reversed):  # see `flat_then_outer`
+                if phase <= own_reversed:
+                    flat, flat_by_share, flat_by_phase = share, 1.0, 0.0
+                else:
+                    flat, flat_by_share, flat_by_phase = left, by_share, by_phase
+                    flat_by_reversed = by_own_reversed
+            by_memory = flat - left
+            left += memory * by_memory
+            by_share += memory * (flat_by_share - by_share)
+            by_phase += memory * (flat_by_phase - by_phase)
+            by_own_reversed += memory * (flat_by_reversed - by_own_reversed)
+            if left < 0.0:
+                left, by_share, by_phase, by_own_reversed, by_memory = 0.0, 0.0, 0.0, 0.0, 0.0
+    elif phase > 0.0 and other_reversed < 1.0:
+        by_rest, by_phase = -phase / (1.0 - other_reversed), (1.0 - rest) / (1.0 - other_reversed)
+        left = phase * by_phase
+        by_other_reversed = left / (1.0 - other_reversed)
+    if other < wires[i, OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
+        bound = 1.0 - rest / other_reversed
+        if bound > left:
+            by_phase, by_own_reversed, by_memory = 0.0, 0.0, 0.0
+            if bound >= share:
+                left, by_share, by_rest, by_other_reversed = share, 1.0, 0.0, 0.0
+            else:
+                left, by_share, by_rest = bound, 0.0, -1.0 / other_reversed
+                by_other_reversed = rest / (other_reversed * other_reversed)
+    if left > 1.0:
+        by_share, by_rest, by_phase, by_memory = 0.0, 0.0, 0.0, 0.0
+        by_own_reversed, by_other_reversed = 0.0, 0.0
+    return (
+        by_share * share_slope, by_rest * rest_slope,
+        by_share * share_by_spread, by_rest * rest_by_spread,
+        by_share * share_by_tail + by_rest * rest_by_tail,
+        by_phase, by_own_reversed, by_other_reversed, by_memory,
+    )
+
+
 @borrowing
 def reverse(wires, i, trend):
     """Make the present state of wire i the state of the last reversal."""

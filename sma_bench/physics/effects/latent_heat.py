@@ -23,4 +23,5 @@ EFFECT = Effect(
         "temperature lingers inside the transformation, up and down, and runs ahead of it "
         "afterwards"
     ),
+    carried=("heat",),
 )

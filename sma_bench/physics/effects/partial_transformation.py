@@ -51,6 +51,7 @@ EFFECT = Effect(
         "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
         "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
     ),  # fmt: skip
+    carried=("memory",),
 )
 
 
