@@ -28,7 +28,11 @@ _MOST_FROM_BELIEF = 3
 _MOST_PAIRED, _PARTNERS = 3, 3
 _HOPELESS = 0.5  # of the best single's gain: with a partner, less than that is no rival of it
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
-_LOST = 5.0  # nats below the same model without the effect: the fit went astray
+_LOST = 5.0  # nats below recalibration: the fit may have gone astray
+_FIRST = 2  # effects, the most promising
+# What a start promises is off by factors of three; where the lead is beyond ten promises and this
+# many nats more, an effect gets no fit.
+_PROMISES, _BEYOND = 10.0, 30.0
 _STUCK = 5.0  # nats that show a fit had not arrived
 _WORTH_A_LOOK = 3.0  # nats
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
@@ -136,23 +140,47 @@ def _tailed(found: Fit, most: float) -> Fit:
 def _singles(
     baseline: Unknowns, recalibrated: Fit, names: Sequence[str], progress: Progress
 ) -> dict[str, Fit]:
-    """Every effect, begun where recalibration ended."""
+    """Every effect, begun where recalibration ended: the most promising first, beside which others
+    may be hopeless."""
     remainder = Remainder(recalibrated)
+    models = {name: baseline.with_effects([name]) for name in names}
+
+    def off(name: str) -> Fit:
+        x = start_off(recalibrated, models[name], name)
+        return _fit_from(recalibrated, models[name], x, rounds=0)
 
     def single(name: str) -> Fit:
         progress(name)
-        unknowns = baseline.with_effects([name])
-        found = _fit_from(recalibrated, unknowns, find_start(remainder, unknowns, name).x)
-        if found.evidence < recalibrated.evidence - _LOST:
-            off = _fit_from(recalibrated, unknowns, start_off(recalibrated, unknowns, name))
-            return max(found, off, key=lambda f: f.evidence)
-        return found
+        found = _fit_from(recalibrated, models[name], starts[name].x)
+        if found.evidence >= recalibrated.evidence - _LOST:
+            return found
+        without = off(name)
+        if found.evidence >= without.evidence:
+            return found
+        again = _fit_from(recalibrated, models[name], without.x)
+        return max(found, without, again, key=lambda f: f.evidence)
 
-    return dict(zip(names, in_threads(single, [(name,) for name in names]), strict=True))
+    if not names:
+        return {}
+    progress(names[0])
+    found = in_threads(
+        lambda name: find_start(remainder, models[name], name), [(name,) for name in names]
+    )
+    starts = dict(zip(names, found, strict=True))
+    ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
+    first = ranked[:_FIRST]
+    fits = dict(zip(first, in_threads(single, [(name,) for name in first]), strict=True))
+    lead = max((f.evidence - recalibrated.evidence for f in fits.values()), default=0.0)
+    hopeless = {n for n in ranked[_FIRST:] if _PROMISES * starts[n].gain < lead - _BEYOND}
+    others = ranked[_FIRST:]
+    rest = in_threads(lambda name: (off if name in hopeless else single)(name),
+                      [(name,) for name in others])  # fmt: skip
+    fits |= zip(others, rest, strict=True)
+    return {name: fits[name] for name in names}
 
 
-def _fit_from(recalibrated: Fit, unknowns: Unknowns, x: Array) -> Fit:
-    return fit(recalibrated.problem, unknowns, x, rounds=2, frozen=recalibrated.derivatives)
+def _fit_from(recalibrated: Fit, unknowns: Unknowns, x: Array, rounds: int = 2) -> Fit:
+    return fit(recalibrated.problem, unknowns, x, rounds=rounds, frozen=recalibrated.derivatives)
 
 
 def _again(

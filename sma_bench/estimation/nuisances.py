@@ -7,6 +7,7 @@ held. A fit takes them along; those of a sensor are worth telling when they are 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,8 @@ def nuisances_about(
     simulation = observation.simulate(parameters)
     base = np.concatenate(observation.readings(simulation))
 
-    def moved(voltage: Array | None, loads: Array | None) -> Array:
+    def moved(drive: tuple[Any, ...] | None, loads: Array | None) -> Array:
+        voltage = observation.drive.on_grid(observation.grid, *drive) if drive else None
         there = observation.simulate(parameters, voltage, loads)
         return np.concatenate(observation.readings(there)) - base
 
@@ -95,10 +97,10 @@ def nuisances_about(
             std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
             items.append(Nuisance(DELAY, quantity, std, "s"))
             columns.append(late[:, np.newaxis])
-    moves: list[tuple[str, tuple[Array | None, Array | None]]] = [
-        *((JUMP, (volts, None)) for volts in observation.jumps),
-        *((LEVEL, (volts, None)) for volts in observation.levels),
-        *((LINE, (volts, None)) for volts in (observation.lines if voltage_noise else ())),
+    moves: list[tuple[str, tuple[tuple[Any, ...] | None, Array | None]]] = [
+        *((JUMP, (drive, None)) for drive in observation.moved_jumps),
+        *((LEVEL, (drive, None)) for drive in observation.moved_levels),
+        *((LINE, (drive, None)) for drive in (observation.moved_lines if voltage_noise else ())),
         *((LOAD, (None, loads)) for loads in observation.load_errors),
     ]
     found = in_threads(moved, [arguments for _, arguments in moves])

@@ -22,11 +22,9 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics import simulate
-from sma_bench.physics.bending import channel_section
-from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
-from sma_bench.physics.sensitivities import Sensitivities, carries
 from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
 from sma_bench.records.samples import require_channels
@@ -181,57 +179,18 @@ class Observation:
             parameters: of the model; channels are this record's own.
             voltage: (n, w) V, another one; loads: (h,) errors of the holds, m or N.
         """
-        parameters = self._own_bench(parameters)
+        parameters = self.own_bench(parameters)
         volts = self.voltage if voltage is None else voltage
         if not self.holds:
             return simulate(parameters, self.grid, volts)
         return self._under_loads(parameters, volts, loads)
 
-    def _own_bench(self, parameters: Parameters) -> Parameters:
+    def own_bench(self, parameters: Parameters) -> Parameters:
+        """The bench with this record's channels, as records show it."""
         if tuple(parameters["bench.channels"]) != self.channels:
             own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
             parameters = parameters.replace(own)
         return as_recorded(parameters)
-
-    def derivatives(
-        self, parameters: Parameters, moved: Sequence[Parameters], steps: Array
-    ) -> Array | None:
-        """d(readings) (rows, p), signal after signal, carried along with one simulation; None where
-        that cannot be.
-
-        Args:
-            moved: the bench with one number moved by a very small step (p,), p times.
-        """
-        if self.holds or not carries(as_recorded(parameters)):
-            return None
-        benches = [self._own_bench(other) for other in moved]
-        simulation = self.simulate(parameters)
-        carried = Sensitivities.of(simulation, benches, steps)
-        gains = _gains(simulation.parameters)
-        by_gains = np.stack([_gains(other) - gains for other in benches], axis=-1) / steps
-        return np.concatenate([
-            average @ self._course_derivatives(signal, simulation, carried, gains, by_gains)
-            for average, signal in zip(self._delayed, self.signals, strict=True)
-        ])  # fmt: skip
-
-    def _course_derivatives(
-        self, signal: BinnedSignal, simulation: Simulation, carried: Sensitivities, gains: Array,
-        by_gains: Array,
-    ) -> Array:
-        """(n, p), of what `_course` has."""
-        wire, count = signal.wire, simulation.contraction.shape[1]
-        if signal.quantity == "temperature":
-            return carried.temperature[wire]
-        if signal.quantity == "force":
-            direct = np.multiply.outer(simulation.stress[:, wire], by_gains[_SECTION])
-            return gains[_SECTION] * carried.stress[wire] + direct
-        if signal.quantity == "elongation":
-            direct = np.multiply.outer(simulation.contraction[:, 0], by_gains[_LENGTH])
-            return -gains[_LENGTH] * carried.contraction[0] - direct
-        if signal.quantity == "deflection":
-            of_contraction = sum(gains[_LEVER + k] * carried.contraction[k] for k in range(count))
-            return of_contraction + simulation.contraction @ by_gains[_LEVER : _LEVER + count]
-        return np.broadcast_to(by_gains[_CONDUCTANCE], (len(self.grid), by_gains.shape[1]))
 
     def _under_loads(
         self, parameters: Parameters, volts: Array, loads: Array | None
@@ -264,10 +223,10 @@ class Observation:
     @cached_property
     def _averages(self) -> csr_array:
         """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
-        return csr_array(block_diag(self._delayed, format="csr"))
+        return csr_array(block_diag(self.delayed, format="csr"))
 
     @cached_property
-    def _delayed(self) -> list[csr_array]:
+    def delayed(self) -> list[csr_array]:
         """(b, n) of each signal, stamps delayed."""
         return [csr_array(s.average @ self._delay(s.quantity)) for s in self.signals]
 
@@ -323,48 +282,31 @@ class Observation:
         parts = tuple(s.part(keep) for s, keep in kept if len(keep) > 1)
         return replace(self, signals=parts)
 
-    @cached_property
-    def jumps(self) -> list[Array]:
-        """Voltages (n, w) with one jump's moment moved by a standard deviation, one a jump."""
-        count = len(self.drive.early)
-        moved = self.place + JUMP_STD * np.eye(count)
-        return [self.drive.on_grid(self.grid, place) for place in moved]
+    # What `on_grid` moves, not the drives: an hour of steps has hundreds, of megabytes each.
 
-    @cached_property
-    def levels(self) -> list[Array]:
-        """Voltages (n, w) with one held level moved by a standard deviation, one a level of which
-        the converter's steps hide something."""
-        place = self.place + np.zeros(len(self.drive.early))
-        return [
-            self.drive.on_grid(self.grid, place, error) for error in self.drive.level_errors()
-        ]
+    @property
+    def moved_jumps(self) -> list[tuple[Any, ...]]:
+        """One jump's moment moved by a standard deviation, one a jump."""
+        return [(place,) for place in self.place + JUMP_STD * np.eye(len(self.drive.early))]
 
-    @cached_property
-    def lines(self) -> list[Array]:
-        """Voltages (n, w) with the mean or the slope of one straight stretch moved by a standard
-        deviation of the voltmeter's noise."""
+    @property
+    def moved_levels(self) -> list[tuple[Any, ...]]:
+        """One held level moved by a standard deviation, one a level of which the converter's steps
+        hide something."""
         place = self.place + np.zeros(len(self.drive.early))
-        return [self.drive.on_grid(self.grid, place, e) for e in self.drive.line_errors()]
+        return [(place, error) for error in self.drive.level_errors()]
+
+    @property
+    def moved_lines(self) -> list[tuple[Any, ...]]:
+        """The mean or the slope of one straight stretch moved by a standard deviation of the
+        voltmeter's noise."""
+        place = self.place + np.zeros(len(self.drive.early))
+        return [(place, error) for error in self.drive.line_errors()]
 
     @property
     def load_errors(self) -> list[Array]:
         """(h,) one standard error of each held load in turn."""
         return [row for row in np.diag([hold.std for hold in self.holds]) if row.any()]
-
-
-_CONDUCTANCE, _LENGTH, _SECTION, _LEVER = range(4)
-
-
-def _gains(parameters: Parameters) -> Array:
-    """Conductance of a wire that has no effect, length, section, levers of the sides: what turns a
-    simulation into readings."""
-    ambient = parameters["environment.ambient_temperature"]
-    levers = per_side("lever", Boundary.of(parameters).lever, len(side_names(parameters)))
-    own = (
-        float(current(parameters, 1.0, ambient, 1.0)), wire_length(parameters),
-        channel_section(parameters),
-    )
-    return np.concatenate([own, levers])
 
 
 def _joined(parts: Sequence[Simulation]) -> Simulation:

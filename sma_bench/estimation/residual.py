@@ -6,7 +6,7 @@ A row is a bin of a signal of a record. Whitened, rows are independent of unit v
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -20,6 +20,12 @@ from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import as_recorded
+from sma_bench.physics.bending import channel_section
+from sma_bench.physics.boundary import Boundary, per_side, side_names
+from sma_bench.physics.electrical import current
+from sma_bench.physics.sensitivities import Sensitivities, carries
 
 _STEP = 0.02  # prior deviations, of a difference
 _TINY = 2e-6  # of the numbers that the model is computed from
@@ -46,12 +52,14 @@ class Problem:
         voltage_noise: whether the voltmeter's noise is carried along, which takes two simulations
             a straight stretch, and differences are taken on the records' own cells: for estimates
             whose errors count.
+        shared: of problems that differ in their noise only: what does not depend on it.
     """
 
     observations: tuple[Observation, ...]
     noise: dict[str, Noise]
     nuisances: tuple[Nuisances, ...]
     voltage_noise: bool = False
+    shared: dict[tuple[Nuisances, ...], Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, observations: Sequence[Observation], voltage_noise: bool = False) -> Self:
@@ -68,7 +76,7 @@ class Problem:
         found = tuple(
             nuisances_about(o, parameters, self.voltage_noise) for o in self.observations
         )
-        return replace(self, nuisances=found)
+        return replace(self, nuisances=found, shared={})
 
     def moved(self, parameters: Parameters, z: Array) -> Self:
         """Nuisances about where a fit has found them (q,) and the model at its parameters."""
@@ -79,7 +87,9 @@ class Problem:
             found = nuisances_about(there, parameters, self.voltage_noise)
             observations.append(there)
             nuisances.append(replace(found, about=about))
-        return replace(self, observations=tuple(observations), nuisances=tuple(nuisances))
+        return replace(
+            self, observations=tuple(observations), nuisances=tuple(nuisances), shared={}
+        )
 
     def with_noise(self, residual: Array) -> Self:
         """Noise estimated anew from a residual (n,)."""
@@ -192,17 +202,13 @@ class Problem:
         on cannot be."""
         high = unknowns.bounds()[1]
         steps = np.where(x + _TINY <= high, _TINY, -_TINY)[[*which]]
-        here = unknowns.parameters(x)
+        here = as_recorded(unknowns.parameters(x))
+        if not carries(here) or any(observation.holds for observation in self.observations):
+            return None
         moved = [
             unknowns.nudged(here, x, i, float(step)) for i, step in zip(which, steps, strict=True)
         ]
-        parts = []
-        for observation in self.observations:
-            part = observation.derivatives(here, moved, steps)
-            if part is None:
-                return None
-            parts.append(part)
-        return np.concatenate(parts)
+        return np.concatenate([_carried(o, here, moved, steps) for o in self.observations])
 
     def differences(
         self, unknowns: Unknowns, x: Array, fine: Self, predicted: Array, which: Sequence[int],
@@ -244,10 +250,12 @@ class Problem:
             self.noise[block.signal.name].whiten_in_place(white[block.rows])
         return white
 
-    @cached_property
+    @property
     def nuisance_rows(self) -> Array:
         """(n, q), block diagonal in the records."""
-        return np.asarray(block_diag(*(own.columns for own in self.nuisances)))
+        if self.nuisances not in self.shared:
+            self.shared[self.nuisances] = block_diag(*(own.columns for own in self.nuisances))
+        return self.shared[self.nuisances]
 
     @cached_property
     def white_nuisances(self) -> Array:
@@ -267,3 +275,51 @@ class Problem:
     def log_prior(self) -> float:
         """Log of how probable such noise is of these sensors."""
         return sum(noise.log_prior for noise in self.noise.values())
+
+
+# What turns a simulation into readings: conductance of a wire that has no effect, its length and
+# section, levers of the sides.
+_CONDUCTANCE, _LENGTH, _SECTION, _LEVER = range(4)
+
+
+def _gains(parameters: Parameters) -> Array:
+    ambient = parameters["environment.ambient_temperature"]
+    levers = per_side("lever", Boundary.of(parameters).lever, len(side_names(parameters)))
+    own = (
+        float(current(parameters, 1.0, ambient, 1.0)), wire_length(parameters),
+        channel_section(parameters),
+    )
+    return np.concatenate([own, levers])
+
+
+def _carried(
+    observation: Observation, parameters: Parameters, moved: Sequence[Parameters], steps: Array
+) -> Array:
+    """d(readings) (b, p) of one record, signal after signal."""
+    benches = [observation.own_bench(other) for other in moved]
+    simulation = observation.simulate(parameters)
+    carried = Sensitivities.of(simulation, benches, steps)
+    gains = _gains(simulation.parameters)
+    by_gains = np.stack([_gains(other) - gains for other in benches], axis=-1) / steps
+    sides = range(simulation.contraction.shape[1])
+
+    def course(signal: BinnedSignal) -> Array:
+        """(n, p), of what `Observation.course` has."""
+        wire = signal.wire
+        if signal.quantity == "temperature":
+            return carried.temperature[wire]
+        if signal.quantity == "force":
+            direct = np.multiply.outer(simulation.stress[:, wire], by_gains[_SECTION])
+            return gains[_SECTION] * carried.stress[wire] + direct
+        if signal.quantity == "elongation":
+            direct = np.multiply.outer(simulation.contraction[:, 0], by_gains[_LENGTH])
+            return -gains[_LENGTH] * carried.contraction[0] - direct
+        if signal.quantity == "deflection":
+            direct = simulation.contraction @ by_gains[_LEVER:]
+            return direct + sum(gains[_LEVER + k] * carried.contraction[k] for k in sides)
+        return np.broadcast_to(by_gains[_CONDUCTANCE], (len(simulation.time), len(moved)))
+
+    return np.concatenate([
+        average @ course(signal)
+        for average, signal in zip(observation.delayed, observation.signals, strict=True)
+    ])  # fmt: skip

@@ -13,7 +13,7 @@ of a nat.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -189,6 +189,7 @@ class _State:
         self.unknowns, self.given, self.base = unknowns, frozen, frozen
         self.linear_about: Array | None = None
         self.kept: tuple[Problem, Array, Array, Array] | None = None
+        self.slopes_of: tuple[Array, Array] | None = None
         self.x = np.clip(x, *unknowns.bounds())
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
@@ -209,6 +210,11 @@ class _State:
 
     def _slopes(self) -> Array:
         assert self.base is not None
+        if self.slopes_of is not None and all(
+            a is b for a, b in zip(self.slopes_of, (self.base, self.x), strict=True)
+        ):
+            return self.slopes
+        self.slopes_of = self.base, self.x
         own = self.problem.derivatives(
             self.unknowns, self.x, self.predicted, range(self.unknowns.baseline, len(self.x))
         )
@@ -323,7 +329,7 @@ class _State:
         freedom = float(np.linalg.slogdet(information)[1])
         evidence = -0.5 * self.cost() - 0.5 * freedom - self.problem.log_scale()
         evidence += self.problem.log_prior()
-        return Fit(
-            self.problem, self.unknowns, self.x, self.z, joint, evidence, self.predicted,
+        return Fit(  # of the problem without its whitened columns, which are large
+            replace(self.problem), self.unknowns, self.x, self.z, joint, evidence, self.predicted,
             self.slopes, self.left(),
         )

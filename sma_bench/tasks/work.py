@@ -17,15 +17,15 @@ _READING, _READING_BAGS = 0.2, 0.05
 # Seconds that each step takes of a composite record, as `diagnose` names them.
 _PLAN = {
     "records": 0.1,
-    "recalibration": 4.7,
-    "parameters that may be far off": 1.0,
-    **dict.fromkeys(EFFECT_NAMES, 0.4),
-    "effects instead of surprising parameters": 6.0,
-    "the best again, carefully": 0.5,
-    "pairs": 2.5,
-    "what is left": 0.7,
+    "recalibration": 0.7,
+    **dict.fromkeys(EFFECT_NAMES, 0.13),
+    "effects instead of surprising parameters": 1.5,
+    "the best again, carefully": 0.6,
+    "pairs": 1.0,
+    "parameters that may be far off": 0.1,
+    "what is left": 0.3,
     "shrinkage on data that no fit saw": 0.2,
-    "the next experiment": 2.0,
+    "the next experiment": 0.8,
 }
 
 

@@ -151,14 +151,14 @@ def test_a_held_level_between_two_steps_of_the_converter_is_not_known(jumping):
         if s.name.endswith("voltage") else s for s in jumping
     ]
     view = observe(record_of(*coarse), believed())
-    assert len(view.levels) == 2
-    for moved, level in zip(view.levels, (1.8, 2.2), strict=True):
-        change = moved - view.voltage
+    assert len(view.moved_levels) == 2
+    for moved, level in zip(view.moved_levels, (1.8, 2.2), strict=True):
+        change = view.drive.on_grid(view.grid, *moved) - view.voltage
         held = np.abs(view.voltage - level) < 0.02
         assert np.all((change[held] > 1e-3) & (change[held] < 1.1 * 0.01 / np.sqrt(12.0)))
         other = np.abs(view.voltage - (4.0 - level)) < 0.02
         assert not change[other | (view.voltage < 0.02)].any()
-    assert observe(record_of(*jumping), believed()).levels == []
+    assert observe(record_of(*jumping), believed()).moved_levels == []
 
 
 @pytest.fixture(scope="module")
