@@ -188,7 +188,10 @@ class Problem:
         seen, own = self.coarse, [*which]
         columns = np.empty((len(predicted), len(own)))
         carried = [k for k, i in enumerate(own) if unknowns.is_carried(i)]
-        found = seen.carried(unknowns, x, [own[k] for k in carried]) if carried else None
+        # Estimates whose errors count are not moved to them yet.
+        found = None
+        if carried and not self.voltage_noise:
+            found = seen.carried(unknowns, x, [own[k] for k in carried])
         if found is not None:
             columns[:, carried] = found
         left = [k for k in range(len(own)) if found is None or k not in carried]
