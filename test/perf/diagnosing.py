@@ -53,43 +53,32 @@ def _derivatives(record: Record, lab: Parameters, rounds: int) -> list[Outcome]:
     x = unknowns.start()
     predicted = problem.predict(unknowns.parameters(x))
     own = Problem(problem.observations, problem.noise, problem.nuisances, voltage_noise=True)
+    which = range(unknowns.baseline)
 
-    def one(of: Problem, central: bool) -> np.ndarray:
+    def differences(central: bool) -> np.ndarray:
         base = problem.predict(unknowns.parameters(x))
-        return of.derivatives(unknowns, x, base, range(unknowns.baseline), central)
+        return problem.coarse.differences(unknowns, x, problem, base, which, central)
 
-    seconds = interleaved(
-        {
-            "plain": lambda: problem.predict(unknowns.parameters(x)),
-            "one-sided": lambda: one(problem, False),
-            "central": lambda: one(problem, True),
-            "own, one-sided": lambda: one(own, False),
-            "own, central": lambda: one(own, True),
-        },
-        rounds,
-    )
-    right = problem.whiten(own.derivatives(unknowns, x, predicted, range(unknowns.baseline), True))
+    ways = {
+        "carried along": lambda: problem.derivatives(unknowns, x, predicted, which),
+        "one-sided differences": lambda: differences(False),
+        "central differences": lambda: differences(True),
+    }
+    plain = {"plain": lambda: problem.predict(unknowns.parameters(x))}
+    seconds = interleaved({**plain, **ways}, rounds)
+    right = problem.whiten(own.derivatives(unknowns, x, predicted, which, True))
     case = f"a composite record, {unknowns.baseline} derivatives"
-
-    def information(of: Problem, central: bool) -> float:
-        rows = problem.whiten(one(of, central))
-        return 0.5 * float(
+    outcomes: list[Outcome] = []
+    for name, way in ways.items():
+        rows = problem.whiten(way())
+        off = 0.5 * float(
             np.linalg.slogdet(np.eye(len(x)) + rows.T @ rows)[1]
             - np.linalg.slogdet(np.eye(len(x)) + right.T @ right)[1]
         )
-
-    outcomes: list[Outcome] = []
-    for words, name, of, central, aim in (
-        ("one-sided, coarse cells", "one-sided", problem, False, at_most(6.0)),
-        ("central, coarse cells", "central", problem, True, at_most(6.0)),
-        ("one-sided, the record's cells", "own, one-sided", own, False, None),
-        ("central, the record's cells", "own, central", own, True, None),
-    ):
         times = ratio(seconds[name], seconds["plain"])
-        outcomes.append(Figure(case, f"{words}: plain simulations", times, "", aim))
-        if of is problem or not central:
-            off = information(of, central)
-            outcomes.append(Figure(case, f"{words}: information off by", off, "nats"))
+        aim = at_most(6.0) if name == "carried along" else None
+        outcomes.append(Figure(case, f"{name}: plain simulations", times, "", aim))
+        outcomes.append(Figure(case, f"{name}: information off by", off, "nats"))
     return outcomes
 
 
