@@ -56,7 +56,7 @@ def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
 
 def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
     # As if noise hid the standard deviations by which minutes would tell.
-    monkeypatch.setattr(next_experiment, "_VISIBLE", 990.0)
+    monkeypatch.setattr(next_experiment, "_VISIBLE", 1e9)
     tied = diagnosed([short_record])
     assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
