@@ -187,8 +187,8 @@ class Observation:
 
     def own_bench(self, parameters: Parameters) -> Parameters:
         """The bench with this record's channels, as records show it."""
+        own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
         if tuple(parameters["bench.channels"]) != self.channels:
-            own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
             parameters = parameters.replace(own)
         return as_recorded(parameters)
 
@@ -227,7 +227,6 @@ class Observation:
 
     @cached_property
     def delayed(self) -> list[csr_array]:
-        """(b, n) of each signal, stamps delayed."""
         return [csr_array(s.average @ self._delay(s.quantity)) for s in self.signals]
 
     def _delay(self, quantity: str) -> csr_array:
@@ -282,26 +281,21 @@ class Observation:
         parts = tuple(s.part(keep) for s, keep in kept if len(keep) > 1)
         return replace(self, signals=parts)
 
-    # What `on_grid` moves, not the drives: an hour of steps has hundreds, of megabytes each.
-
     @property
     def moved_jumps(self) -> list[tuple[Any, ...]]:
-        """One jump's moment moved by a standard deviation, one a jump."""
+        """What `on_grid` moves, not the drives, of which an hour has hundreds: each jump once."""
         return [(place,) for place in self.place + JUMP_STD * np.eye(len(self.drive.early))]
 
     @property
     def moved_levels(self) -> list[tuple[Any, ...]]:
-        """One held level moved by a standard deviation, one a level of which the converter's steps
-        hide something."""
+        """One held level, one a level of which the converter's steps hide something."""
         place = self.place + np.zeros(len(self.drive.early))
         return [(place, error) for error in self.drive.level_errors()]
 
     @property
     def moved_lines(self) -> list[tuple[Any, ...]]:
-        """The mean or the slope of one straight stretch moved by a standard deviation of the
-        voltmeter's noise."""
-        place = self.place + np.zeros(len(self.drive.early))
-        return [(place, error) for error in self.drive.line_errors()]
+        """The mean or the slope of one straight stretch, by the voltmeter's noise."""
+        return [(self.place + np.zeros(len(self.drive.early)), e) for e in self.drive.line_errors()]
 
     @property
     def load_errors(self) -> list[Array]:

@@ -55,8 +55,8 @@ def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
 
 
 def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
-    # As if noise hid the standard deviations by which minutes would tell.
-    monkeypatch.setattr(next_experiment, "_VISIBLE", 1e9)
+    # As if only far more than the best drive tells were worth the minutes.
+    monkeypatch.setattr(next_experiment, "WORTH", 0.33)
     tied = diagnosed([short_record])
     assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
