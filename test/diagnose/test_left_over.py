@@ -1,5 +1,6 @@
 """Which signals a fit leaves more of in motion than at rest, and what it makes of its errors."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -108,3 +109,10 @@ def test_errors_of_a_model_that_leaves_noise_are_those_of_the_noise():
 def test_errors_are_never_above_what_was_known():
     random = np.random.default_rng(4)
     assert fitted_height(random, uneven=50.0).errors[0] == 1.0
+
+
+def test_errors_where_one_reading_beyond_all_measure_tells_everything_are_the_priors():
+    fitted_well = fitted_height(np.random.default_rng(4), uneven=0.0)
+    derivatives = fitted_well.derivatives.copy()
+    derivatives[0] = 1e20
+    assert replace(fitted_well, derivatives=derivatives).errors[0] == 1.0
