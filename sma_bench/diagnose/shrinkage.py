@@ -33,6 +33,7 @@ _SMALLEST = 0.3  # of the noise: below it there is no gap to shrink
 # without.
 _BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
 _STATE_STEP, _MOST_STATES = 0.25, 4000  # s
+_STATE = 4  # numbers of a wire's state
 _KNOWN_STATE = 0.15  # of the fitted records' range
 
 
@@ -89,13 +90,11 @@ def unknown_share(
 ) -> float:
     """Share of the held-out time in which some wire is where no fitted record has had one:
     temperature, its rate, martensite fraction and the temperature of the other side together."""
-    known, new = (
-        np.concatenate([_states(obs, parameters) for obs in some]) for some in (fitted, held_out)
-    )
-    scale = np.maximum(np.ptp(known, axis=(0, 1)), 1e-9)
-    tree = cKDTree((known / scale).reshape(-1, known.shape[2]))
-    distance, _ = tree.query((new / scale).reshape(-1, known.shape[2]))
-    return float(np.mean(np.any(distance.reshape(new.shape[:2]) > _KNOWN_STATE, axis=1)))
+    known = np.concatenate([_states(obs, parameters).reshape(-1, _STATE) for obs in fitted])
+    scale = np.maximum(np.ptp(known, axis=0), 1e-9)
+    tree = cKDTree(known / scale)
+    far = [tree.query(_states(obs, parameters) / scale)[0] > _KNOWN_STATE for obs in held_out]
+    return float(np.mean(np.concatenate([some.any(axis=1) for some in far])))
 
 
 def _states(obs: Observation, parameters: Parameters) -> Array:

@@ -67,3 +67,11 @@ def test_a_drive_that_no_record_has_shown_is_said_to_be_one(views):
     moment = one.between(one.signals[0].time[-2], np.inf)
     assert unknown_share([one], [moment], believed()) == 0.0
     assert unknown_share([late], [one], believed()) > unknown_share([one], [turned], believed())
+
+
+def test_records_of_one_wire_and_of_the_whole_bench_are_tried_on_each_other(views):
+    both, turned = views
+    alone = replace(both, channels=both.channels[:1], sides=both.sides[:1],
+                    voltage=both.voltage[:, :1])  # fmt: skip
+    assert unknown_share([both, alone], [both], believed()) == 0.0
+    assert 0.0 <= unknown_share([alone], [turned, alone], believed()) <= 1.0
