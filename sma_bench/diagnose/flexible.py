@@ -5,12 +5,11 @@ one stretch and found again in another; a sensor's drift cannot. The response is
 features of the simulation with independent Gaussian weights, whose size is the most likely one.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.signal import lfilter
 
 from sma_bench.estimation.observation import BinnedSignal, Observation
@@ -19,6 +18,9 @@ from sma_bench.estimation.solver import Fit
 from sma_bench.physics.simulate import Simulation
 
 Array = NDArray[np.float64]
+
+# Of a signal's features: its name and their number, for another bench has other sides.
+Key = tuple[str, int]
 
 _MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s
 _SIZES = np.geomspace(0.1, 1000.0, 9)
@@ -33,15 +35,17 @@ class Flexible:
     Attributes:
         gain: of evidence over the fit, both with the noise that they leave.
         response: (n,) the missing term's course; weights: (p,) of the features.
+        columns: which of the p are a signal's.
     """
 
     gain: float
     response: Array
     weights: Array
+    columns: Mapping[Key, slice]
 
     def on(self, obs: Observation, simulation: Simulation) -> Array:
-        """The course of the missing term on another drive of the same sensors."""
-        return np.asarray(_features(obs, simulation) @ self.weights)
+        """The course of the missing term on another drive; none on a sensor never heard."""
+        return _placed(_features(obs, simulation), self.columns) @ self.weights
 
 
 def flexible_residual(fitted: Fit) -> Flexible:
@@ -49,9 +53,9 @@ def flexible_residual(fitted: Fit) -> Flexible:
 
     It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
     """
-    features = np.vstack(
-        [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
-    )
+    made = [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
+    columns = _columns(key for some in made for key, _ in some)
+    features = np.vstack([_placed(some, columns) for some in made])
     own = _likelihood(fitted.problem, fitted.left)
     problem = replace(
         fitted.problem,
@@ -60,13 +64,13 @@ def flexible_residual(fitted: Fit) -> Flexible:
             for name, noise in fitted.problem.noise.items()
         },
     )
-    best = Flexible(0.0, np.zeros_like(fitted.left), np.zeros(features.shape[1]))
+    best = Flexible(0.0, np.zeros_like(fitted.left), np.zeros(features.shape[1]), columns)
     for _ in range(_ROUNDS):
         marginal, weights = _most_likely(problem, fitted, features)
         gain = _likelihood(problem, fitted.left) + marginal - own
         response = features @ weights
         if gain > best.gain:
-            best = Flexible(gain, response, weights)
+            best = Flexible(gain, response, weights, columns)
         problem = problem.with_noise(fitted.left - response)
     return best
 
@@ -98,13 +102,35 @@ def _likelihood(problem: Problem, residual: Array) -> float:
     return float(-0.5 * white @ white) - problem.log_scale() + problem.log_prior()
 
 
-def _features(obs: Observation, simulation: Simulation) -> Array:
-    """(n, p) on the rows of a record, in units of their noise; each signal has its own of the p."""
+def _features(obs: Observation, simulation: Simulation) -> list[tuple[Key, Array]]:
+    """(rows, own features) of each signal of a record, in units of its noise."""
     blocks = [
-        np.column_stack(list(_of_signal(signal, obs, simulation))) for signal in obs.signals
+        np.column_stack(list(_of_signal(signal, obs, simulation))) * signal.noise
+        for signal in obs.signals
     ]
-    scaled = [block * signal.noise for signal, block in zip(obs.signals, blocks, strict=True)]
-    return np.asarray(block_diag(*scaled))
+    return [((s.name, b.shape[1]), b) for s, b in zip(obs.signals, blocks, strict=True)]
+
+
+def _columns(keys: Iterable[Key]) -> dict[Key, slice]:
+    """Records share the features of a signal that they share."""
+    columns: dict[Key, slice] = {}
+    first = 0
+    for key in keys:
+        if key not in columns:
+            columns[key] = slice(first, first + key[1])
+            first += key[1]
+    return columns
+
+
+def _placed(blocks: list[tuple[Key, Array]], columns: Mapping[Key, slice]) -> Array:
+    """(n, p) of a record's rows."""
+    placed = np.zeros((sum(len(block) for _, block in blocks), sum(n for _, n in columns)))
+    first = 0
+    for key, block in blocks:
+        if key in columns:
+            placed[first : first + len(block), columns[key]] = block
+        first += len(block)
+    return placed
 
 
 def _of_signal(signal: BinnedSignal, obs: Observation, simulation: Simulation) -> Iterator[Array]:

@@ -113,6 +113,17 @@ def test_a_sensor_that_is_missing_is_named_with_what_it_would_add(tmp_path):
     assert "thermal and mechanical" in missing["temperature"]
 
 
+def test_records_of_different_sensors_are_diagnosed_together(tmp_path):
+    tip = planted_record(tmp_path / "tip", quantities=("deflection",), bench=believed())
+    more = planted_record(
+        tmp_path / "more", quantities=("current", "deflection"), bench=believed(), turned=True
+    )
+    with few_effects(("residual_strain",)):
+        result = diagnose([tip], believed(), [more])
+    assert set(result.shrinkage) == {"current", "deflection"}
+    assert result.decision.verdict != "effect"
+
+
 def test_a_hold_out_that_is_fitted_too_is_refused(tmp_path):
     record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
     with pytest.raises(InputError, match="bag: is fitted too; a hold-out must be of a run"):

@@ -157,7 +157,7 @@ def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis
 
 def answering(result, response):
     """The same diagnosis with another response of free form."""
-    smooth = Flexible(9.0, response, np.zeros(0))
+    smooth = Flexible(9.0, response, np.zeros(0), {})
     return replace(result, search=replace(result.search, flexible=smooth))
 
 
