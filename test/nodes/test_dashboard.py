@@ -141,7 +141,7 @@ def test_a_record_is_identified_from_the_page_and_its_card_comes_back(bench, tmp
     write_record(tmp_path / "monday", [
         Signal(f"wire.{name}", unit, clock, values) for name, (unit, values) in columns.items()
     ])  # fmt: skip
-    bench.start("identification", record_root=str(tmp_path))
+    bench.start("identification", record_root=str(tmp_path), output_root=str(tmp_path))
     with dashboard(bench, tmp_path) as shown:
         bench.until(lambda: shown.panels().get("works") == ["identify"])
         asked = json.dumps({"kind": "identify", "records": "monday"})
