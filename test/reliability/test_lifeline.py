@@ -40,6 +40,7 @@ import subprocess, sys, time
 nodes = [subprocess.Popen(
     [*sys.argv[2:], sys.executable, "-m", "sma_bench.nodes.start", "recorder", "--ros-args",
      "-p", "output:=" + sys.argv[1]],
+    stdout=sys.stderr,  # what it says first may come before its number
 )]
 print(nodes[0].pid, flush=True)
 time.sleep(600)
