@@ -326,7 +326,7 @@ def _read_matlab(content: bytes, budget: Budget) -> Found:
     except InputError:
         raise
     except Exception as error:  # scipy passes on whatever its parser stumbles over
-        raise InputError(f"not a readable MATLAB file: {_why(error)}") from None
+        raise InputError(_NOT_MATLAB.format(_why(error))) from None
     top = {name: value for name, value in tree.items() if not name.startswith("__")}
     leaves = [leaf for name, value in top.items() for leaf in _matlab_leaves((name,), value)]
     return _from_leaves(leaves, ".", budget)
@@ -335,24 +335,25 @@ def _read_matlab(content: bytes, budget: Budget) -> Found:
 # Data types of MAT 5 elements; scipy's compiled reader ends the process at any other.
 _NUMBERS_AND_TEXTS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
 _MATRIX, _COMPRESSED = 14, 15
+_NOT_MATLAB = "not a readable MATLAB file: {}"
 # Of matrices: cells, structures, objects, functions and opaque ones hold matrices, all others none.
 _HOLD_MATRICES = frozenset({1, 2, 3, 16, 17})
 
 
 def _measure_matlab(content: bytes, budget: Budget) -> None:
-    """Unfold the compressed elements piece by piece, to know that they are neither too large nor
-    of a kind that nobody knows."""
+    """Unfold the compressed elements piece by piece, to know that they are neither too large, nor
+    too many, nor of a kind that nobody knows."""
     if 0 in content[:4] or content[124:126] not in (b"\0\1", b"\1\0"):
         return  # MAT 4, which has neither
     order = "<" if content[126:128] == b"IM" else ">"
     for kind, body in _elements(content[128:], order):
-        unfolded = [(kind, body)]
         if kind == _COMPRESSED:
-            unfolded = list(_elements(b"".join(_inflated(body, budget)), order))
+            kind, body = next(_elements(b"".join(_inflated(body, budget)), order), (0, b""))
         else:
             budget.take(len(body))
-        for inner, part in unfolded:
-            _check_element(inner, part, order, 0)
+        if kind != _MATRIX:
+            raise InputError(_NOT_MATLAB.format(f"a variable of type {kind}"))
+        _check_matrix(body, order, 0, budget)
 
 
 def _inflated(body: bytes, budget: Budget) -> Iterator[bytes]:
@@ -376,20 +377,18 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         position += step
 
 
-def _check_element(kind: int, body: bytes, order: str, depth: int) -> None:
-    if kind in _NUMBERS_AND_TEXTS:
-        return
-    if kind != _MATRIX:
-        raise InputError(f"not a readable MATLAB file: an element of type {kind}")
+def _check_matrix(content: bytes, order: str, depth: int, budget: Budget) -> None:
     if depth > _DEEPEST:
         raise OverBudget(f"nested deeper than {_DEEPEST} levels")
-    held = list(_elements(body, order))
-    flags = held[0][1] if held else b""
-    shape = flags[0 if order == "<" else 3] if len(flags) >= 4 else 0
-    for inner, part in held:
-        if inner == _MATRIX and shape not in _HOLD_MATRICES:
-            raise InputError("not a readable MATLAB file: numbers expected, a matrix found")
-        _check_element(inner, part, order, depth + 1)
+    shape = 0
+    for number, (kind, body) in enumerate(_elements(content, order)):
+        budget.check()
+        if number == 0 and len(body) >= 4:
+            shape = body[0 if order == "<" else 3]
+        if kind == _MATRIX and shape in _HOLD_MATRICES:
+            _check_matrix(body, order, depth + 1, budget)
+        elif kind not in _NUMBERS_AND_TEXTS:
+            raise InputError(_NOT_MATLAB.format(f"an element of type {kind}"))
 
 
 def _matlab_leaves(path: tuple[str, ...], value: Any) -> Iterator[_Leaf]:

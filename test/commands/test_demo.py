@@ -12,7 +12,6 @@ from rich.console import Console
 
 from sma_bench.blind.case_files import checked_answer
 from sma_bench.cli import main
-from sma_bench.commands import demo_acts
 from sma_bench.commands.demo_acts import (
     FITTED,
     HIDEABLE,
@@ -21,6 +20,7 @@ from sma_bench.commands.demo_acts import (
     RECORD,
     SIMULATED,
     TABLE_ONE,
+    VALIDATION,
     confidently_wrong,
     gap_on_new_drive,
     hidden_bench,
@@ -49,7 +49,6 @@ FIGURES = {
 LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig.yaml")
 SEEDS = range(60)
 SLOW_SENSORS = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 15.0)
-SHORT_VALIDATION = "ramp"
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
@@ -243,9 +242,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
     out = tmp_path / "demo"
     answer_file = tmp_path / "demo.json"
-    # Nodes that talk cost more of the processor than all that is computed: fewer readings, and for
-    # Fig. 6 a third of the time.
-    monkeypatch.setattr(demo_acts, "VALIDATION", SHORT_VALIDATION)
+    # Nodes that talk cost more of the processor than all that is computed: fewer readings.
     start = Stage.start_bench
     monkeypatch.setattr(
         Stage, "start_bench", lambda stage, file, protocol, simulator: start(
@@ -260,7 +257,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     identified = read_parameters(out / "identified.yaml")
     assert truth["resistance"] != pytest.approx(2.6987, rel=0.01)
     assert identified["wire.resistance"] == pytest.approx(truth["resistance"], rel=0.005)
-    assert {path.name for path in (out / "bags").iterdir()} == {*QUICK, SHORT_VALIDATION}
+    assert {path.name for path in (out / "bags").iterdir()} == {*QUICK, VALIDATION}
     assert {path.stem for path in (out / "report").glob("*.png")} == FIGURES
     assert (out / "report" / "index.html").stat().st_size > 100_000
     found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))

@@ -1,6 +1,7 @@
 """Tables of other loggers: five formats of one bench, guesses and questions, hostile files."""
 
 import json
+import tracemalloc
 import zipfile
 import zlib
 from pathlib import Path
@@ -13,10 +14,11 @@ from hypothesis import strategies as st
 
 from sma_bench import border
 from sma_bench.api import load
+from sma_bench.border import MEGABYTE, Budget
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import read_parameter_names
-from sma_bench.records import describe, open_record, read_record
+from sma_bench.records import describe, open_record, read_record, tables
 from sma_bench.records.import_map import convert, read_map
 from sma_bench.records.import_proposal import Bench, bench_of, propose
 from sma_bench.records.isobaric import read_isobaric
@@ -352,6 +354,26 @@ def test_numbers_of_a_type_that_matlab_has_not_are_refused_before_they_end_the_p
     with pytest.raises(InputError, match="not a readable MATLAB file"):
         read_table_file(tmp_path / "odd.mat")
     assert len(read_table_file(plain).columns) == 2
+
+
+def test_a_matlab_file_of_countless_tiny_elements_is_refused_within_its_time(
+    tmp_path, monkeypatch
+):
+    """They are looked at one by one, never held: 8 MB of empty elements were lists of 250 MB."""
+    plain = tmp_path / "plain.mat"
+    io.savemat(plain, {"t": np.arange(40) / 7.0})
+    header = plain.read_bytes()[:128]
+    empty = (9).to_bytes(8, "little") * MEGABYTE
+    matrix = (14).to_bytes(4, "little") + len(empty).to_bytes(4, "little") + empty
+    packed = zlib.compress(matrix)
+    many = tmp_path / "many.mat"
+    many.write_bytes(header + b"\x0f\0\0\0" + len(packed).to_bytes(4, "little") + packed)
+    budget = Budget(64 * MEGABYTE, 0.1)
+    tracemalloc.start()
+    with pytest.raises(border.OverBudget, match="takes more than 0.1 s to read"):
+        tables._measure_matlab(many.read_bytes(), budget)
+    assert tracemalloc.get_traced_memory()[1] < 40 * MEGABYTE
+    tracemalloc.stop()
 
 
 def test_a_clamped_wire_needs_no_position(tmp_path, rig):
