@@ -130,10 +130,12 @@ def _mean(values: Array) -> tuple[float, float]:
 
 
 def _followed(time: Array, force: Array, start: float, stop: float) -> list[Hold]:
-    """Pieces short enough for the force to be one number in each."""
+    """Pieces short enough for the force to be one number in each; one where nobody measured it."""
     if stop - start < _NARROW:
         return []
     edges = np.linspace(start, stop, int(np.ceil((stop - start) / _RAMP_PIECE)) + 1)
+    measured = np.diff(np.searchsorted(time, edges)) > 0
+    edges = edges[np.append(True, measured) | np.append(measured, True)]
     pieces = []
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         middle = 0.5 * (first + last)

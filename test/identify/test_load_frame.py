@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.load_frame import find_holds
 from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
 from sma_bench.parameters.audit import wire_length_from_mass
@@ -90,6 +91,26 @@ def test_experiment_6_stands_beside_the_fit(lab):
     name = "wire.austenite_start_temperature"
     branches = found.details[f"E6.{name}"]
     assert abs(branches.value - found.estimates[name].value) < 3.0
+
+
+def test_a_load_is_followed_where_it_was_measured_and_nowhere_else():
+    """A stamp minutes after the last reading of the force made a fit hundreds of times slower."""
+    time = np.concatenate([np.arange(0.0, 70.0, 0.05), np.arange(100.0, 160.0, 0.05)])
+    force = np.where(time < 60.0, 2.0, np.where(time < 70.0, 0.2 * time - 10.0, 6.0))
+    still = {"elongation": 1e-3 * np.sin(time), "force": force}
+    record = Record(Path("bag"), 0, {
+        name: Signal(name, "m", time, values) for name, values in still.items()
+    })  # fmt: skip
+    holds = find_holds(record, 0.0, 1000.0)
+    assert holds[0].start == 0.0 and holds[-1].stop == 1000.0
+    assert all(a.stop == b.start for a, b in zip(holds, holds[1:], strict=False))
+    followed = [hold for hold in holds if not hold.steady]
+    assert 40 <= len(followed) <= 80
+    assert [h.value for h in followed if h.start < 85.0 < h.stop] == pytest.approx([5.0], abs=0.1)
+    for hold in followed:
+        if hold.stop - hold.start < 1.0 and not 69.0 < hold.start < 101.0:
+            middle = 0.5 * (hold.start + hold.stop)
+            assert hold.value == pytest.approx(np.interp(middle, time, force), abs=0.1)
 
 
 def test_a_force_that_is_neither_held_nor_clamped_is_refused(lab):
