@@ -27,7 +27,9 @@ from sma_bench.results import (
     Shown,
     Shrunk,
     in_print,
+    in_unit,
     percent,
+    signed,
     with_error,
 )
 
@@ -144,12 +146,12 @@ def _in_a_row(cells: tuple[str, ...]) -> str:
 def two_errors(number: Number) -> str:
     """Value ± statistical ± systematic error, to the digits that the smaller leaves it, and the
     unit."""
-    unit = "" if number.unit == "1" else number.unit
     parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
     if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
-        return f"{with_error(number.value, number.std)} {unit}".strip()
+        return in_unit(with_error(number.value, number.std), number.unit)
     value = with_error(number.value, min(parts)).partition(" ±")[0]
-    return f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g} {unit}".strip()
+    both = f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}"
+    return in_unit(both, number.unit)
 
 
 def reference_of(number: Number) -> float | None:
@@ -185,9 +187,10 @@ def _agreement(number: Number) -> tuple[str, str]:
     if reference is None:
         return "", ""
     apart = number.value - reference  # of temperatures, a share of the absolute one says nothing
-    off = f"{apart:+.2g} K" if number.unit == "K" else f"{100.0 * apart / reference:+.2g} %"
+    off = f"{signed(apart, '.2g')} K" if number.unit == "K" else (
+        f"{signed(100.0 * apart / reference, '.2g')} %")
     if number.std > 0.0:
-        off += f" ({apart / number.std:+.1f} std)"
+        off += f" ({signed(apart / number.std, '.1f')} std)"
     return f"{reference:.5g}" + (" *" if is_assumed(number.name) else ""), off
 
 

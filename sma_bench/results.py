@@ -51,6 +51,17 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
 
 
+def signed(value: float, form: str) -> str:
+    """With its sign, unless it is rounded to nothing."""
+    text = f"{value:+{form}}"
+    return text if float(text) else text[1:]
+
+
+def in_unit(number: str, unit: str) -> str:
+    """A number as text with its unit, "1" for none."""
+    return number if unit in ("", "1") else f"{number} {unit}"
+
+
 def with_error(value: float, std: float) -> str:
     """`value ± std`, the value to the decimals that the error leaves it."""
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):

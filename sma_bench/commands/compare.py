@@ -66,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
             Section("Differences from the first", tables=[table]),
             made.section(),
         ]
-        title = " and ".join(found.records) + ", compared"
+        *others, last = found.records
+        title = f"{', '.join(others)} and {last}, compared" if others else f"{last}, compared"
         with progress("drawing the page") as report:
             page = write_report(args.out, title, made.head, sections, column=column, report=report)
         say(f"report {page}")

@@ -234,7 +234,7 @@ def _report(
     from sma_bench.records import read_record
     from sma_bench.report.experiment_figures import validation_picture
     from sma_bench.report.identification_report import experiment_section
-    from sma_bench.report.page import Section, Table, write_report
+    from sma_bench.report.page import Made, Section, Table, write_report
 
     records = [read_record(out / "bags" / name) for name in fitted]
     result = identify(records, Parameters.defaults())
@@ -245,7 +245,11 @@ def _report(
         *(experiment_section(experiment) for experiment in result.experiments),
         Section("E4 Thermal validation", pictures=[picture]),
     ]
-    summary = "The paper's experiments E1 to E4 on a simulated bench, from volts to Table I."
+    made = Made("sma-bench demo", [str(out / "bags" / name) for name in (*fitted, VALIDATION)])
+    sections.append(made.section())
+    summary = (
+        f"The paper's experiments E1 to E4 on a simulated bench, from volts to Table I. {made.head}"
+    )
     title = "From a commanded volt to Table I"
     return write_report(out / "report", title, summary, sections, report=report)
 

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         runner(path, protocol, bag)
     if case.chapters:
         print_table(output_console(), HEADER, case.rows(), (0, 1), title="the story")
-        say(f"{case.summary()}; page {case.write_page()}")
+        say(f"{case.summary()}; page {case.write_page(args.command_line)}")
         if case.state == TEST:
             say(f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
                 f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--deflection", type=float, metavar="M",
-        help="signed deflection, or angle, of the point, its side driven evenly (default: half of "
+        help="signed deflection of the point, its side driven evenly (default: half of "
         "the largest to the front, as the paper)",
     )
     where.add_argument(
@@ -60,14 +60,23 @@ def run(args: argparse.Namespace) -> int:
     model = linearise(point, args.latent_heat)
     if args.json:
         write_json(args.json, document(model))
-    _print(model)
+    points, coefficients = _tables(model)
+    title = _title(model)
+    print_table(output_console(), *points, right=(1, 2, 3, 4, 5), title=title)
+    output_console().print()
+    print_table(output_console(), *coefficients, right=(2, 3))
     if args.report:
-        from sma_bench.report.page import Section, write_report
+        from sma_bench.report.page import Made, Section, Table, write_report
         from sma_bench.report.setup_figures import operating_point_picture
 
         picture = operating_point_picture(model)
-        page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
-                            [Section("Operating point", pictures=[picture])], column=column)
+        made = Made(args.command_line, [*filter(None, [args.params])])
+        tables = [Table(*points, frozenset(range(1, 6)), "operating_point"),
+                  Table(*coefficients, frozenset({2, 3}), "coefficients", "Coefficients")]
+        sections = [Section(title.capitalize(), tables=tables, pictures=[picture]), made.section()]
+        page = write_report(args.report, "Linearised model",
+                            f"E11, eqs. (18) to (23), corrected. {made.head}", sections,
+                            column=column)
         say(f"report {page}")
     return 0
 
@@ -129,25 +138,27 @@ def _wire(model: "Linearised") -> int:
     return int(model.point.temperature.argmax())
 
 
-def _print(model: "Linearised") -> None:
+def _title(model: "Linearised") -> str:
+    point = model.point
+    return f"operating point on {point.branch}, deflection {1e3 * point.deflection:.4g} mm"
+
+
+def _tables(model: "Linearised") -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Headings and rows of the point, and of the coefficients as printed and corrected."""
     from sma_bench.physics.linearised import coefficient_table
 
-    point, console = model.point, output_console()
-    channels = point.parameters["bench.channels"]
-    gains = model.deflection_per_volt()
+    point, gains = model.point, model.deflection_per_volt()
     rows = [
         (channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
          f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
          f"{1e3 * gains[k]:.4g}")
-        for k, channel in enumerate(channels)
+        for k, channel in enumerate(point.parameters["bench.channels"])
     ]
-    headings = ("wire", "V", "K", "xi", "MPa", "mm/V (mrad/V)")
-    title = f"operating point on {point.branch}, deflection {1e3 * point.deflection:.4g} mm (mrad)"
-    print_table(console, headings, rows, right=(1, 2, 3, 4, 5), title=title)
     table = [
         (row.name, row.equation, f"{row.printed:.5g}", f"{row.corrected:.5g}", row.unit, row.remark)
         for row in coefficient_table(point, _wire(model))
     ]
-    console.print()
-    print_table(console, ("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong"),
-                table, right=(2, 3))
+    return (
+        (("wire", "V", "K", "xi", "MPa", "mm/V"), rows),
+        (("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong"), table),
+    )

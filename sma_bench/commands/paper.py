@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """Write index.html, one PNG a figure and one CSV a table."""
     from sma_bench.commands.paper_drawing import paper_page, to_json
     from sma_bench.records import open_record
-    from sma_bench.report.page import write_report
+    from sma_bench.report.page import Made, write_report
     from sma_bench.report.paper_page import csv_text
 
     started = time.monotonic()
@@ -69,8 +69,10 @@ def run(args: argparse.Namespace) -> int:
         records = [open_record(path) for path in reading]
         page = paper_page(records, parameters, part(report, _READ, _COMPARED))
         drawing = part(report, _COMPARED, 1.0)
+        made = Made(args.command_line, [*args.records, *filter(None, [args.params])])
         index = write_report(
-            args.out, _TITLE, summary, page.sections(), column=column, report=drawing
+            args.out, _TITLE, f"{summary} {made.head}", [*page.sections(), made.section()],
+            column=column, report=drawing,
         )
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(rows))

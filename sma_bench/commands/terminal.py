@@ -274,7 +274,7 @@ def say(text: str) -> None:
 
 def finding_line(finding: Finding) -> str:
     """A finding as it may be printed, whatever names from outside it holds."""
-    return printable(f"{finding.subject}: {finding.text}", "\n")
+    return printable(f"{finding.subject}: {finding.text}", "\n").replace(" +- ", " ± ")
 
 
 def add_json_option(parser: argparse.ArgumentParser, what: str) -> None:

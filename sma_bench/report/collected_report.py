@@ -20,7 +20,7 @@ from sma_bench.report.plots import (
     correlation_picture,
     record_picture,
 )
-from sma_bench.results import DiagnoseResult, IdentifyResult, Number, read_result
+from sma_bench.results import DiagnoseResult, IdentifyResult, Number, read_result, with_error
 
 # --- Each input, and all together.
 
@@ -72,13 +72,14 @@ def answers(shown: Sequence[Shown]) -> list[Section]:
 
 
 def summary_section(shown: Sequence[Shown]) -> Section:
-    """A line an input, and below it all their warnings."""
+    """A line an input, and folded above them all their warnings, which stand in their sections."""
     rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
     warnings = [text for one in shown for text in one.warnings]
     table = Table(("", "input", "kind", "what it says"), rows, frozenset({0}), "summary")
-    count = len(warnings) or "No"
-    said = f"{count} warning{'s' if count != 1 else ''}."
-    return Section("Summary", [said], warnings, [table])
+    if not warnings:
+        return Section("Summary", ["No warnings."], tables=[table])
+    head = f"{len(warnings)} warning{'s' if len(warnings) != 1 else ''}"
+    return Section("Summary", tables=[table], folded=[head, *warnings])
 
 
 def counted(shown: Sequence[Shown]) -> str:
@@ -183,7 +184,12 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: _Columns, name: str, titl
     return Table([heading for heading, _, _ in columns], cells, numeric, name, title)
 
 
+_NOTHING = 1e-12  # of a signal's times: the last bits of doubles
+
+
 def _cell(value: Any, form: str) -> str:
+    if isinstance(value, float) and abs(value) < _NOTHING:
+        value = 0.0
     return "" if value is None else format(value, form)
 
 
@@ -195,26 +201,32 @@ _NUMBER_HEADER = (
 
 
 def identify_section(result: IdentifyResult, name: str) -> tuple[Section, str]:
-    """What each experiment gave, how it agrees with what is known, how the errors hang together.
+    """How the numbers agree with what is known, how their errors hang together, and what each
+    experiment gave beside them.
 
     Returns:
         The section and a sentence for the summary.
     """
     tables = [detail_table(result.parameters, f"{name}_parameters", "Parameters")]
-    tables += [
-        detail_table(numbers, f"{name}_experiment_{k}", f"{title}, from {source}")
-        for k, (title, source, numbers) in enumerate(result.experiments, 1)
-    ]
+    for k, (title, source, numbers) in enumerate(result.experiments, 1):
+        own = [number for number in numbers if _is_new(number, result.parameters)]
+        if own:
+            tables.append(detail_table(own, f"{name}_experiment_{k}", f"{title}, from {source}"))
     drawn = (
         agreement_picture(result, f"{name}_agreement"),
         correlation_picture(result, f"{name}_correlation"),
     )
     section = Section(
         f"Identification {result.path}", [], result.warnings, tables,
-        [picture for picture in drawn if picture is not None],
+        [picture for picture in drawn if picture is not None], pictures_first=True,
     )
     done = ", ".join(dict.fromkeys(title.split()[0] for title, _, _ in result.experiments))
     return section, f"{len(result.parameters)} parameters identified by {done or 'no experiment'}"
+
+
+def _is_new(number: Number, told: Sequence[Number]) -> bool:
+    """Whether it is not told already, as a parameter of the same value and error."""
+    return all((n.name, n.value, n.std) != (number.name, number.value, number.std) for n in told)
 
 
 def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:
@@ -250,7 +262,7 @@ def detail_table(numbers: Sequence[Number], name: str, title: str = "") -> Table
     """Numbers with all that is known of them, a plain number a cell."""
     rows = [
         (
-            n.name, f"{n.value:.6g}", f"{n.statistical:.2g}",
+            n.name, with_error(n.value, n.statistical).partition(" ")[0], f"{n.statistical:.2g}",
             f"{n.systematic:.2g}" if n.systematic else "", n.unit,
             f"{n.informed:.3f}" if math.isfinite(n.informed) else "", str(n.n) if n.n else "",
             n.method,
@@ -267,7 +279,8 @@ def parameter_section(parameters: Parameters, path: str) -> Section:
         if p.name not in parameters.given:
             continue
         value = parameters[p.name]
-        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+        shown = ", ".join(value) if isinstance(value, tuple) else str(value)
+        shown = f"{value:.6g}" if isinstance(value, float) else shown
         known = p.uncertainty is not None or p.name in parameters.given_uncertainty
         rows.append((p.name, shown, f"{parameters.std(p.name):.2g}" if known else "", p.unit))
     header = ("parameter", "value", "standard deviation", "unit")

@@ -8,10 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, SymLogNorm
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate
+from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
 from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, Cell, locate, sample_noise
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
@@ -19,7 +20,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.simulate import Simulation
 from sma_bench.protocols import parse_protocol
-from sma_bench.report.diagnosis_words import at_noise, in_order
+from sma_bench.report.diagnosis_words import at_noise, in_order, worst_first
 from sma_bench.report.drawing import (
     FAINT,
     MEASURED,
@@ -44,6 +45,7 @@ _RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
 _MOST_BARS = 10
 _LEAST_SHOWN = 0.005
 _LINEAR = 3.0  # nats, within which the axis of evidence is linear
+_FEW_DECADES = 200.0  # nats up to which there is a tick every half decade
 _AS_BAD = 20.0  # nats below recalibration, where bars are cut
 _PROTOCOL_STEP = 0.05  # s
 
@@ -72,7 +74,7 @@ def candidate_picture(result: Diagnosis) -> Picture:
         ax.text(c.probability + 0.01, y, f"{c.probability:.3f}", va="center", fontsize=8)
     ax.set_yticks(place, [f"{c.name} *" if c.name in credible else c.name for c in shown])
     ax.set(xlabel="probability", xlim=(0.0, 1.12))
-    _stage_legend(ax, [c for c in shown if c.effects])
+    _stage_legend(ax, [c.effects for c in shown if c.effects])
     caption = (
         "They sum to 1 over all effects, their pairs, and three rivals that name no effect. "
         "Marked *: the fewest that make 90 % together."
@@ -93,10 +95,17 @@ def evidence_picture(result: Diagnosis) -> Picture:
     ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
     figure, (ax,) = new_figure(height=1.2 + 0.28 * len(ranked))
     place = np.arange(len(ranked))[::-1]
-    colours = [_colour([part for part in n.split(JOIN) if part in EFFECTS]) for n in ranked]
-    ax.barh(place, [gains[n] for n in ranked], color=colours, height=0.7)
+    effects = [[part for part in n.split(JOIN) if part in EFFECTS] for n in ranked]
+    ax.barh(place, [gains[n] for n in ranked], color=[_colour(e) for e in effects], height=0.7)
+    _stage_legend(ax, effects)
+    left, right = max(min(gains.values()), -_AS_BAD), 1.5 * max(*gains.values(), _LINEAR)
     ax.set_xscale("symlog", linthresh=_LINEAR)
-    ax.set_xlim(left=max(min(gains.values()), -_AS_BAD), right=1.5 * max(*gains.values(), _LINEAR))
+    ax.set_xlim(left, right)
+    decades = 10.0 ** np.arange(1, 8)
+    steps = np.sort(np.append(decades, 0.3 * decades)) if right < _FEW_DECADES else decades
+    ticks = [t for t in (*-steps[::-1], 0.0, *steps) if left <= t <= right]
+    ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.axvline(0.0, color=FAINT, lw=0.8)
     ax.set_yticks(place, ranked, fontsize=8)
     ax.set_xlabel("log evidence over recalibration alone [nats]")
@@ -121,6 +130,9 @@ def shrinkage_picture(result: Diagnosis) -> Picture:
     left.barh(place - 0.18, after, height=0.34, color=MODEL, label="improved")
     left.axvline(1.0, color=MEASURED, lw=1.2, ls="--", label="noise floor")
     left.set_xscale("log")
+    left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    left.xaxis.set_minor_formatter(NullFormatter())
     left.set_yticks(place, names)
     left.set_xlabel("rms error over the sensor's noise")
     left.legend(fontsize=8)
@@ -232,11 +244,11 @@ def _colour(effects: Sequence[str]) -> str:
     return STAGE_COLOURS[stages.pop()] if len(stages) == 1 else _TWO_STAGES
 
 
-def _stage_legend(ax: Axes, candidates: Sequence[Candidate]) -> None:
+def _stage_legend(ax: Axes, effects: Sequence[Sequence[str]]) -> None:
     shown = {}
-    for candidate in candidates:
-        stages = dict.fromkeys(EFFECTS[name].stage for name in candidate.effects)
-        shown[" and ".join(stages)] = _colour(candidate.effects)
+    for names in effects:
+        stages = dict.fromkeys(EFFECTS[name].stage for name in names)
+        shown[" and ".join(stages)] = _colour(names)
     for label, colour in shown.items():
         ax.barh([0.0], [0.0], color=colour, label=label)
     if shown:
@@ -269,7 +281,7 @@ def gap_picture(result: Diagnosis) -> Picture:
         ax.set_title(title, fontsize=8)
         ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
     axes[0].set_yticks(range(len(rows)), rows, fontsize=8)
-    figure.colorbar(image, ax=axes, label="rms over noise", fraction=0.04)
+    figure.colorbar(image, ax=axes, label="rms over noise", fraction=0.04, format="%g")
     caption = (
         "Each signal in each phase; the deflection is counted to the side driven last. 1 is the "
         "noise of one sample, so that means of many samples may lie below it. Sensors' zeros, "
@@ -282,7 +294,7 @@ def gap_picture(result: Diagnosis) -> Picture:
 def stage_picture(result: Diagnosis) -> Picture:
     """Evidence that the best effect of each stage earns, by quantity and phase."""
     best = _best_of_stages(result)
-    quantities = tuple(dict.fromkeys(q for v in result.observations for q in v.quantities))
+    quantities = _quantities(result)
     columns = [(q, p) for q in quantities for p in PHASES]
     whole = _power(result, result.search.recalibrated)
     table = np.array(
@@ -304,7 +316,8 @@ def stage_picture(result: Diagnosis) -> Picture:
     axes[0].set_yticks(range(len(best)), names, fontsize=8)
     bar = figure.colorbar(image, ax=axes, label="nats over recalibration", fraction=0.04)
     bar.set_ticks([-largest, -_NATS, 0.0, _NATS, largest])
-    bar.ax.set_yticklabels([_short(-largest), f"{-_NATS:g}", "0", f"{_NATS:g}", _short(largest)])
+    most = _short(largest).removesuffix(".0")
+    bar.ax.set_yticklabels([f"-{most}", f"{-_NATS:g}", "0", f"{_NATS:g}", most])
     caption = (
         "The effect with the most evidence at each stage of the chain, and where it earns it: "
         "half the drop of the whitened squared error against recalibration, all with the noise "
@@ -349,14 +362,20 @@ def _explanation(result: Diagnosis) -> tuple[str, list[Cell]]:
     return "what " + "\nand ".join(names) + f" {verb}", list(result.where)
 
 
+def _quantities(result: Diagnosis) -> list[str]:
+    """Those that were compared, the worst first."""
+    compared = {quantity for view in result.observations for quantity in view.quantities}
+    return [quantity for quantity in worst_first(result) if quantity in compared]
+
+
 def _row(cell: Cell) -> str:
     return f"{cell.signal}, {cell.side}" if cell.signal == "deflection" else cell.signal
 
 
 def _rows(result: Diagnosis) -> list[str]:
-    """Signals by quantity, in the order of the records; the deflection once a side."""
+    """Signals by quantity, the worst first; the deflection once a side."""
     rows: dict[str, None] = {}
-    for quantity in dict.fromkeys(q for view in result.observations for q in view.quantities):
+    for quantity in _quantities(result):
         for view in result.observations:
             for signal in view.signals:
                 if signal.quantity != quantity:

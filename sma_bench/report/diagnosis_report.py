@@ -32,7 +32,7 @@ from sma_bench.report.diagnosis_words import (
 )
 from sma_bench.report.drawing import Column
 from sma_bench.report.page import Made, Picture, Section, Table, write_report
-from sma_bench.results import in_print, scale_of, with_error
+from sma_bench.results import in_print, scale_of, signed, with_error
 
 _LEAST_SHOWN = 0.005
 
@@ -171,11 +171,10 @@ def _improved(result: Diagnosis) -> Table:
     unknowns = result.model.unknowns
     values, stds = unknowns.values(result.model.x), result.model.errors
     rows = []
-    for name, value, std in zip(unknowns.names, values, stds, strict=True):
-        believed = float(result.parameters[name])
-        own = result.parameters.std(name)
-        effect = name.startswith("effect.") or not own
-        moved = "" if effect else f"{(value - believed) / own:+.1f}"
+    for item, x, value, std in zip(unknowns.items, result.model.x, values, stds, strict=True):
+        name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
+        effect = name.startswith("effect.") or not item.std
+        moved = "" if effect else signed(float(x), ".1f")
         rows.append(
             (name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved)
         )

@@ -13,7 +13,7 @@ from sma_bench.diagnose.shrinkage import Shrinkage
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.results import AT_NOISE, DiagnoseResult, in_print, percent, with_error
+from sma_bench.results import AT_NOISE, DiagnoseResult, in_print, in_unit, percent, with_error
 
 _LIKELY = 0.02  # probability of a stage that is worth a word
 
@@ -167,7 +167,7 @@ def estimates(candidate: Candidate) -> list[str]:
     unknowns = candidate.fit.unknowns
     values, stds = unknowns.values(candidate.fit.x), candidate.fit.errors
     return [
-        f"{name.removeprefix('effect.')} {with_error(value, std)} {BY_NAME[name].unit}".strip()
+        f"{name.removeprefix('effect.')} {in_unit(with_error(value, std), BY_NAME[name].unit)}"
         for name, value, std in list(zip(unknowns.names, values, stds, strict=True))[
             unknowns.baseline :
         ]
@@ -210,7 +210,9 @@ def result_tables(result: DiagnoseResult) -> list[DiagnosisTable]:
         (
             c.name, c.stage, f"{c.probability:.3f}", _or_empty(c.gap, ".2f"),
             _or_empty(c.gain, "+.1f"),
-            "; ".join(f"{n.name} = {with_error(n.value, n.std)} {n.unit}" for n in c.numbers),
+            "; ".join(
+                f"{n.name} = {in_unit(with_error(n.value, n.std), n.unit)}" for n in c.numbers
+            ),
         )
         for c in result.candidates if c.probability >= _LEAST_SHOWN
     ]  # fmt: skip

@@ -59,8 +59,11 @@ def line(
     how: str = "",
 ) -> Line:
     """Numbers of one quantity; `check` comes from elsewhere, `how` says from where."""
-    shown = "" if check is None else f"{check:.5g} {unit}, {how}"
-    return quantity, f"{printed:.5g} {unit}", f"{corrected:.5g} {unit}", shown
+    first, second, third = (
+        "" if value is None else f"{value:.5g} {unit}".rstrip()
+        for value in (printed, corrected, check)
+    )
+    return quantity, first, second, third and f"{third}, {how}"
 
 
 # --- Errata 1 to 6: equations that are printed wrong, evaluated in both forms.

@@ -18,6 +18,7 @@ from sma_bench.records.record import Record
 from sma_bench.records.samples import held_voltages
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
 from sma_bench.report.page import Picture
+from sma_bench.results import with_error
 
 # --- Figures 2 to 6 of the paper, redrawn from records.
 
@@ -27,7 +28,7 @@ _JUMP = 0.2  # V between two samples
 def resistance_picture(e1: Experiment) -> Picture:
     """Fig. 2: current over voltage in both directions, with the fitted line."""
     estimate = e1.estimates["wire.resistance"]
-    label = f"R = {estimate.value:.4f} ± {estimate.std:.4f} ohm"
+    label = f"R = {with_error(estimate.value, estimate.std)} ohm"
     figure = _plateau_figure(e1.curves, "current", "current [A]", label)
     caption = f"Plateau means and straight line, eq. (3), as Fig. 2. {e1.source}"
     return Picture("figure_02_resistance", "Current against voltage", caption, figure)
@@ -36,7 +37,7 @@ def resistance_picture(e1: Experiment) -> Picture:
 def heat_transfer_picture(e2: Experiment) -> Picture:
     """Fig. 3: steady temperature over voltage, with eq. (4) fitted."""
     estimate = e2.estimates["wire.heat_transfer_coefficient"]
-    label = f"h = {estimate.value:.2f} ± {estimate.std:.2f} W/(m² K)"
+    label = f"h = {with_error(estimate.value, estimate.std)} W/(m² K)"
     figure = _plateau_figure(e2.curves, "temperature", "steady temperature [K]", label)
     caption = f"Plateau means and eq. (4), as Fig. 3. {e2.source}"
     return Picture("figure_03_heat_transfer", "Steady temperature against voltage", caption, figure)
@@ -85,7 +86,7 @@ def slope_picture(e3: Experiment) -> Picture:
         (e3.estimates["wire.specific_heat"], "-", MODEL, "most likely c_p"),
     )
     for estimate, style, colour, name in lines:
-        label = f"{name}: {estimate.value:.1f} ± {estimate.std:.1f} J/(kg K)"
+        label = f"{name}: {with_error(estimate.value, estimate.std)} J/(kg K)"
         ax.plot(ends, ends / estimate.value, style, color=colour, label=label)
     ax.set(xlabel="f(T, V) [W/kg]", ylabel="dT/dt [K/s]")
     ax.legend()
@@ -362,7 +363,7 @@ def _mark_temperatures(ax: Axes, e6: Experiment) -> None:
         (mean,) = found
         ax.axvline(mean.value, color=FAINT, lw=0.8, ls=":")
         ax.annotate(
-            f"${name}$ = {mean.value:.2f} ± {mean.std:.2f} K",
+            f"${name}$ = {with_error(mean.value, mean.std)} K",
             (mean.value, height), (28, 0),
             xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=8,
             va="center", color=SECOND, arrowprops={"arrowstyle": "->", "color": FAINT, "lw": 0.7},
@@ -389,7 +390,7 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
     ax.set_ylim(bottom=0.0)
     ax.legend()
     slopes = [
-        f"{symbol} = {e.value / 1e6:.2f} ± {e.std / 1e6:.2f} MPa/K"
+        f"{symbol} = {with_error(e.value / 1e6, e.std / 1e6)} MPa/K"
         for symbol, name in (
             ("C_A", "wire.stress_influence_austenite"), ("C_M", "wire.stress_influence_martensite")
         )

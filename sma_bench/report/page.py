@@ -77,7 +77,8 @@ th, td { border-bottom: 1px solid var(--line); padding: .3rem .8rem; text-align:
 th { vertical-align: bottom; }
 td.number, th.number { text-align: right; }
 td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
-td.short { white-space: nowrap; } td.long { min-width: 16rem; overflow-wrap: anywhere; }
+td.short { white-space: nowrap; } td.long { min-width: 11rem; overflow-wrap: anywhere; }
+table.many { font-size: .85rem; } .many th, .many td { padding: .3rem .45rem; }
 caption { font-weight: 600; padding: .8rem 0 .3rem; text-align: left; }
 figure { margin: 1.5rem 0; } figcaption { font-size: .9rem; opacity: .85; }
 figure img { background: #fff; border-radius: 6px; display: block; height: auto; max-width: 100%; }
@@ -129,6 +130,20 @@ details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 <body>
 <h1>{{ title }}</h1>
 <p class="head">{{ summary }}</p>
+{% macro tables_of(section) -%}
+{% for table in section.tables %}
+<table{% if table.header | length > 6 %} class="many"{% endif %}>
+{% if table.title %}<caption>{{ table.title }}</caption>{% endif %}
+<thead><tr>{% for head in table.header -%}
+<th{% if loop.index0 in table.numeric %} class="number"{% endif %}>{{ head }}</th>
+{%- endfor %}</tr></thead>
+<tbody>{% for row in table.rows %}<tr>{% for cell in row -%}
+<td class="{{ 'number' if loop.index0 in table.numeric else width_of(cell) }}"
+>{{ together(cell) | safe }}</td>
+{%- endfor %}</tr>
+{% endfor %}</tbody></table>
+{% endfor %}
+{% endmacro %}
 {% for section in sections %}
 {% if section.title %}<h2>{{ section.title }}</h2>
 {% endif %}
@@ -139,35 +154,28 @@ details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
 {% endfor %}</dl>
 </div>
 {% endif %}
-{% for paragraph in section.paragraphs %}<p>{{ paragraph }}</p>
+{% for paragraph in section.paragraphs %}<p>{{ together(paragraph) | safe }}</p>
 {% endfor %}
-{% for note in section.notes %}<p class="note">{{ note }}</p>
+{% for note in section.notes %}<p class="note">{{ together(note) | safe }}</p>
 {% endfor %}
 {% if section.folded %}<details><summary>{{ section.folded[0] }}</summary><ul>
-{% for line in section.folded[1:] %}<li>{{ line }}</li>
+{% for line in section.folded[1:] %}<li>{{ together(line) | safe }}</li>
 {% endfor %}</ul></details>
 {% endif %}
-{% for table in section.tables %}
-<table>{% if table.title %}<caption>{{ table.title }}</caption>{% endif %}
-<thead><tr>{% for head in table.header -%}
-<th{% if loop.index0 in table.numeric %} class="number"{% endif %}>{{ head }}</th>
-{%- endfor %}</tr></thead>
-<tbody>{% for row in table.rows %}<tr>{% for cell in row -%}
-<td class="{{ 'number' if loop.index0 in table.numeric else width_of(cell) }}">{{ cell }}</td>
-{%- endfor %}</tr>
-{% endfor %}</tbody></table>
-{% endfor %}
+{% if not section.pictures_first %}{{ tables_of(section) }}{% endif %}
 {% for picture in section.pictures %}
 <figure{% if picture.over_time %} class="curves"{% endif %}><div class="wide" tabindex="0"
 >{% if picture.shaded %}<picture><source media="screen and (prefers-color-scheme: dark)"
 srcset="data:image/png;base64,{{ picture.dark }}">{% endif -%}
 <img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}">
 {%- if picture.shaded %}</picture>{% endif %}</div>
-<figcaption><strong>{{ picture.title }}.</strong> {{ picture.caption }}</figcaption>
+<figcaption><strong>{{ picture.title }}.</strong>
+{{ together(picture.caption) | safe }}</figcaption>
 {% if picture.over_time -%}
 <script type="application/json">{{ curves_of(picture.figure) | tojson }}</script>
 {%- endif %}</figure>
 {% endfor %}
+{% if section.pictures_first %}{{ tables_of(section) }}{% endif %}
 {% endfor %}
 {% if script %}<script>{{ script | safe }}</script>
 {% endif %}</body>
@@ -266,7 +274,7 @@ class Picture:
 @dataclass(frozen=True)
 class Section:
     """One heading with what stands below it, in this order; a card first. Of `folded` the first
-    line is seen, the others when it is opened."""
+    line is seen, the others when it is opened. `pictures_first`: they stand above the tables."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -275,6 +283,7 @@ class Section:
     pictures: Sequence[Picture] = field(default_factory=tuple)
     card: Card | None = None
     folded: Sequence[str] = ()
+    pictures_first: bool = False
 
 
 def write_report(
@@ -326,7 +335,8 @@ def write_report(
 @cache
 def _template() -> jinja2.Template:
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, finalize=_without_controls
+        autoescape=True, undefined=jinja2.StrictUndefined,
+        finalize=lambda shown: _shown(shown) if type(shown) is str else shown,
     )
     return environment.from_string(_TEMPLATE)
 
@@ -349,13 +359,13 @@ _KEPT = re.compile(r"--[a-z][\w-]*|\[-?[\d.]+, -?[\d.]+\]")
 
 def _together(text: str) -> str:
     """Escaped; no line ends between a number and its unit, or within an option or an interval."""
-    safe = _MEASURED.sub("&nbsp;", html.escape(printable(text)))
+    safe = _MEASURED.sub("&nbsp;", html.escape(_shown(text)))
     return _KEPT.sub(lambda found: f'<span class="keep">{found[0]}</span>', safe)
 
 
-def _without_controls(shown: object) -> object:
+def _shown(text: str) -> str:
     """Names from outside without what ends or turns a text."""
-    return printable(shown, "\n") if type(shown) is str else shown
+    return printable(text, "\n").replace(" +- ", " ± ")
 
 
 def csv_text(table: Table) -> bytes:
@@ -493,13 +503,15 @@ class Made:
             files.append((path, sha, f"{size}"))
         made = self.when.astimezone().isoformat(timespec="seconds")
         about = {"command": self.command, "made": made, **versions()}
+        table = Table(("file", "SHA-256", "bytes"), files, frozenset({2}), "provenance_files",
+                      "Files")
+        tables = [table] if files else []
         return Section(
             "Provenance",
             ["A folder's hash covers the names, sizes and contents of its files in alphabetical "
-             "order."],
+             "order." if files else "Made of the package's own numbers: no file was read."],
             tables=[
-                Table(("file", "SHA-256", "bytes"), files, frozenset({2}), "provenance_files",
-                      "Files"),
+                *tables,
                 Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by"),
             ],
         )  # fmt: skip

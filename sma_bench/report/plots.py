@@ -348,7 +348,7 @@ def _overlay_signal(upper: Axes, lower: Axes, found: Overlay, signal: str) -> No
 
 _LEAST_SHOWN = 0.005
 _MOST_BARS = 12
-_MOST_NUMBERS = 14  # of a correlation map, in whose cells numbers can be read
+_FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
 
 
 def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
@@ -378,6 +378,7 @@ def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
     right.barh(place, np.nan_to_num(informed), color=MEASURED, height=0.55)
     right.set(xlabel="informed [%]", xlim=(0.0, 100.0), xticks=(0, 50, 100))
     plain_axes(left, right)
+    figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr, call-arg]
     caption = (
         "Reference: the paper's number or a data sheet's (docs/parameters.md); marked *: assumed. "
         "Errors: one standard deviation. Informed: the share of what is known of a number "
@@ -405,10 +406,11 @@ def correlation_picture(result: IdentifyResult, name: str) -> Picture | None:
     ax.set_yticks(range(len(names)), short, fontsize=7)
     ax.spines[:].set_visible(False)
     if len(names) <= _MOST_NUMBERS:
+        form = ".2f" if len(names) <= _FEW else ".1f"
         for (row, column), value in np.ndenumerate(matrix):
             if row != column and np.isfinite(value):
                 colour = "white" if abs(value) > 0.6 else "black"
-                ax.text(column, row, f"{value:.1f}", ha="center", va="center", fontsize=6,
+                ax.text(column, row, format(value, form), ha="center", va="center", fontsize=6,
                         color=colour)
     figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
     caption = (

@@ -366,7 +366,7 @@ def block_diagram_picture(parameters: Parameters) -> Picture:
         ax.plot([start, start, target], [middle, depth, depth], color=FAINT, lw=1.1)
         ax.annotate("", (target, blocks[1].y - 0.06), (target, depth),
                     arrowprops={"arrowstyle": "->", "color": FAINT})
-        ax.text(0.5 * (start + target), depth - 0.15, label, ha="center", va="top", fontsize=8)
+        ax.text(target + 0.2, depth - 0.15, label, va="top", fontsize=8)
     caption = (
         "Each wire by itself to its stress; those of a side bend together, δ = δ_front - δ_back, "
         f"β = {front / 1e6:.4g} and {back / 1e6:.4g} MPa/m. {_NO_DATA}"
@@ -406,11 +406,11 @@ def operating_point_picture(model: Linearised) -> Picture:
     here = np.abs(drawn - 1e3 * point.deflection) < 0.7 * max(np.ptp(drawn), 1e-9)
     ax.plot(around[here], drawn[here], "--", color=MODEL, lw=1.4, label="linearised")
     ax.plot([kelvin], [1e3 * point.deflection], "o", color=MODEL, ms=6)
-    ax.set(xlabel="temperature of the driven wires [K]", ylabel="deflection [mm or mrad]")
+    ax.set(xlabel="temperature of the driven wires [K]", ylabel="deflection [mm]")
     ax.legend(fontsize=8)
     caption = (
         f"About {point.voltage[wire]:.4g} V on the {point.branch} branch: "
-        f"{1e3 * slope:.4g} mm (mrad) per kelvin of the wires that share {kelvin:.2f} K. "
+        f"{1e3 * slope:.4g} mm per kelvin of the wires that share {kelvin:.2f} K. "
         "Data: none, computed from the parameters."
     )
     return Picture("linearised", "Steady states and their tangent", caption, figure)

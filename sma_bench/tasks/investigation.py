@@ -26,7 +26,7 @@ from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import Report, silent
 from sma_bench.protocols import Protocol, load_protocol
-from sma_bench.report.page import Section, Table, write_report
+from sma_bench.report.page import Made, Section, Table, write_report
 from sma_bench.results import percent
 from sma_bench.tasks.work import diagnose_files, write_improved
 
@@ -182,8 +182,9 @@ class Investigation:
             for c in self.chapters
         ]
 
-    def write_page(self) -> Path:
-        """The story as a page; its path."""
+    def write_page(self, command: str = "") -> Path:
+        """The story as a page, by this command; its path."""
+        made = Made(command, self.records)
         told = [
             Section(f"After {c.records} record{'s' if c.records != 1 else ''}", [*c.why],
                     notes=[c.proposed["why"]] if c.proposed else [])
@@ -191,8 +192,8 @@ class Investigation:
         ]
         table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "Probabilities by record")
         return write_report(
-            self.folder / "story", "Investigation", self.summary(),
-            [Section("Story", tables=[table]), *told],
+            self.folder / "story", "Investigation", f"{self.summary()}. {made.head}",
+            [Section("Story", tables=[table]), *told, made.section()],
         )
 
     def summary(self) -> str:

@@ -65,7 +65,11 @@ def test_a_report_shows_the_tangent(rig, tmp_path):
     words += ["--report", str(tmp_path / "page"), "--column", "single", "--font", "6"]
     assert main(["linearise", *words]) == 0
     assert (tmp_path / "page" / "linearised.png").stat().st_size > 10_000
-    assert 'width="252' in (tmp_path / "page" / "linearised.svg").read_text()  # pt, 89 mm
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert "SHA-256" in page and "sma-bench linearise" in page and "b_1 of stress" in page
+    drawn = (tmp_path / "page" / "linearised.svg").read_text()
+    assert "mrad" not in page and "deflection [mm]" in drawn
+    assert 'width="252' in drawn  # pt, 89 mm
     assert (tmp_path / "page" / "linearised.csv").read_text().startswith("panel,curve,")
 
 

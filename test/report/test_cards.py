@@ -166,6 +166,13 @@ def test_an_identification_has_its_errors_apart_and_says_what_surprises_and_hang
     assert linked in page and "2.8 ± 0.007 ± 0.024 ohm" in page and "<b>" not in page
 
 
+def test_what_is_rounded_to_nothing_has_no_sign():
+    found = copy.deepcopy(IDENTIFIED)
+    found["parameters"]["environment.ambient_temperature"]["value"] = 296.15 - 1e-4
+    said = identification_text(identification_from(Path("r.json"), found))
+    assert "(0.0 std)" in said and "-0.0 " not in said and "+0.0 " not in said
+
+
 def test_a_correlation_that_is_no_matrix_is_one_line():
     damaged = IDENTIFIED | {"correlation": {"names": ["a"], "matrix": [[1.0, 0.5]]}}
     with pytest.raises(InputError, match=r"r\.json: damaged result: correlation of 1 names"):

@@ -141,7 +141,7 @@ def test_warnings_of_all_inputs_come_first(tmp_path, bag, results, capsys):
     text = Page(report(tmp_path, *results) / "index.html").text
     summary = text[: text.index("Identification ")]
     assert "E1 plateau: not settled" in summary and "wire.mass: odd" in summary
-    assert "info: nothing" not in summary
+    assert "info: nothing" not in summary and "2 warnings" in summary
     assert "warnings 2" in capsys.readouterr().out
 
 
@@ -157,6 +157,15 @@ def test_provenance_names_hashes_versions_and_the_command(tmp_path, bag, results
     for one in found["inputs"]:
         assert one["sha256"] in text
     assert found["versions"]["numpy"] in text and found["command"] in text
+
+
+def test_no_number_is_told_twice(tmp_path, results, capsys):
+    found = json.loads(results[0].read_text())
+    found["experiments"][0]["details"] = {"slope": {"value": 2.7, "std": 0.1, "unit": "ohm"}}
+    results[0].write_text(json.dumps(found))
+    out = report(tmp_path, results[0])
+    assert (out / "input_1_experiment_1.csv").read_text().count("\n") == 2  # heading and slope
+    assert (out / "input_1_parameters.csv").read_text().count("\n") == 3
 
 
 def test_a_bags_hash_follows_its_contents_and_names(bag, tmp_path):

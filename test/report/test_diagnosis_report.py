@@ -15,7 +15,7 @@ from sma_bench.diagnose.flexible import Flexible
 from sma_bench.diagnose.next_experiment import NextExperiment
 from sma_bench.errors import InputError
 from sma_bench.report.diagnosis_figures import PHASES, free_form, next_experiment_picture
-from sma_bench.report.diagnosis_report import write_diagnosis_report
+from sma_bench.report.diagnosis_report import _improved, write_diagnosis_report
 from sma_bench.report.diagnosis_words import (
     estimates,
     headline,
@@ -100,6 +100,17 @@ def test_a_diagnosis_shows_its_card_with_every_row(planted_diagnosis, page):
     for shown in (planted_diagnosis._repr_html_(), page[1]):
         text = html.unescape(shown).replace("\u00a0", " ")
         assert card.title in text and "->" in text
+
+
+def test_what_the_geometry_gives_is_believed_to_be_that(planted_diagnosis):
+    """Not the 0 that stands in the file for it."""
+    name = "composite.deflection_per_strain"
+    given = planted_diagnosis.parameters[name]
+    file = planted_diagnosis.parameters.replace({name: 0.0})
+    rows = {row[0]: row for row in _improved(replace(planted_diagnosis, parameters=file)).rows}
+    _, believed, _, _, moved = rows[name]
+    assert float(believed) == pytest.approx(given, rel=1e-5) and abs(float(moved)) < 3.0
+    assert not any(row[4] in ("+0.0", "-0.0") for row in rows.values())
 
 
 def test_a_quantity_at_its_noise_is_said_to_agree(planted_diagnosis):
