@@ -31,12 +31,15 @@ PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.07  # nats over the single, and of the sing
 PARTNER_OF_INTEREST = 0.5
 # Signs of something unexplained. Of what is left: motion against rest in standard deviations,
 # share of what recalibration leaves, size in noise, largest outlier in standard deviations.
-LEFT_RATIO, LEFT_SHARE, LEFT_SIZE, LEFT_OUTLIER = 5.5, 0.35, 0.4, 8.0
+LEFT_RATIO, LEFT_SIZE, LEFT_OUTLIER = 5.5, 0.4, 8.0
+LEFT_SHARE, STEEP = 0.55, 6.0  # of a sign's size, that an effect leaves; log odds an e-fold
+SURPRISE_SHARE = 0.35
 LEFT_DRIFT = 5.0  # nats that the sensors' drift is improbable
 FLEXIBLE = 30.0  # nats of a smooth response
 SURPRISE, SURPRISE_SIGN = 50.0, 0.5  # squared deviations of some 16 parameters; largest sign
-# Log odds at most; where an effect explains much, what is left may be that effect's own, inexact,
-# or a second one: the effect stays ahead, but not far enough to be named alone.
+# Log odds at most; where an effect explains much, an event or a drift that is left may be a second
+# cause: the effect stays ahead, but not far enough to be named alone. Of a sign that it hardly
+# takes away it is not the cause, however much else it explains.
 LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, -0.3, 15.0  # MUCH in nats
 # Log odds, to recalibration, of what is there and leaves no sign: a record without a sign is never
 # proof that only the parameters are off.
@@ -96,7 +99,7 @@ class Weights:
             in noise; worth: log odds by that.
         moved: gap between the parameters as believed and as recalibrated, in noise.
         signs: log odds that something else is at work; surprise: that by parameters that nobody
-            believes in.
+            believes in; remains: that by the share of a sign which the best effect leaves.
     """
 
     gains: Mapping[str, float]
@@ -105,13 +108,14 @@ class Weights:
     moved: float
     signs: float
     surprise: float
+    remains: float = -LARGEST_SIGN
 
     def probabilities(self) -> dict[str, float]:
         """Of every candidate."""
         best = max([0.0, *self.gains.values()])
         scale = scale_of(best)
         logits = {name: self._logit(name, scale) for name in self.gains}
-        most = LARGEST_SIGN if best <= MUCH else LARGEST_BESIDE
+        most = LARGEST_SIGN if best <= MUCH else max(LARGEST_BESIDE, self.remains)
         sign = min(max(self.signs, self.surprise), most)
         benign = {RECALIBRATION: (self.moved, 1.0), NO_GAP: (1.0, self.moved)}
         unexplained = np.logaddexp(max([0.0, *logits.values()]) + sign, UNSEEN)
@@ -126,7 +130,7 @@ class Weights:
         single = max(self.gains[part] for part in parts)
         extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
-        return (single - THRESHOLD) / scale + min(extra / scale, 20.0) + self.worth[name]
+        return (single - THRESHOLD + extra) / scale + self.worth[name]
 
     def _as_formed(self, gain: float) -> float:
         """A rival's gain, the lead of the best single effect taken down: of two equations neither
@@ -147,7 +151,7 @@ def weigh(search: Search) -> Weights:
         {name: fit.evidence - search.recalibrated.evidence for name, fit in fits.items()},
         gaps, {name: _worth_of(search, name, gaps[name]) for name in fits},
         _moved(search), max(v for name, v in signs.items() if name != SURPRISED),
-        signs[SURPRISED],
+        signs[SURPRISED], max(_signs_of_share(search).values()),
     )
 
 
@@ -202,23 +206,39 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
     that the effect leaves: a hundredth of what was explained speaks for the effect's equation being
     inexact, not for another cause.
     """
-    left, best = search.left_by_best, search.best.evidence - search.recalibrated.evidence
-    moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
-    smooth = (search.beyond.gain - FLEXIBLE) / 2.0
+    left = search.left_by_best
     surprise = sign_of_surprise(surprise_of(search))
-    if best <= THRESHOLD:
-        moving += _worth(left.size, LEFT_SIZE, 4.0)
-    else:
-        moving = min(moving, _remaining(left.size, search.left.size))
-        smooth = min(smooth, _remaining(search.beyond.gain, search.flexible.gain))
-        surprise = min(surprise, _remaining(search.best.surprise, search.recalibrated.surprise))
+    if _best_gain(search) > THRESHOLD:
+        before = SURPRISE_SHARE * max(search.recalibrated.surprise, 1e-3)
+        surprise = min(surprise, 4.0 * float(np.log(max(search.best.surprise / before, 1e-3))))
     return {
-        f"{left.signal or 'what is left'} scatters more in motion than at rest": moving,
+        **_signs_of_share(search),
         "a single event stands out": 2.0 * (left.outlier - LEFT_OUTLIER),
-        "a smooth response of free form is left": smooth,
         "a sensor would have to drift as none does": left.drift - LEFT_DRIFT,
         SURPRISED: surprise,
     }
+
+
+def _signs_of_share(search: Search) -> dict[str, float]:
+    """Those of which an effect takes away a share."""
+    left, best = search.left_by_best, _best_gain(search)
+    moving = min(left.ratio - LEFT_RATIO, LARGEST_SIGN)
+    smooth = (search.beyond.gain - FLEXIBLE) / 2.0
+    if best <= THRESHOLD:
+        moving += _worth(left.size, LEFT_SIZE, 4.0)
+    else:
+        # Free form or not: of all that was to be explained.
+        whole = max(search.flexible.gain, search.beyond.gain + best)
+        moving = min(moving, _remaining(left.size, search.left.size))
+        smooth = min(smooth, _remaining(np.sqrt(search.beyond.gain), np.sqrt(whole)))
+    return {
+        f"{left.signal or 'what is left'} scatters more in motion than at rest": moving,
+        "a smooth response of free form is left": smooth,
+    }
+
+
+def _best_gain(search: Search) -> float:
+    return search.best.evidence - search.recalibrated.evidence
 
 
 def surprise_of(search: Search, known: Iterable[str] = ()) -> float:
@@ -239,7 +259,7 @@ def sign_of_surprise(surprise: float) -> float:
 
 def _remaining(left: float, before: float) -> float:
     """Log odds of a sign of which an effect leaves so much, beside what was there before."""
-    return 4.0 * float(np.log(max(left / max(before, 1e-3), 1e-3) / LEFT_SHARE))
+    return STEEP * float(np.log(max(left / max(before, 1e-3), 1e-3) / LEFT_SHARE))
 
 
 def _moved(search: Search) -> float:

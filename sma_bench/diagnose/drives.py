@@ -1,10 +1,12 @@
-"""The family of drives that is searched for the next experiment."""
+"""What can be proposed: the family of drives that is searched, and the tests of the paper."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from sma_bench.estimation.unknowns import FRONT
 
 _SHARES = {"full": (1.0,), "growing": (0.7, 0.8, 0.9, 1.0), "partial": (0.85, 0.8)}
 _ORDERS = ("in turn", "one side", "the other side", "both sides", "the other side warmed before")
@@ -97,3 +99,38 @@ def changed(drive: Drive, random: np.random.Generator) -> Drive:
     names = random.choice(("order", "shape", "heights", "seconds", "rest"), 2, replace=False)
     other = drawn(random)
     return replace(drive, **{str(name): getattr(other, str(name)) for name in names})
+
+
+class Test(NamedTuple):
+    """A test of the paper: minutes, the standard deviations that it leaves, absolute [K] or as a
+    share of the value, and effects beside which it would read something else."""
+
+    minutes: float
+    title: str
+    absolute: Mapping[str, float]
+    relative: Mapping[str, float]
+    hidden_by: tuple[str, ...] = ()
+
+
+TESTS = {
+    "E1": Test(12.0, "the staircase of E1", {}, {"wire.resistance": 0.003}),
+    "E2": Test(15.0, "the staircase of E2", {"environment.ambient_temperature": 0.1},
+               {"wire.heat_transfer_coefficient": 0.015}),
+    "E3": Test(5.0, "the ramps of E3", {}, {"wire.specific_heat": 0.015}),
+    "DSC": Test(90.0, "a DSC run", {
+        "wire.austenite_start_temperature": 0.25, "wire.austenite_finish_temperature": 0.25,
+        "wire.martensite_start_temperature": 0.25, "wire.martensite_finish_temperature": 0.25,
+    }, {}),
+    "E6": Test(60.0, "isobaric tests", {}, {
+        "wire.stress_influence_austenite": 0.02, "wire.stress_influence_martensite": 0.02,
+        "wire.maximum_recoverable_strain": 0.01,
+    }),
+    "E7": Test(45.0, "tensile tests", {}, {
+        "wire.martensite_modulus": 0.015, "wire.austenite_modulus": 0.015,
+    }),
+    "E8": Test(45.0, "a staircase of the clamped wire", {}, {
+        "wire.thermal_expansion_factor": 0.03,
+    }),
+    "E10": Test(20.0, "bending of the composite by known weights", {}, {FRONT: 0.02},
+                ("side_asymmetry",)),
+}

@@ -99,18 +99,21 @@ def test_only_what_is_worth_it_is_proposed(worth, settles):
 
 def matter(minutes, **gains):
     made = Matter.__new__(Matter)
-    made.minutes, made.weights = minutes, SimpleNamespace(gains=gains)
+    made.minutes, made.records, made.weights = minutes, 2, SimpleNamespace(gains=gains)
     return made
 
 
-def test_another_record_tells_of_a_wandering_zero_as_much_a_minute_as_the_records_have():
-    known = matter(5.0, deflection_drift=4.0, slack=9.0, **{"deflection_drift+slack": 15.0})
+def test_another_record_tells_of_a_wandering_zero_as_much_as_one_of_the_records_has():
+    known = matter(5.0, deflection_drift=16.0, slack=9.0, **{"deflection_drift+slack": 33.0})
     names = ("recalibration", "deflection_drift", "slack", "deflection_drift+slack")
     found = known.wandering(apart(100.0, *names), 10.0)
     assert found["recalibration", "deflection_drift"].evidence == pytest.approx(8.0)
     assert found["deflection_drift+slack", "slack"].evidence == pytest.approx(12.0)
     assert ("slack", "recalibration") not in found  # what a model predicts is simulated
     assert ("slack", "deflection_drift") not in found
+    # One half as long tells half of it, and what it tells counts though it is hardly seen.
+    little = matter(5.0, deflection_drift=4.0).wandering(apart(9.0, *names[:2]), 1.25)
+    assert little["recalibration", "deflection_drift"] == pytest.approx(Telling(1.0, 2.0))
     short = matter(5.0, deflection_drift=-1.0).wandering(apart(9.0, *names[:2]), 10.0)
     assert set(short.values()) == {Telling(0.0, 0.0)}
 

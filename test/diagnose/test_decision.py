@@ -33,8 +33,25 @@ def searched(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.
     ],
 )
 def test_a_sign_counts_by_the_share_of_it_that_an_effect_leaves(name, little, much):
-    assert signs_of_unexplained(searched(2000.0, **little))[name] < -2.0
-    assert signs_of_unexplained(searched(2000.0, **much))[name] > 0.0
+    assert signs_of_unexplained(searched(30.0, **little))[name] < -2.0
+    assert signs_of_unexplained(searched(30.0, **much))[name] > 0.0
+
+
+def test_a_smooth_response_counts_beside_all_that_was_explained_of_free_form_or_not():
+    left = {"flexible": 400.0, "beyond": 300.0}
+    assert signs_of_unexplained(searched(30.0, **left))[SMOOTH] > 2.0
+    assert signs_of_unexplained(searched(4000.0, **left))[SMOOTH] < -2.0
+
+
+def test_an_effect_that_leaves_what_was_to_be_explained_is_not_the_cause_whatever_it_gains():
+    def unexplained(signs, remains):
+        gains = {"slack": 160.0}
+        found = Weights(gains, {"slack": 3.0}, {"slack": 0.0}, 5.0, signs, -5.0, remains)
+        return found.probabilities()["unexplained"]
+
+    assert unexplained(3.0, remains=3.0) > 0.9
+    # An event beside an effect that took the rest away may be a second cause.
+    assert 0.3 < unexplained(6.0, remains=-4.0) < 0.5
 
 
 def test_where_no_effect_was_found_a_sign_counts_whole():
@@ -49,6 +66,12 @@ def test_a_single_event_and_an_impossible_drift_are_never_weighed_against_what_w
     found = signs_of_unexplained(search)
     assert found["a single event stands out"] == pytest.approx(8.0)
     assert found["a sensor would have to drift as none does"] == pytest.approx(6.0)
+
+
+def test_of_two_pairs_that_gain_much_the_better_one_is_named():
+    pairs = {"latent_heat+slack": 2000.0, "residual_strain+slack": 1900.0}
+    found = weighed(slack=600.0, latent_heat=9.0, residual_strain=5.0, **pairs)
+    assert found["latent_heat+slack"] > 0.9
 
 
 def weighed(**gains):
