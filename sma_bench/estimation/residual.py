@@ -183,14 +183,14 @@ class Problem:
         several derivatives all but cancel, what one-sided differences are off by is information
         that the records do not hold; `central` ones, twice the simulations, are for places where
         errors and evidence are stated. Cells of a quarter of a bin are off by hundredths of a nat
-        (of half a bin: by up to 0.9, which let a rival in).
+        (of half a bin: by up to 0.9, which let a rival in). Where the voltmeter's noise counts the
+        `central` ones are differences on the record's own cells.
         """
         seen, own = self.coarse, [*which]
         columns = np.empty((len(predicted), len(own)))
         carried = [k for k, i in enumerate(own) if unknowns.is_carried(i)]
-        # Estimates whose errors count are not moved to them yet.
         found = None
-        if carried and not self.voltage_noise:
+        if carried and not (self.voltage_noise and central):
             found = seen.carried(unknowns, x, [own[k] for k in carried])
         if found is not None:
             columns[:, carried] = found

@@ -120,6 +120,7 @@ def fit(
     frozen: Array | None = None,
     keep_noise: bool = False,
     far: bool = False,
+    central: bool = True,
 ) -> Fit:
     """Fit one model.
 
@@ -137,10 +138,10 @@ def fit(
     state = _State(problem, unknowns, x, frozen)
     if far:
         state.approach()
-    state.linearise()
+    state.linearise(central)
     for number in range(1 if far else rounds):
         if number:
-            state.linearise()
+            state.linearise(central)
         state.climb(_MOST_STEPS)
         if not keep_noise:
             state.problem = state.problem.with_noise(state.left())
@@ -163,7 +164,7 @@ def recalibrate(
 
     def from_start(number: int, x: Array) -> Fit:
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
-        return fit(first, unknowns, x, far=True)
+        return fit(first, unknowns, x, far=True, central=False)
 
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
@@ -197,7 +198,7 @@ class _State:
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
 
-    def linearise(self, central: bool = True) -> None:
+    def linearise(self, central: bool) -> None:
         """Derivatives at the present place, or about there."""
         if self.given is None and not self._is_near(self.linear_about):
             self.linear_about = self.x if central else None

@@ -47,7 +47,7 @@ class Estimate:
         if self.std <= std:
             return self
         statistical = min(self.statistical, std)
-        systematic = math.sqrt(std**2 - statistical**2)
+        systematic = _beside(statistical, std)
         ratio = systematic / self.systematic if self.systematic else 0.0
         shares = {name: ratio * share for name, share in self.shares.items()}
         return replace(self, std=std, systematic=systematic, shares=shares)
@@ -57,7 +57,7 @@ class Estimate:
         """Standard deviation without the systematic part."""
         if not self.systematic:
             return self.std
-        return math.sqrt(max(self.std**2 - self.systematic**2, 0.0))
+        return _beside(self.systematic, self.std)
 
     @property
     def relative_std(self) -> float:
@@ -152,6 +152,11 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     )
 
 
+def _beside(part: float, whole: float) -> float:
+    """The other part of a standard deviation; what a hostile file holds overflows as a square."""
+    return math.sqrt(max(whole - part, 0.0)) * math.sqrt(whole + part)
+
+
 def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estimate, str]:
     """A measurement beside what was known, and a remark if they contradict each other.
 
@@ -172,8 +177,9 @@ def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estim
     ) + ("which was stated to be surer" if stated else "a default that nobody measured: left out")
     if remark and not stated:
         return replace(measured, informed=1.0), remark
-    weight = prior.std**2 / (prior.std**2 + measured.std**2)
-    std = measured.std * math.sqrt(weight)
+    ratio = measured.std / prior.std
+    weight = 1.0 / (1.0 + ratio * ratio)
+    std = prior.std * math.sqrt(1.0 - weight)
     return replace(
         measured, value=prior.value + weight * (measured.value - prior.value), std=std,
         method=f"{measured.method}, joined with what was known",

@@ -94,3 +94,11 @@ def test_records_that_say_nothing_leave_everything_as_it_was():
     for number in fitted(known, 0.0, 1.0).numbers:
         assert number.informed == pytest.approx(0.0, abs=1e-9)
         assert number.std == pytest.approx(number.prior_std)
+
+
+def test_a_measurement_beyond_all_measure_says_nothing_beside_what_was_known():
+    wild = measured(2e305, 1e305, 1e304)
+    assert wild.statistical == pytest.approx(1e305, rel=0.01)
+    found, remark = with_prior(wild, PRIOR, stated=True)
+    assert (found.value, found.std) == pytest.approx((PRIOR.value, PRIOR.std))
+    assert not remark
