@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _point(args: argparse.Namespace, parameters: Parameters) -> "OperatingPoint":
-    from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
+    from sma_bench.physics.operating_point import OperatingPoint, full_stroke
 
     wires = len(parameters["bench.channels"])
     for name in ("voltage", "temperature"):
@@ -95,7 +95,7 @@ def _point(args: argparse.Namespace, parameters: Parameters) -> "OperatingPoint"
         return at(parameters, given[0] if len(given) == 1 else given, args.branch)
     deflection = args.deflection
     if deflection is None:
-        deflection = 0.5 * maximum_deflection(parameters)
+        deflection = 0.5 * full_stroke(parameters)
     return OperatingPoint.at_deflection(parameters, deflection, args.branch)
 
 

@@ -28,6 +28,7 @@ from sma_bench.physics.electrical import current
 from sma_bench.physics.sensitivities import Sensitivities, carries
 
 _STEP = 0.02  # prior deviations, of a difference
+_LEAST_MISFIT, _MISFIT_TIME = 1e-3, 2.0  # of the stroke, s
 _TINY = 2e-6  # of the numbers that the model is computed from
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
@@ -108,17 +109,21 @@ class Problem:
         """Noise of what a model leaves (n,), what is slow of the motion taken for its misfit.
 
         A misfit is no noise: every stroke shows it again, so n of them tell no more of it than
-        one. Its variance counts n-fold.
+        one. Its variance counts n-fold. What hides below the noise is there all the same: no law
+        follows a wire more closely than by a thousandth of its stroke.
         """
-        strokes = max(sum(one.strokes for one in self.observations), 1)
-        found = self.with_noise(residual)
-        motion = {b.signal.name for b in self.blocks if b.signal.quantity in MOTIONS}
-        noise = {
-            name: replace(own, drift=float(np.sqrt(strokes)) * own.drift)
-            if name in motion else own
-            for name, own in found.noise.items()
-        }
-        return replace(found, noise=noise)
+        strokes = float(np.sqrt(max(sum(one.strokes for one in self.observations), 1)))
+        noise = self.with_noise(residual).noise
+        moved: dict[str, float] = {}
+        for block in self.blocks:
+            if block.signal.quantity in MOTIONS:
+                name, reach = block.signal.name, float(np.ptp(block.signal.value))
+                moved[name] = max(moved.get(name, 0.0), reach)
+        for name, reach in moved.items():
+            own, least = noise[name], _LEAST_MISFIT * reach
+            time = own.time if own.drift > least else _MISFIT_TIME
+            noise[name] = replace(own, drift=strokes * max(own.drift, least), time=time)
+        return replace(self, noise=noise)
 
     def for_effects(self, effects: Sequence[str]) -> Self:
         """The same, the deflection's zero wandering if that is one of the effects."""

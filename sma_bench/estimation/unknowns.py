@@ -55,7 +55,7 @@ LOAD_FRAME = ("wire.mass", "wire.diameter")
 SHAPES = {
     "wire.transition_spread": (1.5, 0.0, 12.0),
     "wire.transition_tail": (0.3, 0.0, 1.0),
-    "effect.partial_transformation.memory": (0.04, -0.1, 0.1),
+    "effect.partial_transformation.memory": (0.08, -0.2, 0.2),
 }
 # Beside a load motion shows the kinetics themselves: grains decide how flat an inner loop starts,
 # between the contract's rule and the full loop's.

@@ -68,15 +68,15 @@ WIRE = (
     ),
     Parameter(
         "wire.transition_spread", "K", 0.0,
-        "Half the distance of two groups of grains on the temperature axis; 0 for the ramps of "
+        "Standard deviation of the transition temperatures over the grains; 0 for the ramps of "
         "eqs. (10), (11) as they are.",
         "assumed: a polycrystal transforms more smoothly than a cosine", 0.0, 30.0,
         uncertainty=1.5,
     ),
     Parameter(
         "wire.transition_tail", "1", 0.0,
-        "Share of the wire whose transition temperatures are normally distributed, with the mean "
-        "and the deviation of the cosine's.",
+        "Share of every grain whose ramp is a normal distribution, with the mean and the deviation "
+        "of the cosine's.",
         "assumed: a polycrystal transforms more smoothly than a cosine", 0.0, 1.0,
         uncertainty=0.3,
     ),

@@ -30,13 +30,13 @@ from sma_bench.physics.columns import (
     TURNED_CYCLES,
 )
 from sma_bench.physics.effects.partial_transformation import (
-    flat_then_outer,
     forget_closed,
+    left_of_grains,
     remember_turn,
     towards_turn,
 )
 from sma_bench.physics.effects.transition_drift import shift_transition
-from sma_bench.physics.phase import NORMAL_DEVIATION, NORMAL_REACH
+from sma_bench.physics.phase import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
 
 SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
@@ -58,28 +58,31 @@ def smooth_ramp(position, spread, tail):
     """Ramp of grains that do not transform alike (phase.py), and its slope."""
     share, slope = ramp(position)
     if spread > 0.0:
-        early, early_slope = ramp(position + spread)
-        late, late_slope = ramp(position - spread)
-        share, slope = 0.5 * (early + late), 0.5 * (early_slope + late_slope)
+        early, early_slope = ramp(position + GRAIN * spread)
+        late, late_slope = ramp(position - GRAIN * spread)
+        share += OUTER * (early + late - 2.0 * share)
+        slope += OUTER * (early_slope + late_slope - 2.0 * slope)
     if tail != 0.0:
-        normal, normal_slope = normal_ramp(position)
+        normal, normal_slope, _ = normal_ramp(position, spread)
         share += tail * (normal - share)
         slope += tail * (normal_slope - slope)
     return share, slope
 
 
 @borrowing
-def normal_ramp(position):
-    """Ramp of normally distributed grains from 0 to 1, cut off where next to none are left."""
-    deviations = (position - 0.5) / NORMAL_DEVIATION
-    if deviations <= -NORMAL_REACH:
-        return 0.0, 0.0
-    if deviations >= NORMAL_REACH:
-        return 1.0, 0.0
+def normal_ramp(position, spread):
+    """Ramp of normally distributed grains from 0 to 1, cut off where next to none are left; its
+    slopes along position and spread."""
+    deviation = math.sqrt(NORMAL_DEVIATION * NORMAL_DEVIATION + spread * spread)
+    away = (position - 0.5) / deviation
+    if away <= -NORMAL_REACH:
+        return 0.0, 0.0, 0.0
+    if away >= NORMAL_REACH:
+        return 1.0, 0.0, 0.0
     scale = 1.0 / (1.0 - 2.0 * NORMAL_REST)
-    share = (0.5 * math.erfc(-deviations / SQRT_2) - NORMAL_REST) * scale
-    slope = math.exp(-0.5 * deviations * deviations) / (SQRT_2_PI * NORMAL_DEVIATION)
-    return share, slope * scale
+    share = (0.5 * math.erfc(-away / SQRT_2) - NORMAL_REST) * scale
+    slope = math.exp(-0.5 * away * away) / (SQRT_2_PI * deviation) * scale
+    return share, slope, -away * slope * spread / deviation
 
 
 @inlined
@@ -102,12 +105,14 @@ def phase_left(wires, i, own, other, own_spread, other_spread):
         left, by_own = share * scale, share_slope * scale
         if wires[i, RETURN_POINT] != 0.0:
             left, by_own = towards_turn(wires, i, share, share_slope)
-        if wires[i, MEMORY] != 0.0 and phase > 0.0:
-            flat, flat_slope = flat_then_outer(phase, share, share_slope, own_reversed)
-            left += wires[i, MEMORY] * (flat - left)
-            by_own += wires[i, MEMORY] * (flat_slope - by_own)
-            if left < 0.0:  # a memory below 0 turns faster than the contract's rule
-                left, by_own = 0.0, 0.0
+        if wires[i, MEMORY] != 0.0:
+            of_grains, by_share, _, _, _ = left_of_grains(
+                phase, share, own_reversed, wires[i, MEMORY]
+            )
+            left += of_grains - share * scale
+            by_own += (by_share - scale) * share_slope
+            if left > phase and share < own_reversed:  # with a return point beside it
+                left, by_own = phase, 0.0
     elif phase > 0.0 and other_reversed < 1.0:
         scale = phase / (1.0 - other_reversed)
         rest, rest_slope = smooth_ramp(other, other_spread, wires[i, TAIL])
@@ -146,11 +151,13 @@ def ramp_gradient(position, spread, tail):
     share, slope = ramp(position)
     by_spread = 0.0
     if spread > 0.0:
-        early, early_slope = ramp(position + spread)
-        late, late_slope = ramp(position - spread)
-        share, slope = 0.5 * (early + late), 0.5 * (early_slope + late_slope)
-        by_spread = 0.5 * (1.0 - tail) * (early_slope - late_slope)
-    normal, normal_slope = normal_ramp(position)
+        early, early_slope = ramp(position + GRAIN * spread)
+        late, late_slope = ramp(position - GRAIN * spread)
+        share += OUTER * (early + late - 2.0 * share)
+        slope += OUTER * (early_slope + late_slope - 2.0 * slope)
+        by_spread = OUTER * GRAIN * (1.0 - tail) * (early_slope - late_slope)
+    normal, normal_slope, normal_by_spread = normal_ramp(position, spread)
+    by_spread += tail * normal_by_spread
     by_tail = normal - share
     return share + tail * by_tail, slope + tail * (normal_slope - slope), by_spread, by_tail
 
@@ -170,23 +177,9 @@ def left_gradient(wires, i, own, other, own_spread, other_spread):
     left, by_share, by_rest, by_phase = 0.0, 0.0, 0.0, 0.0
     by_own_reversed, by_other_reversed, by_memory = 0.0, 0.0, 0.0
     if own_reversed > 0.0:
-        left, by_share = share * phase / own_reversed, phase / own_reversed
-        by_phase, by_own_reversed = share / own_reversed, -left / own_reversed
-        if phase > 0.0:
-            flat, flat_by_share, flat_by_phase, flat_by_reversed = phase, 0.0, 1.0, 0.0
-            if share < min(phase, own_reversed):  # see `flat_then_outer`
-                if phase <= own_reversed:
-                    flat, flat_by_share, flat_by_phase = share, 1.0, 0.0
-                else:
-                    flat, flat_by_share, flat_by_phase = left, by_share, by_phase
-                    flat_by_reversed = by_own_reversed
-            by_memory = flat - left
-            left += memory * by_memory
-            by_share += memory * (flat_by_share - by_share)
-            by_phase += memory * (flat_by_phase - by_phase)
-            by_own_reversed += memory * (flat_by_reversed - by_own_reversed)
-            if left < 0.0:
-                left, by_share, by_phase, by_own_reversed, by_memory = 0.0, 0.0, 0.0, 0.0, 0.0
+        left, by_share, by_phase, by_own_reversed, by_memory = left_of_grains(
+            phase, share, own_reversed, memory
+        )
     elif phase > 0.0 and other_reversed < 1.0:
         by_rest, by_phase = -phase / (1.0 - other_reversed), (1.0 - rest) / (1.0 - other_reversed)
         left = phase * by_phase

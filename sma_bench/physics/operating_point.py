@@ -371,6 +371,12 @@ def maximum_deflection(parameters: Parameters, side: str = "front") -> float:
     return abs(model.lever) * model.largest_contraction()
 
 
+def full_stroke(parameters: Parameters) -> float:
+    """Signed deflection [m] at which the first side, heated, has just become austenite."""
+    model = SideModel.of(parameters, side_names(parameters)[0])
+    return model.lever * model.largest_contraction()
+
+
 def _fractions(
     temperature: Array, branch: Branch, parameters: Parameters, boundary: Boundary
 ) -> Array:

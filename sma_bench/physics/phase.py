@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 # normal distribution of the same deviation is cut off, in deviations.
 NORMAL_DEVIATION = float(np.sqrt(0.25 - 2.0 / np.pi**2))
 NORMAL_REACH = 5.0
+# Of `wire.transition_spread`: where the outer groups of grains lie, in deviations; share of each.
+GRAIN, OUTER = float(np.sqrt(3.0)), 1.0 / 6.0
 
 
 def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
@@ -108,22 +110,25 @@ def _left(
 
 
 def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array:
-    """Ramp of grains that do not transform alike: two groups `wire.transition_spread` before and
-    behind the others' mean, and a share `wire.transition_tail` whose transition temperatures are
-    normally distributed, which the cosine's are nearly."""
-    spread, tail = parameters["wire.transition_spread"], parameters["wire.transition_tail"]
-    share = _ramp(distance / width)
+    """Ramp of grains that do not transform alike: their temperatures are normally distributed with
+    the deviation `wire.transition_spread`, as three groups (Gauss and Hermite's); a share
+    `wire.transition_tail` has a normal distribution for a ramp, which the cosine's is nearly."""
+    spread, tail = parameters["wire.transition_spread"] / width, parameters["wire.transition_tail"]
+    position = distance / width
+    share = _ramp(position)
     if spread > 0.0:
-        share = 0.5 * (_ramp((distance + spread) / width) + _ramp((distance - spread) / width))
+        outer = _ramp(position + GRAIN * spread) + _ramp(position - GRAIN * spread)
+        share = share + OUTER * (outer - 2.0 * share)
     if tail > 0.0:
-        share = share + tail * (_normal_ramp(distance / width) - share)
+        share = share + tail * (_normal_ramp(position, spread) - share)
     return share
 
 
-def _normal_ramp(position: Array) -> Array:
-    deviations = np.clip((position - 0.5) / NORMAL_DEVIATION, -NORMAL_REACH, NORMAL_REACH)
+def _normal_ramp(position: Array, spread: float) -> Array:
+    deviations = (position - 0.5) / np.hypot(NORMAL_DEVIATION, spread)
     least = ndtr(-NORMAL_REACH)
-    return np.asarray((ndtr(deviations) - least) / (1.0 - 2.0 * least))
+    shares = ndtr(np.clip(deviations, -NORMAL_REACH, NORMAL_REACH))
+    return np.asarray((shares - least) / (1.0 - 2.0 * least))
 
 
 def _ramp(position: Array) -> Array:

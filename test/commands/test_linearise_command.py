@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sma_bench.cli import main
-from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
 from sma_bench.synthetic.paper_specimens import composite_rig
@@ -32,6 +32,14 @@ def test_half_of_the_largest_deflection_is_the_papers_point(rig, tmp_path, capsy
     assert found["operating_point"]["deflection"] == pytest.approx(0.5 * maximum_deflection(RIG))
     printed = capsys.readouterr().out
     assert "b_1 of stress" in printed and "operating point on heating" in printed
+
+
+@pytest.mark.parametrize("load, way", [("weight", -1.0), ("spring", -1.0), ("antagonist", 1.0)])
+def test_every_rig_with_a_load_has_a_point_at_half_of_its_stroke(load, way, tmp_path, pytestconfig):
+    path = pytestconfig.rootpath / "config" / f"{load}_rig.yaml"
+    found = answered(tmp_path, "--params", str(path))
+    largest = maximum_deflection(read_parameters(path))
+    assert found["operating_point"]["deflection"] == pytest.approx(0.5 * way * largest)
 
 
 @pytest.mark.parametrize("branch", ["heating", "cooling"])

@@ -183,7 +183,14 @@ def turns(run):
     return [0, *(np.flatnonzero(rising[1:] != rising[:-1]) + 1), len(run.time) - 1]
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.4, 1.0])
+def ordered_together(u, v, memory):
+    """Plackett's distribution: the root of (q - 1) C^2 - [1 + (q - 1)(u + v)] C + q u v = 0."""
+    ratio = (1.0 + memory) / (1.0 - memory)
+    return np.array([min(np.roots([ratio - 1.0, -1.0 - (ratio - 1.0) * (u + x), ratio * u * x]))
+                     for x in v]) if memory else u * v  # fmt: skip
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.4, 0.9])
 def test_incomplete_loops_lie_between_the_contracts_rule_and_the_full_loop(wire_rig, memory):
     rig = effect(wire_rig, partial_transformation__memory=memory)
     run = held(rig, *wave(0, 4.6, 3.4, 4.7, 4.3, 4.65, 4.0, 6.5, 0))
@@ -198,7 +205,10 @@ def test_incomplete_loops_lie_between_the_contracts_rule_and_the_full_loop(wire_
             continue
         contract = left[0] * share / share[0]
         flat = left[0] * np.minimum(1.0, share / min(share[0], left[0]))
-        expected = (1.0 - memory) * contract + memory * flat
+        between = (left >= contract - 1e-9) & (left <= flat + 1e-9)
+        assert between.all()
+        u, v = min(left[0] / share[0], 1.0), share / share[0]
+        expected = contract if u == 1.0 else share[0] * ordered_together(u, v, memory)
         assert left == pytest.approx(expected, abs=1e-9)
     assert len(ends) == 9
     assert 0.1 < xi[ends[1]] < 0.9

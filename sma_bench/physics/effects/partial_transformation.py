@@ -1,11 +1,17 @@
 # mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Kinetics of incomplete loops.
 
-    heating from (T_r, xi_r):  xi = (1 - p) xi_r f(T)/f(T_r) + p xi_r min(1, f(T)/min(f(T_r), xi_r))
+Grains that transform early on heating do so late on cooling: what has turned last goes back first
+(thermoelastic order; Ortin and Delaey 2002). Of heating from (T_r, xi_r), with f the ramp of the
+full loop and f_r = f(T_r) > xi_r,
 
-and likewise for 1 - xi and g while cooling. p = 0 is the contract's rule, in which a turned loop
-starts at once. With p = 1 it stays flat until it meets the full loop: the regions that transformed
-last are the first to go back (thermoelastic order; Ortin and Delaey 2002).
+    xi = f_r C(xi_r/f_r, f(T)/f_r),    C(u, v) = 2 q u v/(s + sqrt[s^2 - 4 q (q - 1) u v])
+    s = 1 + (q - 1) (u + v),           q = (1 + p)/(1 - p)
+
+and likewise for 1 - xi and g while cooling. C is the share of grains below u of one order and
+below v of the other, the two orders' odds ratio being q (Plackett 1965). p = 0 is the contract's
+rule, xi = xi_r f/f_r, in which a turned loop starts at once. With p = 1 it stays flat until it
+meets the full loop.
 
 With `return_point` m the straight line of xi over f aims at m times the last but one reversal
 (xi_b, f_b) instead of the origin, so that for m = 1 an inner loop closes where it was opened, is
@@ -14,12 +20,15 @@ then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
     xi = m xi_b + (xi_r - m xi_b) (f(T) - m f_b)/(f_r - m f_b)       down to f_b
 """
 
-from sma_bench.compiled import borrowing
+import math
+
+from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.effect_table import Effect
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
 
 TINY = 1e-12
+ROUNDED = 1e-3  # of p = 1, whose q would be infinite
 TURN_DEPTH = 6  # reversals that are remembered, each as xi, f, g
 
 EFFECT = Effect(
@@ -55,13 +64,31 @@ EFFECT = Effect(
 )
 
 
-@borrowing
-def flat_then_outer(phase, share, share_slope, reversed_share):
-    """Phase left by the rule of p = 1, and its slope; all of the arguments are above 0."""
-    threshold = min(phase, reversed_share)
-    if share >= threshold:
-        return phase, 0.0
-    return phase * share / threshold, phase * share_slope / threshold
+@inlined
+def left_of_grains(phase, share, reversed_share, memory):
+    """Phase left by the rule of p; its slopes along share, phase and share at the last reversal,
+    and p. `reversed_share` is above 0."""
+    if phase >= reversed_share:
+        slope = phase / reversed_share
+        left, by_phase = share * slope, share / reversed_share
+        return left, slope, by_phase, -left / reversed_share, 0.0
+    u, v = phase / reversed_share, share / reversed_share
+    rest = max(1.0 - memory, ROUNDED)
+    excess = 2.0 * (1.0 - rest) / rest  # q - 1
+    if v > 1.0:  # stress has moved the ramp back: straight on
+        end = 1.0 + excess * (1.0 - u)
+        by_v, by_u = u / end, 1.0 + (v - 1.0) * (1.0 + excess) / (end * end)
+        c, by_odds = u + (v - 1.0) * by_v, (1.0 - v) * u * (1.0 - u) / (end * end)
+    else:
+        odds, s = 1.0 + excess, 1.0 + excess * (u + v)
+        root = math.sqrt(1.0 + 2.0 * excess * (u + v - 2.0 * u * v) + (excess * (u - v)) ** 2)
+        c = 2.0 * odds * u * v / (s + root)
+        by_u = 0.5 * (1.0 - (s - 2.0 * odds * v) / root)
+        by_v = 0.5 * (1.0 - (s - 2.0 * odds * u) / root)
+        by_odds = u + v + (u + v - 2.0 * u * v + excess * (u - v) ** 2) / root
+        by_odds = (2.0 * u * v - c * by_odds) / (s + root)
+    by_memory = reversed_share * by_odds * 2.0 / (rest * rest)
+    return reversed_share * c, by_v, by_u, c - u * by_u - v * by_v, by_memory
 
 
 @borrowing
