@@ -203,6 +203,12 @@ LOAD = (
         "Of the spring at the reference position, or of each side of an antagonist at rest.",
         "assumed: none", -1e4, 1e4, uncertainty=0.2,
     ),
+    Parameter(
+        "load.lever", "m/rad", 0.0,
+        "Movement a radian where a table's output is an angle: import turns it into movement; 0: "
+        "the output is a length.",
+        "none", 0.0, 100.0,
+    ),
 )
 
 BENCH = (

@@ -270,6 +270,18 @@ def test_tensile_pulls_angles_and_currents_are_read(tmp_path):
     )
 
 
+def test_the_rig_that_turns_an_angle_into_movement_serves_other_commands_too(tmp_path, rig):
+    rig.write_text(RIG.replace("preload: 6.0", "preload: 6.0, lever: 0.02"))
+    source = text_file(tmp_path / "w.csv", ["t (s)", "duty (%)", "angle (deg)"],
+                       [TIME, 100.0 * DUTY, MOVED * 4e3])  # fmt: skip
+    bag = tmp_path / "bag"
+    assert main(["import", str(source), "--params", str(rig), "--out", str(bag)]) == 0
+    moved = read_record(bag)["elongation"].values.min()
+    assert moved == pytest.approx(-np.radians(MOVED.max() * 4e3) * 0.02)
+    assert main(["simulate", "--input", str(bag), "--params", str(rig),
+                 "--out", str(tmp_path / "model")]) == 0  # fmt: skip
+
+
 @settings(max_examples=25)
 @given(
     separator=st.sampled_from([",", ";", "\t"]), decimal=st.sampled_from([".", ","]),
