@@ -20,6 +20,7 @@ from matplotlib import mathtext, rc_context
 from matplotlib.font_manager import FontProperties
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 from sma_bench import api
 from sma_bench.cli import COMMANDS
@@ -35,6 +36,16 @@ _WIDTH = "96"
 _INK = "#010203"  # of equations; becomes the colour of the text around them
 
 
+# Wide tables fit: the page is wider, cells are narrower, and nothing is kept for an empty contents.
+_STYLE = """.md-grid { max-width: 76rem; }
+.md-sidebar--secondary:not(:has(li)) { display: none; }
+.md-typeset table:not([class]) { font-size: .66rem; }
+.md-typeset table:not([class]) th { min-width: 3rem; }
+.md-typeset table:not([class]) :is(th, td) { padding: .6em .8em; }
+.md-typeset td code { overflow-wrap: normal; word-break: normal; }
+"""
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages, then complete the nav."""
     for path, text in {
@@ -42,6 +53,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "reference/python.md": python_page(),
         "reference/nodes.md": nodes_page(),
         "explanation/errata.md": errata_page(),
+        "site.css": _STYLE,
         **{
             f.src_uri.replace(".ipynb", ".md"): notebook_page(Path(f.abs_src_path or ""))
             for f in files
@@ -59,20 +71,62 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Typeset the equations, ```math as GitHub has it: nothing is fetched, no script is run."""
+    if page.file.src_uri == "effects.md":
+        markdown = re.sub(r"^    (?=\S)(.+)$", _plain_equation, markdown, flags=re.MULTILINE)
     return re.sub(r"^```math\n(.*?)\n```$", _typeset, markdown, flags=re.MULTILINE | re.DOTALL)
 
 
+def on_page_content(html: str, **_: Any) -> str:
+    """Names in tables break at their dots and underlines, not within words."""
+    return re.sub(r"(?<=<td><code>)[\w.]+(?=</code>)",
+                  lambda found: re.sub(r"([._])", r"\1<wbr>", found[0]), html)
+
+
+# The effects' own texts are read on terminals too: their equations in letters that all have.
+_SYMBOLS = {"inf": "infty", "eps": "epsilon"} | {
+    name: name
+    for name in ("alpha", "beta", "xi", "sigma", "delta", "tau", "nu", "sum", "exp", "min", "max")
+}
+_SHORT_WORDS = {"to", "at", "of", "its", "are", "the", "and", "two", "past", "over", "eq"}
+_MOST_WORDS = 6  # of a formula; what has more is a sentence, and stays one
+_TOKEN = re.compile(r"d(\w+)/dt|_([a-zA-Z]+)|([A-Za-z]+)|(<=)|(\.\.\.)|( +)")
+
+
+def _plain_equation(found: re.Match[str]) -> str:
+    if len(re.findall(r"\b[a-z]{4,}\b", found[1])) > _MOST_WORDS:
+        return found[0]
+    return f"```math\n{_TOKEN.sub(_in_tex, found[1])}\n```"
+
+
+def _in_tex(found: re.Match[str]) -> str:
+    rate, below, word, at_most, dots, gap = found.groups()
+    if rate:
+        return rf"\frac{{d {_TOKEN.sub(_in_tex, rate)}}}{{dt}}"
+    if below:
+        known = f"\\{_SYMBOLS[below]}" if below in _SYMBOLS else below
+        return f"_{{{known}}}" if len(below) == 1 or below in _SYMBOLS else rf"_\mathrm{{{below}}}"
+    if gap:
+        return r"\quad " if len(gap) > 1 else r"\ "
+    if word and (symbol := re.fullmatch(r"(d?)(\w+)", word)) and symbol[2] in _SYMBOLS:
+        return rf"{symbol[1]}\{_SYMBOLS[symbol[2]]} "
+    if word and (len(word) > 3 or word in _SHORT_WORDS):
+        return rf"\mathrm{{{word}}}"
+    return r"\leq " if at_most else r"\ldots " if dots else found[0]
+
+
 def _typeset(found: re.Match[str]) -> str:
-    stream, formula = io.StringIO(), f"${' '.join(found[1].split())}$"
+    formula = " ".join(found[1].split()).replace(r"\frac", r"\dfrac")
+    stream, formula = io.StringIO(), f"${formula}$"
     with rc_context({"savefig.transparent": True}):
         mathtext.math_to_image(formula, stream, FontProperties(size=14), format="svg", color=_INK)
     drawn = re.sub(r"<metadata>.*?</metadata>", "", stream.getvalue(), flags=re.DOTALL)
     drawn = drawn[drawn.index("<svg") :].replace(_INK, "currentColor").replace("\n", " ")
     said = html.escape(found[1], quote=True)
-    named = f'<svg role="img" aria-label="{said}" style="max-width: 100%; height: auto"'
-    return f"<div>{drawn.replace('<svg', named, 1)}</div>"
+    named = f'<svg role="img" aria-label="{said}"'
+    style = "margin: 1em 0; overflow: auto hidden"
+    return f'<div style="{style}">{drawn.replace("<svg", named, 1)}</div>'
 
 
 def _filled(nav: list[Any], pages: list[str], named: set[str]) -> Iterator[Any]:
@@ -211,6 +265,7 @@ def _shown(output: dict[str, Any]) -> list[str]:
     if "text/html" in data:
         table = "".join(data["text/html"])
         table = re.sub(r"<style.*?</style>", "", table, flags=re.DOTALL)
+        table = re.sub(r"<table[^>]*>", "<table>", table)  # as tables of the site look and scroll
         return [re.sub(r"\n\s*", "", table)]
     return ["```text", "".join(output.get("text") or data.get("text/plain", "")).rstrip(), "```"]
 

@@ -172,7 +172,7 @@ const isSecond = (place) => pairOf(place).length > 1 && pairOf(place)[0] !== pla
 
 function entry(place, signals, index, unit) {
   const made = element("span");
-  made.append(element("span", "", `swatch k${index}${isSecond(place) ? " second" : ""}`), `${place} `);
+  made.append(element("span", "", `swatch k${index}${isSecond(place) ? " second" : isFirst(place) ? " first" : ""}`), `${place} `);
   for (const { kind, latest, heard } of signals.toSorted((a, b) => LEADS[a.kind] - LEADS[b.kind])) {
     const silent = page.now - heard > SILENT;
     const text = silent ? `silent ${(page.now - heard).toFixed(0)} s` :

@@ -10,6 +10,23 @@ export function element(tag, text = "", className = "") {
   return made;
 }
 
+// A name that may be broken at its dots and underlines, numbers and options that may not.
+function broken(tag, name) {
+  const made = element(tag);
+  for (const part of name.split(/(?<=[._])/)) made.append(part, document.createElement("wbr"));
+  return made;
+}
+
+function kept(tag, text, className = "") {
+  const made = element(tag, "", className);
+  for (const [k, part] of text.split(/(--[a-z][\w-]*|[\d.]+e-\d+)/).entries()) {
+    made.append(k % 2 ? element("span", part, "keep") : part);
+  }
+  return made;
+}
+
+const line = (text) => kept("p", text, "quiet");
+
 // Places once each: channels as the bench counts them, then the others by name.
 export function inOrder(places, panels) {
   const channels = panels.channels || [];
@@ -121,12 +138,12 @@ export function showIdentification(panels) {
   const table = element("table", "", "numbers");
   table.append(...found.rows.map(([name, number]) => {
     const row = element("tr");
-    row.append(element("td", name), element("td", number));
+    row.append(broken("td", name), kept("td", number));
     return row;
   }));
   const head = element("p");
   head.append(element("strong", found.title));
-  get("identification-content").replaceChildren(head, table, ...found.lines.map((line) => element("p", line, "quiet")));
+  get("identification-content").replaceChildren(head, table, ...found.lines.map(line));
 }
 
 export function showDiagnosis(panels) {
@@ -148,7 +165,7 @@ export function showDiagnosis(panels) {
   });
   const head = element("p");
   head.append(element("strong", found.verdict));
-  get("diagnosis-content").replaceChildren(head, ...bars, ...found.lines.map((line) => element("p", line, "quiet")));
+  get("diagnosis-content").replaceChildren(head, ...bars, ...found.lines.map(line));
 }
 
 // Nothing here can end it: louder than all else, above the stop, until the node says otherwise.

@@ -109,7 +109,7 @@ export class Plot {
   line(pen, curve, x, y) {
     pen.strokeStyle = this.colour(curve.colour);
     // Two wires of a pair read the same: the second is a thin line upon a wide one.
-    pen.lineWidth = curve.paired && curve.kind === "measured" ? 4.5 : 1.6;
+    pen.lineWidth = curve.paired && curve.kind === "measured" ? 7 : 1.6;
     pen.globalAlpha = curve.paired && curve.kind === "measured" ? 0.45 : 1;
     pen.lineJoin = "round";
     pen.setLineDash(DASHES[curve.kind]);

@@ -187,7 +187,7 @@ def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(b
     bench.state.show("channels", ["front_1", "front_2", "back_1"])
     legend = "[...document.querySelectorAll('.legend')[0].children].map((e) => e.innerText.trim()"
     colours = legend + ".split(/\\s/)[0] + ' ' + e.querySelector('.swatch').className)"
-    wanted = ["front_1 swatch k0", "front_2 swatch k1 second", "back_1 swatch k2"]
+    wanted = ["front_1 swatch k0 first", "front_2 swatch k1 second", "back_1 swatch k2"]
     with bench.readings(), served(bench) as url, opened(browser, url) as shown:
         shown.until(SETTLED)
         assert shown.page.evaluate(colours) == wanted

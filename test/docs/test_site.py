@@ -52,7 +52,7 @@ def test_commands_are_what_their_help_prints(site):
 
 
 def test_nodes_are_those_of_the_package_and_each_is_told(site):
-    page = (site / "reference" / "nodes.html").read_text()
+    page = (site / "reference" / "nodes.html").read_text().replace("<wbr>", "")
     parts = re.split(r'<h2 id="(\w+)"[^\n]*\n', page)[1:]
     told = dict(zip(parts[::2], parts[1::2], strict=True))
     assert list(told) == list(NODE_TABLES)
@@ -61,6 +61,19 @@ def test_nodes_are_those_of_the_package_and_each_is_told(site):
         assert first and len(first[1]) > 30, f"nothing is said of {node}"
         assert all(f"<code>{parameter.name}</code>" in told[node] for parameter in table)
     assert "~/enable" in told["serial_bridge"] and "voltage_command" in told["experiment"]
+
+
+def test_equations_are_typeset(site):
+    """In the page itself, with their source to be read aloud."""
+    for page, least in (("explanation/model", 9), ("effects", 17), ("diagnosis", 3)):
+        text = (site / f"{page}.html").read_text()
+        assert len(re.findall(r'<svg role="img" aria-label="[^"]{8,}"', text)) >= least
+        assert "language-math" not in text
+
+
+def test_tables_of_the_notebook_scroll_as_those_of_the_site(site):
+    text = (site / "tutorials" / "notebook.html").read_text()
+    assert "wire.resistance" in text and "dataframe" not in text
 
 
 def test_the_python_interface_is_explained(site):
