@@ -53,7 +53,7 @@ ARROWS = {
     "tasks": LEAVES
     | {
         "diagnose", "estimation", "identify", "records", "parameters", "protocols", "report",
-        "results",
+        "results", "cards",
     },
     # What a running bench does, without ROS.
     "live": LEAVES | {"parameters", "physics", "protocols", "records", "control", "hardware"},

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sma_bench import __version__
-from sma_bench.blind.case_files import CaseSet
+from sma_bench.blind.case_files import MANIFEST, CaseSet
 from sma_bench.blind.cases import (
     ALL,
     EFFECTS,
@@ -58,7 +58,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.records import Signal
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
-from sma_bench.report.page import Picture, Section, Table, write_report
+from sma_bench.report.page import Made, Picture, Section, Table, write_report
 
 # --- How an effect shows: the same record with it and without it.
 
@@ -275,10 +275,13 @@ def severity_picture(score: Score) -> Picture:
         if names:
             ax.errorbar(place, value, yerr=ends.clip(0.0), fmt="o-", color=_COLOURS[k],
                         capsize=3, label=shown)  # fmt: skip
+    counts = [by_group[name][_SHOWN[0]].n for name in names]
     labels = [
-        f"{name.partition(': ')[2]}\n{by_group[name][_SHOWN[0]].n} cases" for name in names
+        f"{name.partition(': ')[2]}\n{n} case{'s' if n != 1 else ''}"
+        for name, n in zip(names, counts, strict=True)
     ]
     ax.set_xticks(range(len(names)), labels)
+    ax.set_xlim(-0.5, max(len(names), 1) - 0.5)
     ax.set(xlabel="measured gap over noise", ylim=(-0.02, 1.02))
     if names:
         ax.legend(frameon=False)
@@ -364,6 +367,8 @@ def write_page(
     Raises:
         InputError: the folder cannot be written.
     """
+    made_by = commands(cases, papers, f"--page {directory}")
+    made = Made(made_by[-1], [str(cases.root / MANIFEST)])
     sections = [
         Section(
             "Side by side",
@@ -373,9 +378,11 @@ def write_page(
         ),
         *(_section(score) for score in scores),
         Section("Definitions", tables=[Table(("measure", "what counts"), _definitions())]),
-        Section("Made by", paragraphs=commands(cases, papers, f"--page {directory}")),
+        Section("Commands", paragraphs=made_by),
+        made.section(),
     ]
-    return write_report(directory, "The withheld-effect check", _head(cases), sections)
+    head = f"{_head(cases)} {made.when:%Y-%m-%d}."
+    return write_report(directory, "The withheld-effect check", head, sections)
 
 
 def write_markdown(
@@ -465,7 +472,10 @@ def _choices(score: Score) -> list[tuple[str, ...]]:
 
 
 def _section(score: Score) -> Section:
-    shown = [Table(header, rows, _NUMBERS) for _, header, rows in _tables(score)]
+    shown = [
+        Table(header, rows, _NUMBERS, title=f"{title[:1].upper()}{title[1:]}")
+        for title, header, rows in _tables(score)
+    ]
     failed = [f"{c.label.id}: {c.failure}" for c in score.cases if c.answer is None]
     notes = [f"{len(failed)} cases failed, the first {failed[0]}"] if failed else []
     return Section(score.name, notes=notes, tables=shown, pictures=pictures(score))

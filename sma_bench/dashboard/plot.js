@@ -9,6 +9,16 @@ function niceStep(span, most) {
   return [1, 2, 5, 10].map((k) => k * power).find((step) => step >= rough);
 }
 
+function ticksBetween(low, high) {
+  const step = niceStep(high - low, 4);
+  const digits = Math.max(0, -Math.floor(Math.log10(step)));
+  const ticks = [];
+  for (let value = Math.ceil(low / step) * step; value <= high; value += step) {
+    ticks.push([value, (Math.abs(value) < step / 1e3 ? 0 : value).toFixed(digits)]);
+  }
+  return ticks;
+}
+
 export class Plot {
   // `colour(name)` gives a CSS variable's value; `unit` is written at the axis.
   constructor(canvas, unit, colour) {
@@ -44,10 +54,12 @@ export class Plot {
     pen.clearRect(0, 0, width, height);
     pen.font = "12px system-ui, sans-serif";
     const [low, high] = this.range();
-    const box = { left: 46, right: width - 8, top: 8, bottom: height - 20 };
+    const ticks = ticksBetween(low, high);
+    const widest = Math.max(...ticks.map(([, text]) => pen.measureText(text).width));
+    const box = { left: Math.max(46, widest + 9), right: width - 8, top: 8, bottom: height - 20 };
     const x = (t) => box.right + ((t - this.now) / this.span) * (box.right - box.left);
     const y = (v) => box.bottom - ((v - low) / (high - low)) * (box.bottom - box.top);
-    this.axes(pen, box, x, y, low, high);
+    this.axes(pen, box, x, y, ticks);
     pen.save();
     pen.beginPath();
     pen.rect(box.left, box.top - 2, box.right - box.left, box.bottom - box.top + 4);
@@ -73,20 +85,18 @@ export class Plot {
     return [low - room, high + room];
   }
 
-  axes(pen, box, x, y, low, high) {
+  axes(pen, box, x, y, ticks) {
     pen.strokeStyle = this.colour("--line");
     pen.fillStyle = this.colour("--quiet");
     pen.lineWidth = 1;
     pen.textBaseline = "middle";
     pen.textAlign = "right";
-    const step = niceStep(high - low, 4);
-    const digits = Math.max(0, -Math.floor(Math.log10(step)));
-    for (let value = Math.ceil(low / step) * step; value <= high; value += step) {
+    for (const [value, text] of ticks) {
       pen.beginPath();
       pen.moveTo(box.left, y(value));
       pen.lineTo(box.right, y(value));
       pen.stroke();
-      pen.fillText((Math.abs(value) < step / 1e3 ? 0 : value).toFixed(digits), box.left - 5, y(value));
+      pen.fillText(text, box.left - 5, y(value));
     }
     pen.textBaseline = "top";
     for (let ago = 0; ago <= this.span; ago += 15) {

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sma_bench.border import MEGABYTE, read_json, read_text
+from sma_bench.cards import verdict_card
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED
 from sma_bench.diagnose.drives import FIRST
@@ -27,7 +28,7 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import Report, silent
 from sma_bench.protocols import Protocol, load_protocol
 from sma_bench.report.page import Made, Section, Table, write_report
-from sma_bench.results import percent
+from sma_bench.results import diagnosis_from, percent
 from sma_bench.tasks.work import diagnose_files, write_improved
 
 BELIEVED, STORY = "believed.yaml", "investigation.json"
@@ -185,6 +186,9 @@ class Investigation:
     def write_page(self, command: str = "") -> Path:
         """The story as a page, by this command; its path."""
         made = Made(command, self.records)
+        last = self.folder / f"diagnosis_{len(self.chapters)}.json"
+        result = diagnosis_from(last, read_json(read_text(last, _CHAPTER), str(last), _CHAPTER))
+        answer = Section("", card=verdict_card(result))
         told = [
             Section(f"After {c.records} record{'s' if c.records != 1 else ''}", [*c.why],
                     notes=[c.proposed["why"]] if c.proposed else [])
@@ -193,14 +197,15 @@ class Investigation:
         table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "Probabilities by record")
         return write_report(
             self.folder / "story", "Investigation", f"{self.summary()}. {made.head}",
-            [Section("Story", tables=[table]), *told, made.section()],
+            [answer, Section("Story", tables=[table]), *told, made.section()],
         )
 
     def summary(self) -> str:
         """The last word."""
         last = self.chapters[-1]
         what = " and ".join(last.cause) or last.verdict
-        return f"{self.state}: {what} after {last.records} records, {last.minutes:.1f} min"
+        count = f"{last.records} record{'s' if last.records != 1 else ''}"
+        return f"{self.state}: {what} after {count}, {last.minutes:.1f} min"
 
     def to_json(self) -> dict[str, Any]:
         """The story."""

@@ -295,6 +295,7 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
     assert scores["rmse"]["confusion"]["supply_drop"]["slack"] == 1
     html = (page / "index.html").read_text()
     assert html.count("<img") == 8
+    assert "Truth against first choice" in html and "SHA-256" in html  # tables say what they are of
     text = markdown.read_text()
     assert "sma-bench blind make --seed 5 --n 3 --out cases" in text
     assert "sma-bench blind run cases --rival rmse" in text
