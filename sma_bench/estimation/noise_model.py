@@ -252,7 +252,16 @@ def _common_step(gaps: Array) -> float:
     return step if step > 2.0 * smallest else 0.0
 
 
-def quantisation_variance(scatter: float, step: float) -> float:
+def coherence(inputs: Array, step: float, shape: Array | float = 1.0) -> Array:
+    """(50,) how much of each harmonic of a converter's error is left in the mean over `inputs` (n,)
+    times `shape`: 1 where an input stands still or climbs by whole steps, 0 where it meets all
+    parts of a step alike."""
+    k = np.arange(1, _HARMONICS + 1)
+    turns = np.exp(2j * np.pi * np.outer(k, inputs / step))
+    return np.asarray(np.abs(np.mean(shape * turns, axis=1)))
+
+
+def quantisation_variance(scatter: float, step: float, left: Array | float = 1.0) -> float:
     """Variance of the mean's error that averaging cannot remove, in the signal's unit squared.
 
     Noise of standard deviation s before a converter of step q smooths its staircase; what is left
@@ -262,13 +271,14 @@ def quantisation_variance(scatter: float, step: float) -> float:
     Args:
         scatter: standard deviation of the samples as recorded, so including the quantisation.
         step: the converter's step; 0 for a continuous signal.
+        left: of `coherence`, where the input moves.
     """
     if step <= 0.0:
         return 0.0
     before = max(scatter**2 - step**2 / 12.0, 0.0)
     k = np.arange(1, _HARMONICS + 1)
     decay = np.exp(-4.0 * np.pi**2 * k**2 * before / step**2)
-    return float(np.sum(step**2 / (2.0 * np.pi**2 * k**2) * decay))
+    return float(np.sum(step**2 / (2.0 * np.pi**2 * k**2) * decay * np.square(left)))
 
 
 def autocorrelation(residuals: Sequence[Array], longest: int = 200) -> Array:

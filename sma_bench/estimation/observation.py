@@ -294,7 +294,7 @@ class Observation:
 
     @property
     def moved_lines(self) -> list[tuple[Any, ...]]:
-        """The mean or the slope of one straight stretch, by the voltmeter's noise."""
+        """The mean or the slope of one straight stretch, by the voltmeter's noise and converter."""
         return [(self.place + np.zeros(len(self.drive.early)), e) for e in self.drive.line_errors()]
 
     @property
@@ -401,7 +401,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     """
     channels, sides = _channels(record, parameters)
     voltages = [samples(record, f"{channel}.voltage") for channel in channels]
-    voltage = applied_voltage(voltages)
+    voltage = applied_voltage(voltages, _commands(record, parameters, channels))
     start = min(float(time[0]) for time, _ in voltages)
     stop = max(float(time[-1]) for time, _ in voltages)
     moves = pulls_a_load(record, parameters)
@@ -416,6 +416,18 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
             f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
         )
     return Rig(record, channels, sides, voltage, start, stop, holds, measured)
+
+
+def _commands(
+    record: Record, parameters: Parameters, channels: tuple[str, ...]
+) -> tuple[Array, Array] | None:
+    """(c,) s and (c, w) V that these channels were commanded, where the record has it of all."""
+    signal = record.get("voltage_command")
+    known = tuple(parameters["bench.channels"])
+    known = known if set(channels) <= set(known) else channels
+    if signal is None or signal.values.ndim != 2 or signal.values.shape[1] != len(known):
+        return None
+    return signal.time, signal.values[:, [known.index(channel) for channel in channels]]
 
 
 def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import Array, quantisation_variance, resolution
+from sma_bench.estimation.noise_model import (
+    Array,
+    coherence,
+    quantisation_variance,
+    resolution,
+)
 
 SHORTEST_SEGMENT = 0.5
 FEWEST_SAMPLES = 20
@@ -29,6 +34,9 @@ _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
 _ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
+_TOGGLES = 0.6  # of the step: what scatters less may be two readings by turns
+_WORTH = 0.5  # of the noise of a line's mean
+_ALIKE = 4.0  # converter's steps between the ends of two ramps
 
 
 @dataclass(frozen=True)
@@ -254,6 +262,7 @@ class Polygon:
         jumps: (j,) knots after which the voltage jumps before the next one.
         lines: first and last knot of each straight stretch, and the noise [V] of its samples.
         hidden, step: V, amplitude of the converter's error that no averaging removes, and its step.
+        commanded: (k,) V at the knots, where the record has it.
     """
 
     time: Array
@@ -262,6 +271,7 @@ class Polygon:
     lines: tuple[tuple[int, int, float], ...]
     hidden: float
     step: float
+    commanded: Array | None = None
 
     def energy(self, moments: Array, grid: Array, error: Array | None = None) -> Array:
         """Integral of V^2 [V2 s] over each cell of `grid` (n,), as (n - 1,).
@@ -298,6 +308,37 @@ class Polygon:
         knots = self.jumps.astype(np.intp)
         return slope[knots], slope[knots + 1]
 
+    def hidden_along(self, first: int, last: int, noise: float) -> dict[int, Array]:
+        """(last - first,) V: one standard error of the mean (0) and of the slope (1) of a ramp that
+        the converter hides, beside the `noise` of its samples.
+
+        A ramp is commanded in small jumps. Where these are whole steps of the converter, or nearly,
+        every sample has the same error and no scatter shows it; else the errors cancel.
+        """
+        found: dict[int, Array] = {}
+        if self.step == 0.0 or self.commanded is None or (
+            np.ptp(self.voltage[first:last]) < self.step
+        ):
+            return found
+        for number, shape in enumerate(_straight(last - first)):
+            left = coherence(self.commanded[first:last], self.step, shape)
+            std = float(np.sqrt(quantisation_variance(0.0, self.step, left)))
+            if std > _WORTH * noise / np.sqrt(last - first):
+                found[number] = std * shape
+        return found
+
+    def hidden_of(self, first: int, last: int) -> float:
+        """V, one standard error of a held level, by its own samples.
+
+        Of readings that toggle between two codes the level may lie anywhere from their mean, if
+        noise makes them toggle, to the middle between the codes, without any.
+        """
+        noise = next(n for a, b, n in self.lines if (a, b) == (first, last))
+        if noise > _TOGGLES * self.step:
+            return float(np.sqrt(quantisation_variance(noise, self.step)))
+        codes = float(np.mean(self.voltage[first:last])) / self.step
+        return self.step * abs(0.5 - codes % 1.0) / np.sqrt(3.0)
+
     def hidden_levels(self) -> list[tuple[int, int, float]]:
         """First and last knot, and volts, of each held level that is not known to the last bit."""
         levels = []
@@ -332,8 +373,9 @@ class AppliedVoltage:
         polygon = self.channels[channel]
         return np.interp(time, polygon.time, polygon.voltage)
 
-    def level_errors(self) -> list[tuple[Array, ...]]:
-        """(k,) V a channel: one standard error of each held level in turn, of all held at it."""
+    def level_errors(self, own: bool = False) -> list[tuple[Array, ...]]:
+        """(k,) V a channel: one standard error of each held level in turn, of all held at it, by
+        what all levels have in the mean, or by its own samples."""
         held = sorted(
             (level, channel, first, last)
             for channel, polygon in enumerate(self.channels)
@@ -344,26 +386,44 @@ class AppliedVoltage:
         for level, channel, first, last in held:
             polygon = self.channels[channel]
             if level - reached > _ONE_LEVEL * polygon.step:
-                errors.append(tuple(np.zeros(len(c.time)) for c in self.channels))
+                errors.append(self._no_error())
                 reached = level
-            errors[-1][channel][first:last] = polygon.hidden / np.sqrt(2.0)
+            std = polygon.hidden_of(first, last) if own else polygon.hidden / np.sqrt(2.0)
+            errors[-1][channel][first:last] = std
         return errors
 
     def line_errors(self) -> list[tuple[Array, ...]]:
         """(k,) V a channel: one standard error of the mean and of the slope of each straight
-        stretch in turn, from the noise of its samples."""
+        stretch in turn, from the noise of its samples; and what the converter hides of it."""
         errors = []
         for channel, polygon in enumerate(self.channels):
             for first, last, noise in polygon.lines:
                 if noise == 0.0 or polygon.voltage[first:last].max() <= max(polygon.step, _OFF):
                     continue
-                std = noise / np.sqrt(last - first)
-                tilt = np.sqrt(3.0) * np.linspace(-1.0, 1.0, last - first)
-                for shape in (np.ones(last - first), tilt):
-                    knots = tuple(np.zeros(len(c.time)) for c in self.channels)
-                    knots[channel][first:last] = std * shape
+                for shape in _straight(last - first):
+                    knots = self._no_error()
+                    knots[channel][first:last] = noise / np.sqrt(last - first) * shape
                     errors.append(knots)
-        return errors
+        return [*errors, *self._ramp_errors(), *self.level_errors(own=True)]
+
+    def _ramp_errors(self) -> list[tuple[Array, ...]]:
+        """(k,) V a channel: what the converter hides of each ramp in turn, of all ramps alike."""
+        alike: list[tuple[Array, dict[int, tuple[Array, ...]]]] = []
+        for channel, polygon in enumerate(self.channels):
+            for first, last, noise in polygon.lines:
+                ends = polygon.voltage[[first, last - 1]] / (polygon.step or 1.0)
+                hidden = polygon.hidden_along(first, last, noise)
+                near = (own for other, own in alike if np.max(np.abs(ends - other)) < _ALIKE)
+                own = next(near, None)
+                if own is None:
+                    own = {}
+                    alike.append((ends, own))
+                for number, error in hidden.items():
+                    own.setdefault(number, self._no_error())[channel][first:last] = error
+        return [error for _, own in alike for error in own.values()]
+
+    def _no_error(self) -> tuple[Array, ...]:
+        return tuple(np.zeros(len(c.time)) for c in self.channels)
 
     def is_jumping(self, time: Array) -> NDArray[np.bool_]:
         """(m,) whether `time` (m,) s lies strictly within the bounds of an event."""
@@ -386,20 +446,37 @@ class AppliedVoltage:
         return np.vstack([volts, volts[-1:]])
 
 
-def applied_voltage(channels: Sequence[tuple[Array, Array]]) -> AppliedVoltage:
+def applied_voltage(
+    channels: Sequence[tuple[Array, Array]], commands: tuple[Array, Array] | None = None
+) -> AppliedVoltage:
     """Prepare measured voltages.
 
     Args:
         channels: (time (n,) s, voltage (n,) V) of each channel.
+        commands: (c,) s and (c, w) V that were commanded, held until the next, where known.
 
     Raises:
         InputError: too few samples, or values that are not finite.
     """
-    polygons = tuple(_polygon(*channel) for channel in channels)
+    polygons = tuple(
+        _polygon(time, voltage, None if commands is None else _held(*commands, k, time))
+        for k, (time, voltage) in enumerate(channels)
+    )
     return AppliedVoltage(polygons, *_events(polygons))
 
 
-def _polygon(time: Array, voltage: Array) -> Polygon:
+def _held(times: Array, commands: Array, channel: int, time: Array) -> Array:
+    """(n,) V of the last command before each time, 0 before the first."""
+    volts = np.append(0.0, commands[:, channel])
+    return np.asarray(volts[np.searchsorted(times, time, side="right")])
+
+
+def _straight(n: int) -> tuple[Array, Array]:
+    """(n,) each: a mean and a slope, of unit rms."""
+    return np.ones(n), np.sqrt(3.0) * np.linspace(-1.0, 1.0, n)
+
+
+def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     segments = find_segments(time, voltage)
     step = resolution(voltage)
     # A level between two steps of the converter toggles by half a step about its mean.
@@ -408,7 +485,8 @@ def _polygon(time: Array, voltage: Array) -> Polygon:
     left = [n for first, last, n in lines if smooth[first:last].max() > max(step, _OFF)]
     within = float(np.sqrt(np.mean(np.square(left)))) if left else 0.0
     hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
-    return Polygon(time, smooth, _jumps(time, smooth, segments), tuple(lines), hidden, step)
+    jumps = _jumps(time, smooth, segments)
+    return Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
 
 
 def _scatter(voltage: Array, step: float) -> float:

@@ -52,7 +52,7 @@ NEEDS = {
     "E2": f"E2 a staircase of {FEWEST_LEVELS} voltages or more with temperature",
     "E3": "E3 a voltage ramp below A_s with temperature",
     "E5": "E5 a DSC file",
-    "E6": "E6 isobaric test files (temperature, strain, stress)",
+    "E6": "E6 isobaric test files (temperature, strain, stress), or a load frame that holds loads",
     "E7": "E7 tensile test files (strain, stress)",
     "E8": "E8 a clamped wire with temperature plateaus below A_s and force",
     "E9": "E9 voltage of one wire with its elongation under held loads, or isobaric test files",
@@ -251,7 +251,7 @@ def identify(
         told(name)
         thermal(run, drives)
     pulled = [test for r in still for test in load_frame.tensile_tests(r, run.improved())]
-    _instruments(run, [*records, *pulled], phases or {}, told, report)
+    _instruments(run, [*records, *pulled, *_held(run, still)], phases or {}, told, report)
     told("E8")
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
@@ -297,6 +297,20 @@ def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment
         return None
     run.experiments.append(experiment)
     return experiment
+
+
+def _held(run: Run, bags: Sequence[Record]) -> list[IsobaricRecord]:
+    """Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same."""
+    if not run.asked or "E6" not in run.wanted or load_frame.NAME in run.wanted:
+        return []
+    framed = (r for r in bags if load_frame.holds_frame(r) and load_frame.holds_loads(r))
+    tests = []
+    for record in framed:
+        try:
+            tests += load_frame.isobaric_tests(record, run.improved())
+        except InputError as error:
+            run.fail("E6", str(error))
+    return tests
 
 
 def _instruments(
@@ -381,7 +395,8 @@ def _take_sharper(run: Run, whole: Experiment | None) -> None:
 def _report_missing(
     run: Run, records: Sequence[AnyRecord], drives: Sequence[tuple[Record, Drive]]
 ) -> None:
-    """A note for each experiment without a result; an error if that leaves nothing."""
+    """A note for each experiment without a result, a warning where a record was meant for it; an
+    error if that leaves nothing."""
     missing = run.missing(EXPERIMENTS)
     if not run.experiments or (run.asked and missing):
         raise InputError(_nothing(run, records, drives, missing))
@@ -391,7 +406,8 @@ def _report_missing(
         reasons = list(dict.fromkeys(run.reasons.get(name, [])))
         if reasons:
             text = f"not identified ({'; '.join(reasons)}); needed: {NEEDS[name]}"
-            run.notes.append(Finding("warning", name, text))
+            severity = "warning" if name in run.failed else "info"
+            run.notes.append(Finding(severity, name, text))
 
 
 def _nothing(

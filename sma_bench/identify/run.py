@@ -36,14 +36,16 @@ class Run:
     estimates: dict[str, Estimate] = field(default_factory=dict)
     notes: list[Finding] = field(default_factory=list)
     reasons: dict[str, list[str]] = field(default_factory=dict)
+    failed: set[str] = field(default_factory=set)
 
     def of(self, name: str) -> list[Experiment]:
         """Experiments done under this name."""
         return [e for e in self.experiments if e.name == name]
 
-    def fail(self, name: str, reason: str) -> None:
-        """Note why a record gave nothing to an experiment."""
+    def fail(self, name: str, reason: str, meant: bool = True) -> None:
+        """Note why a record gave nothing to an experiment; `meant`: which it was driven for."""
         self.reasons.setdefault(name, []).append(reason)
+        self.failed |= {name} if meant else set()
 
     def known(self, name: str) -> Estimate:
         """An identified number, else the given one; a default nobody measured is remarked."""
@@ -226,7 +228,7 @@ def _staircases(
     for record, drive in drives:
         signal = f"{drive.channel}.{quantity}"
         if not drive.staircases:
-            run.fail(name, f"{record.path}: {drive.describe()}")
+            run.fail(name, f"{record.path}: {drive.describe()}", meant=False)
         elif not has_samples(record, signal):
             run.fail(name, f"{record.path}: no signal {signal}")
         else:
@@ -304,7 +306,7 @@ def run_specific_heat(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     usable = []
     for record, drive in drives:
         if not drive.segments.ramps:
-            run.fail("E3", f"{record.path}: {drive.describe()}")
+            run.fail("E3", f"{record.path}: {drive.describe()}", meant=False)
         elif not has_samples(record, f"{drive.channel}.temperature"):
             run.fail("E3", f"{record.path}: no signal {drive.channel}.temperature")
         else:

@@ -80,6 +80,9 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
 def test_default_resistance_that_nobody_measured_is_a_warning(ramp):
     found = identify([ramp()], DEFAULTS)
     assert any(R in w and "nobody measured it" in w for w in found.warnings)
+    # A ramp is not meant for a staircase's experiment: that it gives none is no warning.
+    assert any("not identified" in note.text for note in found.notes if note.subject == "E1")
+    assert not any("not identified" in warning for warning in found.warnings)
 
 
 def test_unmeasured_samples_are_left_out_and_counted(staircase):

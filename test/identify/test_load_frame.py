@@ -12,8 +12,10 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import find_holds
 from sma_bench.estimation.unknowns import SHAPES
+from sma_bench.identify import identify
 from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
 from sma_bench.parameters.audit import wire_length_from_mass
+from sma_bench.parameters.table import TRANSITIONS
 from sma_bench.records import Record, Signal
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
@@ -111,6 +113,15 @@ def test_a_load_is_followed_where_it_was_measured_and_nowhere_else():
         if hold.stop - hold.start < 1.0 and not 69.0 < hold.start < 101.0:
             middle = 0.5 * (hold.start + hold.stop)
             assert hold.value == pytest.approx(np.interp(middle, time, force), abs=0.1)
+
+
+def test_experiment_6_alone_is_done_where_it_is_asked_for(lab):
+    bench, records = lab
+    found = identify([records["isobaric"]], bench.known, ["E6"])
+    assert [e.name for e in found.experiments] == ["E6"]
+    for name, symbol in TRANSITIONS.items():
+        estimate = found.estimates[symbol]
+        assert abs(estimate.value - bench.truth[symbol]) < 3.0 * estimate.std, name
 
 
 def test_a_force_that_is_neither_held_nor_clamped_is_refused(lab):

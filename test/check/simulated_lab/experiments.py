@@ -210,8 +210,9 @@ def _channels(
     instruments: Instruments, parameters: Parameters, time: np.ndarray, voltage: np.ndarray,
     temperature: np.ndarray, rate: float,
 ) -> list[Signal]:
-    """Power and temperature of every channel."""
-    signals = []
+    """Commands, power and temperature of every channel."""
+    sent = np.flatnonzero(np.diff(np.floor(time / COMMAND_PERIOD + 1e-6), prepend=-1.0))
+    signals = [Signal("voltage_command", "V", time[sent], voltage[sent])]
     for i, channel in enumerate(parameters["bench.channels"]):
         clock = instruments.clock(rate)
         volts = Course(time, voltage[:, i], held=True)
