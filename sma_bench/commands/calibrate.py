@@ -67,11 +67,26 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         std = {name: _finite(value) for name, value in fit.std.items()}
         rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
-        write_json(args.json, rest)
+        write_json(args.json, {**rest, "uncertainty": fit.uncertainty})
     if args.out:
-        write_named_values(args.out, {**kept, **fit.parameters}, "Calibration of the bench's Uno.")
+        values = {**kept, **fit.parameters, **_uncertainties(args.sensor, fit, kept)}
+        write_named_values(args.out, values, "Calibration of the bench's Uno.")
         print(args.out)
     return 0
+
+
+def _uncertainties(sensor: str, fit: SensorFit, kept: dict[str, Any]) -> dict[str, float]:
+    """What identification is to believe of such readings: the worst of both boards, or sides."""
+    found = {f"uncertainty.{name}": std for name, std in fit.uncertainty.items()}
+    if not _others(sensor, kept):
+        return found
+    return {name: max(std, kept.get(name, 0.0)) for name, std in found.items()}
+
+
+def _others(sensor: str, kept: dict[str, Any]) -> list[str]:
+    """Sensors of the same quantity that were calibrated before."""
+    alike = [s for s in SENSORS if s != sensor and SENSORS[s].quantity == SENSORS[sensor].quantity]
+    return [s for s in alike if any(name.startswith(f"calibration.{s}.") for name in kept)]
 
 
 def _kept(args: argparse.Namespace) -> dict[str, Any]:
@@ -82,6 +97,9 @@ def _kept(args: argparse.Namespace) -> dict[str, Any]:
         keep_safe({"--out": (Path(args.out), FILE)}, [Path(args.csv)], True)
     kept = read_parameter_names(args.out)
     own = [name for name in kept if name.startswith(f"calibration.{args.sensor}.")]
+    if not _others(args.sensor, kept):  # what a person has stated
+        believed = f"uncertainty.sensor.{SENSORS[args.sensor].quantity}."
+        own += [name for name in kept if name.startswith(believed)]
     if own and not args.force:
         raise InputError(f"{args.out}: holds {own[0]} already; --force replaces it")
     return kept
@@ -175,6 +193,8 @@ def _show(sensor: str, fit: SensorFit, pairs: Sequence[tuple[float, float]]) -> 
         print(f"{name:32} {value:.6g}{error} {_TABLE[name].unit}")
     low, high = min(known for _, known in pairs), max(known for _, known in pairs)
     unit = SENSORS[sensor].known_unit
+    for name, std in fit.uncertainty.items():
+        print(f"{'uncertainty.' + name:32} {std:.2g}")
     print(
         f"{len(pairs)} pairs from {low:g} to {high:g} {unit}, rms of what is left {fit.rest:.2g} "
         f"{unit}"

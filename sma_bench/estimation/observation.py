@@ -17,7 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import Hold, find_holds
 from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.unknowns import LOADS
-from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage
+from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage, commands_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import as_recorded, load_kind
@@ -401,7 +401,8 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     """
     channels, sides = _channels(record, parameters)
     voltages = [samples(record, f"{channel}.voltage") for channel in channels]
-    voltage = applied_voltage(voltages, _commands(record, parameters, channels))
+    commands = commands_of(record, channels, tuple(parameters["bench.channels"]))
+    voltage = applied_voltage(voltages, commands)
     start = min(float(time[0]) for time, _ in voltages)
     stop = max(float(time[-1]) for time, _ in voltages)
     moves = pulls_a_load(record, parameters)
@@ -416,18 +417,6 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
             f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
         )
     return Rig(record, channels, sides, voltage, start, stop, holds, measured)
-
-
-def _commands(
-    record: Record, parameters: Parameters, channels: tuple[str, ...]
-) -> tuple[Array, Array] | None:
-    """(c,) s and (c, w) V that these channels were commanded, where the record has it of all."""
-    signal = record.get("voltage_command")
-    known = tuple(parameters["bench.channels"])
-    known = known if set(channels) <= set(known) else channels
-    if signal is None or signal.values.ndim != 2 or signal.values.shape[1] != len(known):
-        return None
-    return signal.time, signal.values[:, [known.index(channel) for channel in channels]]
 
 
 def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -21,6 +21,7 @@ from sma_bench.estimation.noise_model import (
     quantisation_variance,
     resolution,
 )
+from sma_bench.records.record import Record
 
 SHORTEST_SEGMENT = 0.5
 FEWEST_SAMPLES = 20
@@ -444,6 +445,18 @@ class AppliedVoltage:
             columns.append(np.sqrt(np.maximum(energy, 0.0) / np.diff(grid)))
         volts = np.column_stack(columns)
         return np.vstack([volts, volts[-1:]])
+
+
+def commands_of(
+    record: Record, channels: tuple[str, ...], known: tuple[str, ...]
+) -> tuple[Array, Array] | None:
+    """(c,) s and (c, w) V that channels were commanded, where the record has it of all the `known`
+    ones of its bench, in their order."""
+    signal = record.get("voltage_command")
+    known = known if set(channels) <= set(known) else channels
+    if signal is None or signal.values.ndim != 2 or signal.values.shape[1] != len(known):
+        return None
+    return signal.time, signal.values[:, [known.index(channel) for channel in channels]]
 
 
 def applied_voltage(

@@ -3,12 +3,15 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.serial_messages import Telemetry
+
+_FEWEST = 3  # pairs that tell a scatter
 
 
 @dataclass(frozen=True)
@@ -124,10 +127,12 @@ def _pairs(readings: ArrayLike, known: ArrayLike) -> tuple[np.ndarray, np.ndarra
 
 @dataclass(frozen=True)
 class CalibratedSensor:
-    """One sensor: units of its reading and of what is known, and where telemetry has it."""
+    """One sensor: units of its reading and of what is known, what is measured with it, and where
+    telemetry has it."""
 
     unit: str
     known_unit: str
+    quantity: str
     reading: Callable[[Telemetry], float]
 
     @property
@@ -137,11 +142,11 @@ class CalibratedSensor:
 
 
 SENSORS = {
-    "supply": CalibratedSensor("V", "V", lambda t: t.supply),
-    "front_current": CalibratedSensor("A", "A", lambda t: t.current[0]),
-    "back_current": CalibratedSensor("A", "A", lambda t: t.current[1]),
-    "front_range": CalibratedSensor("V", "m", lambda t: t.range_voltage[0]),
-    "back_range": CalibratedSensor("V", "m", lambda t: t.range_voltage[1]),
+    "supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
+    "front_current": CalibratedSensor("A", "A", "current", lambda t: t.current[0]),
+    "back_current": CalibratedSensor("A", "A", "current", lambda t: t.current[1]),
+    "front_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[0]),
+    "back_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[1]),
 }
 
 
@@ -150,12 +155,14 @@ class SensorFit:
     """The bridge's parameters of a sensor, and how well the known loads lie on them.
 
     `std` has the standard errors that the scatter gives (NaN with two points), `rest` the rms of
-    what is left, in the unit of the known loads.
+    what is left, in the unit of the known loads; `uncertainty` what it leaves open of the readings
+    of this kind, by the parameters `sensor.` (none with two points).
     """
 
     parameters: dict[str, float]
     std: dict[str, float]
     rest: float
+    uncertainty: dict[str, float]
 
 
 def fit_sensor(
@@ -177,12 +184,44 @@ def fit_sensor(
         return SensorFit(
             {prefix + "gain": line.gain, prefix + "offset": line.offset},
             {prefix + "gain": fit.gain_std, prefix + "offset": fit.offset_std},
-            _rms(left),
+            _rms(left), _left_open(SENSORS[name].quantity, fit, readings, known),
         )
     sensor = fit_range_calibration(readings, known, shift)
     left = [sensor.distance(x) - y for x, y in zip(readings, known, strict=True)]
     values = {"gain": sensor.gain, "offset": sensor.offset, "shift": shift}
-    return SensorFit({prefix + key: value for key, value in values.items()}, {}, _rms(left))
+    distances = [sensor.distance(x) for x in readings]
+    scale = fit_calibration(distances, known)
+    uncertainty = _left_open(SENSORS[name].quantity, scale, [], known)
+    # The tip at rest is zero, whatever the distance.
+    uncertainty.pop("sensor.deflection.offset", None)
+    named = {prefix + key: value for key, value in values.items()}
+    return SensorFit(named, {}, _rms(left), uncertainty)
+
+
+def _left_open(
+    quantity: str, fit: CalibrationFit, readings: Sequence[float], known: Sequence[float]
+) -> dict[str, float]:
+    """Standard errors of gain and offset of a calibrated reading: by the scatter, and by the last
+    digits of readings and known loads where these scatter less."""
+    if fit.n < _FEWEST or not math.isfinite(fit.residual_std):
+        return {}
+    gain = fit.calibration.gain
+    digits = math.hypot(gain * _last_digit(readings), _last_digit(known)) / math.sqrt(12.0)
+    scatter = max(fit.residual_std, digits)
+    if scatter == 0.0:
+        return {}
+    own = np.asarray(known, dtype=float)
+    spread = math.sqrt(float(((own - own.mean()) ** 2).sum()))
+    return {
+        f"sensor.{quantity}.gain": scatter / spread,
+        f"sensor.{quantity}.offset": scatter * math.hypot(fit.n**-0.5, own.mean() / spread),
+    }
+
+
+def _last_digit(values: Sequence[float]) -> float:
+    """What the last decimal that any of them has is worth; 0 where all are whole."""
+    places = [-int(Decimal(repr(float(value))).normalize().as_tuple().exponent) for value in values]
+    return 10.0 ** -max(places) if max(places, default=0) > 0 else 0.0
 
 
 def _rms(values: Sequence[float]) -> float:

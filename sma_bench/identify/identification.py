@@ -304,7 +304,7 @@ def _held(run: Run, bags: Sequence[Record]) -> list[IsobaricRecord]:
     if not run.asked or "E6" not in run.wanted or load_frame.NAME in run.wanted:
         return []
     framed = (r for r in bags if load_frame.holds_frame(r) and load_frame.holds_loads(r))
-    tests = []
+    tests: list[IsobaricRecord] = []
     for record in framed:
         try:
             tests += load_frame.isobaric_tests(record, run.improved())
@@ -406,8 +406,7 @@ def _report_missing(
         reasons = list(dict.fromkeys(run.reasons.get(name, [])))
         if reasons:
             text = f"not identified ({'; '.join(reasons)}); needed: {NEEDS[name]}"
-            severity = "warning" if name in run.failed else "info"
-            run.notes.append(Finding(severity, name, text))
+            run.notes.append(Finding("warning" if name in run.failed else "info", name, text))
 
 
 def _nothing(

@@ -4,6 +4,7 @@ import io
 import json
 import time
 
+import numpy as np
 import pytest
 
 from sma_bench.cli import main
@@ -22,6 +23,32 @@ def test_pairs_become_gain_and_offset_with_errors(tmp_path, capsys):
     fit = json.loads(result.read_text())
     assert 0.0 < fit["std"]["calibration.front_current.gain"] < 0.02
     assert "4 pairs from 0 to 3.2 A" in capsys.readouterr().out
+
+
+def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path, capsys):
+    out = tmp_path / "lab.yaml"
+    name = "uncertainty.sensor.current.gain"
+
+    def calibrated(sensor, scatter, *more):
+        loads = {"0.0": 0.0, "1.0": scatter, "2.0": -scatter, "3.0": 0.0}
+        pairs = [f"{float(known) + off:.3f}={known}" for known, off in loads.items()]
+        assert main(["calibrate", sensor, *pairs, "--out", str(out), *more]) == 0
+        return read_parameter_names(out)[name]
+
+    first = calibrated("front_current", 0.004)
+    assert first == pytest.approx(0.0035 / np.sqrt(5.0), rel=0.3)
+    # Both boards are read for one number: the worse counts.
+    assert calibrated("back_current", 0.012) == pytest.approx(3.0 * first, rel=0.05)
+    # Readings on a line are no better than their last digits.
+    pairs = ["5.91=6.00", "8.87=9.01", "11.83=12.02"]
+    assert main(["calibrate", "supply", *pairs, "--out", str(out)]) == 0
+    assert 5e-4 < read_parameter_names(out)["uncertainty.sensor.voltage.gain"] < 2e-3
+    # Two pairs show no scatter; what a person has stated stays.
+    out.write_text(f"/**:\n  ros__parameters:\n    {name}: 0.002\n")
+    assert main(["calibrate", "front_current", "0=0", "1=1", "2=2.01", "--out", str(out)]) == 2
+    assert f"holds {name} already" in capsys.readouterr().err
+    assert main(["calibrate", "supply", "5=5", "9=9.1", "--out", str(out)]) == 0
+    assert "uncertainty.sensor.voltage.gain" not in read_parameter_names(out)
 
 
 def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_path):
