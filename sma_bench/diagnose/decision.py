@@ -5,12 +5,12 @@ differences count in units of SCALE + SHARE x (gain of the best). An effect must
 naming: its own gap, in noise, above SMALLEST_OF_INTEREST. Signs that the best candidate is not the
 whole truth raise `unexplained`. The numbers are the likeliest on some 120 cases of the development
 split of the withheld-effect check (docs/blind/), a few of them made more careful by hand;
-PAIR_SHARE and LARGEST_BESIDE were chosen among a few values on 110 of them. None comes from
-elsewhere.
+PAIR_SHARE and LARGEST_BESIDE were chosen among a few values on 110 of them, LEFT_SHARE, EACH_MORE
+and STEADY on 60 and the records that followed up 16 of these. None comes from elsewhere.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,12 @@ SCALE = 2.4  # nats
 SHARE = 0.013
 FORM = 0.1  # of what the best single effect gains, which another's equation may be off by
 THRESHOLD = 5.0  # nats that an effect must gain over recalibration
+# By how much an effect's size may scatter from stretch to stretch of the records more than noise
+# lets it. What scatters more stands for something else, which it takes up here and there.
+STEADY = 1.5
+# More for each record beyond two: what the model misses of a bench is the same in all of them, and
+# an effect that takes some of it up gains by every one.
+EACH_MORE, USUAL_RECORDS = 1.5, 2
 SMALLEST_OF_INTEREST = 0.57  # of the noise of a sample
 PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.07  # nats over the single, and of the single's gain
 PARTNER_OF_INTEREST = 0.5
@@ -100,6 +106,8 @@ class Weights:
         moved: gap between the parameters as believed and as recalibrated, in noise.
         signs: log odds that something else is at work; surprise: that by parameters that nobody
             believes in; remains: that by the share of a sign which the best effect leaves.
+        records: how many have been weighed; unsteady: by effect, how often the records tell the
+            same again: what its size scatters, as variance over what noise and STEADY allow.
     """
 
     gains: Mapping[str, float]
@@ -109,12 +117,16 @@ class Weights:
     signs: float
     surprise: float
     remains: float = -LARGEST_SIGN
+    records: int = USUAL_RECORDS
+    unsteady: Mapping[str, float] = field(default_factory=dict)
 
     def probabilities(self) -> dict[str, float]:
         """Of every candidate."""
         best = max([0.0, *self.gains.values()])
         scale = scale_of(best)
         logits = {name: self._logit(name, scale) for name in self.gains}
+        doubt = self._doubt(logits)
+        logits = {name: logit - doubt for name, logit in logits.items()}
         most = LARGEST_SIGN if best <= MUCH else max(LARGEST_BESIDE, self.remains)
         sign = min(max(self.signs, self.surprise), most)
         benign = {RECALIBRATION: (self.moved, 1.0), NO_GAP: (1.0, self.moved)}
@@ -126,11 +138,27 @@ class Weights:
         gain = self.gains[name]
         parts = name.split(JOIN)
         if len(parts) == 1:
-            return (self._as_formed(gain) - THRESHOLD) / scale + self.worth[name]
+            return (self._as_formed(gain) - self.threshold) / scale + self.worth[name]
         single = max(self.gains[part] for part in parts)
         extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
-        return (single - THRESHOLD + extra) / scale + self.worth[name]
+        return (single - self.threshold + extra) / scale + self.worth[name]
+
+    def _doubt(self, logits: Mapping[str, float]) -> float:
+        """Log odds that all effects lose to recalibration, where even the best of them gains only
+        unsteadily: what it gains counts as often as it is told."""
+        singles = {name: logit for name, logit in logits.items() if JOIN not in name}
+        steady = [
+            min(logit, self.worth[name]
+                + (self.gains[name] / self.unsteady.get(name, 1.0) - self.threshold) / SCALE)
+            for name, logit in singles.items()
+        ]
+        return max(singles.values()) - max(steady) if steady else 0.0
+
+    @property
+    def threshold(self) -> float:
+        """Nats that an effect must gain over recalibration."""
+        return THRESHOLD + EACH_MORE * max(self.records - USUAL_RECORDS, 0)
 
     def _as_formed(self, gain: float) -> float:
         """A rival's gain, the lead of the best single effect taken down: of two equations neither
@@ -152,6 +180,8 @@ def weigh(search: Search) -> Weights:
         gaps, {name: _worth_of(search, name, gaps[name]) for name in fits},
         _moved(search), max(v for name, v in signs.items() if name != SURPRISED),
         signs[SURPRISED], max(_signs_of_share(search).values()),
+        len(search.problem.observations),
+        {name: _unsteady(fit) for name, fit in search.singles.items() if search.gain(name) > 0.0},
     )
 
 
@@ -260,6 +290,12 @@ def sign_of_surprise(surprise: float) -> float:
 def _remaining(left: float, before: float) -> float:
     """Log odds of a sign of which an effect leaves so much, beside what was there before."""
     return STEEP * float(np.log(max(left / max(before, 1e-3), 1e-3) / LEFT_SHARE))
+
+
+def _unsteady(fitted: Fit) -> float:
+    """How much more an effect's size scatters between stretches than noise lets it."""
+    first = fitted.unknowns.baseline
+    return float(max((fitted.errors[first] / fitted.std[first] / STEADY) ** 2, 1.0))
 
 
 def _moved(search: Search) -> float:

@@ -190,9 +190,9 @@ class Matter:
         )
 
     def _believing(self, measured: Sequence[str]) -> Weights:
-        """A parameter that was measured surprises no more."""
+        """A parameter that was measured surprises no more; a drive is one record more."""
         if not measured:
-            return self.weights
+            return replace(self.weights, records=self.weights.records + 1)
         moved = surprise_of(self.search, measured)
         surprise = min(self.weights.surprise, sign_of_surprise(moved))
         return replace(self.weights, surprise=surprise)

@@ -87,6 +87,33 @@ def test_an_equation_that_explains_nearly_as_much_stays_a_rival_however_much_tha
     assert far["stress_dependent_transition"] > 0.98
 
 
+def test_what_takes_up_the_same_misfit_in_every_record_must_gain_more_with_each():
+    def named(records, gain):
+        gains = {"latent_heat": gain}
+        found = Weights(
+            gains, {"latent_heat": 2.0}, {"latent_heat": 0.0}, 5.0, -5.0, -5.0, records=records
+        )
+        return found.probabilities()["latent_heat"]
+
+    assert named(1, 9.0) == named(2, 9.0) > 0.6 > named(4, 9.0)
+    assert named(4, 18.0) > 0.9
+
+
+def test_what_gains_here_and_there_counts_as_often_as_it_is_told_and_rivals_stay_as_they_were():
+    def found(unsteady, **gains):
+        none = dict.fromkeys(gains, 0.0)
+        weights = Weights(gains, none, none, 5.0, -5.0, -5.0, unsteady=unsteady)
+        return weights.probabilities()
+
+    assert found({}, latent_heat=18.0)["latent_heat"] > 0.9
+    assert found({"latent_heat": 5.0}, latent_heat=18.0)["latent_heat"] < 0.5
+    # Beside much that is explained, an inexact equation's scatter says nothing against it.
+    both = {"latent_heat": 300.0, "slack": 200.0}
+    steady, scattered = found({}, **both), found({"latent_heat": 9.0}, **both)
+    assert scattered["latent_heat"] == pytest.approx(steady["latent_heat"], abs=0.01)
+    assert found({"slack": 5.0}, latent_heat=18.0, slack=9.0)["latent_heat"] > 0.8
+
+
 def fitted(evidence, *effects):
     return SimpleNamespace(evidence=evidence, unknowns=SimpleNamespace(effects=effects))
 
