@@ -14,8 +14,8 @@ from sma_bench.records import read_record
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-# As in test_next_experiment: 0.6 K a minute hides in 20 s of deflection.
-WARMING = {"effect.ambient_drift.rate": 0.01}
+# As in test_next_experiment: 1 K a minute hides in 20 s of deflection.
+WARMING = {"effect.ambient_drift.rate": 0.016}
 LIBRARY = ("side_heat_coupling", "ambient_drift")
 
 

@@ -13,8 +13,8 @@ from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-# 0.6 K a minute hides in 20 s of deflection: other parameters explain it nearly as well.
-WARMING = {"effect.ambient_drift.rate": 0.01}
+# 1 K a minute hides in 20 s of deflection: other parameters explain it nearly as well.
+WARMING = {"effect.ambient_drift.rate": 0.016}
 LIBRARY = ("side_heat_coupling", "transition_drift", "ambient_drift", "viscoelastic_matrix")
 ONLY = {"quantities": ("deflection",)}
 
