@@ -41,7 +41,9 @@ _STYLE = """.md-grid { max-width: 76rem; }
 .md-sidebar--secondary:not(:has(li)) { display: none; }
 .md-typeset table:not([class]) { font-size: .66rem; }
 .md-typeset table:not([class]) th { min-width: 3rem; }
-.md-typeset table:not([class]) :is(th, td) { padding: .6em .8em; }
+.md-typeset table:not([class]) :is(th, td) { padding: .5em .55em; }
+.md-typeset pre > code { font-size: .62rem; }
+.md-typeset svg[role] { max-width: none; }
 .md-typeset td code { overflow-wrap: normal; word-break: normal; }
 """
 
