@@ -17,9 +17,10 @@ from sma_bench.estimation.observation import find_rig
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
+from sma_bench.identify.instruments.tensile import about_length
 from sma_bench.identify.whole_model import fit_experiment, observe_all
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import NITI_DENSITY, wire_length
+from sma_bench.parameters.audit import wire_length
 from sma_bench.physics.bending import wire_section
 from sma_bench.progress import Report, silent
 from sma_bench.records.isobaric import IsobaricRecord, find_cycles
@@ -105,23 +106,41 @@ def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord
     A row is a mean over a part of the pull: what an extensometer scatters within one would make
     the wire look softer.
     """
-    names = ("elongation", "force", *(f"{channel}.temperature" for channel in record.channels[:1]))
-    if len(record.channels) != 1 or not all(has_samples(record, name) for name in names):
+    thermometer = _thermometer(record)
+    if thermometer is None or not all(has_samples(record, n) for n in ("elongation", "force")):
         return ()
     tests = []
     for number, (start, stop) in enumerate(find_pulls(record), 1):
         edges = np.linspace(start, stop, _ROWS + 1)
-        elongation, force, kelvin = (
-            _means_within(*samples(record, name), edges) for name in names
+        elongation, force = (
+            _means_within(*samples(record, name), edges) for name in ("elongation", "force")
         )
-        known = np.isfinite(elongation + force)
-        if np.nanmax(kelvin) - np.nanmin(kelvin) > STEADY or known.sum() < FEWEST_ROWS:
+        known, kelvin = np.isfinite(elongation + force), None
+        if known.sum() < FEWEST_ROWS:
             continue
+        if thermometer:
+            read = _means_within(*samples(record, thermometer), edges)
+            if np.nanmax(read) - np.nanmin(read) > STEADY:
+                continue
+            kelvin = float(np.nanmean(read))
         tests.append(TensileRecord(
             record.path / f"pull {number}", elongation[known] / wire_length(parameters),
-            force[known] / wire_section(parameters), float(np.nanmean(kelvin)),
+            force[known] / wire_section(parameters), kelvin,
         ))
     return tuple(tests)
+
+
+def _thermometer(record: Record) -> str | None:
+    """What tells the temperature of a pull: the wire's, else the room's where nothing heats it;
+    empty if nobody measured either, None if the wire may have any temperature."""
+    if len(record.channels) > 1:
+        return None
+    for channel in record.channels:
+        if has_samples(record, f"{channel}.temperature"):
+            return f"{channel}.temperature"
+        if any(has_samples(record, f"{channel}.{q}") for q in ("voltage", "current")):
+            return None
+    return "ambient.temperature" if has_samples(record, "ambient.temperature") else ""
 
 
 def _means_within(time: Array, values: Array, edges: Array) -> Array:
@@ -131,20 +150,6 @@ def _means_within(time: Array, values: Array, edges: Array) -> Array:
     count = np.bincount(index[inside], minlength=len(edges) - 1)
     total = np.bincount(index[inside], values[inside], len(edges) - 1)
     return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-
-
-def about_length(parameters: Parameters) -> Finding:
-    """Where the gauge length comes from."""
-    length = wire_length(parameters)
-    source = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
-    if parameters["wire.length"]:
-        source = "as given"
-    text = (
-        f"wire length {length * 1e3:.2f} mm {source}, "
-        "taken as the gauge length: strains scale with its inverse, stresses with that of the "
-        "section"
-    )
-    return Finding("info", "wire length", text, {"length": length})
 
 
 def holds_frame(record: Record) -> bool:

@@ -42,7 +42,8 @@ class TensileRecord(Drawn):
 
     Attributes:
         path: the file.
-        strain: (n,) in order of time; stress: (n,) Pa.
+        strain: (n,) in order of time, m where `is_extension`; stress: (n,) Pa, N where `is_force`:
+            what the specimen measures stands in no file.
         temperature: K; phase: of the specimen; None where the file does not say.
         findings: what the reader noticed.
     """
@@ -53,6 +54,8 @@ class TensileRecord(Drawn):
     temperature: float | None
     findings: tuple[Finding, ...] = ()
     phase: Phase | None = None
+    is_extension: bool = False
+    is_force: bool = False
 
 
 def is_tensile(path: Path) -> bool:
@@ -84,13 +87,13 @@ def read_tensile(
 
     Args:
         path: the file.
-        gauge_length: m, for a column of extension.
-        area: cross section in m2, for a column of force.
+        gauge_length: m, for a column of extension; None: it stays one.
+        area: cross section in m2, for a column of force; None: it stays one.
         temperature: of the test in K; None: from a column or a line above the table, if any.
 
     Raises:
-        InputError: no such file, no titles with known units, a malformed line (named), a missing
-            gauge length or area, or values that no such test gives.
+        InputError: no such file, no titles with known units, a malformed line (named), or values
+            that no such test gives.
     """
     path = Path(path)
     numbers = {"gauge length": gauge_length, "area": area, "temperature": temperature}
@@ -103,16 +106,19 @@ def read_tensile(
     if len(table.values) < FEWEST_ROWS:
         raise InputError(f"{path}: {len(table.values)} rows, expected {FEWEST_ROWS} or more")
     findings: list[Finding] = []
-    strain = _either(table, ("strain",), "strain", _EXTENSION, "length", gauge_length,
-                     "gauge length", findings)
-    stress = _either(table, ("stress",), "stress", _FORCE, "force", area, "area", findings)
+    strain, is_extension = _either(
+        table, ("strain",), "strain", _EXTENSION, "length", gauge_length, findings
+    )
+    stress, is_force = _either(table, ("stress",), "stress", _FORCE, "force", area, findings)
     _check(table, strain, "strain", LARGEST_STRAIN)
     _check(table, stress, "stress", LARGEST_STRESS)
     if temperature is None:
         temperature = _temperature(table, findings)
     said = next((m["phase"].lower() for m in map(_PHASE.search, table.preamble) if m), None)
     phase = next((phase for phase in PHASES if phase == said), None)
-    return TensileRecord(path, strain, stress, temperature, tuple(findings), phase)
+    return TensileRecord(
+        path, strain, stress, temperature, tuple(findings), phase, is_extension, is_force
+    )
 
 
 def _either(
@@ -122,26 +128,22 @@ def _either(
     other_words: tuple[str, ...],
     other_kind: str,
     divisor: float | None,
-    divisor_name: str,
     findings: list[Finding],
-) -> FloatArray:
-    """A column in its own right, or another one over what the specimen measures."""
+) -> tuple[FloatArray, bool]:
+    """A column in its own right, or another one over what the specimen measures; whether that is
+    still to be divided by."""
     found = find_column(table, words, (kind,))
     if found is not None and (kind == "strain" or found[0].unit):
         findings += found[0].remark(table.path)
-        return _column_values(table, found)
+        return _column_values(table, found), False
     other = find_column(table, other_words, (other_kind,))
     if other is None:
         raise InputError(
             f"{table.path}: no column of {kind} or {other_words[0]} with a known unit among "
             f"{', '.join(table.titles)}"
         )
-    if divisor is None:
-        raise InputError(
-            f"{table.path}: {other[0].name} instead of {kind} needs the specimen's {divisor_name}"
-        )
     findings += other[0].remark(table.path)
-    return _column_values(table, other) / divisor
+    return _column_values(table, other) / (divisor or 1.0), divisor is None
 
 
 def _column_values(table: TextTable, found: tuple[Column, str]) -> FloatArray:

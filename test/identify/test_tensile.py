@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
+from sma_bench.identify import identify
 from sma_bench.identify.instruments.tensile import identify_tensile, read_curve
 from sma_bench.parameters import Parameters
+from sma_bench.records import Record, Signal
 from sma_bench.records.tensile import TensileRecord
 
 E_M, E_A = 22.8e9, 55.4e9
@@ -204,3 +206,23 @@ def test_absurd_modulus_is_remarked() -> None:
     record = austenite()
     soft = TensileRecord(record.path, record.strain, record.stress / 100.0, HOT)
     assert any("crosshead travel" in f.text for f in identify_tensile([soft], OWN).findings)
+
+
+@pytest.mark.parametrize("room, asked", [(None, {"pull 1": "martensite"}), (293.15, {})])
+def test_pulls_in_a_bag_need_neither_voltage_nor_the_wires_temperature(room, asked):
+    time = np.arange(0.0, 120.0, 0.1)
+    elongation = np.interp(time, [5.0, 65.0, 115.0], [0.0, 1.6e-3, 0.0])
+    force = 22.8e9 * np.pi / 4.0 * 0.09e-6 * elongation / 0.2
+    signals = [Signal("elongation", "m", time, elongation), Signal("force", "N", time, force)]
+    if room:
+        signals.append(Signal("ambient.temperature", "K", time, np.full(time.size, room)))
+    record = Record(Path("frame"), 0, {signal.name: signal for signal in signals})
+    wire = OWN.replace({"wire.length": 0.2, "wire.diameter": 0.3e-3})
+    found = identify([record], wire, phases=asked).estimates["wire.martensite_modulus"]
+    assert found.value == pytest.approx(22.8e9, rel=2e-3)
+    heated = {**record.signals, "wire.voltage": Signal("wire.voltage", "V", time, 0.01 * time)}
+    with pytest.raises(InputError, match="nothing to identify"):
+        identify([Record(Path("heated"), 0, heated)], wire)
+    if not room:
+        with pytest.raises(InputError, match="give --phase pull 1=martensite"):
+            identify([record], wire)

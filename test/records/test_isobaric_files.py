@@ -8,6 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
+from sma_bench.identify.instruments.tensile import identify_tensile
+from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import find_cycles, is_isobaric, read_isobaric, without_spikes
 from sma_bench.records.tensile import is_tensile, read_tensile
 from sma_bench.records.text_table import read_text_table
@@ -236,13 +238,21 @@ def test_tensile_file_with_strain_and_stress(tmp_path: Path) -> None:
     assert record.temperature == pytest.approx(403.15)
 
 
-def test_tensile_file_with_force_needs_gauge_length_and_area(tmp_path: Path) -> None:
+def test_tensile_file_with_force_is_divided_by_what_the_specimen_measures(tmp_path: Path) -> None:
     columns = np.column_stack([np.linspace(0, 2, 50), np.linspace(0, 30, 50)])
     path = tensile(tmp_path, "Extension (mm),Load (N)", columns)
-    with pytest.raises(InputError, match="needs the specimen's gauge length"):
-        read_tensile(path)
-    with pytest.raises(InputError, match="needs the specimen's area"):
-        read_tensile(path, gauge_length=0.1)
+    record = read_tensile(path)
+    assert record.is_extension and record.is_force
+    assert record.strain[-1] == pytest.approx(2e-3) and record.stress[-1] == pytest.approx(30.0)
+    with pytest.raises(InputError, match="elongation instead of strain, give wire.length"):
+        identify_tensile([record], phases={"*": "martensite"})
+    of_wire = Parameters({"wire.length": 0.1})
+    with pytest.raises(InputError, match="force instead of stress, give wire.diameter"):
+        identify_tensile([record], of_wire, phases={"*": "martensite"})
+    of_wire = of_wire.replace({"wire.diameter": 0.3e-3})
+    found = identify_tensile([record], of_wire, phases={"*": "martensite"})
+    modulus = 30.0 / (np.pi / 4.0 * 0.09e-6) / 0.02
+    assert found.estimates["wire.martensite_modulus"].value == pytest.approx(modulus)
     record = read_tensile(path, gauge_length=0.1, area=7.07e-8)
     assert record.strain[-1] == pytest.approx(0.02)
     assert record.stress[-1] == pytest.approx(30.0 / 7.07e-8)

@@ -11,7 +11,7 @@ says: the paper's wire does not tell it of another.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
 import numpy as np
@@ -23,6 +23,8 @@ from sma_bench.identify.estimate import Array, Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import GAUGE, mean_and_deviation
 from sma_bench.identify.signals import Piece, fit_piece, straight_pieces
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import NITI_DENSITY, wire_length
+from sma_bench.physics.bending import wire_section
 from sma_bench.records.tensile import PHASES, Phase, TensileRecord
 
 # --- What one tensile curve shows: toe, elastic rises, plateau, unloading.
@@ -239,7 +241,8 @@ def identify_tensile(
     Args:
         records: the tests.
         parameters: M_f and A_f of this wire, given or identified, which with the test's
-            temperature tell the phase; those of the table of defaults do not count.
+            temperature tell the phase, and its length and diameter where a file has elongation and
+            force; those of the table of defaults do not count.
         phases: phase by file name or pattern of names, before everything else.
 
     Returns:
@@ -252,6 +255,7 @@ def identify_tensile(
     parameters = parameters or Parameters.defaults()
     if not records:
         raise InputError("tensile test: no records")
+    records = [_of_specimen(record, parameters) for record in records]
     findings = [finding for record in records for finding in record.findings]
     _check_phases(phases or {}, records)
     readings: dict[Phase, list[tuple[TensileRecord, TensileReading]]] = {}
@@ -288,6 +292,36 @@ def identify_tensile(
         name=NAME, title=TITLE, estimates=estimates, findings=tuple(findings), curves=curves,
         source="; ".join(str(record.path) for record in records), details=details,
     )
+
+
+def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
+    """Strain and stress, of elongation and force by the wire's own length and section."""
+    if record.is_extension and not {"wire.length", "wire.mass"} & parameters.given:
+        raise InputError(f"{record.path}: elongation instead of strain, give wire.length")
+    if record.is_force and "wire.diameter" not in parameters.given:
+        raise InputError(f"{record.path}: force instead of stress, give wire.diameter")
+    findings, strain, stress = [*record.findings], record.strain, record.stress
+    if record.is_extension:
+        strain = strain / wire_length(parameters)
+        findings.append(about_length(parameters))
+    if record.is_force:
+        stress = stress / wire_section(parameters)
+    return replace(record, strain=strain, stress=stress, findings=tuple(findings),
+                   is_extension=False, is_force=False)  # fmt: skip
+
+
+def about_length(parameters: Parameters) -> Finding:
+    """Where the gauge length comes from."""
+    length = wire_length(parameters)
+    source = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
+    if parameters["wire.length"]:
+        source = "as given"
+    text = (
+        f"wire length {length * 1e3:.2f} mm {source}, "
+        "taken as the gauge length: strains scale with its inverse, stresses with that of the "
+        "section"
+    )
+    return Finding("info", "wire length", text, {"length": length})
 
 
 def _check_phases(phases: Mapping[str, Phase], records: Sequence[TensileRecord]) -> None:
