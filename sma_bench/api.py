@@ -18,7 +18,6 @@ from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.node_tables import node_groups
-from sma_bench.parameters.parameters import as_recorded
 from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
@@ -36,7 +35,7 @@ from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay, overlay
-from sma_bench.records.samples import held_voltages
+from sma_bench.records.samples import drive_of
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.records.write import write_record
 from sma_bench.synthetic.bench_records import (
@@ -159,10 +158,7 @@ def simulate(
         bench = bench.replace(effect_values(name, float(size)), where="effects")
     if (protocol := _protocol(drive, bench)) is not None:
         return simulate_protocol(protocol, bench, _period(rate))
-    time_and_volts = _voltages(drive, bench)
-    return simulate_finely(
-        bench if isinstance(drive, tuple) else as_recorded(bench), *time_and_volts
-    )
+    return simulate_finely(*_driven(drive, bench))
 
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:
@@ -252,9 +248,7 @@ def compare(records: Any, models: Any = ()) -> Overlay:
     first = next(iter(shown.values()))
     modelled = {}
     for name, given in _named(models, "model").items():
-        bench = as_recorded(load_parameters(given))
-        volts = held_voltages(first, bench["bench.channels"])
-        simulation = simulate_finely(bench, *volts)
+        simulation = simulate_finely(*drive_of(first, load_parameters(given)))
         modelled[name if name not in shown else f"{name} (model)"] = _recorded(
             simulation, signals_of(simulation), name
         )
@@ -332,19 +326,19 @@ def _protocol(drive: Any, bench: Parameters) -> Protocol | None:
     return None
 
 
-def _voltages(drive: Any, bench: Parameters) -> tuple[ArrayLike, ArrayLike]:
-    """Time (n,) s and voltage (n, w) V."""
+def _driven(drive: Any, bench: Parameters) -> tuple[Parameters, ArrayLike, ArrayLike]:
+    """The bench as the drive is to be taken, time (n,) s and voltage (n, w) V."""
     if isinstance(drive, tuple):
         if len(drive) != 2:
             raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
-        return drive
+        return bench, *drive
     if isinstance(drive, str) and not Path(drive).exists():
         raise InputError(
             f"simulate: {drive}: neither a bag nor a protocol, expected one of "
             f"{', '.join(protocol_names())}"
         )
     (record,) = _bags([load(drive)])
-    return held_voltages(record, bench["bench.channels"])
+    return drive_of(record, bench)
 
 
 def _period(rate: float) -> float:

@@ -54,10 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
-    from sma_bench.parameters.parameters import as_recorded
     from sma_bench.protocols import load_protocol
     from sma_bench.records import read_record
-    from sma_bench.records.samples import held_voltages
+    from sma_bench.records.samples import drive_of
     from sma_bench.records.write import write_record
     from sma_bench.synthetic.bench_records import (
         limits_passed,
@@ -80,8 +79,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         record = read_record(args.input)
         start_ns = record.start_ns
-        time, voltage = held_voltages(record, parameters["bench.channels"])
-        drive = partial(simulate_finely, as_recorded(parameters), time, voltage)
+        drive = partial(simulate_finely, *drive_of(record, parameters))
     if args.noise is not None and args.noise < 0:
         raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
     with progress("simulate") as report:

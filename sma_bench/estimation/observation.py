@@ -27,7 +27,7 @@ from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
 from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
-from sma_bench.records.samples import require_channels
+from sma_bench.records.samples import ohms_of_source, require_channels, with_commands
 
 QUANTITIES = ("current", "temperature", "deflection")
 
@@ -131,6 +131,7 @@ class Observation:
         left_out: what the record holds that is not compared.
         holds: what a load frame did, empty for the composite and a bare wire.
         place: (e,) of the jumps between their two samples; delays: s, by quantity, of stamps.
+        ohms: volts for an ampere, where a current source's current stands for its voltage; or 0.
     """
 
     path: str
@@ -144,6 +145,7 @@ class Observation:
     holds: tuple[Hold, ...] = ()
     place: Array | float = 0.0
     delays: Mapping[str, float] = field(default_factory=dict)
+    ohms: float = 0.0
 
     def moved(self, place: Array, delays: Mapping[str, float]) -> "Observation":
         """The same record, its jumps and stamps elsewhere."""
@@ -181,16 +183,17 @@ class Observation:
         """
         parameters = self.own_bench(parameters)
         volts = self.voltage if voltage is None else voltage
-        if not self.holds:
-            return simulate(parameters, self.grid, volts)
-        return self._under_loads(parameters, volts, loads)
+        volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
+        if self.holds:
+            return self._under_loads(parameters, volts, loads)
+        return simulate(parameters, self.grid, volts)
 
     def own_bench(self, parameters: Parameters) -> Parameters:
         """The bench with this record's channels, as records show it."""
         own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
         if tuple(parameters["bench.channels"]) != self.channels:
             parameters = parameters.replace(own)
-        return as_recorded(parameters)
+        return parameters if self.ohms else as_recorded(parameters)
 
     def _under_loads(
         self, parameters: Parameters, volts: Array, loads: Array | None
@@ -231,8 +234,7 @@ class Observation:
 
     def _delay(self, quantity: str) -> csr_array:
         """(n, n) from a course on the grid to the same later, as `course` has it."""
-        at = self.grid - self.delays.get(quantity, 0.0)
-        return _interpolation(self.grid, at)
+        return _interpolation(self.grid, self.grid - self.delays.get(quantity, 0.0))
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
         """(n,) on the grid: what the signal averages; the conductance for a current."""
@@ -349,6 +351,7 @@ class Rig:
     stop: float
     holds: tuple[Hold, ...]
     measured: tuple[Measured, ...]
+    ohms: float
 
 
 def shared_bin(
@@ -385,11 +388,11 @@ def observe(
     place = np.zeros(len(rig.voltage.early))
     signals = tuple(_binned(m, rig, grid, shortest_bin) for m in known)
     if not any(len(signal.value) for signal in signals):
-        held = ", ".join(m.name for m in known)
-        raise InputError(f"{record.path}: too few samples of {held} to compare with a model")
+        few = ", ".join(m.name for m in known)
+        raise InputError(f"{record.path}: too few samples of {few} to compare with a model")
     return Observation(
         str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
-        rig.voltage, signals, left_out, rig.holds,
+        rig.voltage, signals, left_out, rig.holds, ohms=rig.ohms,
     )
 
 
@@ -399,6 +402,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     Raises:
         InputError: as `observe`.
     """
+    record, ohms = with_commands(record, parameters)
     channels, sides = _channels(record, parameters)
     voltages = [samples(record, f"{channel}.voltage") for channel in channels]
     commands = commands_of(record, channels, tuple(parameters["bench.channels"]))
@@ -410,13 +414,12 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     # Of a record with one wire of a beam, or a bare one of the same alloy, the tip is not asked.
     tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
     everything = _measured(record, channels, holds, moves, tip)
-    found = (_without_jumps(m, voltage) for m in everything)
-    measured = tuple(_without_load_changes(m, holds) for m in found)
+    measured = tuple(_without_load_changes(_without_jumps(m, voltage), holds) for m in everything)
     if not measured:
         raise InputError(
             f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
         )
-    return Rig(record, channels, sides, voltage, start, stop, holds, measured)
+    return Rig(record, channels, sides, voltage, start, stop, holds, measured, ohms)
 
 
 def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -554,9 +557,8 @@ def _thinned(even: Array, voltage: AppliedVoltage, stride: int) -> Array:
 
 
 def _own_bin(measured: Measured) -> float:
-    time = measured.time
-    duration = float(time[-1] - time[0])
-    return max(duration / _MOST_BINS, _SAMPLES_A_BIN * float(np.median(np.diff(time))))
+    apart = float(np.median(np.diff(measured.time)))
+    return max(float(np.ptp(measured.time)) / _MOST_BINS, _SAMPLES_A_BIN * apart)
 
 
 def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> BinnedSignal:
@@ -568,8 +570,7 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     measured = measured.where(full)
     time, value = measured.time, measured.values
     kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
-    bins = len(kept)
-    sensor = SENSORS[measured.quantity]
+    bins, sensor = len(kept), SENSORS[measured.quantity]
     noise = max(sensor.least, noise_floor(value) / float(np.sqrt(np.median(count))))
     return BinnedSignal(
         measured.name, measured.quantity, measured.wire,
@@ -583,8 +584,7 @@ def _averaging(
     measured: Measured, rig: Rig, grid: Array, which: NDArray[np.intp], count: NDArray[np.intp]
 ) -> csr_array:
     """Interpolation at the samples' times, then the mean over each bin."""
-    time = measured.time
-    weight = 1.0 / count[which]
+    time, weight = measured.time, 1.0 / count[which]
     if measured.quantity == "current":
         weight = weight * rig.voltage.at(measured.wire, time)
     mean = csr_array((weight, (which, np.arange(len(time)))), shape=(len(count), len(time)))

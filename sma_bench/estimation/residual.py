@@ -211,7 +211,7 @@ class Problem:
         high = unknowns.bounds()[1]
         steps = np.where(x + _TINY <= high, _TINY, -_TINY)[[*which]]
         here = as_recorded(unknowns.parameters(x))
-        if not carries(here) or any(observation.holds for observation in self.observations):
+        if not carries(here) or any(one.holds or one.ohms for one in self.observations):
             return None
         moved = [
             unknowns.nudged(here, x, i, float(step)) for i, step in zip(which, steps, strict=True)

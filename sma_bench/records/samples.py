@@ -1,7 +1,7 @@
 """Serialised messages of one topic to stamped columns of numbers."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from sma_bench.border import Budget
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import as_recorded
 from sma_bench.records import cdr, contract
 from sma_bench.records.compression import ZSTD_MAGIC, decompress_messages
 from sma_bench.records.harvest import RawTopic
-from sma_bench.records.record import FloatArray, IntArray, Record
+from sma_bench.records.record import FloatArray, IntArray, Record, has_samples
 
 # A clock that shows less than a day since 1970 is a simulation's.
 _DAY_NS = 86_400 * 10**9
@@ -235,6 +237,38 @@ def _wires(channels: Sequence[str]) -> str:
 
 
 # --- The voltages that a bench applied, on one clock: what a simulation takes as its input.
+
+def drive_of(
+    record: Record, parameters: Parameters
+) -> tuple[Parameters, FloatArray, FloatArray]:
+    """The bench as a record shows it, time (n,) s and volts (n, w) that drive it: of a current
+    source whose current alone was measured the command that stands for it.
+
+    Raises:
+        InputError: the record lacks what drives a channel.
+    """
+    record, ohms = with_commands(record, parameters)
+    bench = parameters if ohms else as_recorded(parameters)
+    return bench, *held_voltages(record, parameters["bench.channels"])
+
+
+def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float]:
+    """The record as it is and 0, or with commands in place of a current source's currents where
+    nobody measured voltages, and their volts for an ampere."""
+    driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
+    if driven or parameters["bench.drive"] != "current":
+        return record, 0.0
+    signals, ohms = dict(record.signals), ohms_of_source(parameters)
+    for name in [f"{c}.current" for c in record.channels if f"{c}.current" in signals]:
+        own, volts = signals.pop(name), name.replace(".current", ".voltage")
+        signals[volts] = replace(own, name=volts, unit="V", values=ohms * own.values)
+    return replace(record, signals=signals), ohms
+
+
+def ohms_of_source(parameters: Parameters) -> float:
+    """Volts that stand for an ampere in commands to a current source."""
+    return float(parameters["wire.resistance"]) / float(parameters["wire.count"])
+
 
 def held_voltages(record: Record, channels: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Measured voltages of all channels, each held until its next sample.

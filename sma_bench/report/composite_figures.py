@@ -10,13 +10,12 @@ from matplotlib.axes import Axes
 from sma_bench.estimation.observation import find_rig
 from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import as_recorded
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import bending, phase, simulate
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.bending import Beam
 from sma_bench.records.record import Record
-from sma_bench.records.samples import held_voltages
+from sma_bench.records.samples import drive_of
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
 from sma_bench.report.page import Picture
 
@@ -78,8 +77,7 @@ def composite_run(
         InputError: the record lacks the voltage of a channel, or a deflection.
     """
     rig = find_rig(record, parameters)
-    time, voltage = held_voltages(record, parameters["bench.channels"])
-    driven = as_recorded(parameters)
+    driven, time, voltage = drive_of(record, parameters)
     simulated = simulate(driven, time, voltage).deflection
     lifelike = None
     if with_rest_deflection:

@@ -130,6 +130,21 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
         assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
 
 
+def test_a_current_source_needs_no_voltmeter():
+    rises = {"effect.phase_dependent_resistance.austenite_change": -0.1}
+    believed = Parameters({**BELIEVED, **RIGS["spring"], "bench.drive": "current"})
+    truth = drawn(believed, seed=6).replace(rises)
+    seen, unseen = (recorded(truth, s, 1, ("current", "elongation")) for s in ("triangle", "sine"))
+    assert "wire.voltage" not in seen.signals
+    exact = sma_bench.simulate(unseen, truth).elongation[:, 0]
+    assert exact == pytest.approx(unseen["elongation"].values, abs=6.0 * NOISE)
+    found = identify([seen], believed).parameters
+    before, after = (
+        np.std(sma_bench.simulate(unseen, p).elongation[:, 0] - exact) for p in (believed, found)
+    )
+    assert after < min(0.01 * np.ptp(exact), 0.2 * before)
+
+
 def test_a_spring_bench_without_its_motion_says_what_is_missing():
     believed = Parameters({**BELIEVED, **RIGS["spring"]})
     record = recorded(believed, "triangle", 1, ("voltage",))

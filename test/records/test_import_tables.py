@@ -1,9 +1,11 @@
 """Tables of other loggers: five formats of one bench, guesses and questions, hostile files."""
 
+import itertools
 import json
 import tracemalloc
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.records import describe, open_record, read_record, tables
+from sma_bench.records.check import check_response
 from sma_bench.records.import_map import convert, read_map
 from sma_bench.records.import_proposal import Bench, bench_of, propose
 from sma_bench.records.isobaric import read_isobaric
@@ -145,6 +148,11 @@ def test_five_loggers_of_one_foreign_bench_agree_with_their_files_and_each_other
         assert record["elongation"].values.min() == pytest.approx(-0.0155, abs=1e-4)
         assert abs(record["elongation"].values[0]) < 2e-5
         assert 4.4 < record["wire.voltage"].values.max() < 4.7
+        assert list(check_response(record)) == []
+    for command, response in itertools.permutations(records, 2):
+        swapped = {**command.signals, "elongation": response["elongation"]}
+        (told,) = check_response(replace(command, signals=swapped))
+        assert "stored runs or channels swapped" in told.text
     assert records[1]["ambient.temperature"].values[0] == pytest.approx(297.75)
 
 
