@@ -34,7 +34,7 @@ from sma_bench.results import (
 )
 
 _LEAST_NAMED = 0.02  # probability
-_WIDTH = 96
+_WIDTH, _NARROWEST = 96, 40
 _PHASES = {"initial": "before the first drive", "drive": "while driven", "rest": "at rest"}
 
 
@@ -65,9 +65,9 @@ def verdict_card(result: DiagnoseResult) -> Card:
     )
 
 
-def card_text(result: DiagnoseResult) -> str:
-    """The card as lines for a terminal, folded, labels once."""
-    return "\n".join(_lines(verdict_card(result)))
+def card_text(result: DiagnoseResult, width: int = _WIDTH) -> str:
+    """The card as lines for a terminal of `width`, folded, labels once."""
+    return "\n".join(card_lines(verdict_card(result), width))
 
 
 def card_html(result: DiagnoseResult) -> str:
@@ -75,11 +75,13 @@ def card_html(result: DiagnoseResult) -> str:
     return _html(verdict_card(result))
 
 
-def _lines(card: Card) -> list[str]:
-    lines = textwrap.wrap(printable(card.title), _WIDTH)
+def card_lines(card: Card, width: int = _WIDTH) -> list[str]:
+    """The title and the rows, folded; no line is longer than can be read at ease."""
+    width = max(min(width, _WIDTH), _NARROWEST)
+    lines = textwrap.wrap(printable(card.title), width)
     for label, text in card.rows:
         lines += textwrap.wrap(
-            printable(text), _WIDTH, initial_indent=f"{label:8}", subsequent_indent=" " * 8,
+            printable(text), width, initial_indent=f"{label:8}", subsequent_indent=" " * 8,
             break_on_hyphens=False,
         )
     return lines
@@ -220,7 +222,7 @@ def identification_text(result: IdentifyResult) -> str:
     table = [
         "  ".join(f"{row[k]:{w}}" for k, w in zip(kept, wide, strict=True)).rstrip() for row in rows
     ]
-    title, *below = _lines(identification_card(result, numbers=False))
+    title, *below = card_lines(identification_card(result, numbers=False))
     return "\n".join([title, *map(printable, table), *below])
 
 

@@ -510,5 +510,5 @@ def _diagnosed(
 def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
     """The verdict card and the candidates."""
     result = diagnosis_from(Path("diagnosis"), answer)
-    console.print(f"{card_text(result)}\n", markup=False, soft_wrap=True)
+    console.print(f"{card_text(result, console.width)}\n", markup=False, soft_wrap=True)
     print_tables(console, result, ("candidates_table",))

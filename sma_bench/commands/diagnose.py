@@ -85,8 +85,11 @@ def quantities() -> tuple[str, ...]:
 
 def print_result(result: "Diagnosis") -> None:
     """The card, then the argument in a few tables."""
+    from sma_bench.cards import card_text
+
     console = output_console()
-    console.print(f"{result}\n", markup=False, soft_wrap=True)
+    card = card_text(result.shown, console.width)
+    console.print(f"{card}\n", markup=False, soft_wrap=True)
     print_tables(console, result.shown)
     for sentence in result.why:
         console.print(printable(sentence), markup=False)

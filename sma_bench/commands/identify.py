@@ -11,6 +11,7 @@ from sma_bench.commands.terminal import (
     column_of,
     output_console,
     print_findings,
+    print_table,
     progress,
     say,
     write_json,
@@ -89,7 +90,14 @@ def experiments() -> tuple[str, ...]:
 
 def print_result(result: "Identification") -> None:
     """The card, and below it every remark on the numbers."""
-    output_console().print(f"{result}\n", markup=False, soft_wrap=True)
+    from sma_bench.cards import NUMBER_HEADER, card_lines, identification_card, number_rows
+
+    console, text = output_console(), str(result)
+    if max(map(len, text.splitlines())) > console.width:  # the table is folded, not the lines
+        title, *below = card_lines(identification_card(result.shown, numbers=False), console.width)
+        print_table(console, NUMBER_HEADER, number_rows(result.shown), title=title)
+        text = "\n".join(below)
+    console.print(f"{text}\n", markup=False, soft_wrap=True)
     print_findings(result.notes)
     for experiment in result.experiments:
         say(f"\n{experiment.name} {experiment.title} ({experiment.source})")

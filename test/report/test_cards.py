@@ -12,6 +12,7 @@ from sma_bench.cards import (
     identification_text,
     verdict_card,
 )
+from sma_bench.commands.identify import print_result
 from sma_bench.errors import InputError
 from sma_bench.results import diagnosis_from, identification_from
 
@@ -123,6 +124,8 @@ def test_text_and_page_hold_the_same_and_no_markup_of_a_name():
     assert "\x1b" not in text and "<b>" not in page and "&lt;b&gt;" in page
     lines = card_text(shown()).splitlines()
     assert max(map(len, lines)) <= 96
+    narrow = card_text(shown(), 60).splitlines()
+    assert max(map(len, narrow)) <= 60 and " ".join(narrow).split() == " ".join(lines).split()
     assert " ".join(" ".join(lines).split()).startswith("supply_drop explains the gap")
 
 
@@ -164,6 +167,23 @@ def test_an_identification_has_its_errors_apart_and_says_what_surprises_and_hang
     assert below[2] == "beware  1 warning, the first: E2: not settled"
     page = identification_html(result)
     assert linked in page and "2.8 ± 0.007 ± 0.024 ohm" in page and "<b>" not in page
+
+
+@pytest.mark.parametrize("columns", [80, 200])
+def test_numbers_fit_the_terminal(columns, capsys, monkeypatch):
+    class Identified:
+        shown = identification_from(Path("r.json"), copy.deepcopy(IDENTIFIED))
+        notes = experiments = ()
+
+        def __str__(self):
+            return identification_text(self.shown)
+
+    monkeypatch.setenv("COLUMNS", str(columns))
+    print_result(Identified())
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= columns
+    said = " ".join(printed.split())
+    assert "2.8 ± 0.007 ± 0.024 ohm" in said and "off wire.resistance +3.8 % (+4.1 std)" in said
 
 
 def test_what_is_rounded_to_nothing_has_no_sign():
