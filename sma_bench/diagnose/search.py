@@ -37,6 +37,14 @@ _STUCK = 5.0  # nats that show a fit had not arrived
 _WORTH_A_LOOK = 3.0  # nats
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats of a single
+# What an effect adds to 1/C beside C itself: its fit can stay on the way from one to the other.
+_MOVED = 0.3  # prior deviations that are worth another fit
+_INSTEAD = {
+    "stress_dependent_transition": {
+        f"effect.stress_dependent_transition.{phase}": f"wire.stress_influence_{phase}"
+        for phase in ("austenite", "martensite")
+    }
+}
 
 Progress = Callable[[str], None]
 
@@ -111,6 +119,7 @@ def search(
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("the best again, carefully")
     again = in_threads(_refined, [(singles[n],) for n in _worth_refining(singles, recalibrated)])
+    again += [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
     for found in again:
         (name,) = found.unknowns.effects
         singles[name] = max(singles[name], found, key=lambda f: f.evidence)
@@ -236,6 +245,22 @@ def _refined(found: Fit) -> Fit:
     """The same model once more, with what its own jumps and delays do, not recalibration's."""
     problem = found.problem.with_nuisances(found.parameters)
     return fit(problem, found.unknowns, found.x, rounds=2)
+
+
+def _handed_over(found: Fit) -> Fit:
+    """The same sum of both, all of it the effect's: the parameters as believed."""
+    (effect,) = found.unknowns.effects
+    names, items, x = found.unknowns.names, found.unknowns.items, found.x.copy()
+    for number, parameter in _INSTEAD[effect].items():
+        if parameter not in names:
+            continue
+        k, c = names.index(number), names.index(parameter)
+        added = 1.0 / items[c].value(x[c]) - 1.0 / items[c].value(0.0)
+        x[k] = items[k].x_of(items[k].value(x[k]) + added)
+        x[c] = 0.0
+    if np.max(np.abs(x - found.x)) < _MOVED:
+        return found
+    return fit(found.problem, found.unknowns, x, rounds=2)
 
 
 def _pairs(

@@ -2,11 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from planted import believed
 
 from sma_bench.diagnose import search
 from sma_bench.diagnose.decision import Weights, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
+from sma_bench.estimation.unknowns import unknowns_of_records
 
 SMOOTH = "a smooth response of free form is left"
 BELIEF = "parameters are needed that nobody believes in"
@@ -112,6 +115,27 @@ def test_what_gains_here_and_there_counts_as_often_as_it_is_told_and_rivals_stay
     steady, scattered = found({}, **both), found({"latent_heat": 9.0}, **both)
     assert scattered["latent_heat"] == pytest.approx(steady["latent_heat"], abs=0.01)
     assert found({"slack": 5.0}, latent_heat=18.0, slack=9.0)["latent_heat"] > 0.8
+
+
+def test_a_stress_effect_is_tried_with_the_parameters_as_believed_at_the_same_sum(monkeypatch):
+    name, phases = "stress_dependent_transition", ("austenite", "martensite")
+    unknowns = unknowns_of_records(believed(), ("deflection",)).with_effects([name])
+    slopes = [unknowns.names.index(f"wire.stress_influence_{phase}") for phase in phases]
+    x = np.zeros(len(unknowns.names))
+    x[slopes] = 2.0, -1.5
+
+    def sums(at):
+        there = unknowns.parameters(at)
+        return [
+            1.0 / there[f"wire.stress_influence_{p}"] + there[f"effect.{name}.{p}"] for p in phases
+        ]
+
+    monkeypatch.setattr(search, "fit", lambda problem, unknowns, x, rounds: x)
+    found = search._handed_over(SimpleNamespace(unknowns=unknowns, x=x, problem=None))
+    assert found[slopes].tolist() == [0.0, 0.0]
+    assert sums(found) == pytest.approx(sums(x), rel=1e-9) and sums(found) != sums(0.0 * x)
+    arrived = SimpleNamespace(unknowns=unknowns, x=found, problem=None)
+    assert search._handed_over(arrived) is arrived
 
 
 def fitted(evidence, *effects):
