@@ -34,6 +34,7 @@ _STRAIGHT = 1.3
 _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
+_TOLD = 6.0  # standard errors of a bend
 _ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
 _TOGGLES = 0.6  # of the step: what scatters less may be two readings by turns
 _WORTH = 0.5  # of the noise of a line's mean
@@ -494,7 +495,7 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     step = resolution(voltage)
     # A level between two steps of the converter toggles by half a step about its mean.
     limit = _STRAIGHT * float(np.hypot(_scatter(voltage, step), 0.5 * step))
-    smooth, lines = _free_of_noise(time, voltage, segments, limit)
+    smooth, lines = _free_of_noise(time, voltage, segments, limit, step)
     left = [n for first, last, n in lines if smooth[first:last].max() > max(step, _OFF)]
     within = float(np.sqrt(np.mean(np.square(left)))) if left else 0.0
     hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
@@ -510,11 +511,12 @@ def _scatter(voltage: Array, step: float) -> float:
 
 
 def _free_of_noise(
-    time: Array, voltage: Array, segments: Segments, limit: float
+    time: Array, voltage: Array, segments: Segments, limit: float, step: float
 ) -> tuple[Array, list[tuple[int, int, float]]]:
     """Straight lines where the voltage is straight: first and last knot, and scatter, of each.
 
-    Noise on a plateau would make temperatures turn back and forth, and hysteresis with them.
+    Noise on a plateau would make temperatures turn back and forth, and hysteresis with them. A
+    duty's ramp, which is a root of time in volts, is bent by more than noise and converter explain.
     """
     smooth = voltage.copy()
     lines = []
@@ -524,11 +526,23 @@ def _free_of_noise(
             time[first:last], [segment.start, segment.stop],
             [segment.voltage_start, segment.voltage_stop],
         )
+        if last - first >= _FEWEST_IN_LINE:
+            line = line + _bend(voltage[first:last] - line, step)
         left = float(np.std(voltage[first:last] - line))
         if last - first >= _FEWEST_IN_LINE and left < limit:
             smooth[first:last] = line
             lines.append((int(first), int(last), left))
     return smooth, lines
+
+
+def _bend(left: Array, step: float) -> Array:
+    """(n,) V of the parabola in what a line leaves, 0 where it may be noise or the converter's."""
+    bow = np.square(np.linspace(-1.0, 1.0, len(left)))
+    bow -= bow.mean()
+    power = float(bow @ bow)
+    depth = float(bow @ left) / power
+    told = abs(depth) > max(0.5 * step, _TOLD * float(np.std(left - depth * bow)) / np.sqrt(power))
+    return depth * bow if told else np.zeros(len(left))
 
 
 def _jumps(time: Array, voltage: Array, segments: Segments) -> Array:
