@@ -13,6 +13,7 @@ from timing import interleaved, ratio
 
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Simulation, simulate
+from sma_bench.physics.sensitivities import Sensitivities, carries
 
 COMPOSITE = {
     "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
@@ -155,6 +156,7 @@ def _derivatives(case: str, parameters: Parameters, n: int, tiny: bool) -> list[
     if not CVODE:
         return [Skipped(f"{case}: derivatives by CVODE", "scikit-sundae is not installed")]
     case, parameters = f"{case}, latent heat", parameters.replace(LATENT)
+    assert carries(parameters)
     time_, voltage = drive(n, len(parameters["bench.channels"]))
     up, down = (
         [parameters.replace({name: parameters[name] * (1.0 + step)}) for name in DERIVED]
@@ -165,8 +167,9 @@ def _derivatives(case: str, parameters: Parameters, n: int, tiny: bool) -> list[
     truth = (both[:, : len(up)] - both[:, len(up) :]) / (2.0 * _MOVED)
 
     def ours() -> np.ndarray:
-        first, *moved = (simulate(b, time_, voltage).temperature for b in (parameters, *up))
-        return (np.stack(moved, axis=1) - first[:, None]) / _MOVED
+        run = simulate(parameters, time_, voltage)
+        carried = Sensitivities.of(run, up, np.full(len(up), _MOVED))
+        return carried.temperature.transpose(1, 2, 0)
 
     def cvode_s(rtol: float) -> np.ndarray:
         states = side_by_side(problems, time_, voltage, rtol)
