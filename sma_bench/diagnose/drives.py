@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sma_bench.estimation.unknowns import FRONT
-
 _SHARES = {"full": (1.0,), "growing": (0.7, 0.8, 0.9, 1.0), "partial": (0.85, 0.8)}
 _ORDERS = ("in turn", "one side", "the other side", "both sides", "the other side warmed before")
 _SECONDS, _RESTS = (5.0, 60.0), (5.0, 90.0)
@@ -102,14 +100,13 @@ def changed(drive: Drive, random: np.random.Generator) -> Drive:
 
 
 class Test(NamedTuple):
-    """A test of the paper: minutes, the standard deviations that it leaves, absolute [K] or as a
-    share of the value, and effects beside which it would read something else."""
+    """A test of the paper: minutes, and the standard deviations that it leaves, absolute [K] or
+    as a share of the value."""
 
     minutes: float
     title: str
     absolute: Mapping[str, float]
     relative: Mapping[str, float]
-    hidden_by: tuple[str, ...] = ()
 
 
 TESTS = {
@@ -131,6 +128,4 @@ TESTS = {
     "E8": Test(45.0, "a staircase of the clamped wire", {}, {
         "wire.thermal_expansion_factor": 0.03,
     }),
-    "E10": Test(20.0, "bending of the composite by known weights", {}, {FRONT: 0.02},
-                ("side_asymmetry",)),
 }
