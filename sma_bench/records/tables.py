@@ -335,6 +335,7 @@ def _read_matlab(content: bytes, budget: Budget) -> Found:
 # Data types of MAT 5 elements; scipy's compiled reader ends the process at any other.
 _NUMBERS_AND_TEXTS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
 _MATRIX, _COMPRESSED = 14, 15
+_FLAGS, _COMPLEX, _SPARSE = 16, 0x800, 5
 _NOT_MATLAB = "not a readable MATLAB file: {}"
 # Of matrices: cells, structures, objects, functions and opaque ones hold matrices, all others none.
 _HOLD_MATRICES = frozenset({1, 2, 3, 16, 17})
@@ -378,17 +379,27 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
 
 
 def _check_matrix(content: bytes, order: str, depth: int, budget: Budget) -> None:
+    """What scipy's reader takes for granted: sixteen bytes of flags, then as many elements as these
+    promise, each of a type that it knows."""
     if depth > _DEEPEST:
         raise OverBudget(f"nested deeper than {_DEEPEST} levels")
-    shape = 0
-    for number, (kind, body) in enumerate(_elements(content, order)):
+    if len(content) < _FLAGS:
+        if content:
+            raise InputError(_NOT_MATLAB.format("a variable without flags"))
+        return
+    flags = int(struct.unpack_from(order + "I", content, 8)[0])
+    shape, parts = flags & 0xFF, 0
+    for kind, body in _elements(content[_FLAGS:], order):
         budget.check()
-        if number == 0 and len(body) >= 4:
-            shape = body[0 if order == "<" else 3]
+        parts += 1
         if kind == _MATRIX and shape in _HOLD_MATRICES:
             _check_matrix(body, order, depth + 1, budget)
         elif kind not in _NUMBERS_AND_TEXTS:
             raise InputError(_NOT_MATLAB.format(f"an element of type {kind}"))
+    # Shape, name and numbers; those of a sparse matrix have places; complex ones a second half.
+    expected = 3 + 2 * (shape == _SPARSE) + bool(flags & _COMPLEX)
+    if shape not in _HOLD_MATRICES and parts < expected:
+        raise InputError(_NOT_MATLAB.format(f"{parts} parts of a variable, expected {expected}"))
 
 
 def _matlab_leaves(path: tuple[str, ...], value: Any) -> Iterator[_Leaf]:

@@ -376,6 +376,25 @@ def test_numbers_of_a_type_that_matlab_has_not_are_refused_before_they_end_the_p
     assert len(read_table_file(plain).columns) == 2
 
 
+@pytest.mark.parametrize("altered", [(8, 0x0806), (8, 0x0805), (8, 0x0005), (0, 0x00040006)])
+def test_a_matlab_variable_that_promises_more_than_it_holds_is_refused(altered, tmp_path):
+    """Scipy's compiled reader goes on into the next variable and ends the process there."""
+    plain = tmp_path / "plain.mat"
+    io.savemat(plain, {"t": np.arange(40) / 7.0, "u": np.arange(40) * 1.5})
+    content = bytearray(plain.read_bytes())
+    place, word = altered
+    content[136 + place : 140 + place] = word.to_bytes(4, "little")
+    (tmp_path / "odd.mat").write_bytes(content)
+    if place:
+        with pytest.raises(InputError, match="parts of a variable, expected"):
+            read_table_file(tmp_path / "odd.mat")
+    else:  # the tag of the flags is nobody's business
+        assert len(read_table_file(tmp_path / "odd.mat").columns) == 2
+    complex_ = tmp_path / "complex.mat"
+    io.savemat(complex_, {"t": np.arange(40) / 7.0, "z": np.arange(40) * (1.0 + 1.0j)})
+    assert [column.name for column in read_table_file(complex_).columns][0] == "t"
+
+
 def test_a_matlab_file_of_countless_tiny_elements_is_refused_within_its_time(
     tmp_path, monkeypatch
 ):
