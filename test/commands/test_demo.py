@@ -226,10 +226,12 @@ def test_the_argument_is_printed_whole_on_a_narrow_terminal():
     said = answer(("slack", 0.98), ("ambient_drift", 0.002), cause=["slack"])
     print_argument(console, said)
     printed = console.file.getvalue()
-    assert "slack explains the gap (probability 98 %)" in printed
-    assert "deflection while driven, front side" in printed and "(mechanical stage)" in printed
-    assert "0.980" in printed and "ambient_drift" not in printed
-    assert "94 % [90, 97] of the gap gone" in " ".join(printed.split())
+    assert max(map(len, printed.splitlines())) <= 80
+    told = " ".join(printed.split())
+    assert "slack explains the gap (probability 98 %)" in told
+    assert "deflection while driven, front side" in told and "(mechanical stage)" in told
+    assert "0.980" in told and "ambient_drift" not in told
+    assert "94 % [90, 97] of the gap gone" in told
 
 
 @pytest.mark.slow
