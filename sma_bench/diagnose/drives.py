@@ -35,10 +35,15 @@ class Drive:
             steps += self._steps(targets[k % len(targets)], volts, sides)
             left, k = left - self._pulse, k + 1
         what = "triangles" if self.shape == "triangle" else "steps"
+        order = [self.order]
+        if len(set(sides)) == 1:
+            order = ["warmed before"] if "warmed" in self.order else []
         return {
-            "name": f"{self.heights}_{what}_{self.order}".replace(" ", "_"),
-            "description": f"{self.heights} {what} of {self.seconds:g} s, {self.order}, with rests "
-                           f"of {self.rest:g} s",
+            "name": "_".join([self.heights, what, *order]).replace(" ", "_"),
+            "description": ", ".join([
+                f"{self.heights} {what} of {self.seconds:g} s", *order,
+                f"with rests of {self.rest:g} s",
+            ]),
             "steps": steps,
         }
 

@@ -10,6 +10,7 @@ from sma_bench.diagnose import diagnose, search
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.protocols import parse_protocol
 from sma_bench.records import Record, Signal
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
 
@@ -96,6 +97,15 @@ def test_what_was_planted_is_named_from_motion_and_voltage(load, effect, drive):
     assert {o.quantities for o in found.observations} == {("deflection",)}
     assert bool(found.to_json()["where"]["side"]) == (load == "antagonist")
     assert ("side" in f"{found} {' '.join(found.to_json()['why'])}") == (load == "antagonist")
+
+
+def test_a_drive_of_its_one_wire_is_proposed_where_parameters_may_hide_an_effect():
+    found = diagnosed("spring", {"effect.latent_heat.heat": 1e3}, 4)
+    proposed = found.to_json()["next_experiment"]
+    assert found.decision.verdict != "effect" and "latent_heat" in proposed["separates"]
+    assert proposed["kind"] == "protocol" and "side" not in proposed["why"].split(" with ")[0]
+    protocol = parse_protocol(proposed["protocol"], Parameters({**LAB, **LOADS["spring"]}))
+    assert protocol.duration == pytest.approx(60.0 * proposed["minutes"], rel=0.01)
 
 
 def test_what_was_identified_beside_the_model_is_moved_and_no_candidate():
