@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sma_bench.control.temperature import PI, Gains, HeatBudget, Heating, OutputLimits
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.effect_table import EFFECT_TABLE
+from sma_bench.parameters.parameter import EFFECT_TABLE
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import Bench, side_names

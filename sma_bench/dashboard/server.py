@@ -22,8 +22,7 @@ import tornado.web
 import tornado.websocket
 
 from sma_bench.border import TEXT, read_fields
-from sma_bench.dashboard.live_state import Seen, quantity_table
-from sma_bench.dashboard.stopping import Bench, stop
+from sma_bench.dashboard.live_state import Bench, Seen, quantity_table, stop
 from sma_bench.errors import InputError
 
 # --- Who may see the page and press its button: a token, and names that lead here.

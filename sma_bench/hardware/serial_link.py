@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.conversation import Conversation, LinkError
+from sma_bench.hardware.conversation import Conversation, LinkError, Port, transmission_time
 from sma_bench.hardware.device import (
     HANDSHAKE_LINES,
     DeviceClock,
@@ -36,7 +36,6 @@ from sma_bench.hardware.serial_messages import (
     Telemetry,
     command,
 )
-from sma_bench.hardware.serial_port import Port, transmission_time
 
 BINARY_ABOVE = 100
 """Hz: text telemetry up to here, binary above."""

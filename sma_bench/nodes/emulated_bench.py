@@ -5,7 +5,6 @@ here as topics: what a perfect camera would read, with its noise.
 """
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from sma_bench.emulation.emulated_bench import emulated_bench
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.nodes.base import BenchNode
 from sma_bench.ros.node import MEASURED
 
 _MOST_LAG = 0.05
@@ -107,12 +106,3 @@ def _link(name: str, port: str) -> Path | None:
     except OSError as error:
         raise InputError(f"port: {name}: {error.strerror}") from None
     return link
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    return run_node("emulated_bench", EmulatedBenchNode, argv)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

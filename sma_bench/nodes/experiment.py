@@ -6,7 +6,7 @@ to 0 V.
 
 import json
 import time
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Set
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,14 +24,13 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.live.recording import BRIDGE, RECORDER, Beside
 from sma_bench.live.run import ABORTED, IDLE, OpenLoop, Run, Surroundings
-from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual, run_node
+from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
 from sma_bench.nodes.bench_topics import follow_recorder
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols import Protocol
 from sma_bench.protocols.reading import TIP, is_path
 from sma_bench.records.contract import place_of
-from sma_bench.ros.commander import COMMAND, signature, voltage_command
-from sma_bench.ros.node import LATCHED, MEASURED
+from sma_bench.ros.node import COMMAND, LATCHED, MEASURED, signature, voltage_command
 
 _FILES = frozenset({"protocol", "reference"})
 _FEEDBACK = ("power", "temperature")
@@ -242,12 +241,3 @@ def _answer(
 ) -> Trigger.Response:
     response.success, response.message = act()
     return response
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    return run_node("experiment", Experiment, argv)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

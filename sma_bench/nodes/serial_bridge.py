@@ -7,7 +7,7 @@ never enables by itself.
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,17 +19,14 @@ from std_srvs.srv import Trigger
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors
-from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.conversation import LinkError, Port, find_port, open_port
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.node_reports import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_port import Port, find_port, open_port
-from sma_bench.nodes.base import BRIDGE, be_punctual, run_node
+from sma_bench.nodes.base import ACTIVE, BRIDGE, INACTIVE, ManagedNode, be_punctual
 from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics, follow_recorder
-from sma_bench.nodes.managed_node import ACTIVE, INACTIVE, ManagedNode
-from sma_bench.ros.commander import COMMAND, COMMANDED, Commanders, layout_fault
-from sma_bench.ros.node import LATCHED
+from sma_bench.ros.node import COMMAND, COMMANDED, LATCHED, Commanders, layout_fault
 
 _NANOSECONDS = 1e9
 _TICK = 0.005
@@ -268,12 +265,3 @@ class SerialBridge(ManagedNode):
         if state not in ("idle", "enabled"):
             return DiagnosticStatus.ERROR
         return DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    return run_node("serial_bridge", SerialBridge, argv)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

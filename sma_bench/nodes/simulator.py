@@ -1,7 +1,6 @@
 """Stands in for the bench: same topics, types, rates and sensor noise as the hardware."""
 
 import time
-from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,12 +12,11 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.lockstep import REAL_TIME, Lockstep
 from sma_bench.hardware.safety import CommandGate, Limits
-from sma_bench.live.virtual_bench import NANOSECONDS, VirtualBench
-from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.live.virtual_bench import NANOSECONDS, REAL_TIME, Lockstep, VirtualBench
+from sma_bench.nodes.base import BenchNode
 from sma_bench.nodes.bench_topics import BenchTopics
-from sma_bench.ros.commander import COMMAND, COMMANDED, Commanders, layout_fault
+from sma_bench.ros.node import COMMAND, COMMANDED, Commanders, layout_fault
 
 # A bench in real time answers a command within 10 ms, the period of its power readings.
 _REAL_TIME_SLICE = 0.01
@@ -99,7 +97,7 @@ class Simulator(BenchNode):
         if reason:
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
             return
-        self._lockstep.commanded(now)
+        self._lockstep.commanded(now, time.monotonic())
         if self._fast:
             self._tick()
 
@@ -153,12 +151,3 @@ class Simulator(BenchNode):
         """Simulated time: the node gives the clock and does not hear it."""
         seconds, rest = divmod(self._epoch + self._now, NANOSECONDS)
         return Time(sec=seconds, nanosec=rest)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    return run_node("simulator", Simulator, argv)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

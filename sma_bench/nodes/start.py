@@ -11,6 +11,22 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from typing import Any
+
+NODES = {  # by the executable's name: module and class
+    "simulator": "simulator.Simulator",
+    "serial_bridge": "serial_bridge.SerialBridge",
+    "emulated_bench": "emulated_bench.EmulatedBenchNode",
+    "ir_camera": "cameras.IrCamera",
+    "synthetic_camera": "cameras.SyntheticCameraNode",
+    "experiment": "experiment.Experiment",
+    "recorder": "recorder.Recorder",
+    "identification": "job_nodes.Identification",
+    "diagnosis": "job_nodes.DiagnosisNode",
+    "twin": "twin.TwinNode",
+    "temperature_controller": "controllers.TemperatureControllerNode",
+    "deflection_controller": "controllers.DeflectionControllerNode",
+}
 
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
@@ -20,10 +36,23 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if argv is None else argv
     if not {"-h", "--help"} & set(given):
         print(f"starting {name}", flush=True)  # its libraries take a second, or many
-    status: int = import_module(f"sma_bench.nodes.{name}").main(argv)
+    status: int = run(name, argv)
     for number in ending_signals():  # once more is no use, and would only make noise
         signal.signal(number, signal.SIG_IGN)
     return status
+
+
+def run(name: str, argv: Sequence[str] | None = None) -> int:
+    """As `start`, in a process that keeps its own signals until the node is there."""
+    kind = node_class(name)
+    status: int = import_module("sma_bench.nodes.base").run_node(name, kind, argv)
+    return status
+
+
+def node_class(name: str) -> Any:
+    """The class of a node, its module imported."""
+    module, _, kind = NODES[name].partition(".")
+    return getattr(import_module(f"sma_bench.nodes.{module}"), kind)
 
 
 def ending_signals() -> list[signal.Signals]:

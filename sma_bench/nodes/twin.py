@@ -16,14 +16,24 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.nodes.base import BenchNode, run_node
+from sma_bench.nodes.base import BenchNode
 from sma_bench.nodes.bench_topics import NAN
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.ros.node import MEASURED
 from sma_bench.twin import Twin, compile_model
-from sma_bench.twin.twin import CURRENT, NANOSECONDS, TEMPERATURE, Prediction, Residual
-from sma_bench.twin.verdict import GAP, GREW, MEASURED_STAGES, StageState, Verdict
+from sma_bench.twin.twin import (
+    CURRENT,
+    GAP,
+    GREW,
+    MEASURED_STAGES,
+    NANOSECONDS,
+    TEMPERATURE,
+    Prediction,
+    Residual,
+    StageState,
+    Verdict,
+)
 
 # --- What the twin says as messages, below `twin/`: predictions, residuals, energies by stage.
 #
@@ -256,12 +266,3 @@ class TwinNode(BenchNode):
 
 def _stamp(message: Any) -> int:
     return message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    return run_node("twin", TwinNode, argv)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

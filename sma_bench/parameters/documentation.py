@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 
-from sma_bench.parameters.effect_table import EFFECTS, LOAD_KINDS, Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import EFFECTS, LOAD_KINDS, Effect, Parameter
 from sma_bench.parameters.table import TABLE
 
 _HEAD = """# Parameters

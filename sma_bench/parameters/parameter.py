@@ -1,8 +1,20 @@
-"""One parameter of the bench: what it is called, what it may be, and where the number is from."""
+"""One parameter of the bench, what it is called, what it may be, and where the number is from; and
+the declarations of effects, what the paper's model leaves out, as the effects' files state them.
 
+An effect is one file, `physics/effects/<name>.py`: its docstring is title, equation and source, its
+`EFFECT = Effect(...)` everything else that is to be known of it; below stands the compiled
+equation. This module reads the declarations out of the files' text, without importing them: a
+parameter file is read without loading the compiler, and nothing lists the effects but their folder.
+"""
+
+import ast
+import inspect
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 from sma_bench.errors import InputError
 
@@ -113,3 +125,138 @@ MANAGED = Parameter(
     "Wait for a lifecycle manager's configure and activate, instead of going there at once.",
     "choice", kind="bool", read_only=True,
 )
+
+
+# --- effects
+
+EFFECT_PREFIX = "effect."
+EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
+
+Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
+LOAD_KINDS = ("clamped", "force", "spring", "antagonist", "beam")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One departure from the paper's model; off with every default.
+
+    Attributes:
+        name: of the contract, and of the file.
+        stage: where in the chain it acts.
+        parameters: its numbers, `effect.<name>.<number>`, its size first.
+        shows: what an engineer sees at the bench.
+        acts_on: signals that it can change, in the order of the chain.
+        loads: kinds of load under which a bench can have it.
+        marks: columns of the core that are 1 where it is on: the step takes the longer way there.
+        row: what its columns are of, every wire or every side that bends.
+        columns: number to the column that holds it, where the core reads it as it is.
+        constants, state, scratch: further columns of that row: what a bench is; what one step hands
+            to the next, 0 at the start; what is noted within a step. A name that stands n times is
+            the first of n columns.
+        carried: numbers that are no more than a number in the rows of the core, so that derivatives
+            are carried along with a simulation (physics/sensitivities.py) while no other is on.
+        text: title, equation and source: the docstring of its file.
+    """
+
+    name: str
+    stage: Stage
+    parameters: tuple[Parameter, ...]
+    shows: str
+    acts_on: tuple[str, ...] = ("temperature", "deflection")
+    loads: tuple[str, ...] = LOAD_KINDS
+    marks: tuple[str, ...] = ()
+    row: Literal["wire", "side"] = "wire"
+    columns: Mapping[str, str] | None = None
+    constants: tuple[str, ...] = ()
+    state: tuple[str, ...] = ()
+    scratch: tuple[str, ...] = ()
+    carried: tuple[str, ...] = ()
+    text: str = ""
+
+    @property
+    def size(self) -> Parameter:
+        """The number that switches it on."""
+        return self.parameters[0]
+
+    @cached_property
+    def switches(self) -> tuple[Parameter, ...]:
+        """Numbers of which any one switches it on: those whose default is 0."""
+        return tuple(p for p in self.parameters if p.default == 0.0)
+
+    @cached_property
+    def _switch_names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.switches)
+
+    def is_on(self, parameters: Mapping[str, object]) -> bool:
+        """Whether these parameters switch it on."""
+        for name in self._switch_names:  # noqa: SIM110 (a generator takes twice as long)
+            if parameters[name] != 0.0:
+                return True
+        return False
+
+    @cached_property
+    def not_carried(self) -> tuple[str, ...]:
+        """Full names of its numbers by which no derivative is carried along."""
+        carried = {f"{EFFECT_PREFIX}{self.name}.{number}" for number in self.carried}
+        return tuple(p.name for p in self.parameters if p.name not in carried)
+
+    def named(self, number: str) -> Parameter:
+        """The table's entry of one of its numbers.
+
+        Raises:
+            InputError: the effect has no such number.
+        """
+        for parameter in self.parameters:
+            if parameter.name == f"{EFFECT_PREFIX}{self.name}.{number}":
+                return parameter
+        known = ", ".join(p.name.rsplit(".", 1)[1] for p in self.parameters)
+        raise InputError(f"effect {self.name}: no number {number!r}, expected {known}")
+
+    @cached_property
+    def column_names(self) -> dict[str, str]:
+        """Full name of a number to its column."""
+        prefix = f"{EFFECT_PREFIX}{self.name}."
+        return {prefix + number: column for number, column in (self.columns or {}).items()}
+
+
+def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
+    """Effects of the files in a folder by name, in the order of the chain's stages.
+
+    Raises:
+        ValueError: a file without docstring or declaration, or with one that does not fit its
+            name.
+    """
+    found = [_declared(path) for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+    stages = get_args(Stage)
+    return {e.name: e for e in sorted(found, key=lambda effect: stages.index(effect.stage))}
+
+
+def _declared(path: Path) -> Effect:
+    """The declaration in a file: calls of the two types it names, and literals."""
+    text = path.read_text(encoding="utf-8")
+    _, found, rest = text.partition("\nEFFECT = ")
+    declaration, closed, _ = rest.partition("\n)\n")
+    if not (found and closed and '"""' in text):
+        raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
+    effect = _value(ast.parse(declaration + "\n)", path, "eval").body)
+    prefix = f"{EFFECT_PREFIX}{path.stem}."
+    if effect.name != path.stem:
+        raise ValueError(f"{path}: EFFECT is called {effect.name}, expected {path.stem}")
+    if not all(p.name.startswith(prefix) for p in effect.parameters):
+        raise ValueError(f"{path}: a parameter's name does not begin with {prefix}")
+    return replace(effect, text=inspect.cleandoc(text.split('"""')[1]))
+
+
+def _value(node: ast.expr) -> Any:
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        kind = {"Effect": Effect, "Parameter": Parameter}[node.func.id]
+        named = {keyword.arg or "": _value(keyword.value) for keyword in node.keywords}
+        return kind(*map(_value, node.args), **named)
+    if isinstance(node, ast.Tuple):
+        return tuple(map(_value, node.elts))
+    return ast.literal_eval(node)
+
+
+EFFECTS = declared_effects()
+EFFECT_NAMES = tuple(EFFECTS)
+EFFECT_TABLE: tuple[Parameter, ...] = tuple(p for e in EFFECTS.values() for p in e.parameters)

@@ -6,8 +6,7 @@ from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.parameters.effect_table import LOAD_KINDS
-from sma_bench.parameters.parameter import Value
+from sma_bench.parameters.parameter import LOAD_KINDS, Value
 from sma_bench.parameters.table import BY_NAME, TABLE
 
 UNCERTAINTY_PREFIX = "uncertainty."

@@ -1,7 +1,6 @@
 """Every parameter of the bench contract, with its number and where the number comes from."""
 
-from sma_bench.parameters.effect_table import EFFECT_TABLE
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import EFFECT_TABLE, Parameter
 
 # R, h, c_p and the room of Table I are known as far as the sensors of the data sheets tell them.
 WIRE = (

@@ -11,8 +11,7 @@ import yaml
 
 from sma_bench.border import printable, read_yaml, write_files
 from sma_bench.errors import InputError
-from sma_bench.parameters.effect_table import EFFECT_PREFIX
-from sma_bench.parameters.parameter import Parameter, Value
+from sma_bench.parameters.parameter import EFFECT_PREFIX, Parameter, Value
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
 from sma_bench.parameters.table import BY_NAME, TABLE
 

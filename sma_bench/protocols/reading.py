@@ -10,8 +10,7 @@ from sma_bench.border import read_bytes, read_yaml
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
-from sma_bench.protocols.protocol import Protocol, Segment, Until
-from sma_bench.protocols.spoken import spoken_steps
+from sma_bench.protocols.protocol import Protocol, Segment, Until, spoken_steps
 from sma_bench.share import share_directory
 
 # --- The kinds of step a protocol is written with, each expanded into straight segments.

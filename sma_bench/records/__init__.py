@@ -1,8 +1,7 @@
 """Bags and instrument files in, named signals out; bag writing."""
 
 from sma_bench.records.bag import read_record
-from sma_bench.records.check import check_record
-from sma_bench.records.describe import describe
+from sma_bench.records.check import check_record, describe
 from sma_bench.records.dsc import DscRecord, DscSegment, read_dsc
 from sma_bench.records.open import open_record
 from sma_bench.records.record import Record, Signal, Topic

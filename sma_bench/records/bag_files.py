@@ -19,8 +19,7 @@ from sma_bench.border import (
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records import mcap_scan, sqlite_scan
-from sma_bench.records.compression import ZSTD_MAGIC, decompress_file
-from sma_bench.records.harvest import Harvest
+from sma_bench.records.harvest import ZSTD_MAGIC, Harvest, decompress_file
 
 T = TypeVar("T")
 

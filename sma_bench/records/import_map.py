@@ -18,9 +18,8 @@ from sma_bench.border import printable, read_yaml
 from sma_bench.errors import InputError
 from sma_bench.records import contract
 from sma_bench.records.record import FloatArray, Signal
-from sma_bench.records.table_cells import Column
+from sma_bench.records.table_cells import Column, Unit, parse_unit
 from sma_bench.records.tables import TableFile
-from sma_bench.records.units import Unit, parse_unit
 
 ASK = "ask"
 FORMS = ("rms", "duty", "mean")

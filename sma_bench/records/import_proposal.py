@@ -22,9 +22,8 @@ from sma_bench.records.import_map import (
     in_si,
 )
 from sma_bench.records.record import FloatArray, Signal
-from sma_bench.records.table_cells import Column
+from sma_bench.records.table_cells import Column, parse_unit
 from sma_bench.records.tables import TableFile
-from sma_bench.records.units import parse_unit
 
 _CLEAR = 3.0  # times as far one way as the other
 _LONGEST_TIME = 30 * 86_400.0

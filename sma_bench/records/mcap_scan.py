@@ -19,8 +19,13 @@ import numpy as np
 
 from sma_bench.border import Budget, OverBudget
 from sma_bench.findings import Finding
-from sma_bench.records.compression import decompress_lz4, decompress_zstd
-from sma_bench.records.harvest import Harvest, RawTopic, is_compiled
+from sma_bench.records.harvest import (
+    Harvest,
+    RawTopic,
+    decompress_lz4,
+    decompress_zstd,
+    is_compiled,
+)
 from sma_bench.records.record import IntArray
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -106,7 +111,7 @@ class _Scan:
 
         None is taken where something is odd about the first.
         """
-        from sma_bench.records.mcap_messages import find_messages
+        from sma_bench.records.message_buffers import find_messages
 
         # A copy of the file's own bytes: a map that arrays look into cannot be closed.
         source = memoryview(buffer) if isinstance(buffer, bytes) else buffer

@@ -12,8 +12,7 @@ from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded
 from sma_bench.records import cdr, contract
-from sma_bench.records.compression import ZSTD_MAGIC, decompress_messages
-from sma_bench.records.harvest import RawTopic
+from sma_bench.records.harvest import ZSTD_MAGIC, RawTopic, decompress_messages
 from sma_bench.records.record import FloatArray, IntArray, Record, has_samples
 
 # A clock that shows less than a day since 1970 is a simulation's.

@@ -40,8 +40,15 @@ from sma_bench.dashboard.live_state import (
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.records.contract import place_of
-from sma_bench.ros.commander import COMMAND, signature, voltage_command
-from sma_bench.ros.node import LATCHED, OneThreadExecutor, OverridableNode, start_ros
+from sma_bench.ros.node import (
+    COMMAND,
+    LATCHED,
+    OneThreadExecutor,
+    OverridableNode,
+    signature,
+    start_ros,
+    voltage_command,
+)
 
 _LOOK_EVERY = 0.5
 _ASK_EVERY = 2.0

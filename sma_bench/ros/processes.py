@@ -1,18 +1,144 @@
-"""Nodes as processes of a script: started with a log each, ended in reverse order."""
+"""Nodes as processes of a script, and who may reach them: programs of this machine alone, unless
+the user opens them. No ROS.
 
+Without SROS 2, whoever reaches a bench may heat its wires. ROS's own default is the whole subnet,
+and its range LOCALHOST only keeps a node from looking: whoever names the machine as a peer still
+gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1.
+"""
+
+import hashlib
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any, Self
 
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
-from sma_bench.ros.discovery import RANGE, THIS_MACHINE, USERS_VARIABLES
+from sma_bench.share import share_directory
 
-_PATIENCE = 8.0
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+THIS_MACHINE, NETWORK = "LOCALHOST", "SUBNET"
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+# Another name of it, in later releases.
+_PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")
+# Opened, a node does without shared memory too: the profile says why.
+TRANSPORTS, _SOCKETS = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
+# Else Fast DDS reads a profile from the folder of the start too, which may hold foreign records.
+_NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
+_ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
+_MIDDLEWARE = "RMW_IMPLEMENTATION"
+USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, TRANSPORTS, *_PROFILES)
+_PATIENCE = 2.0
+"""s for which a name may still be held by a node that is ending"""
+_OPEN_RANGES = (NETWORK, "SYSTEM_DEFAULT")
+
+
+def discovery_variables(
+    network: bool, environment: Mapping[str, str] = os.environ
+) -> dict[str, str]:
+    """Variables to set for a node: open to the network, else what the user has set, else local."""
+    sockets = {} if _set(environment, TRANSPORTS) else {TRANSPORTS: _SOCKETS}
+    if network:
+        return {RANGE: NETWORK} | sockets
+    if _opened(environment):
+        return sockets
+    variables = {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
+    if not _set(environment, *_PROFILES):
+        variables |= dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
+    return variables
+
+
+def choose_discovery(
+    network: bool = False, environment: MutableMapping[str, str] = os.environ
+) -> None:
+    """Set them for this process, before ROS starts in it; what has no effect is said."""
+    variables = discovery_variables(network, environment)
+    if PROFILE in variables:
+        for note in _notes(environment):
+            print(f"sma_bench: note: {note}", file=sys.stderr)
+    if network and environment.get(PROFILE) == _own_profile():  # of a parent that was bound
+        for name in (*_PROFILES, _NO_OTHER_PROFILE):
+            environment.pop(name, None)
+    environment.update(variables)
+
+
+def claimed(name: str) -> socket.socket:
+    """Hold a name in this machine's ROS domain until the socket is closed or the process ends.
+
+    Waits a moment for one that is about to end: the graph still lists nodes that were killed.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    address = f"\0sma_bench/{domain}/{hashlib.sha1(name.encode()).hexdigest()}"
+    end = time.monotonic() + _PATIENCE
+    while True:
+        held = socket.socket(socket.AF_UNIX)
+        try:
+            held.bind(address)
+        except OSError:
+            held.close()
+        else:
+            held.listen()
+            return held
+        if time.monotonic() > end:
+            raise InputError(
+                f"{name} is there already in ROS domain {domain}: process {_holder(address)}"
+            )
+        time.sleep(0.05)
+
+
+def _holder(address: str) -> str:
+    with socket.socket(socket.AF_UNIX) as asking:
+        try:
+            asking.connect(address)
+            peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+        except OSError:
+            return "unknown"
+        return str(struct.unpack("3i", peer)[0])
+
+
+def _own_profile() -> str:
+    return str(share_directory() / "config" / "dds" / "this_machine.xml")
+
+
+def _opened(environment: Mapping[str, str]) -> bool:
+    """Whether the user's own variables ask for the network; ROS heeds them in this order."""
+    if environment.get(_ONLY) == "1":
+        return False
+    if environment.get(_SERVER):
+        return True
+    if chosen := environment.get(RANGE):
+        return chosen in _OPEN_RANGES
+    return bool(environment.get(_ONLY))
+
+
+def _notes(environment: Mapping[str, str]) -> list[str]:
+    notes = []
+    if environment.get(_PEERS):
+        notes.append(
+            f"{_PEERS} has no effect, nodes are bound to this machine: {RANGE}={NETWORK} opens them"
+        )
+    middleware = environment.get(_MIDDLEWARE, "")
+    if middleware and "fastrtps" not in middleware:
+        notes.append(
+            f"{_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this machine by sma_bench"
+        )
+    return notes
+
+
+def _set(environment: Mapping[str, str], *names: str) -> bool:
+    return any(environment.get(name) for name in names)
+
+
+_PATIENCE_AT_THE_END = 8.0
 _PRIVATE_DOMAINS = range(120, 220)
 
 
@@ -80,7 +206,7 @@ class NodeProcesses:
             if process.poll() is None:
                 process.send_signal(number)
                 try:
-                    process.wait(_PATIENCE)
+                    process.wait(_PATIENCE_AT_THE_END)
                 except subprocess.TimeoutExpired:
                     continue
             return

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
-from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
 from sma_bench.physics.kernel import State
+from sma_bench.physics.material import current
 from sma_bench.physics.simulate import Simulation, warmed_from_rest
 
 Array = NDArray[np.float64]

@@ -5,8 +5,7 @@ import asyncio
 import pytest
 from stand_in import StandIn
 
-from sma_bench.dashboard.live_state import LiveState, Seen
-from sma_bench.dashboard.stopping import Wires, stop
+from sma_bench.dashboard.live_state import LiveState, Seen, Wires, stop
 
 
 @pytest.fixture

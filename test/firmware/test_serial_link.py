@@ -17,11 +17,10 @@ from host_firmware import HostFirmware
 
 from sma_bench.emulation.emulated_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
-from sma_bench.hardware.conversation import LinkError
+from sma_bench.hardware.conversation import LinkError, find_port, open_port
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_messages import State, Telemetry, line
-from sma_bench.hardware.serial_port import find_port, open_port
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 30.0
@@ -264,7 +263,7 @@ def test_killed_host_leaves_nothing_driven(bench: PtyBench) -> None:
     script = f"""
 import time
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_port import open_port
+from sma_bench.hardware.conversation import open_port
 link = SerialLink(lambda: open_port({bench.path!r}), LinkOptions(greeting_timeout=0.3))
 link.start()
 link.wait_connected({PATIENCE})

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sma_bench.hardware.lockstep import Lockstep
+from sma_bench.live.virtual_bench import Lockstep
 
 SLICE = 0.05
 TIMEOUT = 0.5
@@ -32,7 +32,7 @@ class Simulation:
         return self.simulated
 
     def command(self):
-        self.lockstep.commanded(self.simulated)
+        self.lockstep.commanded(self.simulated, self.wall)
 
 
 def test_without_a_driver_time_runs_at_the_asked_speed():
@@ -45,6 +45,15 @@ def test_real_time_waits_for_nobody_and_catches_up():
     simulation.command()
     simulation.wall += 3.0
     assert simulation.run(1.0) == pytest.approx(5.0, abs=2 * SLICE)
+
+
+def test_a_driver_that_begins_finds_time_standing_until_all_it_sent_is_heard():
+    simulation = Simulation(20.0)
+    before = simulation.run(1.0)
+    for _ in range(3):  # each for a slice that ran before the first of them came
+        simulation.command()
+        assert simulation.run(0.02) == before
+    assert simulation.run(0.2) - before == pytest.approx(SLICE)
 
 
 def test_time_lost_in_waiting_is_not_caught_up():
@@ -63,12 +72,13 @@ def test_time_lost_in_waiting_is_not_caught_up():
 def test_every_command_is_worth_one_slice_whatever_the_delays(delays):
     simulation = Simulation(1000.0)
     simulation.command()
+    simulation.run(0.2, tick=0.01)
     begin = simulation.slices
     for delay in delays:
         simulation.run(delay, tick=0.01)
         simulation.command()
     simulation.run(0.1, tick=0.01)
-    assert simulation.slices - begin == len(delays) + 1
+    assert simulation.slices - begin == len(delays)
 
 
 def test_a_driver_that_left_is_waited_for_no_longer_than_its_patience():
@@ -84,7 +94,7 @@ def test_a_driver_that_left_is_waited_for_no_longer_than_its_patience():
 def test_a_driver_slower_than_declared_stalls_the_simulation_once():
     simulation = Simulation(100.0)
     simulation.command()
-    simulation.run(PATIENCE + 0.1)  # its next command is due two slices later
+    simulation.run(PATIENCE + 0.3)  # its next command is due two slices later
     assert simulation.slices >= 2
     stalls = 0
     for _ in range(20):

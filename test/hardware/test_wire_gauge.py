@@ -6,8 +6,8 @@ import pytest
 
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
 from sma_bench.hardware.thermal_image import Surface
+from sma_bench.hardware.thermal_settings import ExpectedWarmth, WireGauge
 from sma_bench.hardware.thermal_wire import Optics, Region
-from sma_bench.hardware.wire_gauge import ExpectedWarmth, WireGauge
 from sma_bench.parameters import Parameters
 
 ROOM = 296.15

@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from sma_bench.ros.node import LATCHED  # noqa: E402
+from sma_bench.ros.node import LATCHED, OneThreadExecutor  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "/bench"
@@ -59,6 +59,8 @@ class TestBench:
     def __init__(self, folder: Path) -> None:
         rclpy.init(args=[])
         self.node = rclpy.create_node("test", namespace=NAMESPACE)
+        self._executor = OneThreadExecutor()
+        self._executor.add_node(self.node)
         self._folder = folder
         self._processes: list[RunningNode] = []
         self._clients: dict[str, Any] = {}
@@ -96,7 +98,7 @@ class TestBench:
             if time.monotonic() > end:
                 logs = "\n".join(f"{p.log.name}: {p.output}" for p in self._processes)
                 pytest.fail(f"not within {patience} s; logs:\n{logs}")
-            rclpy.spin_once(self.node, timeout_sec=0.02)
+            self._executor.spin_once(timeout_sec=0.02)
         return value
 
     def listen(self, topic: str, kind: type, qos: QoSProfile | int = 1000) -> list[Any]:
@@ -158,6 +160,7 @@ class TestBench:
             if process.process.poll() is None:
                 process.process.kill()
                 process.process.wait()
+        self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()
 

@@ -1,6 +1,5 @@
 """What a node's command line may bring, checked before ROS starts."""
 
-import importlib
 import logging
 import subprocess
 import sys
@@ -11,6 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from sma_bench.errors import InputError  # noqa: E402
 from sma_bench.nodes.arguments import check_arguments  # noqa: E402
+from sma_bench.nodes.start import run as run_here  # noqa: E402
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 
@@ -81,7 +81,7 @@ def test_values_that_fit_only_together_may_come_from_two_sources(tmp_path):
 
 def run(name, *arguments):
     return subprocess.run(
-        [sys.executable, "-m", f"sma_bench.nodes.{name}", *arguments],
+        [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
         capture_output=True, text=True, timeout=60, check=False,
     )
 
@@ -112,8 +112,7 @@ def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(
 
 @pytest.mark.parametrize("node", sorted(NODE_TABLES))
 def test_help_ends_at_once_and_lists_the_nodes_own_parameters(node, capsys):
-    module = importlib.import_module(f"sma_bench.nodes.{node}")
-    assert module.main(["--help"]) == 0
+    assert run_here(node, ["--help"]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith(f"usage: {node} ")
     assert [p.name for p in NODE_TABLES[node] if f"  {p.name} " not in printed] == []

@@ -17,7 +17,7 @@ from emulated_rig import bridged_rig
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.ros.node import LATCHED
 
 # s; the host shares the machine with the emulator, and with others.

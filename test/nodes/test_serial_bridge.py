@@ -12,7 +12,7 @@ from sensor_msgs.msg import BatteryState, JointState, Range
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.emulation.emulated_bench import emulated_bench
-from sma_bench.hardware.serial_port import open_port
+from sma_bench.hardware.conversation import open_port
 from sma_bench.parameters import Parameters
 
 

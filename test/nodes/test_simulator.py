@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
-from sma_bench.ros.commander import signature, voltage_command
+from sma_bench.ros.node import signature, voltage_command
 
 COMPOSITE = "config/composite_rig.yaml"
 SLICE = 0.05

@@ -14,6 +14,8 @@ EFFECT = "effect.side_heat_coupling.conductance"
 HIDDEN = {EFFECT: 0.002}
 PULSE = 7.0  # s
 SPEED = 10.0
+# Messages take most of the processor's time.
+RATES = {"rate__power": 40.0, "rate__temperature": 40.0, "rate__mechanics": 40.0}
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +38,7 @@ class Watched:
         self.twin = bench.start("twin", files["belief"], use_sim_time=True, **settings)
         # The first start may compile the model.
         bench.until(lambda: "gap" in self.statuses, patience=120.0)
-        self.simulator = bench.start("simulator", files["truth"], speed=SPEED)
+        self.simulator = bench.start("simulator", files["truth"], speed=SPEED, **RATES)
         bench.until(lambda: bench.node.count_subscribers("voltage_command"), patience=120.0)
         self.command = bench.talk("voltage_command", Float64MultiArray)
         # At rest: what is there at the first verdict counts as known, not as grown.

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.straight_line import fit_linear
+from sma_bench.identify.estimate import fit_linear
 from sma_bench.records import Record, Signal, check_record, read_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.records.check import check_response
-from sma_bench.records.write import write_record
 
 CLOCK = np.arange(2000) * 0.01
 TRIANGLE = 3 * np.abs((CLOCK / 10) % 2 - 1)

@@ -25,10 +25,9 @@ from sma_bench.records.check import check_response
 from sma_bench.records.import_map import convert, read_map
 from sma_bench.records.import_proposal import Bench, bench_of, propose
 from sma_bench.records.isobaric import read_isobaric
-from sma_bench.records.table_cells import split_title
+from sma_bench.records.table_cells import parse_unit, split_title
 from sma_bench.records.tables import read_table_file
 from sma_bench.records.tensile import read_tensile
-from sma_bench.records.units import parse_unit
 
 h5py = pytest.importorskip("h5py")
 openpyxl = pytest.importorskip("openpyxl")

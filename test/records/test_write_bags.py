@@ -17,10 +17,9 @@ from rosbags.rosbag2 import Reader
 
 from sma_bench.errors import InputError
 from sma_bench.records import Record, Signal, read_record
-from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.bag_writer import BagWriter, write_record
 from sma_bench.records.contract import TEMPERATURE
 from sma_bench.records.messages import streams_of
-from sma_bench.records.write import write_record
 
 NAMES = {
     "wire.voltage": ("V", np.float32),

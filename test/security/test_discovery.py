@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from sma_bench.nodes.bench_plan import ARGUMENTS, COMPOSITE, WIRE
-from sma_bench.ros.discovery import (
+from sma_bench.ros.processes import (
     PROFILE,
     RANGE,
     TRANSPORTS,
     USERS_VARIABLES,
     choose_discovery,
     discovery_variables,
+    private_ros_environment,
 )
-from sma_bench.ros.processes import private_ros_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 SAYS = f"""
@@ -23,7 +23,7 @@ import os, sys
 import sma_bench.commands.run as command
 import sma_bench.nodes.start as starting
 def start(name, rest):
-    from sma_bench.ros.discovery import choose_discovery
+    from sma_bench.ros.processes import choose_discovery
     choose_discovery()
     print(os.environ.get("{RANGE}"), rest)
     return 0

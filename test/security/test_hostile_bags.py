@@ -18,8 +18,8 @@ from sma_bench.estimation.observation import observe
 from sma_bench.parameters import read_parameters
 from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_files import METADATA
+from sma_bench.records.bag_writer import write_record
 from sma_bench.records.record import samples
-from sma_bench.records.write import write_record
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
 

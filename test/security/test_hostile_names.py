@@ -9,7 +9,7 @@ import pytest
 from sma_bench.cli import main
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 HOSTILE = "<img src=x onerror=alert(1)>&{{7*7}}"
 

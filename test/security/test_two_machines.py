@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from sma_bench.ros.discovery import RANGE, USERS_VARIABLES
+from sma_bench.ros.processes import RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH, STRANGER = "10.77.16.1", "10.77.16.2"
@@ -103,8 +103,8 @@ def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
     here, there = two_machines
     everything = {**BOUND, **OPEN}
     nodes = [
-        inside(here, [sys.executable, "-m", "sma_bench.nodes.experiment", "--ros-args", "-r",
-                      f"__ns:=/{name}"], variables)
+        inside(here, [sys.executable, "-m", "sma_bench.nodes.start", "experiment", "--ros-args",
+                      "-r", f"__ns:=/{name}"], variables)
         for name, variables in everything.items()
     ]  # fmt: skip
     peers = {"ROS_STATIC_PEERS": BENCH}
@@ -136,11 +136,11 @@ def test_sockets_of_a_node_are_bound_to_this_machine(ros_domain: int, tmp_path: 
     addresses = {}
     for variables in ({}, {RANGE: "SUBNET"}):
         node = subprocess.Popen(
-            [sys.executable, "-m", "sma_bench.nodes.experiment"], cwd=tmp_path,
+            [sys.executable, "-m", "sma_bench.nodes.start", "experiment"], cwd=tmp_path,
             env={**clean, **variables}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         try:
-            assert node.stdout is not None and "idle" in node.stdout.readline()
+            assert node.stdout is not None and any("idle" in line for line in node.stdout)
             addresses[len(variables)] = _listening(node.pid, ros_domain)
         finally:
             node.kill()

@@ -6,11 +6,11 @@ import pytest
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import DSC_CYCLES
 from sma_bench.physics.heat import steady_temperature
-from sma_bench.physics.stress import modulus
-from sma_bench.records.write import write_record
+from sma_bench.physics.material import modulus
+from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.bench_records import PRETENSION, protocol_record
-from sma_bench.synthetic.instruments import (
+from sma_bench.synthetic.paper_specimens import (
     LATENT_HEAT,
     RATE,
     SAMPLE_MASS,

@@ -13,8 +13,7 @@ from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin import Twin
-from sma_bench.twin.twin import CURRENT, NANOSECONDS, TEMPERATURE
-from sma_bench.twin.verdict import GAP, GREW, LEARNING, QUIET
+from sma_bench.twin.twin import CURRENT, GAP, GREW, LEARNING, NANOSECONDS, QUIET, TEMPERATURE
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
 import twin_alarms  # noqa: E402

@@ -1,25 +1,33 @@
-"""Thermal pictures to wire temperatures: `thermal_image` in, `<channel>/temperature` out."""
+"""The infrared camera: pictures to temperatures of wires, and a stand-in that draws pictures."""
 
+import array
 import importlib
+import math
 import time
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import BatteryState, Image, Temperature
+from sensor_msgs.msg import BatteryState, Image, JointState, Temperature
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.hardware import node_reports
 from sma_bench.hardware.node_reports import CameraReport
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.hardware.thermal_settings import frame_format, frame_judge, wire_gauges
+from sma_bench.hardware.thermal_image import ENCODING
+from sma_bench.hardware.thermal_settings import (
+    ExpectedWarmth,
+    frame_format,
+    frame_judge,
+    synthetic_camera,
+    wire_gauges,
+)
 from sma_bench.hardware.thermal_wire import WireReading
-from sma_bench.hardware.wire_gauge import ExpectedWarmth
-from sma_bench.nodes.base import CAMERA, be_punctual, run_node
-from sma_bench.nodes.managed_node import ACTIVE, ManagedNode
+from sma_bench.nodes.base import ACTIVE, CAMERA, ManagedNode, be_punctual
 from sma_bench.ros.node import MEASURED
 
 # A late picture is worth less than the next one.
@@ -33,7 +41,8 @@ _FLAG_OPEN = 0
 
 
 class IrCamera(ManagedNode):
-    """One region of the picture a wire; what cannot be trusted is not published."""
+    """Thermal pictures to wire temperatures: `thermal_image` in, `<channel>/temperature` out. One
+    region of the picture a wire; what cannot be trusted is not published."""
 
     frozen = True
     with_uncertainty = True
@@ -140,10 +149,89 @@ class IrCamera(ManagedNode):
         ]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point."""
-    return run_node("ir_camera", IrCamera, argv)
+FAULTS = ("none", "frozen", "shutter", "silent", "moved")
+_SWAY_PERIOD = 7.0
+_TIP = "tip"
+# As the Optris driver: one picture waits.
+_IMAGE_QOS = QoSProfile(depth=1)
 
 
-if __name__ == "__main__":
-    raise SystemExit(main())
+class SyntheticCameraNode(ManagedNode):
+    """Stands in for an infrared camera: synthetic pictures of wires of a given true temperature.
+
+    Takes `<channel>/true_temperature`, to which a simulated bench's `<channel>/temperature` is
+    remapped, and publishes `thermal_image` as the Optris drivers do, at every tick of its rate. In
+    real time only.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("synthetic_camera")
+        self.check_settings(self.settings)
+        channels = self.parameters["bench.channels"]
+        self._camera = synthetic_camera(self.parameters, self.settings)
+        self._kelvin = [math.nan for _ in channels]
+        self._deflection = 0.0
+        self._pictures = self._reported = 0
+        self._message = self._empty_message()
+        # The message's own array: without field checks it keeps a copy of what it is given.
+        self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
+        self._publisher = self.create_publisher(Image, "thermal_image", _IMAGE_QOS)
+        for k, channel in enumerate(channels):
+            self.create_subscription(
+                Temperature, f"{channel}/true_temperature", partial(self._temperature, k), 10
+            )
+        self.create_subscription(JointState, "joint_states", self._joints, 10)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0 / self.settings["rate"], self._take, clock=steady)
+        self.start_by_itself()
+
+    def check_settings(self, settings: dict[str, Any]) -> None:
+        """Refuse an unknown fault."""
+        if settings["fault"] not in FAULTS:
+            raise InputError(f"fault: {settings['fault']!r}, expected {', '.join(FAULTS)}")
+
+    def _empty_message(self) -> Image:
+        height, width = self._camera.shape
+        message = Image(height=height, width=width, encoding=ENCODING, step=2 * width)
+        message.data = array.array("B", bytes(2 * width * height))
+        return message
+
+    def _temperature(self, channel: int, message: Temperature) -> None:
+        self._kelvin[channel] = message.temperature + CELSIUS_ZERO
+
+    def _joints(self, message: JointState) -> None:
+        if _TIP in message.name and len(message.position) == len(message.name):
+            self._deflection = message.position[message.name.index(_TIP)]
+
+    def _take(self) -> None:
+        fault = self.settings["fault"]
+        waiting = any(math.isnan(kelvin) for kelvin in self._kelvin)
+        if self.stage != ACTIVE or fault == "silent" or waiting:
+            return
+        self._message.header.stamp = self.get_clock().now().to_msg()
+        if fault == "shutter":
+            self._pixels[:] = self._camera.shutter()
+        elif fault == "moved":
+            self._pixels[:] = self._camera.empty()
+        elif fault != "frozen":
+            self._pixels[:] = self._camera.picture(self._kelvin, self._sideways())
+        self._publisher.publish(self._message)
+        self._pictures += 1
+
+    def _sideways(self) -> float:
+        """Pixels by which the wires' ends have moved: the bench's deflection and the sway."""
+        sway = self.settings["sway"] * math.sin(2.0 * math.pi * time.monotonic() / _SWAY_PERIOD)
+        return self._deflection / self.settings["pixel_size"] + sway
+
+    def health(self) -> list[DiagnosticStatus]:
+        """Whether there are pictures, and which fault they show."""
+        waiting = any(math.isnan(kelvin) for kelvin in self._kelvin)
+        fault = self.settings["fault"]
+        rate, self._reported = self._pictures - self._reported, self._pictures
+        return [self.status(
+            "pictures",
+            DiagnosticStatus.WARN if waiting or fault != "none" else DiagnosticStatus.OK,
+            "waiting for <channel>/true_temperature" if waiting
+            else f"synthetic pictures, fault: {fault}",
+            {"picture_rate": rate}, "synthetic camera",
+        )]  # fmt: skip

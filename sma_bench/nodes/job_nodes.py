@@ -1,14 +1,15 @@
-"""A node whose one service does a long piece of work, in a process of its own.
+"""Nodes whose one service does a long piece of work, in a process of its own.
 
 The request waits for it in one of the executor's threads, so that parameters, a second request
 ("busy") and the end of the node are served meanwhile.
 """
 
+import json
 import threading
 from abc import ABC, abstractmethod
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from std_msgs.msg import String
@@ -16,11 +17,25 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import BenchNode
+from sma_bench.results import GapState, gap_states
 from sma_bench.ros.node import LATCHED
-from sma_bench.tasks.jobs import CANCELLED, Job, JobProcess, busy
+from sma_bench.tasks.jobs import (
+    CANCELLED,
+    DiagnosisJob,
+    IdentificationJob,
+    Job,
+    JobProcess,
+    busy,
+    output_inside,
+)
 
 # One request at work, one that is refused, and the node's other callbacks.
 _THREADS = 4
+
+
+def _executor() -> MultiThreadedExecutor:
+    """With a thread to spare for every callback of a JobNode."""
+    return MultiThreadedExecutor(_THREADS)
 
 
 class JobNode(BenchNode, ABC):
@@ -31,6 +46,7 @@ class JobNode(BenchNode, ABC):
     """
 
     with_uncertainty = True
+    executor_type = _executor
 
     def __init__(self, name: str, service: str) -> None:
         super().__init__(name)
@@ -107,6 +123,60 @@ class JobNode(BenchNode, ABC):
         self.on_result(job, response.message)
 
 
-def job_executor() -> MultiThreadedExecutor:
-    """Executor with a thread to spare for every callback of a JobNode."""
-    return MultiThreadedExecutor(_THREADS)
+class Identification(JobNode):
+    """Identifies parameters from records on request: set `record`, call `~/identify`. The message
+    is the contract's JSON, or why there is none."""
+
+    def __init__(self) -> None:
+        super().__init__("identification", "~/identify")
+
+    def check_settings(self, settings: dict[str, Any]) -> None:
+        """Nothing may be written outside output_root."""
+        where = "output_directory"
+        output_inside(settings["output_root"], settings[where], where)
+
+    def job(self) -> IdentificationJob:
+        """The node's parameters, as they are now."""
+        return IdentificationJob.from_settings(self.settings, self.parameters)
+
+    def on_result(self, job: IdentificationJob, _: str) -> None:
+        """Say what it is from."""
+        self.get_logger().info(f"identified from {', '.join(job.records)}")
+
+
+class DiagnosisNode(JobNode):
+    """Diagnoses the gap between bench and model on request: set `record`, call `~/diagnose`. The
+    message is the contract's JSON, or why there is none.
+
+    `~/gap`, latched: level WARN where simulation and bench disagree beyond the noise, of the
+    whole and of each measured quantity.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("diagnosis", "~/diagnose")
+        self._gap = self.create_publisher(DiagnosticArray, "~/gap", LATCHED)
+
+    def check_settings(self, settings: dict[str, Any]) -> None:
+        """Nothing may be written outside output_root."""
+        for name, suffix in (("improved", ".yaml"), ("report", "")):
+            output_inside(settings["output_root"], settings[name], name, suffix)
+
+    def job(self) -> DiagnosisJob:
+        """The node's parameters, as they are now."""
+        return DiagnosisJob.from_settings(self.settings, self.parameters)
+
+    def on_result(self, job: DiagnosisJob, result: str) -> None:
+        """Publish the gap."""
+        states = gap_states(json.loads(result))
+        message = DiagnosticArray(status=[self._status(state) for state in states])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._gap.publish(message)
+        self.get_logger().info(f"{states[0].message}, from {', '.join(job.records)}")
+
+    def _status(self, state: GapState) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=DiagnosticStatus.WARN if state.is_gap else DiagnosticStatus.OK,
+            name=f"{self.get_name()}: {state.name}",
+            message=state.message,
+            values=[KeyValue(key=key, value=value) for key, value in state.values.items()],
+        )
