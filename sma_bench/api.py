@@ -31,13 +31,13 @@ from sma_bench.records.arrays import (
     record_from_frame,
     require_pandas,
 )
+from sma_bench.records.bag_writer import write_record
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay, overlay
 from sma_bench.records.samples import drive_of
 from sma_bench.records.tensile import TensileRecord
-from sma_bench.records.write import write_record
 from sma_bench.synthetic.bench_records import (
     read_signals,
     signals_of,

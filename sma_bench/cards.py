@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from sma_bench.border import printable
-from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.results import (
     AT_NOISE,

@@ -18,11 +18,11 @@ from sma_bench.diagnose import search
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.electrical import current
+from sma_bench.physics.material import current
 from sma_bench.physics.simulate import Simulation
 from sma_bench.protocols import Protocol
 from sma_bench.records import Record, Signal, read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 Array = NDArray[np.float64]
 

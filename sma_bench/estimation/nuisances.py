@@ -5,19 +5,27 @@ converter holds between two of its steps, straight stretches of a noisy voltage,
 held. A fit takes them along; those of a sensor are worth telling when they are found.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import JUMP_STD, BinnedSignal, Observation
 from sma_bench.estimation.threads import in_threads
 from sma_bench.parameters import Parameters
 
+Index = NDArray[np.intp]
+
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
 _LAST = 0.49  # of the time between two samples
+# What may be off this far apart is so in one simulation, if the one is forgotten by the next.
+_FORGOTTEN = 60.0  # s
+_TRACE, _LAST_PART = 1e-3, 0.25  # of the largest change; of these seconds, before the next
+_FEWER = 0.7  # simulations of one each, at most, that are worth it
+_NEVER = 1e300  # s
 UNITS = {"current": "A", "temperature": "K", "deflection": "m", "elongation": "m", "force": "N"}
 
 
@@ -97,13 +105,108 @@ def nuisances_about(
             std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
             items.append(Nuisance(DELAY, quantity, std, "s"))
             columns.append(late[:, np.newaxis])
-    moves: list[tuple[str, tuple[tuple[Any, ...] | None, Array | None]]] = [
-        *((JUMP, (drive, None)) for drive in observation.moved_jumps),
-        *((LEVEL, (drive, None)) for drive in observation.moved_levels),
-        *((LINE, (drive, None)) for drive in (observation.moved_lines if voltage_noise else ())),
-        *((LOAD, (None, loads)) for loads in observation.load_errors),
+    moves = [*_moves(observation, voltage_noise)]
+    items += [Nuisance(move.kind) for move in moves]
+    columns.append(_responses(observation, moves, lambda drive: moved(drive, None)))
+    loads = observation.load_errors
+    items += [Nuisance(LOAD)] * len(loads)
+    columns += [
+        column[:, np.newaxis] for column in in_threads(moved, [(None, error) for error in loads])
     ]
-    found = in_threads(moved, [arguments for _, arguments in moves])
-    items += [Nuisance(kind) for kind, _ in moves]
-    columns += [column[:, np.newaxis] for column in found]
     return Nuisances(tuple(items), np.hstack(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """One thing of the voltages that may be off, from `begin` to `end` [s]: what is added to the
+    places of the jumps, (e,), or to the knots of the channels, (k,) V each."""
+
+    kind: str
+    begin: float
+    end: float
+    place: Array | float = 0.0
+    errors: tuple[Array, ...] | None = None
+
+
+def _moves(observation: Observation, voltage_noise: bool) -> Iterator[_Move]:
+    """Each jump once, not the drives, of which an hour has hundreds; held levels of which the
+    converter's steps hide something; what noise hides of straight stretches."""
+    drive = observation.drive
+    for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True)):
+        yield _Move(JUMP, early, late, JUMP_STD * (np.arange(len(drive.early)) == k))
+    for kind, own in (
+        (LEVEL, drive.level_errors()), (LINE, drive.line_errors() if voltage_noise else ()),
+    ):
+        for errors in own:
+            at = np.concatenate([
+                polygon.time[error != 0.0]
+                for polygon, error in zip(drive.channels, errors, strict=True)
+            ])
+            yield _Move(kind, at.min(), at.max(), errors=errors)
+
+
+def _responses(
+    observation: Observation, moves: Sequence[_Move], change: Callable[[tuple[Any, ...]], Array]
+) -> Array:
+    """(n, m): `change` (n,) of the readings by each of the moves (m,) of the voltages.
+
+    An hour has hundreds, so those far apart are made at once, and each has the readings from it to
+    the next. Where one is not forgotten by then, all of these are made alone.
+    """
+    rows = np.concatenate([np.full(len(s.time), k) for k, s in enumerate(observation.signals)])
+    late = max(map(abs, observation.delays.values()), default=0.0)
+    ends = np.concatenate([s.time + s.period + late for s in observation.signals])
+    columns = np.zeros((len(rows), len(moves)))
+
+    def together(group: Sequence[int]) -> Array:
+        place = observation.place + np.zeros(len(observation.drive.early))
+        place = place + sum(moves[k].place for k in group)
+        known = [moves[k].errors for k in group]
+        errors = [sum(own) for own in zip(*filter(None, known), strict=True)]
+        return change((place, errors or None))
+
+    groups, alone = _far_apart(moves), list(range(len(moves)))
+    if len(groups) < _FEWER * len(moves):
+        alone = []
+        for group, response in zip(groups, in_threads(together, [(g,) for g in groups]),
+                                   strict=True):  # fmt: skip
+            begins = np.array([moves[k].begin for k in group])
+            owner = np.searchsorted(begins, ends, side="right") - 1
+            if _are_forgotten(begins, owner, ends, rows, response):
+                seen = np.flatnonzero(owner >= 0)
+                columns[seen, np.array(group)[owner[seen]]] = response[seen]
+            else:
+                alone += group
+    for k, column in zip(alone, in_threads(together, [([k],) for k in alone]), strict=True):
+        columns[:, k] = column
+    return columns
+
+
+def _far_apart(moves: Sequence[_Move]) -> list[list[int]]:
+    """Moves in groups in which none begins before another is forgotten."""
+    groups: list[list[int]] = []
+    for k in sorted(range(len(moves)), key=lambda k: moves[k].begin):
+        for group in groups:
+            if moves[k].begin - moves[group[-1]].end >= _FORGOTTEN:
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    return groups
+
+
+def _are_forgotten(
+    begins: Array, owner: Index, ends: Array, rows: Index, response: Array
+) -> bool:
+    """Whether the readings show nothing of any of these moves any more when the next one begins.
+
+    Args:
+        begins: (g,) s of the moves; owner: (n,) of each reading, the last move before it.
+        ends: (n,) s of the readings' bins; rows: (n,) their signals; response: (n,).
+    """
+    following = np.append(begins[1:], _NEVER)[owner]
+    last = (owner >= 0) & (ends > following - _LAST_PART * _FORGOTTEN)
+    size, last_size = np.zeros((2, rows.max(initial=0) + 1))
+    np.maximum.at(size, rows, np.abs(response))
+    np.maximum.at(last_size, rows[last], np.abs(response[last]))
+    return bool(np.all(last_size <= _TRACE * size))

@@ -23,8 +23,8 @@ from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics import simulate
 from sma_bench.physics.boundary import moves_tip
-from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import time_constant
+from sma_bench.physics.material import current
 from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
 from sma_bench.records.samples import ohms_of_source, require_channels, with_commands
@@ -282,22 +282,6 @@ class Observation:
         kept = [(s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals]
         parts = tuple(s.part(keep) for s, keep in kept if len(keep) > 1)
         return replace(self, signals=parts)
-
-    @property
-    def moved_jumps(self) -> list[tuple[Any, ...]]:
-        """What `on_grid` moves, not the drives, of which an hour has hundreds: each jump once."""
-        return [(place,) for place in self.place + JUMP_STD * np.eye(len(self.drive.early))]
-
-    @property
-    def moved_levels(self) -> list[tuple[Any, ...]]:
-        """One held level, one a level of which the converter's steps hide something."""
-        place = self.place + np.zeros(len(self.drive.early))
-        return [(place, error) for error in self.drive.level_errors()]
-
-    @property
-    def moved_lines(self) -> list[tuple[Any, ...]]:
-        """The mean or the slope of one straight stretch, by the voltmeter's noise and converter."""
-        return [(self.place + np.zeros(len(self.drive.early)), e) for e in self.drive.line_errors()]
 
     @property
     def load_errors(self) -> list[Array]:

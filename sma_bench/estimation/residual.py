@@ -24,7 +24,7 @@ from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary, per_side, side_names
-from sma_bench.physics.electrical import current
+from sma_bench.physics.material import current
 from sma_bench.physics.sensitivities import Sensitivities, carries
 
 _STEP = 0.02  # prior deviations, of a difference

@@ -34,7 +34,8 @@ _STRAIGHT = 1.3
 _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
-_TOLD = 6.0  # standard errors of a bend
+_TOLD = 6.0  # standard errors of a bend, or of a step
+_TOLD_STEPS = 1.5  # of the converter: what is smaller may be its own
 _ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
 _TOGGLES = 0.6  # of the step: what scatters less may be two readings by turns
 _WORTH = 0.5  # of the noise of a line's mean
@@ -517,22 +518,50 @@ def _free_of_noise(
 
     Noise on a plateau would make temperatures turn back and forth, and hysteresis with them. A
     duty's ramp, which is a root of time in volts, is bent by more than noise and converter explain.
+    A step that is smaller than what one sample may be off is no ramp.
     """
     smooth = voltage.copy()
     lines = []
     for segment in segments.items:
-        first, last = np.searchsorted(time, [segment.start, segment.stop + 1e-9])
+        begin, end = np.searchsorted(time, [segment.start, segment.stop + 1e-9])
+        if end - begin < _FEWEST_IN_LINE:
+            continue
         line = np.interp(
-            time[first:last], [segment.start, segment.stop],
+            time[begin:end], [segment.start, segment.stop],
             [segment.voltage_start, segment.voltage_stop],
         )
-        if last - first >= _FEWEST_IN_LINE:
-            line = line + _bend(voltage[first:last] - line, step)
-        left = float(np.std(voltage[first:last] - line))
-        if last - first >= _FEWEST_IN_LINE and left < limit:
-            smooth[first:last] = line
-            lines.append((int(first), int(last), left))
+        line = line + _bend(voltage[begin:end] - line, step)
+        parts, line = _levels(voltage[begin:end], line, step)
+        for first, last in parts:
+            left = float(np.std(voltage[begin + first : begin + last] - line[first:last]))
+            if left < limit:
+                smooth[begin + first : begin + last] = line[first:last]
+                lines.append((int(begin + first), int(begin + last), left))
     return smooth, lines
+
+
+def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int]], Array]:
+    """First and last sample of the levels in a stretch, and their volts (n,): the stretch and its
+    line as they are, unless two levels are surely nearer to it."""
+    n = len(volts)
+    count = np.arange(_FEWEST_IN_LINE, n - _FEWEST_IN_LINE + 1)
+    if len(count) == 0:
+        return [(0, n)], line
+    away = volts - volts.mean()
+    height = np.abs(np.cumsum(away)[count - 1]) * n / (count * (n - count))
+    gain = height**2 * count * (n - count) / n
+    k = int(np.argmax(gain))
+    levels = float(away @ away) - float(gain[k])
+    nearer = float(np.sum((volts - line) ** 2)) - levels
+    if nearer <= _TOLD**2 * levels / n or height[k] < _TOLD_STEPS * step:
+        return [(0, n)], line
+    found, course = [], []
+    for first, last in ((0, int(count[k])), (int(count[k]), n)):
+        level = np.full(last - first, volts[first:last].mean())
+        parts, own = _levels(volts[first:last], level, step)
+        found += [(first + a, first + b) for a, b in parts]
+        course.append(own)
+    return found, np.concatenate(course)
 
 
 def _bend(left: Array, step: float) -> Array:

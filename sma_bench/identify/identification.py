@@ -78,7 +78,7 @@ class Identification(Reported):
     be identified and why, and what the reader of the records remarked.
     """
 
-    writer = ("identification_report", "write_identification_report")
+    writer = ("collected_report", "write_identification_report")
 
     parameters: Parameters
     estimates: dict[str, Estimate]

@@ -10,7 +10,7 @@ first what a bench is, then its state, then what is noted within a step.
 from itertools import chain
 from typing import Literal
 
-from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS
 
 _WIRE_CONSTANTS = (  # reciprocals spare the core divisions
     "AMBIENT", "HEATING", "TIME_CONSTANT", "LATENT_RISE",  # K, K/V2, s, K

@@ -5,7 +5,7 @@ A step of length dt at held voltages, for every wire i of every side s:
 
     T_i     = T_eq + (T_i0 - T_eq) exp(-dt/tau) + lag (xi_i - xi_i0)      (lag: latent heat)
     sigma_i = E(xi_i) [eps_L (1 - xi_i) - e_s] + Theta_T (T_i - T_inf)
-    xi_i    = the rule of phase.py at T_i, sigma_i
+    xi_i    = the rule of material.py at T_i, sigma_i
     sum sigma_i = load_s + K_s e_s,   or e_s prescribed                   (e: contraction)
 
 Two sides that pull on one slider are one equation: the sum of the front's stresses less that of the

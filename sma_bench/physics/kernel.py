@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from sma_bench.compiled import Meanwhile, warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.effect_table import EFFECT_PREFIX, EFFECTS, Effect
+from sma_bench.parameters.parameter import EFFECT_PREFIX, EFFECTS, Effect
 from sma_bench.physics import columns as at
-from sma_bench.physics import core, phase, stress
+from sma_bench.physics import core, material
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
 from sma_bench.physics.heat import heated_resistance, heating_voltage, time_constant
 from sma_bench.physics.otherwise import see
@@ -92,7 +92,7 @@ def initial_state(
         raise InputError(f"initial state: martensite_fraction is {xi}, expected 0 to 1")
     contraction = _contraction(kelvin, xi, parameters, boundary)
     stretch = boundary.stretch_of_wires(parameters) - contraction[side_of_channels(parameters)]
-    sigma = stress.stress(kelvin, xi, -stretch, parameters)
+    sigma = material.stress(kelvin, xi, -stretch, parameters)
     _require_possible(kelvin, xi, sigma, parameters)
     return State(kelvin, xi, sigma, contraction)
 
@@ -115,8 +115,8 @@ def _contraction(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bou
         return per_side("contraction", boundary.contraction, sides)
     side = side_of_channels(parameters)
     prestretch = boundary.stretch_of_wires(parameters)
-    pull = np.bincount(side, stress.stress(kelvin, xi, -prestretch, parameters), sides)
-    modulus = np.bincount(side, stress.modulus(xi, parameters), sides)
+    pull = np.bincount(side, material.stress(kelvin, xi, -prestretch, parameters), sides)
+    modulus = np.bincount(side, material.modulus(xi, parameters), sides)
     own, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
     if boundary.coupled:
         front = (pull[0] - pull[1] - load[0]) / (modulus.sum() + own[0])
@@ -128,8 +128,8 @@ def _require_possible(kelvin: Array, xi: Array, sigma: Array, parameters: Parame
     finish = parameters["wire.austenite_finish_temperature"]
     if np.all((xi == 1.0) & (kelvin < finish) & (sigma >= 0.0)):
         return  # cold martensite, where most benches begin
-    f = phase.austenite_ramp(kelvin, sigma, parameters)
-    g = phase.martensite_ramp(kelvin, sigma, parameters)
+    f = material.austenite_ramp(kelvin, sigma, parameters)
+    g = material.martensite_ramp(kelvin, sigma, parameters)
     checks = (
         ((f == 0.0) & (g == 1.0) & (xi > 0.0), "0 above A_f"),
         ((f == 1.0) & (g == 0.0) & (xi < 1.0), "1 below M_f"),

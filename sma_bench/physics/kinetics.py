@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
-"""The rule of phase.py, compiled: the martensite fraction of a wire since its last reversal."""
+"""The rule of material.py, compiled: the martensite fraction of a wire since its last reversal."""
 
 import math
 
@@ -36,7 +36,7 @@ from sma_bench.physics.effects.partial_transformation import (
     towards_turn,
 )
 from sma_bench.physics.effects.transition_drift import shift_transition
-from sma_bench.physics.phase import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
+from sma_bench.physics.material import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
 
 SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
@@ -55,7 +55,7 @@ def ramp(position):
 
 @inlined
 def smooth_ramp(position, spread, tail):
-    """Ramp of grains that do not transform alike (phase.py), and its slope."""
+    """Ramp of grains that do not transform alike (material.py), and its slope."""
     share, slope = ramp(position)
     if spread > 0.0:
         early, early_slope = ramp(position + GRAIN * spread)
@@ -95,7 +95,7 @@ def positions(wires, i, temperature, stress):
 
 @inlined
 def phase_left(wires, i, own, other, own_spread, other_spread):
-    """What is left of the vanishing phase (phase.py), its slopes along own and other position."""
+    """What is left of the vanishing phase (material.py), its slopes along both positions."""
     phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
     other_reversed = wires[i, OTHER_REVERSED]
     share, share_slope = smooth_ramp(own, own_spread, wires[i, TAIL])
@@ -132,7 +132,7 @@ def phase_left(wires, i, own, other, own_spread, other_spread):
 
 @inlined
 def fraction(wires, i, temperature, stress):
-    """xi of wire i by the rule of phase.py, d xi/dT and d xi/d sigma."""
+    """xi of wire i by the rule of material.py, d xi/dT and d xi/d sigma."""
     of_f, of_g = positions(wires, i, temperature, stress)
     f_spread, g_spread = wires[i, AUSTENITE_SPREAD], wires[i, MARTENSITE_SPREAD]
     if wires[i, TREND] > 0.0:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.parameters import Parameters
-from sma_bench.physics import bending, phase, stress
+from sma_bench.physics import bending, material
 from sma_bench.physics.bending import Beam
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ FRACTION_AT_REST = 1.0  # xi_0
 
 def a1(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
     """dsigma/deps [Pa] of eq. (18), printed right: E(xi*)."""
-    return stress.modulus(martensite_fraction, parameters)
+    return material.modulus(martensite_fraction, parameters)
 
 
 def a2(martensite_fraction: ArrayLike, strain: ArrayLike, parameters: Parameters) -> Array:
@@ -76,7 +76,7 @@ def b1(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Arra
 
 def b1_as_printed(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
     """b_1 as printed, a number times kelvin and pascal."""
-    return _half_sine(phase.austenite_ramp(temperature, sigma, parameters))
+    return _half_sine(material.austenite_ramp(temperature, sigma, parameters))
 
 
 def b1_of_stress(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
@@ -86,7 +86,7 @@ def b1_of_stress(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameter
 
 def b2(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
     """xi at the operating point, eq. (10); printed right."""
-    return phase.heated_fraction(temperature, sigma, parameters)
+    return material.heated_fraction(temperature, sigma, parameters)
 
 
 def b3(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
@@ -98,7 +98,7 @@ def b3(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Arra
 
 def b3_as_printed(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
     """b_3 as printed, a number times kelvin and pascal."""
-    return _half_sine(phase.martensite_ramp(temperature, sigma, parameters))
+    return _half_sine(material.martensite_ramp(temperature, sigma, parameters))
 
 
 def b3_of_stress(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
@@ -108,7 +108,7 @@ def b3_of_stress(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameter
 
 def b4(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
     """xi at the operating point, eq. (11); printed right."""
-    return phase.cooled_fraction(temperature, sigma, parameters)
+    return material.cooled_fraction(temperature, sigma, parameters)
 
 
 def alpha(parameters: Parameters) -> float:

@@ -24,7 +24,7 @@ from scipy.signal import StateSpace
 from sma_bench.errors import InputError
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import linear_coefficients as linear
-from sma_bench.physics import phase
+from sma_bench.physics import material
 from sma_bench.physics.boundary import per_side, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.heat import heated_resistance, power_per_volt, time_constant
@@ -143,11 +143,11 @@ def transformation_rate(point: OperatingPoint) -> tuple[Array, float]:
     parameters, xi = point.parameters, point.martensite_fraction
     if point.branch == "heating":
         slope = linear.b1(point.temperature, point.stress, parameters)
-        ramp = phase.austenite_ramp(point.temperature, point.stress, parameters)
+        ramp = material.austenite_ramp(point.temperature, point.stress, parameters)
         vanishing, influence = xi, parameters["wire.stress_influence_austenite"]
     else:
         slope = linear.b3(point.temperature, point.stress, parameters)
-        ramp = phase.martensite_ramp(point.temperature, point.stress, parameters)
+        ramp = material.martensite_ramp(point.temperature, point.stress, parameters)
         vanishing, influence = 1.0 - xi, parameters["wire.stress_influence_martensite"]
     share = np.divide(vanishing, ramp, out=np.ones_like(ramp), where=ramp > 0.0)
     return share * slope, float(influence)

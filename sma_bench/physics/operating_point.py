@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.physics import phase, stress
+from sma_bench.physics import material
 from sma_bench.physics.boundary import (
     Boundary,
     moves_tip,
@@ -31,7 +31,7 @@ from sma_bench.physics.kernel import State, initial_state
 
 # --- The model of one side turned round: the temperature at which its wires bend as wanted.
 #
-# Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of phase.py
+# Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of material.py
 # and a share s that is constant between two reversals: xi_r/f_r or (1 - xi_r)/g_r, and 1 on a
 # full loop. A wanted contraction e fixes the stress, sigma = (load + K e)/n, the constitutive
 # law then fixes xi up to the small thermal stress, and the branch fixes the temperature.
@@ -196,8 +196,8 @@ def _pulled_back(
     kelvin = parameters["environment.ambient_temperature"]
     kelvin = kelvin if state is None else state.temperature[others]
     stretch = boundary.stretch_of_wires(parameters)[others]
-    pull = stress.stress(kelvin, xi, -stretch, parameters)
-    return float(stress.modulus(xi, parameters).sum()), float(np.sum(pull))
+    pull = material.stress(kelvin, xi, -stretch, parameters)
+    return float(material.modulus(xi, parameters).sum()), float(np.sum(pull))
 
 
 # --- Where the model is linearised: wires at steady temperatures on one branch.
@@ -398,7 +398,7 @@ def _fractions(
         shared[number] = own
         if boundary.coupled:
             shared[1 - number] = -own
-        sigma = stress.stress(
+        sigma = material.stress(
             temperature, fractions(shared), shared[side] - stretch, parameters
         )
         pull = np.bincount(side, sigma, sides)
@@ -416,10 +416,10 @@ def _fractions(
 def _fraction(
     temperature: float, contraction: float, branch: Branch, parameters: Parameters
 ) -> float:
-    ramp = phase.heated_fraction if branch == "heating" else phase.cooled_fraction
+    ramp = material.heated_fraction if branch == "heating" else material.cooled_fraction
 
     def error(xi: float) -> float:
-        sigma = stress.stress(temperature, xi, contraction, parameters)
+        sigma = material.stress(temperature, xi, contraction, parameters)
         return xi - float(ramp(temperature, sigma, parameters))
 
     if error(0.0) >= 0.0:

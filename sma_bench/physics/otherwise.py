@@ -10,7 +10,7 @@ import math
 from importlib import import_module
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.matrix_thermal_mass import warm_together

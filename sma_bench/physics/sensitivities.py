@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sma_bench.compiled import Meanwhile, borrowing, inlined
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import columns as at
 from sma_bench.physics.core import residual, set_step

@@ -17,9 +17,9 @@ from sma_bench.physics.boundary import Boundary, per_side, side_names
 from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.physics.effects.ambient_drift import air as air_temperature
 from sma_bench.physics.effects.deflection_drift import zero as zero_drift
-from sma_bench.physics.electrical import current
 from sma_bench.physics.heat import EnergyBalance, energy_balance
 from sma_bench.physics.kernel import Kernel, State
+from sma_bench.physics.material import current
 
 Array = NDArray[np.float64]
 

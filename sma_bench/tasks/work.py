@@ -2,15 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sma_bench.diagnose import Diagnosis, diagnose
 from sma_bench.estimation.observation import QUANTITIES
-from sma_bench.identify import Identification, identify
 from sma_bench.parameters import Parameters, write_parameters
-from sma_bench.parameters.effect_table import EFFECT_NAMES
+from sma_bench.parameters.parameter import EFFECT_NAMES
 from sma_bench.progress import Report, by_name, in_turn, part, silent
 from sma_bench.records import open_record, read_record
 from sma_bench.records.tensile import Phase
+
+if TYPE_CHECKING:  # who wants the one need not load the other
+    from sma_bench.diagnose import Diagnosis
+    from sma_bench.identify import Identification
 
 # Shares of the time, about, that reading takes.
 _READING, _READING_BAGS = 0.2, 0.05
@@ -33,7 +36,7 @@ def identify_files(
     paths: Sequence[str], parameters: Parameters, experiments: Sequence[str] | None = None,
     namespace: str | None = None, report: Report = silent,
     phases: Mapping[str, Phase] | None = None,
-) -> Identification:
+) -> "Identification":
     """Identify from bags and instrument files (`identify/`).
 
     Args:
@@ -46,6 +49,8 @@ def identify_files(
     Raises:
         InputError: a record that cannot be read, or nothing that can be identified.
     """
+    from sma_bench.identify import identify
+
     reading = part(report, 0.0, _READING)
     records = [
         open_record(path, namespace)
@@ -57,7 +62,7 @@ def identify_files(
 def diagnose_files(
     paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
     quantities: Sequence[str] = QUANTITIES, report: Report = silent,
-) -> Diagnosis:
+) -> "Diagnosis":
     """Diagnose the gap between bags of one bench and its model (`diagnose/`).
 
     Args:
@@ -68,6 +73,8 @@ def diagnose_files(
     Raises:
         InputError: a bag that cannot be read, or nothing that can be compared.
     """
+    from sma_bench.diagnose import diagnose
+
     reading = part(report, 0.0, _READING_BAGS)
     records = [
         read_record(path)
@@ -84,7 +91,7 @@ def diagnosis_steps(report: Report) -> Callable[[str], None]:
 
 
 def write_identified(
-    path: str | Path, result: Identification, author: str, sources: Sequence[str],
+    path: str | Path, result: "Identification", author: str, sources: Sequence[str],
     template: str | Path | None = None,
 ) -> None:
     """Write the parameters with what was identified put in; comments of the file `template` stay.
@@ -99,7 +106,7 @@ def write_identified(
     )
 
 
-def write_improved(path: str | Path, result: Diagnosis, author: str) -> None:
+def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
     """Write the improved parameters, those only that are not left at their default.
 
     Raises:

@@ -45,7 +45,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import Protocol, load_protocol
 from sma_bench.records import Signal, read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 PICTURE_PERIOD = 1.0 / 15.0
 PICTURE = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}

@@ -38,6 +38,13 @@ def foreign(shared_data):
     return records, read_parameters(folder / "nominal.yaml"), truth
 
 
+@pytest.fixture(scope="module")
+def identified(foreign):
+    """What `identify` finds in them."""
+    records, nominal, _ = foreign
+    return identify(records, nominal)
+
+
 @pytest.mark.parametrize(
     "signals",
     [("voltage", "current", "temperature", "deflection"), ("voltage", "deflection")],
@@ -78,9 +85,9 @@ def test_deflection_alone_says_which_parameters_it_cannot_tell(foreign):
     assert len(products) == 2
 
 
-def test_products_are_known_better_than_their_factors(foreign):
-    records, nominal, truth = foreign
-    found = identify_moving_bench(records, nominal)
+def test_products_are_known_better_than_their_factors(foreign, identified):
+    _, _, truth = foreign
+    (found,) = identified.experiments
     capacity = found.details["heat_capacity"]
     true = truth["wire.mass"] * truth["wire.specific_heat"]
     assert abs(capacity.value - true) < 3.0 * capacity.std
@@ -89,9 +96,9 @@ def test_products_are_known_better_than_their_factors(foreign):
     assert loss.relative_std < 0.2 * found.estimates["wire.surface_area"].relative_std
 
 
-def test_identify_uses_the_whole_model_on_composite_bags(foreign):
-    records, nominal, _ = foreign
-    result = identify(records, nominal)
+def test_identify_uses_the_whole_model_on_composite_bags(foreign, identified):
+    _, nominal, _ = foreign
+    result = identified
     assert {e.name for e in result.experiments} == {"E10"}
     assert result.parameters[ALPHA] == pytest.approx(result.estimates[ALPHA].value)
     assert result.parameters.std(FRONT) == pytest.approx(result.estimates[FRONT].std)

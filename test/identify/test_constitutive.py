@@ -10,14 +10,14 @@ from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.constitutive.law import elastic, make_loops, martensite_fractions, strain_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
-from sma_bench.physics.phase import (
+from sma_bench.physics.material import (
     austenite_ramp,
     cooled_fraction,
     fraction_since_reversal,
     heated_fraction,
     martensite_ramp,
+    modulus,
 )
-from sma_bench.physics.stress import modulus
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
 
 STRESSES = (20e6, 80e6, 150e6, 220e6)

@@ -11,11 +11,9 @@ from sma_bench.identify.estimate import Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.parameters import Parameters
-from sma_bench.physics.phase import cooled_fraction, heated_fraction
-from sma_bench.physics.stress import modulus
+from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
-from sma_bench.synthetic.instruments import isobaric_test
-from sma_bench.synthetic.paper_specimens import wire_rig
+from sma_bench.synthetic.paper_specimens import isobaric_test, wire_rig
 
 TRUTH = Parameters.defaults().replace(
     {

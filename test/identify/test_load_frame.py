@@ -39,10 +39,16 @@ def lab():
     return bench, records
 
 
-@pytest.mark.slow
-def test_held_loads_and_clamps_give_back_every_parameter_of_the_wire(lab):
+@pytest.fixture(scope="module")
+def found(lab):
+    """What both records together say."""
     bench, records = lab
-    found = identify_load_frame(list(records.values()), bench.known)
+    return identify_load_frame(list(records.values()), bench.known)
+
+
+@pytest.mark.slow
+def test_held_loads_and_clamps_give_back_every_parameter_of_the_wire(lab, found):
+    bench, records = lab
     names = [name for name in found.estimates if name not in SHAPES]
     assert len(names) == 14
     z = np.array(
@@ -87,9 +93,7 @@ def test_each_held_load_becomes_an_isobaric_test(lab):
 
 
 @pytest.mark.slow
-def test_experiment_6_stands_beside_the_fit(lab):
-    bench, records = lab
-    found = identify_load_frame([records["isobaric"]], bench.known)
+def test_experiment_6_stands_beside_the_fit(found):
     name = "wire.austenite_start_temperature"
     branches = found.details[f"E6.{name}"]
     assert abs(branches.value - found.estimates[name].value) < 3.0

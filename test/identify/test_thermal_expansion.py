@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
+from sma_bench.identify.estimate import fit_linear
 from sma_bench.identify.instruments.thermal_expansion import (
     check_size,
     identify_thermal_expansion,
     steady_windows,
 )
-from sma_bench.identify.straight_line import fit_linear
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 from sma_bench.records.record import Record, Signal

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.documentation import effects_page
-from sma_bench.parameters.effect_table import declared_effects
-from sma_bench.physics import Bench, Boundary, simulate, stress
+from sma_bench.parameters.parameter import declared_effects
+from sma_bench.physics import Bench, Boundary, material, simulate
 from sma_bench.physics.effects import EFFECTS, active_effects, effect_values
 
 pytest.importorskip("numba", reason="many simulations: slow without numba")
@@ -73,7 +73,7 @@ def test_a_bench_that_goes_on_without_its_effects_is_the_papers(composite_rig):
     time, voltage = pulses(0.02)
     before = simulate(all_on(composite_rig), time, voltage)
     run = simulate(composite_rig, time, voltage, initial=before.final)
-    sigma = stress.stress(run.temperature, run.martensite_fraction,
+    sigma = material.stress(run.temperature, run.martensite_fraction,
                           run.contraction[:, [0, 0, 1, 1]], composite_rig)
     pulled = run.stress.reshape(-1, 2, 2).sum(axis=2)
     stiffness = np.array(Boundary.bending(composite_rig).stiffness)
@@ -251,7 +251,7 @@ Source: made up.
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
+from sma_bench.parameters.parameter import Effect
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.physics import columns as at
 
@@ -289,7 +289,7 @@ assert "## `made_up`" in documentation.effects_page()
 rig = read_parameters(sys.argv[1])
 sys.modules["numba"] = None
 import numpy as np
-from sma_bench.physics import simulate, stress
+from sma_bench.physics import material, simulate
 time = np.arange(101) * 0.1
 run = simulate(rig, time, np.zeros(101))
 assert abs(run.stress[-1, 0] - 22.8e9 * 1e-3 * time[-2]) < 1.0, run.stress[-1]

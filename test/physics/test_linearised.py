@@ -8,7 +8,7 @@ from scipy.signal import lsim
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
-from sma_bench.physics import Boundary, phase, side_names, simulate, stress
+from sma_bench.physics import Boundary, material, side_names, simulate
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.heat import temperature_rate, time_constant
 from sma_bench.physics.linearised import SMOOTHER, coefficient_table, linearise
@@ -61,7 +61,7 @@ def points(draw: st.DrawFn, base: Parameters) -> OperatingPoint:
         point = OperatingPoint.of_state(parameters, kelvin, fraction, branch, boundary)
     except InputError:
         assume(False)  # wires so unlike that their stresses put them outside the other range
-    ramp = phase.austenite_ramp if branch == "heating" else phase.martensite_ramp
+    ramp = material.austenite_ramp if branch == "heating" else material.martensite_ramp
     inside = ramp(point.temperature, point.stress, parameters)
     assume(np.all((inside > 1e-3) & (inside < 0.999)))
     return point
@@ -82,11 +82,11 @@ def balanced_stress(
 ) -> np.ndarray:
     """(w,) Pa that the wires of each side share at given fractions."""
     boundary = boundary or Boundary.of(parameters)
-    free = stress.stress(kelvin, fraction, 0.0, parameters)
+    free = material.stress(kelvin, fraction, 0.0, parameters)
     if boundary.contraction is not None:
         return free
     sides = np.array(parameters["bench.channel_sides"])
-    modulus, sigma = stress.modulus(fraction, parameters), np.empty_like(free)
+    modulus, sigma = material.modulus(fraction, parameters), np.empty_like(free)
     stiffness, load = np.atleast_1d(boundary.stiffness), np.atleast_1d(boundary.load)
     for k, name in enumerate(side_names(parameters)):
         own = sides == name
@@ -209,8 +209,8 @@ def test_equation_18_is_the_tangent_of_the_constitutive_law(point: OperatingPoin
     pull = linear.a2(xi, -e, p) - p["wire.maximum_recoverable_strain"] * p["wire.austenite_modulus"]
     h = 1e-5
     by_fraction = (
-        stress.stress(point.temperature, xi + h, e, p)
-        - stress.stress(point.temperature, xi - h, e, p)
+        material.stress(point.temperature, xi + h, e, p)
+        - material.stress(point.temperature, xi - h, e, p)
     ) / (2.0 * h)
     assert pull == pytest.approx(by_fraction[0], rel=1e-8)
     rise = point.temperature[0] - p["environment.ambient_temperature"]
@@ -232,8 +232,8 @@ def test_equations_20_and_21_are_the_tangents_of_the_full_loop(
     heating = ("austenite_start", "austenite_finish", "stress_influence_austenite")
     cooling = ("martensite_finish", "martensite_start", "stress_influence_martensite")
     rows = (
-        (heating, phase.heated_fraction, linear.b1, linear.b1_of_stress),
-        (cooling, phase.cooled_fraction, linear.b3, linear.b3_of_stress),
+        (heating, material.heated_fraction, linear.b1, linear.b1_of_stress),
+        (cooling, material.cooled_fraction, linear.b3, linear.b3_of_stress),
     )
     for (low, high, influence), fraction, per_kelvin, per_pascal in rows:
         begin, end = (parameters[f"wire.{name}_temperature"] for name in (low, high))

@@ -10,7 +10,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length, wire_length_from_mass
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics import Bench, Boundary, simulate, stress
+from sma_bench.physics import Bench, Boundary, material, simulate
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.heat import direct_reading
@@ -160,7 +160,7 @@ def test_both_wires_of_an_antagonist_balance_the_slider():
     resultant = found.force[:, 0] - found.force[:, 1]
     assert resultant == pytest.approx(400.0 * found.deflection, abs=1e-8)
     assert found.contraction[:, 0] == pytest.approx(-found.contraction[:, 1], abs=1e-15)
-    front = stress.stress(found.temperature[:, 0], found.martensite_fraction[:, 0],
+    front = material.stress(found.temperature[:, 0], found.martensite_fraction[:, 0],
                           found.contraction[:, 0] - 6.0 / (channel_section(WIRE) * 22.8e9), WIRE)
     assert found.stress[:, 0] == pytest.approx(front, rel=1e-9)
     assert found.deflection.max() > 1e-3 and np.ptp(found.martensite_fraction[:, 0]) > 0.3

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sma_bench.parameters import Parameters
-from sma_bench.physics import phase, stress
+from sma_bench.physics import material
 
 DEFAULTS = Parameters.defaults()
 
@@ -40,20 +40,20 @@ class Wire:
     def __init__(self, parameters, kelvin=290.0, sigma=0.0):
         self.parameters, self.rising, self.xi = parameters, True, 1.0
         self.kelvin, self.sigma = kelvin, sigma
-        self.xi = float(phase.austenite_ramp(kelvin, sigma, parameters))
+        self.xi = float(material.austenite_ramp(kelvin, sigma, parameters))
         self.reverse()
 
     def ramps(self, kelvin, sigma):
         return (
-            float(phase.austenite_ramp(kelvin, sigma, self.parameters)),
-            float(phase.martensite_ramp(kelvin, sigma, self.parameters)),
+            float(material.austenite_ramp(kelvin, sigma, self.parameters)),
+            float(material.martensite_ramp(kelvin, sigma, self.parameters)),
         )
 
     def reverse(self):
         self.xi_reversed, self.ramps_reversed = self.xi, self.ramps(self.kelvin, self.sigma)
 
     def at(self, kelvin, sigma):
-        return phase.fraction_since_reversal(
+        return material.fraction_since_reversal(
             self.rising, self.xi_reversed, self.ramps_reversed, self.ramps(kelvin, sigma)
         )
 
@@ -82,8 +82,8 @@ def test_full_loop_is_equations_10_and_11(sigma, influence):
     assert cooled[::-1] == pytest.approx(
         _printed(kelvin, 325.09, 353.39, sigma / 7e6), abs=1e-12
     )
-    assert phase.heated_fraction(kelvin, sigma, alloy) == pytest.approx(heated, abs=1e-12)
-    assert phase.cooled_fraction(kelvin, sigma, alloy) == pytest.approx(cooled[::-1], abs=1e-12)
+    assert material.heated_fraction(kelvin, sigma, alloy) == pytest.approx(heated, abs=1e-12)
+    assert material.cooled_fraction(kelvin, sigma, alloy) == pytest.approx(cooled[::-1], abs=1e-12)
 
 
 def _printed(kelvin, low, high, shift):
@@ -185,17 +185,17 @@ def test_stress_that_pulls_a_warming_wire_below_its_martensite_range_turns_it_al
 
 
 def test_rule_exchanges_phases_and_ramps():
-    heated = phase.fraction_since_reversal(True, 0.4, (0.7, 0.5), (0.3, 0.4))
-    cooled = phase.fraction_since_reversal(False, 0.6, (0.5, 0.7), (0.4, 0.3))
+    heated = material.fraction_since_reversal(True, 0.4, (0.7, 0.5), (0.3, 0.4))
+    cooled = material.fraction_since_reversal(False, 0.6, (0.5, 0.7), (0.4, 0.3))
     assert heated == pytest.approx(max(0.4 * 0.3 / 0.7, min(1 - 0.4 / 0.5, 0.3)))
     assert cooled == pytest.approx(1.0 - heated)
 
 
 def test_stress_is_the_constitutive_law_from_rest():
-    assert stress.stress(296.15, 1.0, 0.0, DEFAULTS) == 0.0
+    assert material.stress(296.15, 1.0, 0.0, DEFAULTS) == 0.0
     # eq. (6) by hand: E = 39.1 GPa, Omega = -0.044 E, xi - xi_0 = -0.5, T - T_0 = 40 K.
     by_hand = -39.1e9 * 0.01 - 0.15e6 * 40.0 + 0.044 * 39.1e9 * 0.5
-    assert stress.stress(336.15, 0.5, 0.01, DEFAULTS) == pytest.approx(by_hand)
-    assert stress.modulus(0.5, DEFAULTS) == pytest.approx(39.1e9)
-    assert stress.transformation_coefficient(0.5, DEFAULTS) == pytest.approx(-0.044 * 39.1e9)
-    assert stress.clamped_stress(316.15, DEFAULTS) == pytest.approx(-3.0e6)
+    assert material.stress(336.15, 0.5, 0.01, DEFAULTS) == pytest.approx(by_hand)
+    assert material.modulus(0.5, DEFAULTS) == pytest.approx(39.1e9)
+    assert material.transformation_coefficient(0.5, DEFAULTS) == pytest.approx(-0.044 * 39.1e9)
+    assert material.clamped_stress(316.15, DEFAULTS) == pytest.approx(-3.0e6)

@@ -6,7 +6,7 @@ from stiff_solver import triangle
 from test_loads import RIGS
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.effect_table import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import simulate
 from sma_bench.physics.sensitivities import Sensitivities, carries

@@ -16,9 +16,8 @@ from sma_bench.physics import (
     bending_coefficients,
     heat,
     initial_state,
-    phase,
+    material,
     simulate,
-    stress,
 )
 
 COMPOSITE = Parameters.defaults().replace({
@@ -58,10 +57,10 @@ def random_voltage(seed, samples, wires, period):
 
 
 def rule_errors(run):
-    """Distance of every sample from the rule of phase.py, reversals followed from the outside."""
+    """Distance of every sample from the rule of material.py, reversals followed from outside."""
     p = run.parameters
-    f = phase.austenite_ramp(run.temperature, run.stress, p)
-    g = phase.martensite_ramp(run.temperature, run.stress, p)
+    f = material.austenite_ramp(run.temperature, run.stress, p)
+    g = material.martensite_ramp(run.temperature, run.stress, p)
     trend = np.sign(heat.steady_temperature(run.voltage, p) - run.temperature)
     errors = np.zeros_like(run.temperature)
     for i in range(run.temperature.shape[1]):
@@ -70,7 +69,7 @@ def rule_errors(run):
             if trend[k - 1, i] and (trend[k - 1, i] > 0) != rising:
                 rising = not rising
                 xi_r, ramps_r = run.martensite_fraction[k - 1, i], (f[k - 1, i], g[k - 1, i])
-            there = phase.fraction_since_reversal(rising, xi_r, ramps_r, (f[k, i], g[k, i]))
+            there = material.fraction_since_reversal(rising, xi_r, ramps_r, (f[k, i], g[k, i]))
             errors[k, i] = abs(run.martensite_fraction[k, i] - there)
     return errors
 
@@ -83,7 +82,7 @@ def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, p
     time, voltage = random_voltage(seed, 120, 4, period)
     run = simulate(rig, time, voltage)
     per_wire = run.contraction[:, [0, 0, 1, 1]]
-    sigma = stress.stress(run.temperature, run.martensite_fraction, per_wire, rig)
+    sigma = material.stress(run.temperature, run.martensite_fraction, per_wire, rig)
     assert np.abs(run.stress - sigma).max() < 1.0
     alpha, front, back = bending_coefficients(rig)
     pulled = run.stress.reshape(-1, 2, 2).sum(axis=2)
@@ -118,10 +117,10 @@ def test_full_loop_at_held_stress_is_equations_10_and_11(wire_rig, sigma):
     heated, cooled = slice(0, top + 1), slice(top, None)
     assert xi[top] == 0.0
     assert xi[heated] == pytest.approx(
-        phase.heated_fraction(temperature[heated], sigma, rig), abs=1e-10
+        material.heated_fraction(temperature[heated], sigma, rig), abs=1e-10
     )
     assert xi[cooled] == pytest.approx(
-        phase.cooled_fraction(temperature[cooled], sigma, rig), abs=1e-10
+        material.cooled_fraction(temperature[cooled], sigma, rig), abs=1e-10
     )
     assert xi[-1] == 1.0
 

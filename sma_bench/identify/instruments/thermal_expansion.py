@@ -12,9 +12,8 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.estimate import Array, Estimate, Experiment, fit_linear
 from sma_bench.identify.signals import CAMERA, means
-from sma_bench.identify.straight_line import fit_linear
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
 from sma_bench.records.record import Record, samples

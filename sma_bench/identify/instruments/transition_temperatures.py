@@ -8,7 +8,7 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.estimate import Array, Estimate, Experiment, fit_linear
 from sma_bench.identify.instruments.tangents import (
     Onset,
     Scan,
@@ -16,7 +16,6 @@ from sma_bench.identify.instruments.tangents import (
     find_transformation,
     make_scan,
 )
-from sma_bench.identify.straight_line import fit_linear
 from sma_bench.records import DscRecord, DscSegment
 
 KELVIN = 273.15

@@ -7,9 +7,8 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment, Mask
+from sma_bench.identify.estimate import Array, Estimate, Experiment, LinearFit, Mask, fit_linear
 from sma_bench.identify.signals import AVERAGE, CAMERA, SETTLE, Means, Staircase, means, same_level
-from sma_bench.identify.straight_line import LinearFit, fit_linear
 from sma_bench.identify.thermal.resistance import VOLTAGE
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record

@@ -10,7 +10,7 @@ defaults, so every simulation, node and file that takes parameters takes effects
 from collections.abc import Mapping
 
 from sma_bench.errors import InputError
-from sma_bench.parameters.effect_table import EFFECTS, Effect
+from sma_bench.parameters.parameter import EFFECTS, Effect
 from sma_bench.parameters.parameters import unknown_parameter_message
 
 

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(

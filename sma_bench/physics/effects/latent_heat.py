@@ -6,8 +6,7 @@ On heating the wire takes up dh, on cooling it gives it back. Source: eq. (1), w
 paper drops; `core.heat` solves it together with the fractions.
 """
 
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
     "latent_heat",

@@ -15,8 +15,7 @@ Source: balance of both sides; plasticity with linear kinematic hardening, H of 
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 HARDENING = (170e6 - 100e6) / 0.067  # Pa

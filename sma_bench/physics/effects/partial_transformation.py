@@ -23,8 +23,7 @@ then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
 import math
 
 from sma_bench.compiled import borrowing, inlined
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 TINY = 1e-12

@@ -6,8 +6,7 @@ Source: wires that do not lie alike in the matrix; the paper finds its two sides
 `Boundary.bending` applies it.
 """
 
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
     "side_asymmetry",

@@ -8,8 +8,7 @@ Source: conduction between parallel wires in a slab; G' of 0.15 to 0.24 W/(m K) 
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(

@@ -6,8 +6,7 @@ Below 0 a wire that is held would transform in one snap, by its own stress.
 Source: Clausius and Clapeyron, eqs. (10), (11) with C_A, C_M that are wrong, or absent.
 """
 
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
     "stress_dependent_transition",

@@ -9,8 +9,7 @@ Source: first-order sensor; averaging in a camera looks the same at a bench's ra
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
     "temperature_lag",

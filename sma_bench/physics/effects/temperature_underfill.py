@@ -8,8 +8,7 @@ Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(

@@ -11,8 +11,7 @@ Source: functional fatigue of NiTi wires, saturating with the number of transfor
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(

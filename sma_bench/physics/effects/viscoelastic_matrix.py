@@ -10,8 +10,7 @@ Source: Zener's three-parameter solid, solved for an e that goes straight over a
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.effect_table import Effect
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(

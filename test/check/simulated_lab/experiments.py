@@ -15,7 +15,7 @@ from sma_bench.physics import Boundary, Simulation, simulate
 from sma_bench.physics.bending import wire_section
 from sma_bench.protocols import Protocol, parse_protocol
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 COMMAND_PERIOD = 0.05
 STEP = 0.0025

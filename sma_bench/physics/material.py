@@ -1,6 +1,7 @@
-"""Phase of one wire: eqs. (10), (11), and the contract's kinetics of incomplete loops.
+"""One wire: its phase (eqs. 10, 11 and the contract's kinetics of incomplete loops), its stress by
+the constitutive law of Liang and Rogers (eqs. 6 to 9), and the current through it (eq. 3).
 
-The rule, between reversals of the temperature. The two ramps of the contract are
+The rule of the phase, between reversals of the temperature. The two ramps of the contract are
 
     f = cos^2[pi/2 (T - A_s - sigma/C_A)/(A_f - A_s)],   1 below and 0 above its range,
     g = sin^2[pi/2 (T - M_f - sigma/C_M)/(M_s - M_f)],   0 below and 1 above its range,
@@ -27,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from sma_bench.parameters import Parameters
+from sma_bench.physics.effects.phase_dependent_resistance import LEAST
 
 Array = NDArray[np.float64]
 
@@ -134,3 +136,73 @@ def _normal_ramp(position: Array, spread: float) -> Array:
 def _ramp(position: Array) -> Array:
     # sin^2 keeps relative precision near 0, which (1 - cos)/2 loses: ratios of ramps are taken.
     return np.square(np.sin(0.5 * np.pi * np.clip(position, 0.0, 1.0)))
+
+
+# --- stress
+
+
+def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
+    """E(xi) [Pa], eq. (7)."""
+    austenite = parameters["wire.austenite_modulus"]
+    change = parameters["wire.martensite_modulus"] - austenite
+    return np.asarray(austenite + np.asarray(martensite_fraction, float) * change)
+
+
+def transformation_coefficient(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
+    """Omega [Pa], eq. (9)."""
+    return -parameters["wire.maximum_recoverable_strain"] * modulus(
+        martensite_fraction, parameters
+    )
+
+
+def clamped_stress(temperature: ArrayLike, parameters: Parameters) -> Array:
+    """Stress [Pa] of a clamped wire at T [K] before it transforms, eq. (8)."""
+    rise = np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
+    return np.asarray(parameters["wire.thermal_expansion_factor"] * rise)
+
+
+def stress(
+    temperature: ArrayLike,
+    martensite_fraction: ArrayLike,
+    contraction: ArrayLike,
+    parameters: Parameters,
+) -> Array:
+    """sigma [Pa], eq. (6) from sigma = 0, xi = 1 and ambient temperature at rest.
+
+    Args:
+        temperature: T [K]; martensite_fraction: xi; broadcast against each other.
+        contraction: -(eps - eps_0), positive when the wire is shorter than at rest.
+    """
+    xi = np.asarray(martensite_fraction, float)
+    elastic = -modulus(xi, parameters) * np.asarray(contraction, float)
+    transformed = transformation_coefficient(xi, parameters) * (xi - 1.0)
+    return np.asarray(elastic + clamped_stress(temperature, parameters) + transformed)
+
+
+# --- current
+
+_CHANGE = "effect.phase_dependent_resistance.austenite_change"
+_SLOPE = "effect.phase_dependent_resistance.temperature_coefficient"
+
+
+def current(
+    parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
+) -> NDArray[np.float64]:
+    """I = n V/(R(xi, T) + n R_s) through the n wires of a channel; with all effects off eq. (3).
+
+    A current source holds it whatever the resistance; of a duty it is the mean.
+
+    Args:
+        voltage: V, as the driver reads it or is commanded (`heat.heating_voltage`); temperature: K;
+            fraction: of martensite; any shape.
+    """
+    volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
+    count = parameters["wire.count"]
+    of_phase = 1.0 + parameters[_CHANGE] * (1.0 - xi)
+    rise = kelvin - parameters["environment.ambient_temperature"]
+    of_heat = np.maximum(1.0 + parameters[_SLOPE] * rise, LEAST)
+    resistance = parameters["wire.resistance"] * of_phase * of_heat
+    if parameters["bench.drive"] == "current":
+        return np.asarray(count * volts / parameters["wire.resistance"])
+    leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
+    return np.asarray(count * volts / (resistance + count * leads))
