@@ -37,7 +37,7 @@ from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.protocols import Protocol, parse_protocol
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.worker_pool import Lost, over_cluster, over_threads
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[2]
@@ -389,18 +389,15 @@ def after_tests(
     for name, std in stds.items():
         if name not in label["truth"]:
             raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
-        for side in (FRONT, BACK) if name == FRONT else (name,):
-            values[side] = float(_hidden(label, side) + std * rng.standard_normal())
+        values[name] = float(_hidden(label, name) + std * rng.standard_normal())
+        if name == FRONT:
+            values[BACK] = values[name]
     return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
 
 
 def _hidden(label: Mapping[str, Any], name: str) -> float:
     """What an instrument finds in the hidden wire, with what its world does to it."""
-    truth, world = label["truth"], world_of(rig_of(label), label["features"])
-    value = truth[FRONT] if name == BACK else truth[name]
-    if name in (FRONT, BACK):
-        asymmetry = world.feature("stiffness_asymmetry")
-        return float(value * (1.0 + (asymmetry if name == FRONT else -asymmetry)))
+    value, world = label["truth"][name], world_of(rig_of(label), label["features"])
     if name == "wire.resistance":
         return float(value + world.feature("supply_resistance"))
     kind = name.removeprefix("wire.stress_influence_")

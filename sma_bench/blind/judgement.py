@@ -33,6 +33,7 @@ Array = npt.NDArray[np.float64]
 
 SET_MASS = 0.9
 CONFIDENT = 0.8
+MOVED = 2.0
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
 # parameters still differ from the truth by their uncertainty, and saying that is no error.
@@ -57,6 +58,7 @@ class Label:
         signals: "all" or "paper" (voltages and deflection).
         own_stages: stages of which one has to be named: that of the effect that does most, or of
             every parameter that is wrong.
+        wrong: parameters about which the owners are mistaken.
     """
 
     id: str
@@ -69,6 +71,7 @@ class Label:
     kinetics: bool = False
     signals: str = "all"
     own_stages: frozenset[str] = frozenset()
+    wrong: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Label":
@@ -86,6 +89,7 @@ class Label:
             kinetics=bool(document.get("kinetics", False)),
             signals=document.get("signals", "all"),
             own_stages=_own_stages(document),
+            wrong=frozenset(document.get("wrong") or ()),
         )
 
     @property
@@ -127,7 +131,7 @@ class Judged:
     Attributes:
         shrunk: true shrinkage of every signal.
         parameter_error: root mean square error of the parameters in their stated standard
-            deviations, (before, after).
+            deviations, (before, after); moved: those that the improved file has elsewhere.
         second: the last answer after suggested experiments; `followed` whether an ambiguous answer
             got what it asked for.
         seconds: that the answer took; failure: why there is none.
@@ -137,10 +141,16 @@ class Judged:
     answer: Answer | None
     shrunk: Mapping[str, Shrunk] = field(default_factory=dict)
     parameter_error: tuple[float, float] = (math.nan, math.nan)
+    moved: frozenset[str] = frozenset()
     second: Answer | None = None
     followed: bool = False
     seconds: float = math.nan
     failure: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """"" without an answer."""
+        return self.answer.verdict if self.answer else ""
 
     @property
     def first_choice(self) -> Candidate | None:
@@ -350,6 +360,15 @@ def parameter_error(truth: Mapping[str, float], nominal: Parameters, lab: Parame
     stated = {name: std for name, std in nominal.given_uncertainty.items() if name in truth}
     errors = [(lab[name] - truth[name]) / std for name, std in stated.items() if std > 0.0]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
+
+
+def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str]:
+    """Those that were moved by MOVED of their stated standard deviations or more."""
+    stated = nominal.given_uncertainty.items()
+    return frozenset(
+        name for name, std in stated
+        if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std
+    )
 
 
 def parameters_of(nominal: Path, improved: Path | None) -> tuple[Parameters, Parameters]:

@@ -48,7 +48,7 @@ from sma_bench.blind.severity import (
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.worker_pool import Lost, over_processes
 
 _PLACES = 12

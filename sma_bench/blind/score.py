@@ -21,7 +21,14 @@ from sma_bench.blind.case_files import (
     read_kept,
 )
 from sma_bench.blind.examination import NOMINAL, asks_for_more, open_cases
-from sma_bench.blind.judgement import Judged, Label, UnseenRecord, parameter_error, parameters_of
+from sma_bench.blind.judgement import (
+    Judged,
+    Label,
+    UnseenRecord,
+    moved_parameters,
+    parameter_error,
+    parameters_of,
+)
 from sma_bench.blind.measures import (
     OTHERS,
     TARGETS,
@@ -155,6 +162,7 @@ def _judged(
         kept.answer,
         unseen.shrunk(nominal, improved),
         (parameter_error(truth, nominal, nominal), parameter_error(truth, nominal, improved)),
+        moved_parameters(nominal, improved),
         second,
         followed,
         kept.seconds,

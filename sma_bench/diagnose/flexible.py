@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from sma_bench.diagnose.sizes import largest_gap
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
@@ -35,13 +35,14 @@ class Flexible:
     Attributes:
         gain: of evidence over the fit, both with the noise that they leave.
         response: (n,) the missing term's course; weights: (p,) of the features.
-        columns: which of the p are a signal's.
+        columns: which of the p are a signal's; gap: of the response, in noise.
     """
 
     gain: float
     response: Array
     weights: Array
     columns: Mapping[Key, slice]
+    gap: float = 0.0
 
     def on(self, obs: Observation, simulation: Simulation) -> Array:
         """The course of the missing term on another drive; none on a sensor never heard."""
@@ -72,7 +73,7 @@ def flexible_residual(fitted: Fit) -> Flexible:
         if gain > best.gain:
             best = Flexible(gain, response, weights, columns)
         problem = problem.with_noise(fitted.left - response)
-    return best
+    return replace(best, gap=largest_gap(fitted.problem, best.response))
 
 
 def _most_likely(problem: Problem, fitted: Fit, features: Array) -> tuple[float, Array]:
@@ -179,6 +180,8 @@ def _of_side(side: str, obs: Observation, simulation: Simulation) -> list[Array]
 
 def _remembered(course: Array, memory: float, grid: Array) -> Array:
     """First-order lag of a course (n,) on a grid (n,) s that need not be even."""
+    from scipy.signal import lfilter  # half a second to load
+
     cell = max(float(np.median(np.diff(grid))), float(np.ptp(grid)) / _MOST_CELLS)
     even = np.arange(grid[0], grid[-1] + cell, cell)
     share = 1.0 - np.exp(-cell / memory)

@@ -10,7 +10,6 @@ share that `unexplained` keeps without any sign of it tells of none.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
 
 from sma_bench.diagnose.decision import (
     FLEXIBLE,
@@ -111,6 +110,8 @@ def stage_of_recalibration(found: Search) -> str:
 def _moved_furthest(found: Search) -> tuple[str, float]:
     """The stage whose parameters moved the least believably, and how likely one of all stages
     moves so far by chance: squared prior deviations are chi squared."""
+    from scipy.stats import chi2  # half a second to load
+
     moved: dict[str, list[float]] = {}
     unknowns = found.recalibrated.unknowns
     for name, x in zip(unknowns.bench_names, found.recalibrated.x.tolist(), strict=False):

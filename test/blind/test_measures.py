@@ -5,8 +5,9 @@ import math
 import pytest
 
 from sma_bench.blind.case_files import NO_EFFECT, STAGE_OF, checked_answer
-from sma_bench.blind.judgement import Judged, Label, Shrunk
+from sma_bench.blind.judgement import Judged, Label, Shrunk, moved_parameters
 from sma_bench.blind.measures import OTHERS, TARGETS
+from sma_bench.parameters import Parameters
 
 MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}
 
@@ -82,6 +83,32 @@ def test_first_choice_is_over_distinguishable_singles():
         (label("single", "slack"), None),
     )
     assert (found.hits, found.n) == (2, 4)
+
+
+def test_a_single_is_named_by_a_verdict_and_counts_above_twice_the_noise():
+    leading = answer("ambiguous", {"slack": 0.55, "no_gap": 0.45})
+    cases = [(label("single", "slack", severity=s), a) for s, a in (
+        (8.0, SLACK), (8.0, leading), (8.0, QUIET), (8.0, None), (1.5, SLACK),
+    )]  # fmt: skip
+    first = value("first choice right, singles above twice the noise", *cases)
+    named = value("singles named and right", *cases)
+    assert ((first.hits, first.n), (named.hits, named.n)) == ((2, 4), (1, 4))
+
+
+def test_wrong_parameters_are_said_by_the_verdict_and_by_one_that_was_moved():
+    off = label("recalibration", wrong=frozenset(("wire.resistance",)))
+    right, other = frozenset(("wire.resistance", "wire.mass")), frozenset(("wire.mass",))
+    said = answer("recalibration", {"recalibration": 1.0})
+    found = MEASURES["wrong parameters said as such, with the parameter"].of([
+        Judged(off, said, moved=right), Judged(off, said, moved=other), Judged(off, said),
+        Judged(off, SLACK, moved=right), Judged(off, None),
+        Judged(label("recalibration", severity=1.0), said), Judged(label("none"), said),
+    ])  # fmt: skip
+    assert (found.hits, found.n) == (1, 5)
+    nominal = Parameters.defaults().replace({}, {"wire.resistance": 0.1, "wire.mass": 1e-6})
+    values = {"wire.resistance": nominal["wire.resistance"] - 0.25,
+              "wire.mass": nominal["wire.mass"] + 1.5e-6}  # fmt: skip
+    assert moved_parameters(nominal, nominal.replace(values)) == {"wire.resistance"}
 
 
 def test_first_choice_in_the_right_stage_forgives_a_neighbour():
@@ -215,7 +242,8 @@ def test_a_perfect_examinee_reaches_every_aim():
         Judged(label("pair", "slack", "supply_drop", where=where), pair),
         Judged(label("none"), answer("no_gap", {"no_gap": 1.0})),
         Judged(label("none", kinetics=True), answer("no_gap", {"no_gap": 1.0})),
-        Judged(label("recalibration"), answer("recalibration", {"recalibration": 1.0})),
+        Judged(label("recalibration", wrong=frozenset(("wire.mass",))),
+               answer("recalibration", {"recalibration": 1.0}), moved=frozenset(("wire.mass",))),
         Judged(label("outside"), answer("unexplained", {"unexplained": 1.0})),
         Judged(label("single", "slack", severity=1.0), TIED, second=SLACK, followed=True),
     ]

@@ -49,7 +49,7 @@ from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.solver import Fit, fit
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.records import read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import simulate_finely
 
 EXACT, MODEL = "exact", "model"

@@ -1,4 +1,4 @@
-"""Do the numbers still come out as they did? Compared with what is kept in test/check/golden/.
+"""Do the numbers still come out as they did? Compared with those in test/check/golden_numbers/.
 
 Everything that has numbers, in sections: identification of foreign, real and simulated records,
 simulations, diagnoses, the paper's tables. Each kept number has a tolerance and its reason, so that

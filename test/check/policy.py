@@ -7,8 +7,6 @@ and compares that with config/sros2/policy.xml. `--write` writes the policy from
 """
 
 import argparse
-import importlib
-import inspect
 import sys
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -22,8 +20,8 @@ from rclpy.node import Node
 
 from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.hardware.thermal_settings import regions_side_by_side
-from sma_bench.nodes.base import BenchNode
-from sma_bench.nodes.managed_node import ManagedNode
+from sma_bench.nodes.base import ManagedNode
+from sma_bench.nodes.start import node_class
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import private_ros_environment
@@ -96,14 +94,9 @@ def _made(
     name: str, file: Path, channels: tuple[str, ...], folder: Path
 ) -> dict[str, set[str]]:
     """Absolute names by kind."""
-    module = importlib.import_module(f"sma_bench.nodes.{name}")
-    (kind,) = (
-        value for _, value in inspect.getmembers(module, inspect.isclass)
-        if issubclass(value, BenchNode) and value.__module__ == module.__name__
-    )  # fmt: skip
     rclpy.init(args=["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", str(file),
                      *_needed(name, channels, folder)])  # fmt: skip
-    node = kind()
+    node = node_class(name)()
     try:
         return _names(node)
     finally:

@@ -7,7 +7,7 @@ import pytest
 from planted import believed
 
 from sma_bench.diagnose import search
-from sma_bench.diagnose.decision import Weights, signs_of_unexplained
+from sma_bench.diagnose.decision import Weights, _unsteady, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
 from sma_bench.estimation.unknowns import unknowns_of_records
 
@@ -15,12 +15,14 @@ SMOOTH = "a smooth response of free form is left"
 BELIEF = "parameters are needed that nobody believes in"
 
 
-def searched(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0)):
+def searched(
+    gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0), gap=5.0
+):
     """What a search found: gain of the best, and each sign before (recalibrated) and after."""
     return SimpleNamespace(
         off=(), recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
         best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
-        flexible=SimpleNamespace(gain=flexible), beyond=SimpleNamespace(gain=beyond),
+        flexible=SimpleNamespace(gain=flexible), beyond=SimpleNamespace(gain=beyond, gap=gap),
         left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
         left_by_best=Left(9.0, "deflection", sizes[1], 3.0, 0.0),
     )
@@ -57,9 +59,14 @@ def test_an_effect_that_leaves_what_was_to_be_explained_is_not_the_cause_whateve
     assert 0.3 < unexplained(6.0, remains=-4.0) < 0.5
 
 
+def test_a_smooth_response_smaller_than_the_noise_says_little_however_sure_it_is():
+    told = [signs_of_unexplained(searched(1.0, beyond=36.0, gap=gap))[SMOOTH] for gap in (0.4, 1.2)]
+    assert told[0] < 0.0 and told[1] == pytest.approx(3.0, abs=0.1)
+
+
 def test_where_no_effect_was_found_a_sign_counts_whole():
     found = signs_of_unexplained(searched(1.0, flexible=400.0, beyond=40.0, sizes=(5.0, 5.0)))
-    assert found[SMOOTH] == pytest.approx(5.0)
+    assert found[SMOOTH] == pytest.approx(5.0, abs=0.01)
     assert found["deflection scatters more in motion than at rest"] == pytest.approx(3.5, abs=0.01)
 
 
@@ -115,6 +122,14 @@ def test_what_gains_here_and_there_counts_as_often_as_it_is_told_and_rivals_stay
     steady, scattered = found({}, **both), found({"latent_heat": 9.0}, **both)
     assert scattered["latent_heat"] == pytest.approx(steady["latent_heat"], abs=0.01)
     assert found({"slack": 5.0}, latent_heat=18.0, slack=9.0)["latent_heat"] > 0.8
+
+
+def test_a_wandering_zero_is_no_less_one_for_wandering_here_and_there():
+    def unsteady(effect):
+        told = SimpleNamespace(effects=(effect,), baseline=0)
+        return _unsteady(SimpleNamespace(unknowns=told, errors=np.array([3.2]), std=np.ones(1)))
+
+    assert unsteady("deflection_drift") == 1.0 < 4.0 < unsteady("viscoelastic_matrix")
 
 
 def test_a_stress_effect_is_tried_with_the_parameters_as_believed_at_the_same_sum(monkeypatch):

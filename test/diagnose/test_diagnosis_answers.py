@@ -14,7 +14,7 @@ from sma_bench.errors import InputError
 from sma_bench.physics import simulate
 from sma_bench.protocols import parse_protocol
 from sma_bench.records import read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.results import json_text
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")

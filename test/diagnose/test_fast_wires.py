@@ -8,7 +8,7 @@ from sma_bench.diagnose import diagnose
 from sma_bench.parameters import read_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.records import read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_finely
 
 pytestmark = pytest.mark.slow

@@ -7,8 +7,9 @@ import pytest
 from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_record, true_bench
 
 from sma_bench.errors import InputError
+from sma_bench.estimation import nuisances
 from sma_bench.estimation.noise_model import Noise
-from sma_bench.estimation.observation import observe
+from sma_bench.estimation.observation import Observation, observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.physics import simulate
@@ -151,14 +152,43 @@ def test_a_held_level_between_two_steps_of_the_converter_is_not_known(jumping):
         if s.name.endswith("voltage") else s for s in jumping
     ]
     view = observe(record_of(*coarse), believed())
-    assert len(view.moved_levels) == 2
-    for moved, level in zip(view.moved_levels, (1.8, 2.2), strict=True):
-        change = view.drive.on_grid(view.grid, *moved) - view.voltage
+    place = np.zeros(len(view.drive.early))
+    assert len(view.drive.level_errors()) == 2
+    for errors, level in zip(view.drive.level_errors(), (1.8, 2.2), strict=True):
+        change = view.drive.on_grid(view.grid, place, errors) - view.voltage
         held = np.abs(view.voltage - level) < 0.02
         assert np.all((change[held] > 1e-3) & (change[held] < 1.1 * 0.01 / np.sqrt(12.0)))
         other = np.abs(view.voltage - (4.0 - level)) < 0.02
         assert not change[other | (view.voltage < 0.02)].any()
-    assert observe(record_of(*jumping), believed()).moved_levels == []
+    assert observe(record_of(*jumping), believed()).drive.level_errors() == []
+
+
+@pytest.mark.parametrize("wait, runs", [(60.0, 1 + 2), (1.0, 1 + 1 + 6)], ids=["far", "near"])
+def test_jumps_moved_together_show_what_each_shows_alone(monkeypatch, wait, runs):
+    """Those far apart in one simulation; those not forgotten by the next one alone after all."""
+    time = np.arange(0.0, 200.0, 0.02)
+    on = [(time > start) & (time < start + 5.0) for start in (5.0, 80.0, 155.0)]
+    signals = [
+        Signal(f"{name}.voltage", "V", time, 2.0 * np.any(on, axis=0) * (name == CHANNELS[0]))
+        for name in CHANNELS
+    ]
+    view = observe(record_of(*signals, Signal("deflection", "m", time, 0.0 * time)), believed())
+    simulated = []
+    follow = Observation.simulate
+    monkeypatch.setattr(
+        Observation, "simulate", lambda *args: simulated.append(args) or follow(*args)
+    )
+    monkeypatch.setattr(nuisances, "_FEWER", 0.0)
+    alone = nuisances.nuisances_about(view, believed())
+    assert len(simulated) == 1 + 6
+    simulated.clear()
+    monkeypatch.setattr(nuisances, "_FEWER", 1.0)
+    monkeypatch.setattr(nuisances, "_FORGOTTEN", wait)
+    together = nuisances.nuisances_about(view, believed())
+    assert len(simulated) == runs
+    assert together.items == alone.items
+    assert np.ptp(alone.columns[:, -6:], axis=0).min() > 1e-6
+    assert together.columns == pytest.approx(alone.columns, abs=1e-12)
 
 
 @pytest.fixture(scope="module")

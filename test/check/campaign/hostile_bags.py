@@ -8,7 +8,7 @@ import numpy as np
 import zstandard
 
 from sma_bench.records import Signal, contract
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 TOPICS = (
     ("/bench/wire/power", contract.BATTERY_STATE),

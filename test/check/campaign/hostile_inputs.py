@@ -59,8 +59,8 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records import Record, contract, describe, open_record, read_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.records.tables import read_table_file
-from sma_bench.records.write import write_record
 from sma_bench.report.page import Picture
 from sma_bench.results import read_result
 
