@@ -26,6 +26,7 @@ from sma_bench import api
 from sma_bench.cli import COMMANDS
 from sma_bench.commands import blind
 from sma_bench.commands.parser import command_parser
+from sma_bench.nodes.start import NODES
 from sma_bench.parameters.documentation import parameter_table
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.report.errata import paper_errata
@@ -227,8 +228,10 @@ def nodes_page() -> str:
 
 def _first_line(node: str) -> str:
     """What a node says of itself, for one that shares its row of the table with another."""
-    source = (ROOT / "sma_bench" / "nodes" / f"{node}.py").read_text()
-    return (ast.get_docstring(ast.parse(source)) or "").partition("\n\n")[0].replace("\n", " ")
+    module, _, kind = NODES[node].partition(".")
+    source = ast.parse((ROOT / "sma_bench" / "nodes" / f"{module}.py").read_text())
+    (found,) = (n for n in source.body if isinstance(n, ast.ClassDef) and n.name == kind)
+    return (ast.get_docstring(found) or "").partition("\n\n")[0].replace("\n", " ")
 
 
 def node_rows(readme: str) -> dict[str, list[str]]:

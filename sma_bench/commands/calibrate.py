@@ -18,9 +18,9 @@ from sma_bench.commands.parser import FILE, OWN, add_output, keep_safe
 from sma_bench.commands.terminal import add_json_option, write_json
 from sma_bench.errors import InputError
 from sma_bench.hardware.calibration import SENSORS, SensorFit, fit_sensor
+from sma_bench.hardware.conversation import open_port
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import SerialLink
-from sma_bench.hardware.serial_port import open_port
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 from sma_bench.parameters.yaml_file import read_parameter_names, write_named_values
 

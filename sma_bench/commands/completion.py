@@ -12,8 +12,8 @@ from sma_bench.commands.blind import rivals
 from sma_bench.commands.diagnose import quantities
 from sma_bench.commands.identify import experiments
 from sma_bench.commands.parser import CommandParser, command_parser
-from sma_bench.parameters.effect_table import EFFECT_NAMES
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters.parameter import EFFECT_NAMES
 from sma_bench.parameters.table import BY_NAME
 
 SHELLS = ("bash", "zsh")

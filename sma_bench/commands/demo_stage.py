@@ -1,16 +1,22 @@
 """The stages of the demo: a simulated or an emulated bench on real nodes, bags, a service."""
 
 import json
+import os
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from sma_bench.compiled import is_compiled
 from sma_bench.errors import InputError
+from sma_bench.lifeline import end_with_parent, tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.physics import core
+from sma_bench.physics import core, sensitivities, simulate
 from sma_bench.progress import COMPILING, Report, part, shares, silent
 from sma_bench.protocols import load_protocol
 from sma_bench.tasks.jobs import told_share
@@ -18,10 +24,18 @@ from sma_bench.tasks.jobs import told_share
 # Nothing may take longer than this without a sign of life, on however loaded a machine.
 PATIENCE = 60.0
 _BEGINNING = 10.0
-_COMPILING = 600.0
-STARTING = 4.0
+STARTING = 3.0
 """s until a bench's nodes, or a recorder, are there"""
+REACHED = 30.0
+"""times real time, which nodes on two cores do not exceed by much"""
+COMPILED_AFTER = 45.0
+"""s, once after an installation, until a processor has compiled `core.run` beside nodes"""
+COMPILING_TAKES = 30.0
+"""s of the processor for it"""
+COMPILER_PATIENCE = 600.0
 
+# One a command: nodes that talk cost more of the processor than all that is computed.
+READING_RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
 _READINGS = ("power", "temperature")
 _COMMANDS = ("voltage_command", "experiment/marker")
 _CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
@@ -50,7 +64,7 @@ class Stage:
         # A service reads and writes nothing outside; the folder may lie anywhere.
         self._roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
         self._namespace = namespace
-        self._report, self._shares = report, shares(plan)
+        self._report, self._plan, self._shares = report, plan, shares(plan)
         self._asked = self._service = ""
         self._reported: Report = silent
         self._bench = Parameters.defaults()
@@ -83,17 +97,8 @@ class Stage:
         Args:
             simulator: parameters of the simulator node alone.
         """
-        self._nodes.start("simulator", simulator, (bench_file,))
-        if self.compiles():
-            self._client.wait("simulator", lambda: is_compiled(core.run), _COMPILING)
+        self._nodes.start("simulator", {**READING_RATES, **simulator}, (bench_file,))
         self.start_experiment(bench_file, protocol)
-
-    def compiles(self) -> bool:
-        """Whether the nodes have to compile the physics first, which is reported."""
-        waits = not is_compiled(core.run)
-        if waits:
-            self._report(0.0, COMPILING)
-        return waits
 
     def start_experiment(self, bench_file: Path, protocol: str) -> None:
         """The experiment node at its protocol."""
@@ -117,8 +122,9 @@ class Stage:
             InputError: a node ended, or the experiment was aborted.
         """
         duration = load_protocol(protocol, self._bench).duration
-        report = self._part(protocol)
-        report(0.0, protocol)
+        own = self._part(protocol)
+        own(0.0, protocol)
+        report = part(own, STARTING / self._plan[protocol], 1.0)
         bag = self.bags / protocol
         self._nodes.start("recorder", {"output": str(bag), "use_sim_time": self.simulated})
         needed = self._topics()
@@ -128,6 +134,7 @@ class Stage:
         self._client.set_parameters("experiment", {"protocol": protocol}, PATIENCE)
         # Just begun, the node may not have heard the simulator's clock yet.
         retried(lambda: self._client.trigger("experiment/start", PATIENCE), _BEGINNING)
+        report(0.0, "")
         begin, kind = self._seconds(), "simulated s" if self.simulated else "s"
 
         def finished() -> bool:
@@ -147,6 +154,20 @@ class Stage:
         for node in ("experiment", "simulator"):
             self._nodes.end(node)
 
+    def wait_for_compiler(self, process: subprocess.Popen[bytes] | None) -> None:
+        """Until the process of `compiling_beside` has what a service needs, how far it is by the
+        processor's time that it has had."""
+        if process is None:
+            return
+        report, begin = self._part(COMPILING), processor_seconds(process.pid)
+        left = max(COMPILING_TAKES - begin, 1.0)
+
+        def finished() -> bool:
+            report((processor_seconds(process.pid) - begin) / left, COMPILING)
+            return is_compiled(core.run) or process.poll() is not None
+
+        self._client.wait("compiling", finished, timeout=COMPILER_PATIENCE)
+
     def ask(
         self, node: str, service: str, settings: Mapping[str, Any], patience: float = PATIENCE
     ) -> dict[str, Any]:
@@ -156,7 +177,7 @@ class Stage:
             InputError: it refused, failed, or took longer than `patience` s.
         """
         self._reported, self._service = self._part(service), service
-        self._reported(0.0, service)
+        self._reported(0.0, service if is_compiled(core.run) else COMPILING)
         self._client.follow(node)
         self._client.set_parameters(node, settings, PATIENCE)
         self._asked = node
@@ -193,7 +214,6 @@ class HardwareStage(Stage):
         Raises:
             InputError: a node ended, or the self test failed.
         """
-        self.compiles()
         files = (bench_file,)
         hidden = {"wire/temperature": "wire/true_temperature"}
         self._nodes.start("emulated_bench", {"port": str(port)}, files, hidden)
@@ -245,6 +265,48 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
 
 
+COMPILER = [sys.executable, "-P", "-m", __name__]
+
+
+@contextmanager
+def compiling_beside() -> Iterator[subprocess.Popen[bytes] | None]:
+    """A process compiles what both acts need, where that is not on the disk yet: the benches run as
+    plain Python meanwhile, and the services find it ready."""
+    if is_compiled(core.run) and is_compiled(sensitivities.run_derivatives):
+        yield None
+        return
+    with subprocess.Popen(
+        COMPILER, env=tied_to_this_process(), start_new_session=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    ) as process:  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def processor_seconds(pid: int) -> float:
+    """Time that a process has had of the processors [s]; 0 where the system does not say."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, words[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
+def _compile() -> None:
+    """Call all of it once."""
+    end_with_parent()
+    bench = Parameters.defaults()
+    moved = bench.replace({"wire.resistance": 1.0001 * bench["wire.resistance"]})
+    run = simulate(bench, np.arange(3) * 0.05, np.ones((3, len(bench["bench.channels"]))))
+    sensitivities.Sensitivities.of(run, [moved], np.array([1e-4]))
+
+
 def recording_time(protocol: str, bench: Parameters, speed: float = 1.0) -> float:
     """Seconds that a record of a protocol takes."""
-    return STARTING + load_protocol(protocol, bench).duration / speed
+    return STARTING + load_protocol(protocol, bench).duration / min(speed, REACHED)
+
+
+if __name__ == "__main__":
+    _compile()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from sma_bench.commands.terminal import add_json_option, output_console, print_table, write_json
 
 if TYPE_CHECKING:
-    from sma_bench.parameters.effect_table import Effect
+    from sma_bench.parameters.parameter import Effect
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the table or the page."""
     from sma_bench.parameters.documentation import effects_page, range_of
-    from sma_bench.parameters.effect_table import EFFECTS
+    from sma_bench.parameters.parameter import EFFECTS
 
     if args.json:
         write_json(args.json, {"effects": [_entry(effect) for effect in EFFECTS.values()]})

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
     print_result(result)
     if args.report:
-        from sma_bench.report.identification_report import write_identification_report
+        from sma_bench.report.collected_report import write_identification_report
         from sma_bench.report.page import Made
 
         made = Made(args.command_line, [*args.records, *filter(None, [args.params])])

@@ -137,7 +137,7 @@ def _write_map(path: Path, text: str | None, force: bool) -> None:
 
 
 def _write(one: dict[str, Any], force: bool) -> None:
-    from sma_bench.records.write import write_record
+    from sma_bench.records.bag_writer import write_record
 
     out = Path(one["bag"])
     if one["text"] is not None:

@@ -111,7 +111,7 @@ def _agreed(path: Path, protocol: Protocol, yes: bool) -> bool:
 
 def _simulated(bench: str, believed: Parameters) -> Runner:
     from sma_bench.live.simulated_run import SimulatedRun
-    from sma_bench.records.write import write_record
+    from sma_bench.records.bag_writer import write_record
 
     hidden = read_parameters(bench, ignore=node_groups())
 

@@ -128,7 +128,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "run simulator --help",
     ),
     "demo": (
-        "demo --quick",
+        "demo --draw 3",
         "demo --out my_demo --draw 7 --json demo.json",
     ),
     "completion": (

@@ -30,8 +30,10 @@ def run(arguments: Sequence[str]) -> int:
     network = rest[:1] == [NETWORK_OPTION]
     if name not in NODE_TABLES:
         raise InputError(f"run: no node {name!r}, expected one of: {nodes}")
+    # By its name, as ROS would: commands know of nodes as little as these of commands.
+    nodes_start = importlib.import_module("sma_bench.nodes.start")
     try:
-        importlib.import_module(f"sma_bench.nodes.{name}")
+        nodes_start.node_class(name)
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sma_bench"):
             raise
@@ -39,9 +41,8 @@ def run(arguments: Sequence[str]) -> int:
             f"run: {error.name} is not installed: source a ROS 2 Jazzy setup file, or use ./bench"
         ) from None
     if network:
-        from sma_bench.ros.discovery import choose_discovery
+        from sma_bench.ros.processes import choose_discovery
 
         choose_discovery(network=True)
-    # By its name, as ROS would: commands know of nodes as little as these of commands.
-    status: int = importlib.import_module("sma_bench.nodes.start").start(name, rest[network:])
+    status: int = nodes_start.start(name, rest[network:])
     return status

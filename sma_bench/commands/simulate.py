@@ -56,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
     from sma_bench.protocols import load_protocol
     from sma_bench.records import read_record
+    from sma_bench.records.bag_writer import write_record
     from sma_bench.records.samples import drive_of
-    from sma_bench.records.write import write_record
     from sma_bench.synthetic.bench_records import (
         limits_passed,
         read_signals,

@@ -131,6 +131,7 @@ _REFRESH = 0.1
 _NAME = (8, 44)  # cells of what is being done, at least and at most
 _REST = 32  # cells for the bar and the time left
 _LEAST_SHARE = 0.02  # less says nothing of the rest
+_PLAN_HOLDS = 2.0  # s, until which a plan counts for more than the pace
 
 
 class WorkState:
@@ -139,8 +140,7 @@ class WorkState:
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, expected: float | None = None
     ) -> None:
-        """`clock` gives s; `expected` s, from what is planned, count until the work's own pace
-        does."""
+        """`clock` gives s; `expected` s are planned; this machine may need more or less."""
         self.share, self.what, self._expected = 0.0, "", expected
         self._clock, self._begin = clock, clock()
         self._heard = self._begin
@@ -161,8 +161,9 @@ class WorkState:
         """Time left [s] at the speed so far; None while that is not known."""
         gone, now = self._heard - self._begin, self._clock()
         if self._expected is not None:
-            # The plan at first, what has become of it in the end.
-            whole = gone + (1.0 - self.share) * self._expected
+            # The rest of the plan, as much slower as this machine has been so far.
+            planned = self.share * self._expected
+            whole = self._expected * (gone + _PLAN_HOLDS) / (planned + _PLAN_HOLDS)
         elif self.share >= _LEAST_SHARE:
             whole = gone / self.share
         else:
@@ -317,12 +318,12 @@ def column_of(args: argparse.Namespace) -> "PaperColumn | None":
     Raises:
         InputError: letters that nobody can read, or without a column.
     """
-    from sma_bench.report.drawing import COLUMNS
-
     if args.font is not None and (args.column is None or not 4.0 <= args.font <= 24.0):
         raise InputError(f"--font is {args.font:g} pt, expected 4 to 24 pt, and --column with it")
     if args.column is None:
         return None
+    from sma_bench.report.drawing import COLUMNS  # matplotlib: half a second to load
+
     column = COLUMNS.get(args.column) or COLUMNS["double"]._replace(width=float(args.column))
     return column if args.font is None else column._replace(font=args.font)
 

@@ -11,7 +11,7 @@ from sma_bench.estimation.observation import find_rig
 from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics import bending, phase, simulate
+from sma_bench.physics import bending, material, simulate
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.bending import Beam
 from sma_bench.records.record import Record
@@ -214,9 +214,9 @@ def errata_picture(parameters: Parameters | None = None) -> Picture:
     start = paper["wire.austenite_start_temperature"]
     finish = paper["wire.austenite_finish_temperature"]
     at, kelvin = 0.5 * (start + finish), np.linspace(start - 8.0, finish + 8.0, 400)
-    here = float(phase.heated_fraction(at, 0.0, paper))
+    here = float(material.heated_fraction(at, 0.0, paper))
     kinetics.plot(
-        kelvin, phase.heated_fraction(kelvin, 0.0, paper), color=MEASURED, lw=2, label="eq. (10)"
+        kelvin, material.heated_fraction(kelvin, 0.0, paper), color=MEASURED, lw=2, label="eq. (10)"
     )
     for slope, colour, label in (
         (linear.b1_as_printed, SECOND, "eq. (20) as printed"),

@@ -14,7 +14,7 @@ from sma_bench.parameters.table import (
     UPFR_FINISH,
     UPFR_START,
 )
-from sma_bench.physics import bending, phase, stress
+from sma_bench.physics import bending, material
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.bending import Beam
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
@@ -133,7 +133,7 @@ def signs(point: OperatingPoint) -> Erratum:
 
     def pull(deflection: float) -> float:
         """beta delta less what the wires of the side give, at the point's temperature, xi."""
-        sigma = stress.stress(
+        sigma = material.stress(
             point.temperature[:wires], point.martensite_fraction[:wires], deflection / alpha,
             parameters,
         )
@@ -161,11 +161,11 @@ def constitutive(point: OperatingPoint) -> Erratum:
     pull = -parameters["wire.maximum_recoverable_strain"] * parameters["wire.austenite_modulus"]
 
     def sigma(fraction: float) -> float:
-        return float(stress.stress(kelvin, fraction, contraction, parameters))
+        return float(material.stress(kelvin, fraction, contraction, parameters))
 
     def by_equation(a2: float, a3: float, fraction: float) -> float:
         elastic = float(linear.a1(xi, parameters)) * strain
-        thermal = float(stress.clamped_stress(kelvin, parameters))
+        thermal = float(material.clamped_stress(kelvin, parameters))
         transformed = pull * (fraction - linear.FRACTION_AT_REST) + a2 * fraction + a3
         return elastic + thermal + transformed
 
@@ -219,10 +219,10 @@ def kinetics(point: OperatingPoint) -> Erratum:
                   + parameters["wire.martensite_finish_temperature"])
     lines: list[Line] = []
     for name, ramp, at, printed, corrected, of_stress in (
-        ("eq. (20), heating", phase.heated_fraction, (kelvin, sigma), linear.b1_as_printed,
+        ("eq. (20), heating", material.heated_fraction, (kelvin, sigma), linear.b1_as_printed,
          linear.b1, linear.b1_of_stress),
-        ("eq. (21), cooling", phase.cooled_fraction, (cold, 0.0), linear.b3_as_printed, linear.b3,
-         linear.b3_of_stress),
+        ("eq. (21), cooling", material.cooled_fraction, (cold, 0.0), linear.b3_as_printed,
+         linear.b3, linear.b3_of_stress),
     ):
         t, s = at
         by_t = (ramp(t + 1e-3, s, parameters) - ramp(t - 1e-3, s, parameters)) / 2e-3
@@ -380,7 +380,7 @@ def omitted_stress(paper: Parameters) -> Erratum:
     middles = []
     for held in (0.0, sigma):
         kelvin = np.linspace(300.0, 400.0, 100001)
-        xi = phase.heated_fraction(kelvin, held, paper)
+        xi = material.heated_fraction(kelvin, held, paper)
         middles.append(float(np.interp(0.5, xi[::-1], kelvin[::-1])))
     return Erratum(
         15, "section III.B.4", '"for constant load conditions σ can be omitted"',
@@ -416,10 +416,10 @@ def stressed_reference(paper: Parameters) -> Erratum:
     first, second = (0.6, 0.02), (0.2, 0.03)  # xi, contraction: reference and state
 
     def from_rest(xi: float, contraction: float) -> float:
-        return float(stress.stress(kelvin, xi, contraction, paper))
+        return float(material.stress(kelvin, xi, contraction, paper))
 
     def e(xi: float) -> float:
-        return float(stress.modulus(xi, paper))
+        return float(material.modulus(xi, paper))
 
     (xi_0, c_0), (xi, c) = first, second
     begun = from_rest(*first)
@@ -450,11 +450,11 @@ def partial_loops(paper: Parameters) -> Erratum:
         return 0.5 - 0.5 * float(np.cos(np.pi * (kelvin - m_f) / (m_s - m_f)))
 
     def ramps(kelvin: float) -> tuple[float, float]:
-        return (float(phase.austenite_ramp(kelvin, 0.0, paper)),
-                float(phase.martensite_ramp(kelvin, 0.0, paper)))
+        return (float(material.austenite_ramp(kelvin, 0.0, paper)),
+                float(material.martensite_ramp(kelvin, 0.0, paper)))
 
     def corrected(kelvin: float) -> float:
-        return phase.fraction_since_reversal(False, 0.5, ramps(turned), ramps(kelvin))
+        return material.fraction_since_reversal(False, 0.5, ramps(turned), ramps(kelvin))
 
     return Erratum(
         18, "eqs. (10), (11)", "no initial fractions: ξ is a function of T on each direction",

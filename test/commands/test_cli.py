@@ -16,7 +16,7 @@ from sma_bench.findings import Finding
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records import Signal, open_record, read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 Float64 = TYPES.types["std_msgs/msg/Float64"]

@@ -2,8 +2,13 @@
 
 import importlib.util
 import json
+import os
+import subprocess
+import sys
+import time
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +17,7 @@ from rich.console import Console
 
 from sma_bench.blind.case_files import checked_answer
 from sma_bench.cli import main
+from sma_bench.commands import demo_acts, demo_stage
 from sma_bench.commands.demo_acts import (
     FITTED,
     HIDEABLE,
@@ -32,14 +38,17 @@ from sma_bench.commands.demo_acts import (
     reveal,
     simulated_truth,
 )
-from sma_bench.commands.demo_stage import Stage
+from sma_bench.commands.demo_stage import compiling_beside
+from sma_bench.compiled import is_compiled
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.table import EXACT_SENSORS
-from sma_bench.physics import simulate
+from sma_bench.physics import core, simulate
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.sensitivities import Sensitivities, run_derivatives
+from sma_bench.progress import COMPILING, shares
 from sma_bench.protocols import load_protocol
-from sma_bench.ros.discovery import USERS_VARIABLES
+from sma_bench.ros.processes import USERS_VARIABLES
 from sma_bench.synthetic.bench_records import protocol_record
 
 FIGURES = {
@@ -48,13 +57,13 @@ FIGURES = {
 }
 LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig.yaml")
 SEEDS = range(60)
-SLOW_SENSORS = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 15.0)
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
 def test_the_time_left_is_planned_from_what_is_recorded():
     quick, slow = planned(QUICK, 40.0), planned(FITTED, 40.0)
-    assert 10.0 < quick[0] < slow[0] < 200.0 and quick[1] == slow[1] > 60.0
+    assert 10.0 < quick[0] < slow[0] < 200.0 and quick[1] == slow[1] > 20.0
+    assert sum(quick) < 100.0  # after an installation, too
     assert planned(FITTED, 1.0)[0] > 10.0 * quick[0]
 
 
@@ -107,12 +116,54 @@ def test_an_output_folder_that_exists_is_refused_before_anything_starts(tmp_path
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_a_fresh_installation_says_that_it_compiles(tmp_path, monkeypatch, there):
-    told = []
-    monkeypatch.setattr("sma_bench.commands.demo_stage.is_compiled", lambda room: there)
-    stage = Stage(tmp_path / "stage", "/demo", lambda *said: told.append(said), {"staircase": 1.0})
-    assert stage.compiles() == (not there)
-    assert told == ([] if there else [(0.0, "compiling, once after an installation")])
+def test_a_fresh_installation_compiles_beside_and_plans_for_it(monkeypatch, there):
+    asleep = [sys.executable, "-c", "import time; time.sleep(1000)"]
+    monkeypatch.setattr(demo_stage, "COMPILER", asleep)
+    for module in (demo_stage, demo_acts):
+        monkeypatch.setattr(module, "is_compiled", lambda function: there)
+    with compiling_beside() as process:
+        assert there if process is None else process.poll() is None
+    assert (process is None) == there
+    assert process is None or process.poll() is not None
+    waits = sum(planned(QUICK, 40.0)) - 60.0
+    assert waits < 0.0 if there else waits > 0.0
+
+
+def test_the_wait_for_the_compiler_moves_with_the_time_that_it_has_had(monkeypatch):
+    told, seconds = [], iter([10.0, 10.0, 15.0, 20.0, 40.0])
+    stage = object.__new__(demo_stage.Stage)
+    stage._report = lambda share, what: told.append((share, what))
+    stage._shares = shares({COMPILING: 10.0, "identify": 10.0})
+
+    def wait(what, finished, timeout):
+        while not finished():
+            pass
+
+    stage._client = SimpleNamespace(wait=wait)
+    monkeypatch.setattr(demo_stage, "processor_seconds", lambda pid: next(seconds))
+    monkeypatch.setattr(demo_stage, "is_compiled", lambda function: len(told) == 4)
+    stage.wait_for_compiler(SimpleNamespace(pid=1, poll=lambda: None))
+    assert told == [(share, COMPILING) for share in (0.0, 0.125, 0.25, 0.5)]
+    stage.wait_for_compiler(None)
+    assert len(told) == 4
+
+
+def test_the_time_that_a_process_has_had_of_the_processors():
+    if not Path("/proc/self/stat").exists():
+        pytest.skip("no /proc here")
+    assert demo_stage.processor_seconds(os.getpid()) == pytest.approx(time.process_time(), abs=0.5)
+    assert demo_stage.processor_seconds(2**22 + 1) == 0.0
+
+
+def test_what_is_compiled_beside_is_what_simulator_and_diagnosis_call():
+    subprocess.run(demo_stage.COMPILER, check=True, timeout=600.0)
+    assert is_compiled(core.run) and is_compiled(run_derivatives)
+    moved = LAB.replace({"wire.resistance": 3.06})
+    functions = (core.run, run_derivatives)
+    before = [sum(function.stats.cache_misses.values()) for function in functions]
+    simulation = simulate(LAB, *load_protocol(HOLD_OUT, LAB).sample(0.05))
+    Sensitivities.of(simulation, [moved], np.array([0.01]))
+    assert [sum(function.stats.cache_misses.values()) for function in functions] == before
 
 
 def test_a_negative_seed_is_refused_before_anything_starts(tmp_path, capsys):
@@ -244,15 +295,8 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
     out = tmp_path / "demo"
     answer_file = tmp_path / "demo.json"
-    # Nodes that talk cost more of the processor than all that is computed: fewer readings.
-    start = Stage.start_bench
-    monkeypatch.setattr(
-        Stage, "start_bench", lambda stage, file, protocol, simulator: start(
-            stage, file, protocol, simulator | SLOW_SENSORS
-        ),
-    )  # fmt: skip
-    words = ["--quick", "--speed", "20", "--draw", "3"]
-    assert main(["demo", *words, "--out", str(out), "--json", str(answer_file)]) == 0
+    words = ["--draw", "3", "--out", str(out), "--json", str(answer_file)]
+    assert main(["demo", *words]) == 0
     printed = capsys.readouterr().out
     assert "errors under 1%: yes" in printed
     truth = yaml.safe_load((out / "truth.yaml").read_text())["/**"]["ros__parameters"]["wire"]

@@ -9,7 +9,7 @@ from planted import ONE_WIRE, believed, few_effects, supply_drop_lab
 from sma_bench.cli import main
 from sma_bench.parameters import read_parameters
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 

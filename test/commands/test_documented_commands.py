@@ -32,7 +32,7 @@ LAUNCH_ARGUMENTS = {
 }
 PLACEHOLDERS = {"NODE": "simulator"}
 # Within a sentence, without what they take.
-NAMED_ONLY = {"call", "import", "info", "notebook", "run"}
+NAMED_ONLY = {"call", "import", "info", "notebook", "python", "run"}
 
 
 def commands(page: Path) -> list[str]:

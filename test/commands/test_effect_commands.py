@@ -10,7 +10,7 @@ from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import effects_page
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records import Signal, read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 SIGNALS = ("front_1.current", "back_1.temperature", "deflection")
 CHANNELS = ("front_1", "front_2", "back_1", "back_2")

@@ -55,18 +55,29 @@ def test_time_left_is_extrapolated_and_counts_down():
     assert state.words == "25%, 1 min 10 s left"
 
 
-def test_what_is_planned_counts_from_the_start_until_the_work_has_its_own_pace():
+def test_what_is_planned_counts_from_the_start():
     clock = Clock()
     state = WorkState(clock, expected=100.0)
     assert state.left == pytest.approx(100.0) and state.words == "0%, 1 min 40 s left"
     clock.now += 10.0
     assert state.left == pytest.approx(90.0)
-    clock.now += 10.0
-    state.report(0.1, "slowly")  # twice as long as planned: 200 s in all
-    assert state.left == pytest.approx(0.9 * 110.0)
-    clock.now += 140.0
-    state.report(0.8)
-    assert state.left == pytest.approx(0.2 * 180.0)
+
+
+@pytest.mark.parametrize("slowness", [0.5, 1.0, 2.0, 4.0])
+def test_the_time_left_of_a_plan_follows_the_machine_and_never_stands_still(slowness):
+    clock = Clock()
+    state = WorkState(clock, expected=100.0)
+    left, whole = [], round(100.0 * slowness)
+    for second in range(1, whole):
+        clock.now += 1.0
+        if second % 5 == 0:
+            state.report(second / whole)
+        left.append((second, state.left))
+    soon = [(second, said) for second, said in left if second >= 0.1 * whole][:-5]
+    assert all(said == pytest.approx(whole - second, rel=0.3) for second, said in soon)
+    quarter = whole // 4
+    falls = [a[1] - b[1] for a, b in zip(soon, soon[quarter:], strict=False)]
+    assert min(falls) > quarter / 2
 
 
 def test_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():

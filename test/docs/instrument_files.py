@@ -9,7 +9,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.synthetic import paper_specimens
 from sma_bench.synthetic.bench_records import protocol_record, simulate_finely
-from sma_bench.synthetic.instruments import isobaric_test, tensile_test
+from sma_bench.synthetic.paper_specimens import isobaric_test, tensile_test
 
 COLD, HOT = 293.15, 403.15  # K, Table III
 _DSC_HEAD = """Sample ID:\tsynthetic NiTi wire

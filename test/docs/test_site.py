@@ -42,6 +42,9 @@ def test_every_page_of_docs_is_on_the_site(site):
             ".html"
         )
         assert (site / name).is_file(), page
+    tabs = re.findall(r'<li class="md-tabs__item.*?</li>', (site / "index.html").read_text(), re.S)
+    titles = [re.sub(r"<[^>]*>", "", tab).strip() for tab in tabs]
+    assert "Explanation" in titles and "More" not in titles  # every page has its place
 
 
 def test_commands_are_what_their_help_prints(site):

@@ -137,6 +137,18 @@ def test_second_use_runs_the_command_at_once(house: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("told", ["", "3"])
+def test_its_python_has_one_blas_thread_unless_told(
+    house: Path, monkeypatch: pytest.MonkeyPatch, told: str
+) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    if told:
+        monkeypatch.setenv("OMP_NUM_THREADS", told)
+    code = "import os; print(os.environ['OMP_NUM_THREADS'])"
+    assert bench(house, "python", "-c", code) == (0, f"{told or 1}\n", "")
+
+
+@pytest.mark.slow
 def test_test_requirements_come_with_the_first_test_command(house: Path) -> None:
     assert "mdurl" in installed(house)
     assert "cycler" not in installed(house)

@@ -15,7 +15,7 @@ from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.records import Signal, open_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.report.collected_report import record_section
 from sma_bench.report.drawing import script, thinned
 from sma_bench.report.page import digest

@@ -10,7 +10,7 @@ from PIL import Image
 
 from sma_bench.cli import main
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.report.page import Section, Table, write_report
 
 WORD = "a_name_without_any_place_to_break_it_" * 4
@@ -91,9 +91,11 @@ def test_a_figure_has_the_paper_of_its_page(browser, pages, size, scheme, paper,
 
 
 VALUES = "[...document.querySelectorAll('.view .value')].map((value) => value.textContent)"
-INKED = """[...document.querySelectorAll('.view canvas[role]')]
-    .map((canvas) => canvas.getContext('2d').getImageData(
-        0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
+DRAWN = """(() => {
+    const inked = (canvas) => canvas.width > 0 && canvas.height > 0 && canvas.getContext('2d')
+        .getImageData(0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0);
+    const all = [...document.querySelectorAll('.view canvas[role]')];
+    return all.length === 2 && all.every(inked); })()"""
 
 
 def place(shown, share):
@@ -115,7 +117,7 @@ def time_shown(shown):
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages, size):
     with opened(browser, pages["record"].as_uri(), size) as shown:
-        assert shown.page.evaluate(INKED) == [True, True]
+        shown.until(DRAWN)  # in a frame to come
         panels = json.loads(shown.page.evaluate(
             "document.querySelector('figure.curves script').textContent"))
         assert [panel["marks"] for panel in panels] == [[1.0, 9.0]] * 2

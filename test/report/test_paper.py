@@ -23,7 +23,7 @@ from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.bending import Beam, bending_stiffness
 from sma_bench.protocols import load_protocol
 from sma_bench.records import Record, Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.report.errata import paper_errata
 from sma_bench.report.paper_page import TABLES, csv_text, html_table, row_remarks, table_rows
 from sma_bench.synthetic import paper_specimens as specimens

@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgb
 import sma_bench
 from sma_bench.cli import main
 from sma_bench.errors import InputError
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.report.drawing import COLUMNS, curves_of, line_style, new_figure, noise_band
 from sma_bench.report.page import Picture, Section, Table, csv_text, write_report
 
