@@ -20,7 +20,7 @@ from sma_bench.commands.batch import _names
 from sma_bench.commands.parser import command_parser
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import protocol_record
 from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks, run_task
 from sma_bench.worker_pool import Lost, over_cluster

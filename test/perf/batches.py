@@ -13,7 +13,7 @@ from timing import exponent
 from whole_commands import diagnosis_case, staircase_signals
 
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Task, do_tasks
 from sma_bench.tasks.batch import Outcome as Done
 

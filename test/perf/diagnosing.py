@@ -18,7 +18,7 @@ from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.effect_table import EFFECT_NAMES
+from sma_bench.parameters.parameter import EFFECT_NAMES
 from sma_bench.physics import simulate
 from sma_bench.protocols import load_protocol
 from sma_bench.records import Record, Signal, read_record

@@ -34,7 +34,7 @@ class Figure:
         if self.aim is None:
             return None
         kind, limit = self.aim
-        return self.value >= limit if kind == "least" else self.value <= limit
+        return bool(self.value >= limit if kind == "least" else self.value <= limit)
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def as_json(sections: dict[str, list[Outcome]]) -> dict[str, Any]:
         "sections": {
             name: {
                 "figures": [
-                    {**asdict(f), "value": f.value if math.isfinite(f.value) else None,
+                    {**asdict(f), "value": float(f.value) if math.isfinite(f.value) else None,
                      "met": f.met}
                     for f in outcomes if isinstance(f, Figure)
                 ],

@@ -14,7 +14,7 @@ from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
 from sma_bench.records import read_record
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 
 # On top of one another, each as its table's default or this.
 EFFECTS = (

@@ -18,8 +18,8 @@ from timing import interleaved, ratio
 
 from sma_bench import physics  # noqa: F401 (loads numba)
 from sma_bench.records import Signal, read_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.records.messages import TYPES
-from sma_bench.records.write import write_record
 
 try:
     from mcap_ros2.reader import read_ros2_messages

@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from planted import believed, planted_record
 
+from sma_bench.diagnose.starts import Remainder, find_start
 from sma_bench.estimation.observation import Observation, observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit
@@ -34,11 +35,14 @@ def measure(tiny: bool = False) -> list[Outcome]:
         lambda: fit(problem, baseline, baseline.start(), rounds=1, keep_noise=True, far=True)
     )
     outcomes = _beside("recalibration", recalibrated, baseline.start(), seconds, runs)
+    # With the noise that recalibration leaves, as a diagnosis goes on from there.
+    recalibrated = fit(problem, baseline, recalibrated.x, rounds=2)
+    problem, remainder = recalibrated.problem, Remainder(recalibrated)
     for name in CANDIDATES[: 1 if tiny else None]:
         unknowns = baseline.with_effects([name])
-        start = np.concatenate([recalibrated.x, unknowns.start()[unknowns.baseline :] + 0.3])
+        start = find_start(remainder, unknowns, name).x
         found, seconds, runs = _timed(
-            lambda unknowns=unknowns, start=start: fit(
+            lambda unknowns=unknowns, start=start, problem=problem: fit(
                 problem, unknowns, start, rounds=1, keep_noise=True,
                 frozen=recalibrated.derivatives,
             )

@@ -22,7 +22,7 @@ import sma_bench
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.records import Signal
-from sma_bench.records.write import write_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import protocol_record
 
 ROOT = Path(__file__).resolve().parents[2]
