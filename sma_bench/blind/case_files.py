@@ -108,13 +108,14 @@ class Claim:
 @dataclass(frozen=True)
 class NextExperiment:
     """What to measure next: a `protocol` as in a protocol file, with `quantities` measured beside
-    those of the case, or a test of `parameters` to standard deviations."""
+    those of the case, or a test of `parameters` to standard deviations, of which `kind`."""
 
     why: str
     separates: tuple[str, ...]
     protocol: Mapping[str, Any]
     parameters: Mapping[str, float] = field(default_factory=dict)
     quantities: tuple[str, ...] = ()
+    kind: str = "protocol"
 
 
 @dataclass(frozen=True)
@@ -274,7 +275,8 @@ def _next_experiment(
     tested = _mapping(entry.get("parameters") or {}, f"{where}: parameters")
     stds = {n: _number(v, f"{where}: parameters: {n}", 0.0) for n, v in tested.items()}
     quantities = _texts(entry.get("quantities") or [], f"{where}: quantities")
-    return NextExperiment(why, separates, protocol, stds, quantities)
+    kind = _text(entry.get("kind", "protocol"), f"{where}: kind")
+    return NextExperiment(why, separates, protocol, stds, quantities, kind)
 
 
 def _mapping(value: Any, where: str, keys: Sequence[str] = ()) -> Mapping[str, Any]:

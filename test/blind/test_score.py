@@ -12,6 +12,7 @@ from sma_bench.blind.case_files import (
     NO_EFFECT,
     STAGE_OF,
     Examination,
+    NextExperiment,
     answers_of,
     checked_answer,
     keep,
@@ -247,15 +248,25 @@ def test_at_most_three_experiments_are_performed_and_records_add_up(made, tmp_pa
 
 def test_a_test_of_the_paper_finds_what_the_wire_has_and_what_its_world_does_to_it(made):
     _, labels, drawn = made
-    wanted = {"wire.resistance": 1e-4, "wire.stress_influence_austenite": 1e4}
-    believed = after_tests(labels["0001"], wanted, drawn["0001"].nominal, np.random.default_rng(1))
+
+    def believed_after(kind, **stds):
+        asked = NextExperiment("", (), {}, {f"wire.{n}": std for n, std in stds.items()}, (), kind)
+        rng = np.random.default_rng(1)
+        return after_tests(labels["0001"], asked, drawn["0001"].nominal, rng)
+
+    believed = believed_after("E1", resistance=1e-4, stress_influence_austenite=1e4)
     truth = labels["0001"]["truth"]
     assert believed["wire.resistance"] == pytest.approx(truth["wire.resistance"] + 0.3, abs=1e-3)
     assert believed.std("wire.resistance") == 1e-4
     name = "wire.stress_influence_austenite"
     assert believed[name] == pytest.approx(truth[name], abs=1e5)
-    with pytest.raises(InputError, match="effect.slack"):
-        after_tests(labels["0001"], {"effect.slack": 1.0}, believed, np.random.default_rng(1))
+    heat, seen = truth["wire.specific_heat"], 1.0 + 0.3 / truth["wire.resistance"]
+    for kind, found in {"E3": heat * seen, "DSC": heat}.items():
+        assert believed_after(kind, specific_heat=0.1)["wire.specific_heat"] == pytest.approx(
+            found, abs=0.5
+        )
+    with pytest.raises(InputError, match="wire.slack"):
+        believed_after("E1", slack=1.0)
 
 
 def test_a_protocol_beyond_the_bench_is_a_failed_second_answer(made, tmp_path):

@@ -8,6 +8,7 @@ from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
 from sma_bench.diagnose.decision import weigh
+from sma_bench.diagnose.drives import TESTS
 from sma_bench.errors import InputError
 from sma_bench.protocols import parse_protocol
 
@@ -61,6 +62,25 @@ def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
     assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
     assert "nothing that the bench can do" in remark and "ambient_drift" in remark
+
+
+def test_a_test_separates_no_cause_that_its_readings_hold(short_record):
+    """What isobaric tests read is believed of C_A then, whichever of the two moved it."""
+    shifted = "stress_dependent_transition"
+    with few_effects((shifted, "supply_drop")):
+        found = diagnose([short_record], believed())
+    matter = next_experiment.Matter(
+        found.decision, found.search, weigh(found.search), found.observations, believed()
+    )
+    matter.fits |= {name: found.search.singles[name] for name in (shifted, "supply_drop")}
+    separated = {
+        name: set(test.separates) for name in TESTS
+        if (test := next_experiment._test(name, matter)) is not None
+    }
+    everything = {"recalibration", shifted, "supply_drop"}
+    assert separated["E6"] == everything - {shifted}
+    assert separated["E1"] == separated["E3"] == everything - {"supply_drop"}
+    assert separated["DSC"] == everything
 
 
 def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
