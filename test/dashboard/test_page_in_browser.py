@@ -80,7 +80,7 @@ def test_it_shows_signals_limits_progress_nodes_and_the_diagnosis_as_text(browse
         assert "160.0 °C over" in shown.text("#heat")
         drawn = """[...document.querySelectorAll('canvas')].map((canvas) => canvas.getContext('2d')
             .getImageData(0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
-        assert shown.page.evaluate(drawn) == [True] * 3
+        shown.until(f"JSON.stringify({drawn}) === '[true,true,true]'")
         assert shown.complaints == []
 
 

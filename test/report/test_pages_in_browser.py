@@ -142,6 +142,7 @@ def test_dragging_looks_closer_and_a_double_click_shows_all_again(browser, pages
         return time_shown(shown)
 
     with opened(browser, pages["record"].as_uri()) as shown:
+        shown.until(DRAWN)
         shown.page.mouse.move(*place(shown, 0.0))
         shown.page.mouse.down()
         shown.page.mouse.move(*place(shown, 0.2))
