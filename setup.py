@@ -22,6 +22,7 @@ NODES = [
     "recorder",
     "identification",
     "diagnosis",
+    "investigation",
     "twin",
     "temperature_controller",
     "deflection_controller",

@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sma_bench.commands.diagnose import quantities
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
@@ -21,14 +21,14 @@ from sma_bench.commands.terminal import (
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import node_groups
-from sma_bench.progress import Report
-from sma_bench.protocols import Protocol
 
-_PATIENCE = 60.0
+if TYPE_CHECKING:
+    from sma_bench.tasks.investigation import NextRun
+
 _YES = ("y", "yes")
 
-# Runs a protocol (its file, its content) into a bag.
-Runner = Callable[[Path, Protocol, Path], None]
+# Drives the bench, and has it recorded.
+Runner = Callable[["NextRun"], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,11 +77,11 @@ def run(args: argparse.Namespace) -> int:
             say(f"{result}\n")
         if case.state != OPEN:
             break
-        path, protocol, bag = case.next_run()
-        if not _agreed(path, protocol, args.yes):
+        following = case.next_run()
+        if not _agreed(following, args.yes):
             say(f"stopped; the same command goes on from {args.folder}")
             break
-        runner(path, protocol, bag)
+        runner(following)
     if case.chapters:
         print_table(output_console(), HEADER, case.rows(), (0, 1), title="the story")
         say(f"{case.summary()}; page {case.write_page(args.command_line)}")
@@ -90,15 +90,15 @@ def run(args: argparse.Namespace) -> int:
                 f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "
                 "on with the same command")
     if args.json:
-        write_json(args.json, {**case.to_json(), "state": case.state})
+        write_json(args.json, case.to_json())
     return 0
 
 
-def _agreed(path: Path, protocol: Protocol, yes: bool) -> bool:
+def _agreed(following: "NextRun", yes: bool) -> bool:
     """Whether the wires may be driven so."""
-    highest = max(max(*s.start, *s.stop) for s in protocol.segments)
-    minutes = protocol.duration / 60.0
-    say(f"next: {protocol.name}, {minutes:.1f} min, up to {highest:.2f} V ({path})")
+    offer = following.to_json()
+    say(f"next: {offer['protocol']}, {offer['minutes']:.1f} min, up to {offer['volts']:.2f} V "
+        f"({offer['file']})")
     if yes:
         return True
     if not sys.stdin.isatty():
@@ -115,12 +115,12 @@ def _simulated(bench: str, believed: Parameters) -> Runner:
 
     hidden = read_parameters(bench, ignore=node_groups())
 
-    def follow(_: Path, protocol: Protocol, bag: Path) -> None:
-        seed = int(bag.name.rpartition("_")[2])
-        with progress(protocol.name):
-            signals, markers = SimulatedRun(hidden, believed, seed).follow(protocol)
+    def follow(run: "NextRun") -> None:
+        seed = int(run.bag.name.rpartition("_")[2])
+        with progress(run.protocol.name):
+            signals, markers = SimulatedRun(hidden, believed, seed).follow(run.protocol)
         made = {"how": "simulated bench", "source": bench}
-        write_record(bag, signals, start_ns=time.time_ns(), markers=markers, provenance=made)
+        write_record(run.bag, signals, start_ns=time.time_ns(), markers=markers, provenance=made)
 
     return follow
 
@@ -128,51 +128,17 @@ def _simulated(bench: str, believed: Parameters) -> Runner:
 def _bench(args: argparse.Namespace) -> Runner:
     """The experiment node of a bench that runs, and a recorder of our own."""
 
-    def follow(path: Path, protocol: Protocol, bag: Path) -> None:
+    def follow(run: "NextRun") -> None:
         try:
             from sma_bench.ros.bench_client import BenchClient
-            from sma_bench.ros.processes import NodeProcesses
         except ModuleNotFoundError as error:
             raise InputError(
                 f"investigate: {error.name} is not installed: nodes need ROS 2, --simulated none"
             ) from None
-        namespace = "/" + args.namespace.strip("/")
-        with (
-            progress(protocol.name) as report, NodeProcesses(namespace, path.parent) as nodes,
-            BenchClient(namespace, nodes.check) as client,
-        ):
-            client.follow("experiment")
-            client.follow("recorder")
-            client.find("experiment/start")
-            client.wait("experiment", lambda: client.state("experiment"), _PATIENCE)
-            if _is_done(client.state("experiment"), protocol):
-                raise InputError(f"experiment: has run {protocol.name}, expected another name")
-            nodes.start("recorder", {"output": str(bag)})
-            client.wait("recorder", lambda: client.recorded(str(bag)), _PATIENCE)
-            client.set_parameters("experiment", {"protocol": str(path.resolve())})
-            try:
-                client.trigger("experiment/start", _PATIENCE)
-                client.wait(
-                    protocol.name, lambda: _done(client.state("experiment"), protocol, report),
-                    protocol.duration * 2.0 + _PATIENCE,
-                )
-            except BaseException:
-                client.trigger("experiment/stop", _PATIENCE)
-                nodes.end("recorder")
-                if bag.exists():  # of a run that was not finished: kept, but no record of ours
-                    bag.rename(bag.with_name(f"{bag.name}_aborted_{time.time_ns()}"))
-                raise
-            nodes.end("recorder")
+        protocol, namespace = run.protocol, "/" + args.namespace.strip("/")
+        with progress(protocol.name) as report, BenchClient(namespace) as client:
+            client.run_recorded(
+                run.file, protocol.name, protocol.duration, run.bag, lambda s: report(0.0, s)
+            )
 
     return follow
-
-
-def _done(state: str, protocol: Protocol, report: Report) -> bool:
-    report(0.0, state)
-    if state.startswith("aborted"):
-        raise InputError(f"experiment {state}")
-    return _is_done(state, protocol)
-
-
-def _is_done(state: str, protocol: Protocol) -> bool:
-    return state == f"done: {protocol.name}"

@@ -34,6 +34,8 @@ VITAL = frozenset({
 # Work on records when asked to, and drive nothing.
 NO_NODES = "none"
 SERVICES = ("identification", "diagnosis")
+# Has the bench driven, and a recorder of its own for each run.
+INVESTIGATION = "investigation"
 
 # Pictures of the synthetic camera, small enough for a laptop. Four wires need room to bend:
 # 45 mm either way in the shipped protocols.
@@ -117,7 +119,8 @@ class Rig:
             "output": Argument("", "New folder for the bag; empty for record_<date>_<time>."),
             "nodes": Argument(
                 "identification",
-                f"Further nodes, separated by commas: {', '.join(SERVICES)}; or {NO_NODES}.",
+                f"Further nodes, separated by commas: {', '.join(SERVICES)}; {INVESTIGATION}, "
+                f"which records by itself, so that no recorder is started; or {NO_NODES}.",
             ),
             "port": Argument("", "Serial port of the Uno; empty for the only one."),
             "network": OPEN_TO_NETWORK,
@@ -161,11 +164,12 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
         "protocol": values["protocol"], "autostart": switch(values, "autostart"),
         "require_recorder": switch(values, "record"), **clock,
     }))  # fmt: skip
-    if switch(values, "record"):
+    beside = services(values, (*SERVICES, INVESTIGATION), {INVESTIGATION: clock})
+    if switch(values, "record") and INVESTIGATION not in (n.executable for n in beside):
         nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))
     if switch(values, "twin"):
         nodes.append(PlannedNode("twin", clock))
-    nodes += services(values)
+    nodes += beside
     planned = [PlannedNode(n.executable, n.parameters, n.remappings, file=values["params"])
                for n in nodes]  # fmt: skip
     if "description" in values and switch(values, "description"):
@@ -173,15 +177,19 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
     return planned
 
 
-def services(values: Mapping[str, str]) -> list[PlannedNode]:
-    """The nodes that the argument `nodes` names; InputError for one that it may not."""
+def services(
+    values: Mapping[str, str], known: tuple[str, ...] = SERVICES,
+    own: Mapping[str, Mapping[str, Any]] = {},  # noqa: B006 (read only)
+) -> list[PlannedNode]:
+    """The nodes that the argument `nodes` names, with their own parameters; InputError for one
+    that is not among the known ones."""
     if values["nodes"].strip() == NO_NODES:  # ros2 launch refuses `nodes:=`
         return []
     names = [name.strip() for name in values["nodes"].split(",") if name.strip()]
     for name in names:
-        if name not in SERVICES:
-            raise InputError(f"nodes: {name!r}, expected {', '.join(SERVICES)}, or {NO_NODES}")
-    return [PlannedNode(name) for name in dict.fromkeys(names)]
+        if name not in known:
+            raise InputError(f"nodes: {name!r}, expected {', '.join(known)}, or {NO_NODES}")
+    return [PlannedNode(name, own.get(name, {})) for name in dict.fromkeys(names)]
 
 
 def robot_description(params: str, clock: Mapping[str, Any]) -> PlannedNode:

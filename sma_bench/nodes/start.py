@@ -23,6 +23,7 @@ NODES = {  # by the executable's name: module and class
     "recorder": "recorder.Recorder",
     "identification": "job_nodes.Identification",
     "diagnosis": "job_nodes.DiagnosisNode",
+    "investigation": "investigation.InvestigationNode",
     "twin": "twin.TwinNode",
     "temperature_controller": "controllers.TemperatureControllerNode",
     "deflection_controller": "controllers.DeflectionControllerNode",

@@ -495,6 +495,32 @@ DIAGNOSIS = (
     ),
 )
 
+INVESTIGATION = (
+    Parameter(
+        "record", "", ("",), "Bags that there are already, relative to record_root.",
+        "choice", kind="strings",
+    ),
+    Parameter(
+        "folder", "", "investigation",
+        "Records, diagnoses and the story, below output_root; the same folder goes on where it "
+        "was stopped. The experiment node must take protocols from there (its protocol_root).",
+        "choice", kind="string",
+    ),
+    *_ROOTS,
+    Parameter(
+        "budget", "min", 30.0, "Time that the bench may be driven in all.", "choice", 0.0, 1e4,
+    ),
+    Parameter(
+        "confirm", "", True, "Wait for ~/confirm before every run.",
+        "choice: wires get hot", kind="bool",
+    ),
+    Parameter(
+        "signals", "", ("",),
+        "Compare these only, of current, temperature, deflection; empty for all.",
+        "choice", kind="strings",
+    ),
+)
+
 _RUN = tuple(p for p in EXPERIMENT if p.name != "protocol")
 
 TUNING = (
@@ -551,6 +577,7 @@ NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
     "recorder": RECORDER,
     "identification": IDENTIFICATION,
     "diagnosis": DIAGNOSIS,
+    "investigation": INVESTIGATION,
     "twin": TWIN,
     "temperature_controller": TEMPERATURE_CONTROLLER,
     "deflection_controller": DEFLECTION_CONTROLLER,

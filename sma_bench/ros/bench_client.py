@@ -1,53 +1,52 @@
-"""A client of the bench's nodes for scripts: wait for states, call services, set parameters."""
+"""Calls to the bench's nodes, by scripts and other nodes: wait for states, call services, set
+parameters, have a protocol run and recorded."""
 
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
+from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from sma_bench.border import shown
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
+from sma_bench.live.run import DONE, IDLE, RUNNING
 from sma_bench.ros.node import LATCHED, OverridableNode, start_ros
+from sma_bench.ros.processes import NodeProcesses
 
 _SPIN = 0.05
 _MATCHING = 0.3
+_PATIENCE = 60.0
+_STOPPING = 5.0  # s that the experiment node may take to answer a stop
 
 
-class BenchClient:
-    """Talks to the nodes of one namespace; use as a context manager.
+class NodeCalls:
+    """What a node asks of the other nodes of its namespace.
 
-    `meanwhile` is called about 20 times a second while waiting and may raise to end the wait.
+    `spin` is called about 20 times a second while waiting, takes that long, and may raise to end
+    the wait.
     """
 
-    def __init__(
-        self, namespace: str, meanwhile: Callable[[], None] = lambda: None,
-        ros_arguments: Sequence[str] = (),
-    ) -> None:
-        start_ros(ros_arguments)
-        self._node = OverridableNode("bench_client", namespace=namespace)
-        self._namespace = self._node.get_namespace().rstrip("/")
-        self._meanwhile = meanwhile
+    def __init__(self, node: Node, spin: Callable[[], None]) -> None:
+        self._node, self._spin = node, spin
+        self._namespace = node.get_namespace().rstrip("/")
         self._states: dict[str, str] = {}
-        self.simulated_seconds = 0.0
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+        self._clients: dict[str, Client] = {}
 
     def follow(self, node: str) -> None:
         """Listen to the latched state of a node."""
+        if node in self._states:
+            return
+        self.forget(node)
         self._node.create_subscription(
             String, f"{node}/state", lambda message: self._states.update({node: message.data}),
             LATCHED,
@@ -56,6 +55,16 @@ class BenchClient:
     def state(self, node: str) -> str:
         """Last state of a followed node, "" before the first."""
         return self._states.get(node, "")
+
+    def forget(self, node: str) -> None:
+        """Take the last state of a followed node for one that is not of now."""
+        self._states[node] = ""
+
+    def know(self, service: str, kind: Any = Trigger) -> Client:
+        """The client of a service, made at its first use."""
+        if service not in self._clients:
+            self._clients[service] = self._node.create_client(kind, service)
+        return self._clients[service]
 
     def wait(self, what: str, condition: Callable[[], Any], timeout: float) -> Any:
         """Spin until `condition()` is true and return it.
@@ -67,8 +76,7 @@ class BenchClient:
         while not (value := condition()):
             if time.monotonic() > end:
                 raise InputError(f"{what}: nothing within {timeout:g} s")
-            self._meanwhile()
-            rclpy.spin_once(self._node, timeout_sec=_SPIN)
+            self._spin()
         return value
 
     def find(self, service: str, timeout: float = 10.0) -> None:
@@ -77,17 +85,14 @@ class BenchClient:
         Raises:
             InputError: it is not, within `timeout` s.
         """
-        client = self._node.create_client(Trigger, service)
         try:
-            self.wait(service, client.service_is_ready, timeout)
+            self.wait(service, self.know(service).service_is_ready, timeout)
         except InputError:
             domain = os.environ.get("ROS_DOMAIN_ID") or "0"
             raise InputError(
                 f"{self._namespace}/{service}: no such service found within {timeout:g} s in ROS "
                 f"domain {domain}: does the node run, in this namespace?"
             ) from None
-        finally:
-            self._node.destroy_client(client)
 
     def trigger(self, service: str, timeout: float = 10.0) -> str:
         """Call a std_srvs/Trigger service and return its message.
@@ -95,10 +100,9 @@ class BenchClient:
         Raises:
             InputError: no such service in time, or it answered with a failure.
         """
-        client = self._node.create_client(Trigger, service)
+        client = self.know(service)
         self._wait_for_service(service, client, timeout)
         answer = self._await(service, client.call_async(Trigger.Request()), timeout)
-        self._node.destroy_client(client)
         if not answer.success:
             raise InputError(f"{service}: {answer.message}")
         return str(answer.message)
@@ -110,14 +114,13 @@ class BenchClient:
             InputError: no such node in time, or it refused one; the line says why.
         """
         service = f"{node}/set_parameters"
-        client = self._node.create_client(SetParameters, service)
+        client = self.know(service, SetParameters)
         self._wait_for_service(service, client, timeout)
         request = SetParameters.Request()
         request.parameters = [
             RosParameter(name, value=value).to_parameter_msg() for name, value in values.items()
         ]
         answer = self._await(service, client.call_async(request), timeout)
-        self._node.destroy_client(client)
         for name, result in zip(values, answer.results, strict=True):
             if not result.successful:
                 raise InputError(f"{node}: {name}: {result.reason}")
@@ -140,6 +143,104 @@ class BenchClient:
     def _await(self, what: str, future: rclpy.Future, timeout: float) -> Any:
         self.wait(what, future.done, timeout)
         return future.result()
+
+    def run_recorded(
+        self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
+        heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
+    ) -> None:
+        """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever
+        ends this before the protocol's end stops the experiment at 0 V and leaves no bag.
+
+        Args:
+            protocol: its file; name, seconds: of it.
+            bag: new folder, there once it holds the whole run; an unfinished one is kept beside it.
+            heed: told the experiment's state some 20 times a second; may raise to end the run.
+            simulated_time: whether the bench runs on /clock.
+
+        Raises:
+            InputError: the experiment node is not ready or aborts, or something went away.
+        """
+        bag = Path(bag)
+        unfinished = bag.with_name(f"unfinished_{bag.name}")
+        _put_aside(unfinished)  # of a process that was killed
+        for node in ("experiment", "recorder"):
+            self.follow(node)
+        self.find("experiment/start")
+        self.wait("experiment", lambda: self.state("experiment"), _PATIENCE)
+        if not (state := self.state("experiment")).startswith((IDLE, DONE)):
+            raise InputError(f"experiment: {shown(state)}: expected idle or done; reset it first")
+        with NodeProcesses(self._namespace, bag.parent) as nodes:
+
+            def experiment() -> str:
+                nodes.check()
+                heed(self.state("experiment"))
+                return self.state("experiment")
+
+            def is_recorded() -> bool:
+                experiment()
+                return bool(self.recorded(str(unfinished)))
+
+            def is_done() -> bool:
+                state = experiment()
+                if state not in ("", f"{RUNNING}: {name}", f"{DONE}: {name}"):
+                    raise InputError(f"experiment {shown(state)}")
+                if not self._node.count_publishers("experiment/state"):
+                    raise InputError("experiment: the node is gone")
+                return state.startswith(DONE)
+
+            try:
+                nodes.start(
+                    "recorder", {"output": str(unfinished), "use_sim_time": simulated_time}
+                )
+                self.wait("recorder", is_recorded, _PATIENCE)
+                self.set_parameters("experiment", {"protocol": str(Path(protocol).resolve())})
+                self.forget("experiment")  # it may have run one of this name before
+                try:
+                    self.trigger("experiment/start", _PATIENCE)
+                    self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
+                except BaseException:
+                    self.trigger("experiment/stop", _STOPPING)
+                    raise
+            except BaseException:
+                nodes.end("recorder")
+                _put_aside(unfinished)
+                raise
+            nodes.end("recorder")
+        unfinished.rename(bag)
+
+
+def _put_aside(bag: Path) -> None:
+    """Keep an unfinished bag, where there is one, under a name that nothing else has."""
+    if bag.exists():
+        bag.rename(bag.with_name(f"{bag.name}_{time.time_ns()}"))
+
+
+class BenchClient(NodeCalls):
+    """A script's own node for it, in a ROS context of its own; use as a context manager.
+
+    `meanwhile` is called about 20 times a second while waiting and may raise to end the wait.
+    """
+
+    def __init__(
+        self, namespace: str, meanwhile: Callable[[], None] = lambda: None,
+        ros_arguments: Sequence[str] = (),
+    ) -> None:
+        start_ros(ros_arguments)
+        super().__init__(OverridableNode("bench_client", namespace=namespace), self._look)
+        self._meanwhile = meanwhile
+        self.simulated_seconds = 0.0
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _look(self) -> None:
+        self._meanwhile()
+        rclpy.spin_once(self._node, timeout_sec=_SPIN)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

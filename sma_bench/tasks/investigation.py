@@ -59,6 +59,23 @@ class Chapter:
     proposed: dict[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class NextRun:
+    """What is proposed: the protocol and its file, and the bag that it is to be recorded in."""
+
+    file: Path
+    protocol: Protocol
+    bag: Path
+
+    def to_json(self) -> dict[str, Any]:
+        """For whoever confirms and runs it; `volts` is the highest."""
+        return {
+            "protocol": self.protocol.name, "minutes": self.protocol.duration / 60.0,
+            "volts": max(max(*s.start, *s.stop) for s in self.protocol.segments),
+            "file": str(self.file), "bag": str(self.bag),
+        }
+
+
 class Investigation:
     """One folder; what is in it already is not done again."""
 
@@ -108,8 +125,8 @@ class Investigation:
         done = [p for k, p in enumerate(protocols, 1) if p.is_file() and self._own(k).exists()]
         return sum(load_protocol(path, self.believed).duration / 60.0 for path in done)
 
-    def next_run(self) -> tuple[Path, Protocol, Path]:
-        """File and content of the next protocol, and the bag for it.
+    def next_run(self) -> NextRun:
+        """What the bench is to be driven with next; its file is written.
 
         Raises:
             InputError: the bench's limits refuse it.
@@ -120,7 +137,7 @@ class Investigation:
         # The experiment node says `done: NAME`, also of a run before.
         document = {**document, "name": f"{document['name']}_{number}"}
         write_text_atomically(path, json.dumps(document, indent=1) + "\n")  # YAML as well
-        return path, load_protocol(path, self.believed), self._own(number)
+        return NextRun(path, load_protocol(path, self.believed), self._own(number))
 
     def _first(self) -> dict[str, Any]:
         """Strokes of growing height on each side, up to a steady temperature above A_f."""
@@ -200,19 +217,27 @@ class Investigation:
             [answer, Section("Story", tables=[table]), *told, made.section()],
         )
 
+    @property
+    def outcome(self) -> str:
+        """The state, and of what."""
+        last = self.chapters[-1]
+        return f"{self.state}: {' and '.join(last.cause) or last.verdict}"
+
     def summary(self) -> str:
         """The last word."""
         last = self.chapters[-1]
-        what = " and ".join(last.cause) or last.verdict
         count = f"{last.records} record{'s' if last.records != 1 else ''}"
-        return f"{self.state}: {what} after {count}, {last.minutes:.1f} min"
+        return f"{self.outcome} after {count}, {last.minutes:.1f} min"
 
     def to_json(self) -> dict[str, Any]:
-        """The story."""
+        """The story and its state."""
+        return {**self._told(), "state": self.state}
+
+    def _told(self) -> dict[str, Any]:
         return {"given": self.given, "chapters": [asdict(c) for c in self.chapters]}
 
     def _keep(self) -> None:
-        write_text_atomically(self.folder / STORY, json.dumps(self.to_json(), indent=1) + "\n")
+        write_text_atomically(self.folder / STORY, json.dumps(self._told(), indent=1) + "\n")
 
     def _story(self) -> dict[str, Any]:
         path = self.folder / STORY

@@ -188,7 +188,7 @@ def made_folder(path: str) -> Path:
     return folder
 
 
-# --- The two kinds of job.
+# --- The kinds of job.
 
 PARAMETER_FILE = "identified.yaml"
 RESULT_FILE = "identified.json"
@@ -295,9 +295,66 @@ class DiagnosisJob:
         return json_text(result.to_json())
 
 
-Job = IdentificationJob | DiagnosisJob
+@dataclass(frozen=True)
+class InvestigationJob:
+    """An investigation's next diagnosis; plain values that travel as JSON."""
+
+    folder: str
+    records: list[str]
+    budget: float
+    signals: list[str]
+    values: dict[str, Any]
+    uncertainty: dict[str, float]
+
+    @classmethod
+    def from_settings(
+        cls, settings: Mapping[str, Any], parameters: Parameters
+    ) -> "InvestigationJob":
+        """Snapshot of the investigation node's parameters.
+
+        Raises:
+            InputError: no folder, one outside `output_root`, or a record outside `record_root`.
+        """
+        folder = output_inside(settings["output_root"], settings["folder"], "folder")
+        if not folder:
+            raise InputError("folder: is empty, expected where the investigation is kept")
+        records = given(settings["record"])
+        return cls(
+            folder=folder,
+            records=records_inside(settings["record_root"], records) if records else [],
+            budget=settings["budget"],
+            signals=given(settings["signals"]),
+            values={name: parameters[name] for name in parameters.given},
+            uncertainty=parameters.given_uncertainty,
+        )
+
+    def run(self) -> str:
+        """Begin or go on in the folder and diagnose what is new.
+
+        Returns:
+            The story as JSON, with `outcome` (a line, "" where there is no record yet) and `next`
+            (`NextRun.to_json`, null where nothing is to be run).
+
+        Raises:
+            InputError: the folder, a record or the proposed protocol is not as it should be.
+        """
+        from sma_bench.tasks.investigation import OPEN, QUANTITIES, Investigation
+
+        case = Investigation(self.folder, self.budget, self.signals or QUANTITIES)
+        case.begin(Parameters(self.values, self.uncertainty), self.records)
+        if case.pending:
+            case.diagnose(tell)
+        if case.chapters:
+            case.write_page("the investigation node")
+        following = case.next_run().to_json() if case.state == OPEN else None
+        outcome = case.outcome if case.chapters else ""
+        return json_text({**case.to_json(), "outcome": outcome, "next": following})
+
+
+Job = IdentificationJob | DiagnosisJob | InvestigationJob
 JOBS: dict[str, type[Job]] = {
     "IdentificationJob": IdentificationJob, "DiagnosisJob": DiagnosisJob,
+    "InvestigationJob": InvestigationJob,
 }
 
 

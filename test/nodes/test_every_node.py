@@ -143,7 +143,8 @@ def test_an_override_that_is_no_qos_is_one_line(make, policy, value):
 
 @pytest.mark.parametrize(
     ("node", "name"),
-    [("diagnosis", "improved"), ("diagnosis", "report"), ("identification", "output_directory")],
+    [("diagnosis", "improved"), ("diagnosis", "report"), ("identification", "output_directory"),
+     ("investigation", "folder")],
 )
 def test_a_result_outside_its_root_is_refused_when_it_is_set(make, node, name):
     made = make(node)

@@ -1,37 +1,118 @@
-"""A run that sma-bench investigate asks of a bench's own nodes: recorded, and aborted at 0 V."""
+"""Runs that an investigation asks of a bench's nodes: recorded, stopped at 0 V, gone on with."""
 
 import argparse
 import json
 
 import pytest
+from planted import FEW, believed, few_effects, planted_record
+from sensor_msgs.msg import BatteryState
+from std_msgs.msg import String
 
 from sma_bench.commands.investigate import _bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import load_protocol
 from sma_bench.records import read_record
 from sma_bench.ros.processes import NodeProcesses
+from sma_bench.tasks.investigation import Investigation, NextRun
+from sma_bench.tasks.jobs import InvestigationJob
 
 SPACE = "/investigated"
 
 
-def planned(folder, lab, level, seconds):
+def planned(folder, lab, level, seconds, bag):
     path = folder / f"{level}.yaml"
     step = {"kind": "step", "level": level, "duration": seconds}
     path.write_text(json.dumps({"name": f"step_{level}", "steps": [step]}))
-    return path, load_protocol(path, lab)
+    return NextRun(path, load_protocol(path, lab), folder / bag)
 
 
 def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, tmp_path):
     lab = Parameters.defaults().replace({"bench.maximum_temperature": 315.0})
     write_parameters(tmp_path / "lab.yaml", lab)
     run = _bench(argparse.Namespace(namespace=SPACE))
+    (tmp_path / "unfinished_record_1").mkdir()  # of one that was killed
     with NodeProcesses(SPACE, tmp_path) as nodes:
         nodes.start("simulator", {}, (tmp_path / "lab.yaml",))
         nodes.start("experiment", {"protocol_root": str(tmp_path)}, (tmp_path / "lab.yaml",))
-        run(*planned(tmp_path, lab, 2.0, 1.5), tmp_path / "record_1")
+        run(planned(tmp_path, lab, 2.0, 1.5, "record_1"))
         volts = read_record(tmp_path / "record_1")["wire.voltage"].values
         assert volts.max() == pytest.approx(2.0, abs=0.05) and volts[-1] < 0.1
         with pytest.raises(InputError, match=r"aborted: .*temperature"):
-            run(*planned(tmp_path, lab, 3.5, 20.0), tmp_path / "record_2")
+            run(planned(tmp_path, lab, 3.5, 20.0, "record_2"))
+        with pytest.raises(InputError, match=r"aborted: .*expected idle or done; reset it first"):
+            run(planned(tmp_path, lab, 2.0, 1.5, "record_2"))
     assert not (tmp_path / "record_2").exists()
+    assert len(list(tmp_path.glob("unfinished_record_?_*"))) == 2
+
+
+def test_the_node_waits_for_confirmation_stops_at_0_v_and_goes_on_after_kill_9(bench, tmp_path):
+    write_parameters(tmp_path / "lab.yaml", believed())
+    told = bench.latched("investigation/state", String)
+    runs = bench.latched("experiment/state", String)
+    results = bench.latched("investigation/result", String)
+    power = bench.listen("front_1/power", BatteryState)
+
+    def is_now(state):
+        return bench.until(lambda: told and told[-1].data.startswith(state))
+
+    def investigation():
+        return bench.start("investigation", tmp_path / "lab.yaml", use_sim_time=True,
+                           folder=tmp_path / "gap", output_root=tmp_path)
+
+    bench.start("simulator", tmp_path / "lab.yaml", speed=5.0)
+    bench.start("experiment", tmp_path / "lab.yaml", use_sim_time=True, require_recorder=True,
+                protocol="composite_triangle", protocol_root=tmp_path)
+    node = investigation()
+    refused = bench.trigger("investigation/confirm")
+    assert not refused.success and refused.message == "nothing to confirm: idle"
+    bench.trigger("investigation/start")
+    is_now("waiting for confirmation: ")
+    (offer,) = [json.loads(m.data)["next"] for m in results]
+    assert told[-1].data.endswith(offer["protocol"]) and 0.0 < offer["volts"] < 10.0
+    assert not runs or runs[-1].data == "idle"
+    assert bench.trigger("investigation/confirm").success
+    bench.until(lambda: power and power[-1].voltage > 1.0)
+    assert not bench.trigger("investigation/start").success
+    assert bench.trigger("investigation/stop").success
+    is_now("stopped")
+    bench.until(lambda: power[-1].voltage < 0.1)
+    assert runs[-1].data == "aborted: stopped on request"
+    bench.trigger("experiment/reset")
+    bench.trigger("investigation/start")
+    is_now("waiting for confirmation: ")
+    bench.trigger("investigation/confirm")
+    bench.until(lambda: power[-1].voltage > 1.0)
+    node.process.kill()
+    node.process.wait(10.0)
+    bench.until(lambda: runs[-1].data.startswith("aborted: the recorder"))
+    bench.until(lambda: power[-1].voltage < 0.1)
+    assert not (tmp_path / "gap" / "record_1").exists()
+    told.clear()
+    again = investigation()
+    is_now("idle")
+    bench.know("investigation/start")
+    assert bench.trigger("investigation/start").success
+    is_now("waiting for confirmation: ")
+    assert again.end() == 0 and "Traceback" not in again.output
+
+
+def test_the_work_of_the_node_needs_no_ros(tmp_path):
+    pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+    planted_record(tmp_path / "bag", {"effect.supply_drop.resistance": 0.3})
+    settings = {p.name: p.default for p in NODE_TABLES["investigation"]} | {
+        "record": ("bag",), "record_root": str(tmp_path), "output_root": str(tmp_path),
+    }
+    with pytest.raises(InputError, match="folder.*outside output_root"):
+        InvestigationJob.from_settings(settings | {"folder": "/etc"}, believed())
+    with pytest.raises(InputError, match="folder: is empty"):
+        InvestigationJob.from_settings(settings | {"folder": ""}, believed())
+    with few_effects((*FEW, "supply_drop")):
+        job = InvestigationJob.from_settings(settings, believed())
+        found = json.loads(job.run())
+        (chapter,) = found["chapters"]
+        assert found["outcome"].startswith(found["state"]) and chapter["records"] == 1
+        assert (found["next"] is None) == (found["state"] != "open")
+        assert len(json.loads(job.run())["chapters"]) == 1  # nothing is done again
+    assert Investigation(tmp_path / "investigation", 30.0).chapters[0].verdict == chapter["verdict"]

@@ -82,6 +82,7 @@ def test_a_rig_names_an_existing_file_and_a_protocol_that_fits_it(rig):
         ({"nodes": "", "record": "false"}, ["simulator", "experiment"]),
         ({"nodes": "none"}, ["simulator", "experiment", "recorder"]),
         ({"twin": "true"}, ["simulator", "experiment", "recorder", "twin", "identification"]),
+        ({"nodes": "investigation"}, ["simulator", "experiment", "investigation"]),
         ({"mode": "hardware"}, ["serial_bridge", "ir_camera", *REST]),
         ({"mode": "hardware", "camera": "false"}, ["serial_bridge", *REST]),
         ({"mode": "emulated"}, [*FRONT_UNIT, *REST]),

@@ -1,0 +1,168 @@
+"""Records, diagnoses, proposes and has the experiment node run, until the cause is named: what
+`sma-bench investigate` does, as services of a node."""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.srv import SetParameters
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from sma_bench.errors import InputError
+from sma_bench.nodes.base import BenchNode
+from sma_bench.ros.bench_client import NodeCalls
+from sma_bench.ros.node import LATCHED
+from sma_bench.tasks.jobs import InvestigationJob, JobProcess, output_inside
+
+_WAITING, _RUNNING, _STOPPED, _FAILED = "waiting for confirmation", "running", "stopped", "failed"
+_LOOK_EVERY = 0.05
+_LAST_RUN = 10.0  # s that a run may take to end with its node
+
+
+class InvestigationNode(BenchNode):
+    """Investigates the gap between bench and model: set `folder` (and `record`), call `~/start`;
+    `~/confirm` runs what is proposed, `~/stop` ends whatever goes on, at 0 V. `~/start` goes on
+    from what the folder holds.
+
+    Latched: `~/state` (idle, diagnosing, waiting for confirmation: PROTOCOL, running: PROTOCOL,
+    named: CAUSE, inseparable, budget spent, a test is needed, stopped, failed: why) and `~/result`
+    (the story as JSON, what is proposed under `next`).
+
+    The work has a thread of its own, its diagnoses a process of their own. A run is the experiment
+    node's, under its rules.
+    """
+
+    with_uncertainty = True
+
+    def __init__(self) -> None:
+        super().__init__("investigation")
+        self.check_settings(self.settings)
+        self._stopping, self._confirmed = threading.Event(), threading.Event()
+        self._work: threading.Thread | None = None
+        self._process = JobProcess("investigation")
+        self._calls = NodeCalls(self, lambda: time.sleep(_LOOK_EVERY))
+        for service in ("experiment/start", "experiment/stop"):
+            self._calls.know(service)
+        self._calls.know("experiment/set_parameters", SetParameters)
+        for node in ("experiment", "recorder"):
+            self._calls.follow(node)
+        self._state = self.create_publisher(String, "~/state", LATCHED)
+        self._result = self.create_publisher(String, "~/result", LATCHED)
+        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/confirm", self._on_confirm)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self._tell("idle")
+
+    def check_settings(self, settings: dict[str, object]) -> None:
+        """Nothing may be written outside output_root."""
+        output_inside(str(settings["output_root"]), str(settings["folder"]), "folder")
+
+    def health(self) -> list[DiagnosticStatus]:
+        """What the node is at."""
+        failed = self._text.startswith(_FAILED)
+        level = DiagnosticStatus.WARN if failed else DiagnosticStatus.OK
+        return [self.status("investigation", level, self._text)]
+
+    def drain(self, spin: Callable[[], None]) -> None:
+        """Stop the bench while the experiment node's answer can still be heard."""
+        self._stop()
+        end = time.monotonic() + _LAST_RUN
+        while self._busy() and time.monotonic() < end:
+            spin()
+
+    def close(self) -> None:
+        """Nobody waits for the diagnosis any more."""
+        self._stopping.set()
+        self._process.kill()
+
+    # --- services -----------------------------------------------------------------------------
+
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._busy():
+            response.success, response.message = False, f"busy: {self._text}"
+            return response
+        try:
+            job = InvestigationJob.from_settings(self.settings, self.parameters)
+        except InputError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._stopping.clear()
+        self._work = threading.Thread(target=self._investigate, args=(job,), daemon=True)
+        self._work.start()
+        response.success, response.message = True, f"in {job.folder}"
+        return response
+
+    def _on_confirm(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._text.startswith(_WAITING) and not self._stopping.is_set()
+        if response.success:
+            self._confirmed.set()
+        response.message = self._text if response.success else f"nothing to confirm: {self._text}"
+        return response
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.message = f"stopping, was {self._text}" if self._busy() else "nothing is running"
+        response.success = True
+        self._stop()
+        return response
+
+    # --- the work -----------------------------------------------------------------------------
+
+    def _busy(self) -> bool:
+        return self._work is not None and self._work.is_alive()
+
+    def _stop(self) -> None:
+        self._stopping.set()
+        if self._text.startswith(_RUNNING):  # at once; the thread then waits for the answer
+            self._calls.know("experiment/stop").call_async(Trigger.Request())
+        self._process.cancel()
+
+    def _investigate(self, job: InvestigationJob) -> None:
+        try:
+            self._tell(self._until_settled(job))
+        except InputError as error:
+            if self._stopping.is_set():
+                self._tell(_STOPPED)
+                return
+            self._tell(f"{_FAILED}: {error}")
+            self.get_logger().error(str(error))
+
+    def _until_settled(self, job: InvestigationJob) -> str:
+        """How it ended."""
+        while True:
+            self._tell("diagnosing")
+            self._heed()
+            result = self._process.run(job, self._diagnosing)
+            self._result.publish(String(data=result))
+            story = json.loads(result)
+            if (following := story["next"]) is None:
+                return str(story["outcome"])
+            self._wait_for_confirmation(following["protocol"])
+            self._tell(f"{_RUNNING}: {following['protocol']}")
+            self._calls.run_recorded(
+                following["file"], following["protocol"], 60.0 * following["minutes"],
+                following["bag"], self._heed, self.get_parameter("use_sim_time").value,
+            )
+
+    def _diagnosing(self, share: float, what: str) -> None:
+        if self._stopping.is_set():  # it came before the process had begun
+            self._process.cancel()
+        self._tell(f"diagnosing: {100.0 * share:.0f} %, {what}")
+
+    def _wait_for_confirmation(self, protocol: str) -> None:
+        self._confirmed.clear()
+        if not self.settings["confirm"]:
+            return
+        self._tell(f"{_WAITING}: {protocol}")
+        while not self._confirmed.wait(_LOOK_EVERY):
+            self._heed()
+
+    def _heed(self, _: str = "") -> None:
+        if self._stopping.is_set():
+            raise InputError("stopped on request")
+
+    def _tell(self, state: str) -> None:
+        self._text = state
+        self._state.publish(String(data=state))
