@@ -27,6 +27,7 @@ _SPIN = 0.05
 _MATCHING = 0.3
 _PATIENCE = 60.0
 _STOPPING = 5.0  # s that the experiment node may take to answer a stop
+_DISCOVERY = 10.0  # s in which another node finds a new one that we have found
 
 
 class NodeCalls:
@@ -196,7 +197,7 @@ class NodeCalls:
                 self.set_parameters("experiment", {"protocol": str(Path(protocol).resolve())})
                 self.forget("experiment")  # it may have run one of this name before
                 try:
-                    self.trigger("experiment/start", _PATIENCE)
+                    self._start_experiment(experiment)
                     self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
                 except BaseException:
                     self.trigger("experiment/stop", _STOPPING)
@@ -207,6 +208,18 @@ class NodeCalls:
                 raise
             nodes.end("recorder")
         unfinished.rename(bag)
+
+    def _start_experiment(self, look: Callable[[], str]) -> None:
+        """It may refuse for want of a recorder that it has not found yet."""
+        end = time.monotonic() + _DISCOVERY
+        while True:
+            try:
+                self.trigger("experiment/start", _PATIENCE)
+                return
+            except InputError:
+                look()
+                if time.monotonic() > end:
+                    raise
 
 
 def _put_aside(bag: Path) -> None:
