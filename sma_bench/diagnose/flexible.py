@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.diagnose.sizes import largest_gap
+from sma_bench.estimation.noise_model import lagged
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
@@ -180,13 +181,10 @@ def _of_side(side: str, obs: Observation, simulation: Simulation) -> list[Array]
 
 def _remembered(course: Array, memory: float, grid: Array) -> Array:
     """First-order lag of a course (n,) on a grid (n,) s that need not be even."""
-    from scipy.signal import lfilter  # half a second to load
-
     cell = max(float(np.median(np.diff(grid))), float(np.ptp(grid)) / _MOST_CELLS)
     even = np.arange(grid[0], grid[-1] + cell, cell)
-    share = 1.0 - np.exp(-cell / memory)
-    lagged = lfilter([share], [1.0, share - 1.0], np.interp(even, grid, course))
-    return np.interp(grid, even, lagged)
+    slow = lagged(np.interp(even, grid, course), float(np.exp(-cell / memory)))
+    return np.interp(grid, even, slow)
 
 
 def _unit(course: Array) -> Array:

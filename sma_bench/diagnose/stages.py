@@ -10,6 +10,7 @@ share that `unexplained` keeps without any sign of it tells of none.
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import chdtrc
 
 from sma_bench.diagnose.decision import (
     FLEXIBLE,
@@ -110,17 +111,13 @@ def stage_of_recalibration(found: Search) -> str:
 def _moved_furthest(found: Search) -> tuple[str, float]:
     """The stage whose parameters moved the least believably, and how likely one of all stages
     moves so far by chance: squared prior deviations are chi squared."""
-    from scipy.stats import chi2  # half a second to load
-
     moved: dict[str, list[float]] = {}
     unknowns = found.recalibrated.unknowns
     for name, x in zip(unknowns.bench_names, found.recalibrated.x.tolist(), strict=False):
         moved.setdefault(_STAGES.get(name, MECHANICAL), []).append(x)
-    chances = {
-        stage: float(chi2.logsf(np.sum(np.square(xs)), len(xs))) for stage, xs in moved.items()
-    }
+    chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
     least = min(chances, key=lambda stage: chances[stage])
-    return least, float(np.exp(chances[least])) * len(moved)
+    return least, chances[least] * len(moved)
 
 
 def _stages_of_missing(found: Search, missing: Sequence[Cell]) -> dict[str, float]:

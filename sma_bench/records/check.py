@@ -325,7 +325,7 @@ def _is_driven(record: Record, name: str) -> bool:
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
     """Share of a response's variance, its noise apart, that lagged heat explains; None where there
     is too little of it to tell."""
-    from scipy.signal import lfilter  # half a second to load
+    from scipy.linalg import solve_banded
 
     if not has_samples(record, response):
         return None
@@ -345,7 +345,8 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
         heat = volts[np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, None)] ** 2
         for lag in _LAGS:
             left = float(np.exp(-(grid[1] - grid[0]) / lag))
-            columns.append(lfilter([1.0 - left], [1.0, -left], heat))
+            bands = np.vstack([np.ones_like(grid), np.full_like(grid, -left)])
+            columns.append(solve_banded((1, 0), bands, (1.0 - left) * heat))
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
     if not np.isfinite(design).all() or not np.isfinite(np.var(wanted)):
         return None  # readings that no bench has; LAPACK would write on the terminal

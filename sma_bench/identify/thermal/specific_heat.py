@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.noise_model import lagged
 from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.observation import Observation, observe, shared_bin
 from sma_bench.estimation.residual import Block, Problem
@@ -531,8 +532,6 @@ def slope_of_rates(
         The estimate, and the driven samples: "force" f in W/kg and "rate" dT/dt in K/s.
     """
     rates, forces = [], []
-    from scipy.signal import lfilter  # half a second to load
-
     for w, surrounding in zip(windows, ambient, strict=True):
         period = float(np.median(np.diff(w.temperature_time)))
         period = max(period, float(np.ptp(w.temperature_time)) / _MOST_CELLS)
@@ -540,12 +539,11 @@ def slope_of_rates(
         temperature = np.interp(grid, w.temperature_time, w.temperature)
         voltage = np.interp(grid, w.voltage_time, w.voltage)
         force = (voltage**2 / resistance - heat_loss * (temperature - surrounding)) / mass
-        kept = np.exp(-period / FILTER_TIME)
-        low, passed = np.array([1.0 - kept]), np.array([1.0, -kept])
-        smooth = lfilter(low, passed, temperature, zi=[kept * temperature[0]])[0]
+        kept = float(np.exp(-period / FILTER_TIME))
+        smooth = lagged(temperature, kept, temperature[0])
         driven = (voltage > 0.05 * voltage.max()) & (grid > grid[0] + 5.0 * FILTER_TIME)
         rates.append(((temperature - smooth) / FILTER_TIME)[driven])
-        forces.append(lfilter(low, passed, force, zi=[kept * force[0]])[0][driven])
+        forces.append(lagged(force, kept, force[0])[driven])
     rate, force = np.concatenate(rates), np.concatenate(forces)
     slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
     if slope == 0.0:
