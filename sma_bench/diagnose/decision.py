@@ -12,6 +12,7 @@ elsewhere.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -168,11 +169,16 @@ class Weights:
     def _as_formed(self, gain: float) -> float:
         """A rival's gain, the lead of the best single effect taken down: of two equations neither
         is exact, and one that bends more freely must not win by that alone."""
-        lead = max((g for name, g in self.gains.items() if JOIN not in name), default=0.0)
+        lead = self._lead
         if lead <= MUCH:
             return gain
         behind = lead - gain
         return lead - behind**2 / (behind + FORM * lead)
+
+    @cached_property
+    def _lead(self) -> float:
+        """Gain of the best single effect."""
+        return max((g for name, g in self.gains.items() if JOIN not in name), default=0.0)
 
 
 def weigh(search: Search) -> Weights:

@@ -65,7 +65,7 @@ class Fit:
         k = len(self.x)
         return self.joint[:k, :k]
 
-    @property
+    @cached_property
     def parameters(self) -> Parameters:
         """The bench as this model has it."""
         return self.unknowns.parameters(self.x)

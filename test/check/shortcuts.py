@@ -4,8 +4,9 @@
 
 SET has been answered (`sma-bench blind run SET`). Every case is put once more to the diagnosis
 without its shortcuts: each derivative a difference between two simulations instead of carried
-along with one, each effect fitted to its end however little it promises. Printed are the cases
-whose verdict or first choice differs, and what both cost. Kept in SET/answers/unhurried; synthetic.
+along with one, each effect fitted to its end however little it promises, each drive that may be
+proposed weighed with all that rivals may refit. Printed are the cases whose verdict or first choice
+differs, and what both cost. Kept in SET/answers/unhurried; synthetic.
 """
 
 import argparse
@@ -43,11 +44,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def unhurried(words: Sequence[str]) -> int:
     """The diagnosis without its shortcuts."""
-    from sma_bench.diagnose import search
+    from sma_bench.diagnose import next_experiment, search
     from sma_bench.estimation.unknowns import Unknowns
 
     Unknowns.is_carried = lambda self, i: False
-    search._BEYOND = float("inf")
+    search._BEYOND = next_experiment._ADDED = float("inf")
     return cli.main(list(words))
 
 
