@@ -50,6 +50,18 @@ LONGEST = (
     "identify/test_constitutive", "identify/test_load_frame", "diagnose/test_next_experiment",
 )
 
+# Run again when they fail, and why; the summary names every rerun. All others have one try.
+RERUN = {
+    "test/nodes/test_controllers.py::test_triangle_of_deflections_is_tracked_on_the_simulator":
+        "one run of twenty beside others stalls for seconds between two commands; cause not known",
+    "test/nodes/test_controllers.py::test_a_wire_against_a_spring_is_moved_by_its_position":
+        "as the triangle of deflections",
+    "test/nodes/test_dashboard.py::test_it_finds_signals_limits_protocol_nodes_and_the_diagnosis":
+        "failed once at nine times the load that the processors can take; cause not known",
+    "test/reliability/test_campaigns.py::test_killed_recorders_lose_a_second_at_most":
+        "a second of the wall's clock, of recorders that others may keep from running",
+}  # fmt: skip
+
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
 DOMAINS = range(10, 102)
 LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
@@ -67,10 +79,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("acceptance"):
                 item.add_marker(reason)
-    # Real nodes and the wall's clock share the machine with whatever else it does. What fails once
-    # and passes afresh was the machine; the summary names every such rerun.
     for item in items:
-        if "ros_domain" in getattr(item, "fixturenames", ()):
+        if item.nodeid.partition("[")[0] in RERUN:
             item.add_marker(pytest.mark.flaky(reruns=2))
     # The longest files first, lest one worker is left with them at the end; then whatever has long
     # tests.

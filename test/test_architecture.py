@@ -256,3 +256,10 @@ def test_tool_finds_nothing(arguments: list[str]) -> None:
     )
     if process.returncode:
         pytest.fail(process.stdout + process.stderr, pytrace=False)
+
+
+def test_tests_that_are_run_again_are_there_and_say_why(request: pytest.FixtureRequest) -> None:
+    rerun = request.config.pluginmanager.get_plugin(str(ROOT / "test" / "conftest.py")).RERUN
+    for name, reason in rerun.items():
+        path, _, test = name.partition("::")
+        assert f"def {test}(" in (ROOT / path).read_text() and len(reason) > 20, name

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
+from sma_bench.nodes.experiment import Experiment
 from sma_bench.ros.node import LATCHED
 
 SHORT = {
@@ -135,6 +137,18 @@ def test_readings_of_a_protocol_are_the_same_at_any_speed_and_after_any_wait(ben
     slow, fast = (readings(bench, path, speed) for speed in (10.0, 60.0))
     assert len(slow) == 400
     assert slow == fast
+
+
+def test_a_timer_that_is_called_twice_at_one_moment_commands_once_and_keeps_the_next_moment():
+    moments, sent, set_back = iter([100, 100, 150]), [], []
+    node = SimpleNamespace(
+        _bench_clock=SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(moments))),
+        _ticks=SimpleNamespace(reset=lambda: set_back.append(sent[-1])), _ticked=-1,
+        _run=SimpleNamespace(tick=lambda now, time: sent.append(time)),
+    )
+    for _ in range(3):
+        Experiment._tick(node)
+    assert sent == [100e-9, 150e-9] and set_back == [100e-9]
 
 
 def readings(bench, path, speed):
