@@ -44,7 +44,24 @@ def measure(tiny: bool = False) -> list[Outcome]:
         wall, cpu = run(["diagnose", str(bag), "--params", str(file)])
         outcomes.append(Figure("a composite bag", "command: on the wall", wall, "s"))
         outcomes.append(Figure("a composite bag", "command: processor", cpu, "s"))
-    return outcomes + _lengths()
+    return [*outcomes, *_cases(), *_lengths()]
+
+
+def _cases(number: int = 24) -> list[Outcome]:
+    """The command on cases of the examination's development split."""
+    with TemporaryDirectory() as name:
+        made = Path(name) / "cases"
+        run(["blind", "make", "--seed", "1000", "--n", str(number), "--out", str(made)])
+        seconds = [
+            run(["diagnose", str(case / "record"), "--params", str(case / "nominal.yaml"),
+                 "--hold-out", str(case / "hold_out")])[0]
+            for case in sorted((made / "cases").iterdir())
+        ]  # fmt: skip
+    case = f"{number} development cases"
+    return [
+        Figure(case, "median command, on the wall", float(np.median(seconds)), "s", at_most(5.0)),
+        Figure(case, "90th percentile", float(np.quantile(seconds, 0.9)), "s", at_most(10.0)),
+    ]
 
 
 def _derivatives(record: Record, lab: Parameters, rounds: int) -> list[Outcome]:
