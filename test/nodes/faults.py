@@ -26,7 +26,8 @@ class Fault:
 
     `make` brings it about and returns the moment in s of the Uno's clock; within `limit` s of it
     the last pulse has passed. `cause` is a part of the reason that `told` (the bridge's state,
-    unless it is given) reports. `quick` ones belong to the short run of the tests; those of the
+    unless it is given) reports, or several with `|` between, where both device and bridge see it
+    and either may be first to be reported. `quick` ones belong to the short run of the tests; those of the
     `camera` have a synthetic one and the node `ir_camera`.
     """
 
@@ -297,7 +298,8 @@ FAULTS = (
           "the device restarted", _hang(interrupts=False)),
     Fault("short_circuit", "wire short-circuited at 6 V",
           "device: each current, and its mean against the duties through the least resistance",
-          0.02, "found by the device", _electrics(resistance=(0.3,)), volts=6.0, quick=True),
+          0.02, "found by the device|over-current: wire", _electrics(resistance=(0.3,)),
+          volts=6.0, quick=True),
     Fault("clipped_short", "wire short-circuited at 1 V, where a sensor that clips hides it",
           "device: mean current against the duties through the least resistance", 0.1,
           "more current than the outputs explain", _electrics(resistance=(0.05,)), volts=1.0),
