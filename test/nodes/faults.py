@@ -27,8 +27,8 @@ class Fault:
     `make` brings it about and returns the moment in s of the Uno's clock; within `limit` s of it
     the last pulse has passed. `cause` is a part of the reason that `told` (the bridge's state,
     unless it is given) reports, or several with `|` between, where both device and bridge see it
-    and either may be first to be reported. `quick` ones belong to the short run of the tests; those of the
-    `camera` have a synthetic one and the node `ir_camera`.
+    and either may be first to be reported. `quick` ones belong to the short run of the tests;
+    those of the `camera` have a synthetic one and the node `ir_camera`.
     """
 
     name: str
