@@ -221,7 +221,7 @@ def test_a_lifecycle_manager_enables_and_stops_and_losing_active_is_zero_volts(b
         bench.until(driven)
         assert move("deactivate")
         bench.until(lambda: power[-1].voltage < 0.1)
-        assert states[-1].data == "stopped: deactivated on request"
+        bench.until(lambda: states[-1].data == "stopped: deactivated on request")
         bench.until(lambda: move("activate"))  # its own word is no fault to be reset
         bench.until(driven)
 
@@ -235,7 +235,7 @@ def test_a_lifecycle_manager_enables_and_stops_and_losing_active_is_zero_volts(b
             return moves[-1].goal_state.label == "inactive" and power[-1].voltage < 0.1
 
         bench.until(stopped)
-        assert states[-1].data.startswith("stopped: disagreement: wire carries ")
+        bench.until(lambda: states[-1].data.startswith("stopped: disagreement: wire carries "))
         assert not move("activate")
         connect(2.6987)
         assert bench.trigger("serial_bridge/reset").success
