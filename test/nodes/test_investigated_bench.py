@@ -78,7 +78,7 @@ def test_the_node_waits_for_confirmation_stops_at_0_v_and_goes_on_after_kill_9(b
     assert bench.trigger("investigation/stop").success
     is_now("stopped")
     bench.until(lambda: power[-1].voltage < 0.1)
-    assert runs[-1].data == "aborted: stopped on request"
+    bench.until(lambda: runs[-1].data == "aborted: stopped on request")
     bench.trigger("experiment/reset")
     bench.trigger("investigation/start")
     is_now("waiting for confirmation: ")
