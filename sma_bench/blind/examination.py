@@ -308,7 +308,6 @@ def _ask(ask: Callable[[], Given]) -> Given:
 LONGEST = 1000.0
 _START_NS = 1_750_000_000 * 10**9
 _HOUR_NS = 3600 * 10**9
-_BY_POWER = ("wire.heat_transfer_coefficient", "wire.specific_heat")
 # Apart from the streams that the cases are made of.
 _STREAM = 1_000_003
 
@@ -390,22 +389,15 @@ def after_tests(
     for name, std in stds.items():
         if name not in label["truth"]:
             raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
-        values[name] = float(_hidden(label, name, asked.kind) + std * rng.standard_normal())
+        values[name] = float(_hidden(label, name) + std * rng.standard_normal())
         if name == FRONT:
             values[BACK] = values[name]
     return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
 
 
-def _hidden(label: Mapping[str, Any], name: str, test: str) -> float:
-    """What an instrument finds in the hidden wire, with what its world does to it. On the bench the
-    heat is the driver's volts times amperes, in a DSC run it is not."""
+def _hidden(label: Mapping[str, Any], name: str) -> float:
+    """What an instrument finds in the hidden wire, with what its world does to it."""
     value, world = label["truth"][name], world_of(rig_of(label), label["features"])
-    resistance = label["truth"]["wire.resistance"]
-    seen = resistance + world.feature("supply_resistance")
-    if name == "wire.resistance":
-        return float(seen)
-    if name in _BY_POWER and test != "DSC":
-        return float(value * seen / resistance)
     kind = name.removeprefix("wire.stress_influence_")
     if kind != name:
         return float(value / max(world.feature(f"stress_influence_factor_{kind}"), 0.05))

@@ -28,7 +28,7 @@ SURPRISED = "parameters are needed that nobody believes in"
 SCALE = 2.4  # nats
 SHARE = 0.013
 FORM = 0.1  # of what the best single effect gains, which another's equation may be off by
-THRESHOLD = 5.0  # nats that an effect must gain over recalibration
+THRESHOLD = 5.5  # nats that an effect must gain over recalibration
 # By how much an effect's size may scatter from stretch to stretch of the records more than noise
 # lets it. What scatters more stands for something else, which it takes up here and there.
 STEADY = 1.5

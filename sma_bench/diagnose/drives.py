@@ -116,11 +116,16 @@ class Test(NamedTuple):
 
 
 TESTS = {
-    # Volts and amperes are those of the driver, leads included.
-    "E1": Test(12.0, "the staircase of E1", {}, {"wire.resistance": 0.003}, "supply_drop"),
-    "E2": Test(15.0, "the staircase of E2", {"environment.ambient_temperature": 0.1},
-               {"wire.heat_transfer_coefficient": 0.015}, "supply_drop"),
-    "E3": Test(5.0, "the ramps of E3", {}, {"wire.specific_heat": 0.015}, "supply_drop"),
+    # With sense leads: by the driver's volts all three would hold the resistance of the leads.
+    "E1": Test(12.0, "the staircase of E1, volts taken at the wire's ends", {},
+               {"wire.resistance": 0.003}),
+    "E2": Test(15.0, "the staircase of E2, volts taken at the wire's ends",
+               {"environment.ambient_temperature": 0.1},
+               {"wire.heat_transfer_coefficient": 0.015}),
+    "E3": Test(32.0, "E1 to E3, volts taken at the wire's ends",
+               {"environment.ambient_temperature": 0.1},
+               {"wire.resistance": 0.003, "wire.heat_transfer_coefficient": 0.015,
+                "wire.specific_heat": 0.015}),
     # The specific heat without any current: 3 %, as of ASTM E1269.
     "DSC": Test(90.0, "a DSC run", {
         "wire.austenite_start_temperature": 0.25, "wire.austenite_finish_temperature": 0.25,

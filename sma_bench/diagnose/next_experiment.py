@@ -76,7 +76,9 @@ class Telling(NamedTuple):
     distance: float
 
 
-_PLAIN = Telling(1e3, 45.0)  # a drive that tells more settles no more
+# Of the most that any drive tells. One that tells much more settles less: of a large gain equations
+# are off by their share.
+_PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))
 Tellings = Mapping[tuple[str, str], Telling]
 
 
@@ -146,10 +148,13 @@ class Matter:
         self.fits = {c.name: c.fit for c in possible[:_MOST_CAUSES] if c.fit is not None}
         self.fits.setdefault(RECALIBRATION, search.recalibrated)
         pairs = list(permutations(self.fits, 2))
-        nothing, plain = (dict.fromkeys(pairs, t) for t in (Telling(0.0, 0.0), _PLAIN))
         believed = replace(weights, surprise=-LARGEST_SIGN)
-        self.before = prospect(weights, self.probability, nothing).given
-        self.most = prospect(believed, self.probability, plain).given - self.before
+
+        def given(weights: Weights, telling: Telling) -> float:
+            return prospect(weights, self.probability, dict.fromkeys(pairs, telling)).given
+
+        self.before = given(weights, Telling(0.0, 0.0))
+        self.most = max(given(believed, plain) for plain in _PLAIN) - self.before
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
         self.level = _highest(observations, parameters)

@@ -33,7 +33,7 @@ _SHAPES = {
 
 @dataclass(frozen=True)
 class Start:
-    """Where to begin, and the gain in log-likelihood that a straight line from there promises."""
+    """Where to begin, and the gain in log posterior that a straight line from there promises."""
 
     x: Array
     gain: float
@@ -47,13 +47,14 @@ class Remainder:
         problem = fitted.problem
         self._rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
         self._normal = self._rows.T @ self._rows + np.eye(self._rows.shape[1])
-        self._residual = problem.whiten(problem.measured - fitted.predicted)
-        self._projected = self._project(self._residual)
+        residual = problem.whiten(problem.measured - fitted.predicted)
+        # The priors pull back what they had to let go: an effect may relieve them of it.
+        moved = np.concatenate([fitted.x, np.zeros(self._rows.shape[1] - len(fitted.x))])
+        self._left = residual - self._explained(self._rows.T @ residual - moved)
         self._before = problem.coarse.predict(fitted.parameters)
 
-    def _project(self, column: Array) -> Array:
-        seen = self._rows.T @ column
-        return np.asarray(column - self._rows @ np.linalg.solve(self._normal, seen))
+    def _explained(self, pull: Array) -> Array:
+        return np.asarray(self._rows @ np.linalg.solve(self._normal, pull))
 
     def change(self, parameters: Parameters) -> Array:
         """(n,) whitened, of the readings from the fit's to these parameters."""
@@ -62,12 +63,12 @@ class Remainder:
 
     def gain(self, change: Array) -> tuple[float, float]:
         """Gain of adding a multiple of `change` (n,) whitened, and that multiple."""
-        own = self._project(change)
-        power = float(change @ own)
+        power = float(change @ (change - self._explained(self._rows.T @ change)))
         if power <= 0.0:
             return 0.0, 1.0
-        share = float(np.clip(float(change @ self._projected) / power, *_STRETCH))
-        return float(share * (change @ self._projected) - 0.5 * share**2 * power), share
+        pull = float(change @ self._left)
+        share = float(np.clip(pull / power, *_STRETCH))
+        return share * pull - 0.5 * share**2 * power, share
 
 
 def find_start(

@@ -120,7 +120,6 @@ def fit(
     frozen: Array | None = None,
     keep_noise: bool = False,
     far: bool = False,
-    central: bool = True,
 ) -> Fit:
     """Fit one model.
 
@@ -138,10 +137,10 @@ def fit(
     state = _State(problem, unknowns, x, frozen)
     if far:
         state.approach()
-    state.linearise(central)
+    state.linearise()
     for number in range(1 if far else rounds):
         if number:
-            state.linearise(central)
+            state.linearise()
         state.climb(_MOST_STEPS)
         if not keep_noise:
             state.problem = state.problem.with_noise(state.left())
@@ -164,7 +163,7 @@ def recalibrate(
 
     def from_start(number: int, x: Array) -> Fit:
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
-        return fit(first, unknowns, x, far=True, central=False)
+        return fit(first, unknowns, x, far=True)
 
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
@@ -198,12 +197,12 @@ class _State:
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
 
-    def linearise(self, central: bool) -> None:
+    def linearise(self) -> None:
         """Derivatives at the present place, or about there."""
         if self.given is None and not self._is_near(self.linear_about):
-            self.linear_about = self.x if central else None
+            self.linear_about = self.x
             self.base = self.problem.derivatives(
-                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline), central
+                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline)
             )
         self.slopes = self._slopes()
 
@@ -241,7 +240,7 @@ class _State:
         before = np.inf
         for _ in range(_FAR_STEPS):
             self.problem = self.problem.with_noise(self.left())
-            self.linearise(central=False)
+            self.linearise()
             now = self._descend(self.cost(), low, high) + 2.0 * self.problem.log_scale()
             if before - now < 2.0 * _SETTLED:
                 return

@@ -97,7 +97,7 @@ def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
     own = replace(problem, voltage_noise=True)
     predicted = problem.predict(unknowns.parameters(x))
     rows = {
-        name: problem.whiten(of.derivatives(unknowns, x, predicted, range(len(x)), central=True))
+        name: problem.whiten(of.derivatives(unknowns, x, predicted, range(len(x))))
         for name, of in (("coarse", problem), ("own", own))
     }
     off, size = (np.linalg.norm(a, axis=0) for a in (rows["coarse"] - rows["own"], rows["own"]))

@@ -72,18 +72,17 @@ def _derivatives(record: Record, lab: Parameters, rounds: int) -> list[Outcome]:
     own = Problem(problem.observations, problem.noise, problem.nuisances, voltage_noise=True)
     which = range(unknowns.baseline)
 
-    def differences(central: bool) -> np.ndarray:
+    def differences() -> np.ndarray:
         base = problem.predict(unknowns.parameters(x))
-        return problem.coarse.differences(unknowns, x, problem, base, which, central)
+        return problem.coarse.differences(unknowns, x, problem, base, which)
 
     ways = {
         "carried along": lambda: problem.derivatives(unknowns, x, predicted, which),
-        "one-sided differences": lambda: differences(False),
-        "central differences": lambda: differences(True),
+        "differences": differences,
     }
     plain = {"plain": lambda: problem.predict(unknowns.parameters(x))}
     seconds = interleaved({**plain, **ways}, rounds)
-    right = problem.whiten(own.derivatives(unknowns, x, predicted, which, True))
+    right = problem.whiten(own.derivatives(unknowns, x, predicted, which))
     case = f"a composite record, {unknowns.baseline} derivatives"
     outcomes: list[Outcome] = []
     for name, way in ways.items():
