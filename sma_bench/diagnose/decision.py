@@ -5,9 +5,9 @@ differences count in units of SCALE + SHARE x (gain of the best). An effect must
 naming: its own gap, in noise, above SMALLEST_OF_INTEREST. Signs that the best candidate is not the
 whole truth raise `unexplained`. The numbers are the likeliest on some 120 cases of the development
 split of the withheld-effect check (docs/blind/), a few of them made more careful by hand;
-PAIR_SHARE, LARGEST_BESIDE and SMALL were chosen among a few values on 110 to 120 of them,
-LEFT_SHARE, EACH_MORE and STEADY on 60 and the records that followed up 16 of these. None comes from
-elsewhere.
+LARGEST_BESIDE and SMALL were chosen among a few values on 110 to 120 of them, LEFT_SHARE and STEADY
+on 60, THRESHOLD and PAIR_SHARE on 180, and what more than two records count on those that followed
+up 52 of these. None comes from elsewhere.
 """
 
 from collections.abc import Iterable, Mapping
@@ -32,14 +32,14 @@ THRESHOLD = 5.5  # nats that an effect must gain over recalibration
 # By how much an effect's size may scatter from stretch to stretch of the records more than noise
 # lets it. What scatters more stands for something else, which it takes up here and there.
 STEADY = 1.5
-# More for each record beyond two: what the model misses of a bench is the same in all of them, and
-# an effect that takes some of it up gains by every one.
-EACH_MORE, USUAL_RECORDS = 1.5, 2
+# What the model misses of a bench is the same in all records, and an effect that takes some of it
+# up gains by every one: beyond two, gains count as if half of the noise were of that kind.
+USUAL_RECORDS = 2
 # Of the noise of a sample, for an effect and for a smooth response of free form. Instruments see
 # what no model of a bench is right to; of 120 cases every true single did 0.98 or more, what a
 # recalibration was wrong by 0.1 to 0.5, as a side_asymmetry of a thousandth.
 SMALLEST_OF_INTEREST, SMALL = 0.7, 6.0
-PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.07  # nats over the single, and of the single's gain
+PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.09  # nats over the single, and of the single's gain
 PARTNER_OF_INTEREST = 0.5
 # Signs of something unexplained. Of what is left: motion against rest in standard deviations,
 # share of what recalibration leaves, size in noise, largest outlier in standard deviations.
@@ -128,7 +128,7 @@ class Weights:
 
     def probabilities(self) -> dict[str, float]:
         """Of every candidate."""
-        best = max([0.0, *self.gains.values()])
+        best = max([0.0, *self._counted.values()])
         scale = scale_of(best)
         logits = {name: self._logit(name, scale) for name in self.gains}
         doubt = self._doubt(logits)
@@ -141,14 +141,14 @@ class Weights:
         return _softmax(logits | {n: _worth(*sizes, 4.0) for n, sizes in benign.items()})
 
     def _logit(self, name: str, scale: float) -> float:
-        gain = self.gains[name]
+        gain = self._counted[name]
         parts = name.split(JOIN)
         if len(parts) == 1:
-            return (self._as_formed(gain) - self.threshold) / scale + self.worth[name]
-        single = max(self.gains[part] for part in parts)
+            return (self._as_formed(gain) - THRESHOLD) / scale + self.worth[name]
+        single = max(self._counted[part] for part in parts)
         extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
-        return (single - self.threshold + extra) / scale + self.worth[name]
+        return (single - THRESHOLD + extra) / scale + self.worth[name]
 
     def _doubt(self, logits: Mapping[str, float]) -> float:
         """Log odds that all effects lose to recalibration, where even the best of them gains only
@@ -156,15 +156,16 @@ class Weights:
         singles = {name: logit for name, logit in logits.items() if JOIN not in name}
         steady = [
             min(logit, self.worth[name]
-                + (self.gains[name] / self.unsteady.get(name, 1.0) - self.threshold) / SCALE)
+                + (self._counted[name] / self.unsteady.get(name, 1.0) - THRESHOLD) / SCALE)
             for name, logit in singles.items()
         ]
         return max(singles.values()) - max(steady) if steady else 0.0
 
-    @property
-    def threshold(self) -> float:
-        """Nats that an effect must gain over recalibration."""
-        return THRESHOLD + EACH_MORE * max(self.records - USUAL_RECORDS, 0)
+    @cached_property
+    def _counted(self) -> dict[str, float]:
+        """Gains as far as they count."""
+        share = float(np.sqrt(USUAL_RECORDS / max(self.records, USUAL_RECORDS)))
+        return {name: gain * share if gain > 0.0 else gain for name, gain in self.gains.items()}
 
     def _as_formed(self, gain: float) -> float:
         """A rival's gain, the lead of the best single effect taken down: of two equations neither
@@ -178,7 +179,7 @@ class Weights:
     @cached_property
     def _lead(self) -> float:
         """Gain of the best single effect."""
-        return max((g for name, g in self.gains.items() if JOIN not in name), default=0.0)
+        return max((g for name, g in self._counted.items() if JOIN not in name), default=0.0)
 
 
 def weigh(search: Search) -> Weights:

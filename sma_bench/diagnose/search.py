@@ -34,7 +34,6 @@ _FIRST = 2  # effects, the most promising
 # many nats more, an effect gets no fit.
 _PROMISES, _BEYOND = 10.0, 30.0
 _STUCK = 5.0  # nats that show a fit had not arrived
-_WORTH_A_LOOK = 3.0  # nats
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats of a single
 # What an effect adds to 1/C beside C itself: its fit can stay on the way from one to the other.
@@ -107,9 +106,7 @@ def search(
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
     possible = _possible(parameters, quantities)
     singles = _singles(baseline, recalibrated, possible, progress)
-    better = _again(problem, baseline, recalibrated, singles)
-    stuck = better.evidence > recalibrated.evidence + _STUCK
-    recalibrated = max(recalibrated, better, key=lambda f: f.evidence)
+    recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("recalibration was stuck: once more")
         singles = _singles(baseline, recalibrated, possible, progress)
@@ -123,6 +120,12 @@ def search(
     for found in again:
         (name,) = found.unknowns.effects
         singles[name] = max(singles[name], found, key=lambda f: f.evidence)
+    better, stuck = _again(baseline, recalibrated, singles)
+    if stuck:
+        progress("recalibration was stuck: once more")
+        for name, found in _singles(baseline, better, possible, progress).items():
+            singles[name] = max(singles[name], found, key=lambda f: f.evidence)
+    recalibrated = better
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
     progress("parameters that may be far off")
@@ -192,16 +195,15 @@ def _fit_from(recalibrated: Fit, unknowns: Unknowns, x: Array, rounds: int = 2) 
     return fit(recalibrated.problem, unknowns, x, rounds=rounds, frozen=recalibrated.derivatives)
 
 
-def _again(
-    problem: Problem, baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]
-) -> Fit:
-    """Recalibration from where the best effect has taken the parameters."""
+def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
+    """Recalibration from where the best effect has taken the parameters, if that is better; and
+    whether it is so much better that effects are to be looked for from there."""
     if not singles:
-        return recalibrated
+        return recalibrated, False
     best = max(singles.values(), key=lambda f: f.evidence)
-    if best.evidence < recalibrated.evidence + _WORTH_A_LOOK:
-        return recalibrated
-    return fit(best.problem, baseline, best.x[: baseline.baseline], far=True)
+    better = fit(best.problem, baseline, best.x[: baseline.baseline], far=True)
+    gained = better.evidence - recalibrated.evidence
+    return (better if gained > 0.0 else recalibrated), gained > _STUCK
 
 
 def _from_belief(
