@@ -108,6 +108,20 @@ def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
     assert tells["coarse"] == pytest.approx(tells["own"], abs=0.1)  # nats
 
 
+def test_leads_and_the_wires_resistance_take_the_same_heat_away(view):
+    """Both are differences of V^2 R/(R + R_s)^2: where they cancel nothing may be left that a fit
+    would take for information."""
+    unknowns = unknowns_of_records(believed(), view.quantities).with_effects(["supply_drop"])
+    problem, x = Problem.of([view]), unknowns.start()
+    predicted = problem.predict(unknowns.parameters(x))
+    which = [unknowns.names.index("wire.resistance"), len(x) - 1]
+    columns = problem.derivatives(unknowns, x, predicted, which) / unknowns.slopes(x)[which]
+    for block in problem.blocks:
+        if block.signal.quantity != "current":
+            own, leads = columns[block.rows].T
+            assert np.linalg.norm(leads - 2.0 * own) < 1e-3 * np.linalg.norm(leads)
+
+
 def test_whitened_drift_is_white_and_its_likelihood_that_of_the_covariance():
     noise = Noise(0.7, 1.3, 2.0, 0.2)
     lags = 0.2 * np.abs(np.subtract.outer(np.arange(200), np.arange(200)))
