@@ -201,7 +201,7 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
     if not singles:
         return recalibrated, False
     best = max(singles.values(), key=lambda f: f.evidence)
-    better = fit(best.problem, baseline, best.x[: baseline.baseline], far=True)
+    better = fit(recalibrated.problem, baseline, best.x[: baseline.baseline], far=True)
     gained = better.evidence - recalibrated.evidence
     return (better if gained > 0.0 else recalibrated), gained > _STUCK
 

@@ -39,13 +39,18 @@ def without_effects(parameters: Parameters, names: Iterable[str]) -> Parameters:
 
 
 def contribution(fitted: Fit, names: Iterable[str]) -> Array:
-    """(n,) what effects of a fit add to the readings."""
+    """(n,) what effects of a fit add to the readings, less what the parameters beside them would."""
     problem, chosen = fitted.problem, tuple(names)
     added = fitted.predicted - problem.predict(without_effects(fitted.parameters, chosen))
     if DRIFT_EFFECT in chosen:
         for block in problem.of_signal("deflection"):
             noise = problem.noise["deflection"]
             added[block.rows] += noise.drift_in(fitted.left[block.rows])
+    known = fitted.unknowns.names
+    beside = [known.index(p) for n in chosen if (p := EFFECTS[n].beside) in known]
+    if beside:
+        columns = fitted.derivatives[:, beside]
+        added -= columns @ np.linalg.lstsq(problem.whiten(columns), problem.whiten(added))[0]
     return added
 
 

@@ -155,6 +155,8 @@ class Effect:
             the first of n columns.
         carried: numbers that are no more than a number in the rows of the core, so that derivatives
             are carried along with a simulation (physics/sensitivities.py) while no other is on.
+        beside: parameter whose value depends on where the effect is counted from: what a multiple
+            of it would do as well is no part of what the effect does.
         text: title, equation and source: the docstring of its file.
     """
 
@@ -171,6 +173,7 @@ class Effect:
     state: tuple[str, ...] = ()
     scratch: tuple[str, ...] = ()
     carried: tuple[str, ...] = ()
+    beside: str = ""
     text: str = ""
 
     @property

@@ -27,6 +27,7 @@ EFFECT = Effect(
     ),
     marks=("HEATED_OTHERWISE",),
     columns={"rise": "CONVECTION_RISE"},
+    beside="wire.heat_transfer_coefficient",  # h at T_inf; a mean h would do nothing in the mean
 )
 
 _LEAST = 0.05
