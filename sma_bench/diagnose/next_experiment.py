@@ -65,6 +65,9 @@ _VISIBLE = 2.0  # standard deviations
 # Nats of a record that an effect which is not there keeps by taking up what the model misses: the
 # mean of 11 rivals after further records of four cases of the development split.
 _TAKEN_UP = 3.5
+# A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
+_MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
+_SETUP = 5.0  # minutes until the bench is cold and recorded again
 _LUCK = ndtri((np.arange(7) + 0.5) / 7.0)  # of noise, in standard deviations
 
 
@@ -118,14 +121,6 @@ class NextExperiment:
             "chance": self.chance, "minutes": self.minutes, "protocol": dict(self.protocol),
             "parameters": dict(self.parameters or {}), "quantities": list(self.quantities),
         }
-
-
-# --- The tests of the paper, and sensors that can be mounted.
-
-
-# A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
-_MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
-_SETUP = 5.0  # minutes until the bench is cold and recorded again
 
 
 # --- What is proposed.

@@ -39,7 +39,7 @@ def without_effects(parameters: Parameters, names: Iterable[str]) -> Parameters:
 
 
 def contribution(fitted: Fit, names: Iterable[str]) -> Array:
-    """(n,) what effects of a fit add to the readings, less what the parameters beside them would."""
+    """(n,) what effects of a fit add to the readings, less what the parameters beside them do."""
     problem, chosen = fitted.problem, tuple(names)
     added = fitted.predicted - problem.predict(without_effects(fitted.parameters, chosen))
     if DRIFT_EFFECT in chosen:
