@@ -50,7 +50,8 @@ def contribution(fitted: Fit, names: Iterable[str]) -> Array:
     beside = [known.index(p) for n in chosen if (p := EFFECTS[n].beside) in known]
     if beside:
         columns = fitted.derivatives[:, beside]
-        added -= columns @ np.linalg.lstsq(problem.whiten(columns), problem.whiten(added))[0]
+        white = problem.whiten(columns)
+        added -= columns @ np.linalg.lstsq(white, problem.whiten(added), rcond=None)[0]
     return added
 
 
