@@ -5,9 +5,9 @@ differences count in units of SCALE + SHARE x (gain of the best). An effect must
 naming: its own gap, in noise, above SMALLEST_OF_INTEREST. Signs that the best candidate is not the
 whole truth raise `unexplained`. The numbers are the likeliest on some 120 cases of the development
 split of the withheld-effect check (docs/blind/), a few of them made more careful by hand;
-PAIR_SHARE, LARGEST_BESIDE and SMALL were chosen among a few values on 110 to 120 of them, LEFT_SHARE
-and STEADY on 60, THRESHOLD on 180, and what more than two records count on those that followed up 52
-of these. None comes from elsewhere.
+PAIR_SHARE, LARGEST_BESIDE and SMALL were chosen among a few values on 110 to 120 of them,
+LEFT_SHARE and STEADY on 60, THRESHOLD on 180, and what more than two records count on those that
+followed up 52 of these. None comes from elsewhere.
 """
 
 from collections.abc import Iterable, Mapping

@@ -79,7 +79,7 @@ def running(bench, protocol):
     """A fake bench and an experiment that drives it with 3 V."""
     fake = FakeBench(bench)
     node = bench.start(
-        "experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=0.5
+        "experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=1.5
     )
     bench.until(lambda: fake.state == "running: long")
     bench.until(lambda: fake.commands and fake.commands[-1].data[0] == 3.0)
