@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.diagnose.sizes import largest_gap
-from sma_bench.estimation.noise_model import lagged
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.physics.simulate import Simulation
+from sma_bench.records.record import first_order_lag
 
 Array = NDArray[np.float64]
 
@@ -183,7 +183,7 @@ def _remembered(course: Array, memory: float, grid: Array) -> Array:
     """First-order lag of a course (n,) on a grid (n,) s that need not be even."""
     cell = max(float(np.median(np.diff(grid))), float(np.ptp(grid)) / _MOST_CELLS)
     even = np.arange(grid[0], grid[-1] + cell, cell)
-    slow = lagged(np.interp(even, grid, course), float(np.exp(-cell / memory)))
+    slow = first_order_lag(np.interp(even, grid, course), float(np.exp(-cell / memory)))
     return np.interp(grid, even, slow)
 
 

@@ -181,15 +181,6 @@ def _whiten(columns: Array, phi: float, theta: float, scale: float, first: float
             columns[i, k] = white[k] * (scale if i > 0 else first)
 
 
-def lagged(course: Array, left: float, start: float = 0.0) -> Array:
-    """First-order lag of an even course (n,): `left` of what it was a sample before, the rest of
-    what comes in; `start` is what it was before the first."""
-    lag = (1.0 - left) * course
-    lag[0] += left * start
-    _whiten(lag[:, None], 0.0, -left, 1.0, 1.0)
-    return lag
-
-
 @compiled
 def _add_powers(
     residual: Array, phi: Array, theta: Array, scale: Array, first: Array, powers: Array

@@ -11,7 +11,14 @@ from sma_bench.records import contract
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
-from sma_bench.records.record import FloatArray, Record, Signal, has_samples, samples
+from sma_bench.records.record import (
+    FloatArray,
+    Record,
+    Signal,
+    first_order_lag,
+    has_samples,
+    samples,
+)
 from sma_bench.records.tensile import TensileRecord
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
@@ -325,8 +332,6 @@ def _is_driven(record: Record, name: str) -> bool:
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
     """Share of a response's variance, its noise apart, that lagged heat explains; None where there
     is too little of it to tell."""
-    from scipy.linalg import solve_banded
-
     if not has_samples(record, response):
         return None
     time, values = samples(record, response)
@@ -345,8 +350,7 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
         heat = volts[np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, None)] ** 2
         for lag in _LAGS:
             left = float(np.exp(-(grid[1] - grid[0]) / lag))
-            bands = np.vstack([np.ones_like(grid), np.full_like(grid, -left)])
-            columns.append(solve_banded((1, 0), bands, (1.0 - left) * heat))
+            columns.append(first_order_lag(heat, left))
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
     if not np.isfinite(design).all() or not np.isfinite(np.var(wanted)):
         return None  # readings that no bench has; LAPACK would write on the terminal

@@ -154,3 +154,14 @@ def has_samples(record: Record, name: str) -> bool:
     """Whether a signal is there with at least one finite value."""
     signal = record.get(name)
     return signal is not None and bool((np.abs(signal.values) < _LARGEST).any())
+
+
+def first_order_lag(course: FloatArray, left: float, start: float = 0.0) -> FloatArray:
+    """(n,) of an even course (n,): `left` of what it was a sample before, the rest of what comes
+    in; `start` is what it was before the first."""
+    from scipy.linalg import solve_banded
+
+    coming = (1.0 - left) * course
+    coming[0] += left * start
+    bands = np.vstack([np.ones_like(course), np.full_like(course, -left)])
+    return np.asarray(solve_banded((1, 0), bands, coming))

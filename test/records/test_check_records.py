@@ -11,6 +11,7 @@ from sma_bench.identify.estimate import fit_linear
 from sma_bench.records import Record, Signal, check_record, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.records.check import check_response
+from sma_bench.records.record import first_order_lag
 
 CLOCK = np.arange(2000) * 0.01
 TRIANGLE = 3 * np.abs((CLOCK / 10) % 2 - 1)
@@ -236,3 +237,13 @@ def test_readings_beyond_all_measure_leave_the_terminal_alone(capfd):
     with pytest.raises(InputError, match="no straight line"):
         fit_linear(design, np.ones(4), 1e-6 * np.eye(4))
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("start", [0.0, 2.5])
+def test_a_first_order_lag_keeps_a_share_of_what_was_before(start):
+    course = np.random.default_rng(1).normal(size=50)
+    expected, before = [], start
+    for coming in course:
+        before = 0.8 * before + 0.2 * coming
+        expected.append(before)
+    assert first_order_lag(course, 0.8, start) == pytest.approx(expected, rel=1e-12)

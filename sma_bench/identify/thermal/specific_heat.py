@@ -8,7 +8,6 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import lagged
 from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.observation import Observation, observe, shared_bin
 from sma_bench.estimation.residual import Block, Problem
@@ -28,7 +27,7 @@ from sma_bench.identify.thermal.ramps import (
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.records import Record
-from sma_bench.records.record import Signal, samples
+from sma_bench.records.record import Signal, first_order_lag, samples
 
 PARAMETER = "wire.specific_heat"
 COEFFICIENT = "wire.heat_transfer_coefficient"
@@ -540,10 +539,10 @@ def slope_of_rates(
         voltage = np.interp(grid, w.voltage_time, w.voltage)
         force = (voltage**2 / resistance - heat_loss * (temperature - surrounding)) / mass
         kept = float(np.exp(-period / FILTER_TIME))
-        smooth = lagged(temperature, kept, temperature[0])
+        smooth = first_order_lag(temperature, kept, temperature[0])
         driven = (voltage > 0.05 * voltage.max()) & (grid > grid[0] + 5.0 * FILTER_TIME)
         rates.append(((temperature - smooth) / FILTER_TIME)[driven])
-        forces.append(lagged(force, kept, force[0])[driven])
+        forces.append(first_order_lag(force, kept, force[0])[driven])
     rate, force = np.concatenate(rates), np.concatenate(forces)
     slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
     if slope == 0.0:

@@ -1,0 +1,150 @@
+"""Work side by side: in threads, as the compiled core lets go of the interpreter's lock, or in a
+forked copy of this process, where most of the work is Python's own.
+"""
+
+import gc
+import os
+import pickle
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from io import BytesIO
+from typing import Any, TypeVar
+
+from sma_bench.lifeline import end_after
+
+T = TypeVar("T")
+
+_THREADS = 2
+_WORKER = threading.local()
+_MOST = 255  # places that a byte can name
+
+
+def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
+    """Results in the order of the arguments.
+
+    What such a call calls in its turn runs in the one thread that it has.
+    """
+    if getattr(_WORKER, "busy", False):
+        return [function(*args) for args in arguments]
+
+    def work(args: tuple[Any, ...]) -> T:
+        _WORKER.busy = True
+        return function(*args)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(work, arguments))
+
+
+def in_processes(
+    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], shared: Sequence[object] = ()
+) -> list[T]:
+    """As `in_threads`, on two cores whatever share of the work is Python's.
+
+    A forked copy of this process has everything already; only its results come back, pickled.
+    Whatever it does not deliver is done here, so an error is raised where it can be read. Threads
+    do it where a fork could be caught in another thread's lock.
+
+    Args:
+        shared: what results refer to and need not bring along.
+    """
+    if getattr(_WORKER, "busy", False) or len(arguments) < 2:
+        return [function(*args) for args in arguments]
+    if len(arguments) > _MOST or not _may_fork():
+        return in_threads(function, arguments)
+    queue, fill = os.pipe()
+    os.write(fill, bytes(range(len(arguments))))
+    os.close(fill)
+    results, deliver = os.pipe()
+
+    def work() -> dict[int, T]:
+        _WORKER.busy = True
+        try:
+            done = {}
+            while place := os.read(queue, 1):
+                done[place[0]] = function(*arguments[place[0]])
+            return done
+        finally:
+            _WORKER.busy = False
+
+    own = os.getpid()
+    helper = _fork()
+    if helper == 0:
+        _deliver(work, shared, deliver, own)
+    os.close(deliver)
+    try:
+        done = work()
+        with open(results, "rb", closefd=False) as delivered:
+            done = _received(delivered.read(), shared) | done
+    finally:
+        os.close(queue)
+        os.close(results)
+        with suppress(OSError):
+            os.kill(helper, signal.SIGKILL)
+        with suppress(OSError):
+            os.waitpid(helper, 0)
+    return [
+        done[place] if place in done else function(*args) for place, args in enumerate(arguments)
+    ]
+
+
+def _may_fork() -> bool:
+    """Whether this is the main thread and every other one is Python's own, such as draws a bar:
+    none of those holds a lock that a simulation needs; of a middleware's threads nothing is
+    known."""
+    if threading.current_thread() is not threading.main_thread():
+        return False
+    try:
+        return len(os.listdir("/proc/self/task")) == threading.active_count()
+    except OSError:
+        return False
+
+
+def _fork() -> int:
+    with warnings.catch_warnings():  # of threads: see `_may_fork`
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()
+
+
+def _deliver(
+    work: Callable[[], dict[int, Any]], shared: Sequence[object], deliver: int, parent: int
+) -> None:
+    """The forked copy: it works, hands its results over and is gone."""
+    try:
+        gc.disable()
+        sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115, of which it has nothing
+        end_after(parent, signal.SIGKILL)
+        with open(deliver, "wb") as pipe:
+            pipe.write(_sent(work(), shared))
+    finally:
+        os._exit(0)
+
+
+def _sent(done: dict[int, Any], shared: Sequence[object]) -> bytes:
+    places = {id(one): place for place, one in enumerate(shared)}
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, one: object) -> int | None:
+            return places.get(id(one))
+
+    written = BytesIO()
+    Pickler(written, pickle.HIGHEST_PROTOCOL).dump(done)
+    return written.getvalue()
+
+
+def _received(data: bytes, shared: Sequence[object]) -> dict[int, Any]:
+    """Nothing where the copy was killed or could not go on."""
+
+    class Unpickler(pickle.Unpickler):
+        def persistent_load(self, place: int) -> object:
+            return shared[place]
+
+    try:
+        found: dict[int, Any] = Unpickler(BytesIO(data)).load()
+    except (EOFError, pickle.UnpicklingError):
+        return {}
+    return found
