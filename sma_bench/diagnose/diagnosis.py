@@ -22,12 +22,11 @@ from sma_bench.diagnose.decision import (
     decide,
     weigh,
 )
-from sma_bench.diagnose.missing_term import missing_term
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.search import Progress, Search, search
 from sma_bench.diagnose.shrinkage import Shrinkage, sensors_noise, shrinkage, unknown_share
 from sma_bench.diagnose.sizes import Cell, contribution, locate
-from sma_bench.diagnose.stages import stages_of
+from sma_bench.diagnose.stages import missing_term, stages_of
 from sma_bench.diagnose.tails import widened
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError

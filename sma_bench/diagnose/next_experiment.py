@@ -7,43 +7,41 @@ what the freedom that it had to use costs a rival (Box and Hill, Technometrics 9
 counts: an effect that is there cannot be refitted away by a model without it, one that is not there
 can. A test of one parameter is the same with one reading: the parameter.
 
-The decision's own rule then says what the verdict would be, with noise as it may fall. What an
-experiment is worth is the probability that the truth is expected to be given, less that of now:
-where no single one settles the matter, the first of several is still found.
+What an experiment is worth is the probability that the truth is expected to be given after it
+(`prospect.py`), less that of now: where no single one settles the matter, the first of several is
+still found.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.special import ndtri
 
 from sma_bench.diagnose.decision import (
     JOIN,
     LARGEST_SIGN,
-    NAMED,
     NO_GAP,
     RECALIBRATION,
     UNEXPLAINED,
     Decision,
     Weights,
-    scale_of,
     sign_of_surprise,
     surprise_of,
 )
 from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn
+from sma_bench.diagnose.prospect import VISIBLE, Telling, Tellings, prospect
 from sma_bench.diagnose.search import Search
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import offsets
 from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Problem
+from sma_bench.estimation.side_by_side import in_processes, in_threads
 from sma_bench.estimation.solver import Fit
-from sma_bench.estimation.threads import in_threads
 from sma_bench.parameters import Parameters
 from sma_bench.physics.heat import heating_voltage
 from sma_bench.protocols import parse_protocol
@@ -60,29 +58,19 @@ _STEP = 0.05
 _DRAWS, _PARENTS, _CHILDREN = 14, 3, 4
 _SEED = 1
 _DIRECTIONS = 8  # of the least known, while drives are searched
+_HOPE = 0.01  # of merit: where none of the first drives promises that, none is searched for
 _ADDED = 6e-3  # to a drive's merit by refitting, at most: 4e-3 near the best of five cases
-_VISIBLE = 2.0  # standard deviations
 # Nats of a record that an effect which is not there keeps by taking up what the model misses: the
 # mean of 11 rivals after further records of four cases of the development split.
 _TAKEN_UP = 3.5
 # A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
 _MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
 _SETUP = 5.0  # minutes until the bench is cold and recorded again
-_LUCK = ndtri((np.arange(7) + 0.5) / 7.0)  # of noise, in standard deviations
-
-
-class Telling(NamedTuple):
-    """What an experiment would say against a rival of the truth: the `evidence` to be expected
-    [nats], and the `distance` of the two in standard deviations, by which noise scatters it."""
-
-    evidence: float
-    distance: float
 
 
 # Of the most that any drive tells. One that tells much more settles less: of a large gain equations
 # are off by their share.
 _PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))
-Tellings = Mapping[tuple[str, str], Telling]
 
 
 @dataclass(frozen=True)
@@ -171,7 +159,7 @@ class Matter:
                 share = min(minutes / self.minutes, 1.0 / self.records)
                 told = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
                 seen = float(np.sqrt(2.0 * told))  # several records tell what one hardly does
-                found[pair] = Telling(told, max(seen, _VISIBLE) if told > 0.0 else 0.0)
+                found[pair] = Telling(told, max(seen, VISIBLE) if told > 0.0 else 0.0)
         return found
 
     def experiment(self, kind: str, why: str, minutes: float, tellings: Tellings,
@@ -284,7 +272,8 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
     """Documents of the drives that are worth most, the best one first: some known ones and some
     drawn, then changes of the best.
 
-    Refitting adds hardly anything to a merit: what is far behind without it is none of the best.
+    Refitting adds hardly anything to a merit: what is far behind without it is none of the best,
+    and where even the best of the first ones is worth next to nothing, the search ends with them.
     """
     random = np.random.default_rng(_SEED)
     leading = matter.leading()
@@ -304,23 +293,29 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
         found = [drive for drive in promised if drive in weighed]
         return sorted(found, key=lambda drive: weighed[drive], reverse=True)
 
-    def weigh(drives: Sequence[Drive]) -> None:
+    def promise(drives: Sequence[Drive]) -> list[tuple[float, Drive]]:
+        """Those that are new and not refused, the most promising first."""
         new = [drive for drive in dict.fromkeys(drives) if drive not in promised]
-        promises = in_threads(merit, [(drive, 0) for drive in new])
-        promised.update(zip(new, promises, strict=True))
-        left = [(p, k) for k, p in enumerate(promises) if not isinstance(p, str)]
-        left.sort(reverse=True)
+        promised.update(zip(new, in_processes(merit, [(d, 0) for d in new]), strict=True))
+        found = [(p, k) for k, d in enumerate(new) if isinstance(p := promised[d], float)]
+        return [(p, new[k]) for p, k in sorted(found, reverse=True)]
+
+    def weigh(left: list[tuple[float, Drive]]) -> None:
         while left:
             best = ranked()[:_PARENTS]
             if len(best) == _PARENTS and left[0][0] + _ADDED < weighed[best[-1]]:
                 break
-            pair, left = [new[k] for _, k in left[:2]], left[2:]
-            found = in_threads(merit, [(drive, _DIRECTIONS) for drive in pair])
+            pair, left = [drive for _, drive in left[:2]], left[2:]
+            found = in_processes(merit, [(drive, _DIRECTIONS) for drive in pair])
             weighed.update((d, m) for d, m in zip(pair, found, strict=True) if isinstance(m, float))
 
-    weigh([*KNOWN, *(drawn(random) for _ in range(_DRAWS))])
+    first = promise([*KNOWN, *(drawn(random) for _ in range(_DRAWS))])
+    if first and first[0][0] < _HOPE:
+        return [document(drive) for _, drive in first]
+    weigh(first)
     for _ in range(2):
-        weigh([changed(drive, random) for drive in ranked()[:_PARENTS] for _ in range(_CHILDREN)])
+        near = [changed(drive, random) for drive in ranked()[:_PARENTS] for _ in range(_CHILDREN)]
+        weigh(promise(near))
     refused = [said for said in promised.values() if isinstance(said, str)]
     if not weighed and refused:
         raise InputError(refused[-1])
@@ -532,69 +527,3 @@ def _left(difference: Array, space: Array) -> float:
 def _freedom(space: Array) -> float:
     """Log of how much of what was possible before an experiment is so no more after it."""
     return float(np.linalg.slogdet(space.T @ space + np.eye(space.shape[1]))[1])
-
-
-# --- The verdict after it, by the decision's own rule.
-
-
-class Prospect(NamedTuple):
-    """Probabilities that the verdict after an experiment names the true cause, and that the true
-    cause is `given`: the mean of what it would have."""
-
-    named: float
-    given: float
-
-
-def prospect(
-    weights: Weights, probability: Mapping[str, float], tellings: Tellings
-) -> Prospect:
-    """What an experiment would say, whichever cause is true.
-
-    Args:
-        weights: as they are now, the effects' gains before the experiment.
-        probability: of every candidate now.
-        tellings: by (truth, rival) of the causes that were simulated; another cause stays as
-            probable beside the truth as it is.
-    """
-    simulated = list(dict.fromkeys(name for pair in tellings for name in pair))
-    named = given = 0.0
-    for truth in simulated:
-        right = (truth,) if truth != RECALIBRATION else (RECALIBRATION, NO_GAP)
-        own = sum(probability[name] for name in right)
-        for luck in _LUCK:
-            after = _after(weights, truth, simulated, tellings, luck)
-            share = sum(after[name] for name in right)
-            given += own * share / len(_LUCK)
-            named += own * (share >= NAMED) / len(_LUCK)
-    return Prospect(named, given)
-
-
-def _after(
-    weights: Weights, truth: str, simulated: Sequence[str], tellings: Tellings, luck: float
-) -> dict[str, float]:
-    """Probabilities after an experiment."""
-    against = {
-        rival: _expected(tellings, truth, rival, luck) for rival in simulated if rival != truth
-    }
-    over = against.get(RECALIBRATION, 0.0)
-    now, own = weights.gains, weights.gains.get(truth, 0.0)
-    gains = {c: now[c] + over - against.get(c, 0.0) for c in simulated if c in now}
-    best = max([0.0, *gains.values()])
-    stretch = scale_of(best) / scale_of(max([0.0, *now.values()]))
-    # What was not simulated goes with the truth, as probable beside it as before.
-    gains |= {
-        c: own + over - (own - gain) * stretch for c, gain in now.items() if c not in gains
-    }
-    return replace(weights, gains=gains).probabilities()
-
-
-def _expected(tellings: Tellings, truth: str, rival: str, luck: float) -> float:
-    """Nats against a rival of the truth, as noise may fall.
-
-    An effect that is not there is told by not being seen, which takes an experiment that would show
-    it; without that its freedom alone speaks against it, and that settles nothing.
-    """
-    told = tellings[truth, rival]
-    nats = told.evidence + luck * told.distance
-    visible = max(told.distance, tellings[rival, truth].distance) >= _VISIBLE
-    return nats if visible else min(nats, 0.0)

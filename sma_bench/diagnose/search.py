@@ -12,8 +12,8 @@ from sma_bench.diagnose.starts import Remainder, find_start, start_off
 from sma_bench.diagnose.tails import gain_of_tails, with_tails
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.side_by_side import in_processes
 from sma_bench.estimation.solver import Fit, fit, recalibrate
-from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns, unknowns_of, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
@@ -115,7 +115,8 @@ def search(
         for name, found in _from_belief(problem, baseline, recalibrated, list(singles)).items():
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("the best again, carefully")
-    again = in_threads(_refined, [(singles[n],) for n in _worth_refining(singles, recalibrated)])
+    worth = [(singles[name],) for name in _worth_refining(singles, recalibrated)]
+    again = in_processes(_refined, worth, problem.held)
     again += [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
     for found in again:
         (name,) = found.unknowns.effects
@@ -136,11 +137,13 @@ def search(
     pairs = {names: _tailed(found, most) for names, found in pairs.items()}
     best = max([recalibrated, *singles.values(), *pairs.values()], key=lambda f: f.evidence)
     progress("what is left")
-    flexible = flexible_residual(recalibrated)
+    fits = list(dict.fromkeys([recalibrated, best]))
+    works = [(work, fitted) for work in (flexible_residual, left_over) for fitted in fits]
+    done = in_processes(lambda work, fitted: work(fitted), works)
+    flexible, left = done[: len(fits)], done[len(fits) :]
     return Search(
-        problem, nominal, recalibrated, singles, pairs, best, flexible,
-        flexible_residual(best) if best is not recalibrated else flexible,
-        left_over(recalibrated), left_over(best), off,
+        problem, nominal, recalibrated, singles, pairs, best, flexible[0], flexible[-1],
+        left[0], left[-1], off,
     )
 
 
@@ -175,18 +178,20 @@ def _singles(
     if not names:
         return {}
     progress(names[0])
-    found = in_threads(
-        lambda name: find_start(remainder, models[name], name), [(name,) for name in names]
+    held = recalibrated.problem.held
+    found = in_processes(
+        lambda name: find_start(remainder, models[name], name), [(name,) for name in names], held
     )
     starts = dict(zip(names, found, strict=True))
     ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
     first = ranked[:_FIRST]
-    fits = dict(zip(first, in_threads(single, [(name,) for name in first]), strict=True))
+    begun = in_processes(single, [(name,) for name in first], held)
+    fits = dict(zip(first, begun, strict=True))
     lead = max((f.evidence - recalibrated.evidence for f in fits.values()), default=0.0)
     hopeless = {n for n in ranked[_FIRST:] if _PROMISES * starts[n].gain < lead - _BEYOND}
     others = ranked[_FIRST:]
-    rest = in_threads(lambda name: (off if name in hopeless else single)(name),
-                      [(name,) for name in others])  # fmt: skip
+    rest = in_processes(lambda name: (off if name in hopeless else single)(name),
+                        [(name,) for name in others], held)  # fmt: skip
     fits |= zip(others, rest, strict=True)
     return {name: fits[name] for name in names}
 
@@ -213,15 +218,15 @@ def _from_belief(
     way back to them can be long and winding."""
     believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
     remainder = Remainder(believed)
-    starts = in_threads(
+    starts = in_processes(
         lambda name: find_start(remainder, baseline.with_effects([name]), name),
-        [(name,) for name in names],
+        [(name,) for name in names], problem.held,
     )
     ranked = sorted(zip(names, starts, strict=True), key=lambda s: s[1].gain, reverse=True)
     best = ranked[:_MOST_FROM_BELIEF]
-    fits = in_threads(
+    fits = in_processes(
         lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True),
-        best,
+        best, problem.held,
     )
     return {name: found for (name, _), found in zip(best, fits, strict=True)}
 
@@ -304,6 +309,7 @@ def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[
         return fit(singles[name].problem, unknowns, start.x, rounds=2, frozen=frozen)
 
     partners = [partner for partner in singles if partner != name]
-    promises = in_threads(promise, [(partner,) for partner in partners])
+    promises = in_processes(promise, [(partner,) for partner in partners])
     order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
-    return in_threads(pair, [(partners[k],) for k in order])
+    held = singles[name].problem.held
+    return in_processes(pair, [(partners[k],) for k in order], held)

@@ -10,6 +10,7 @@ share that `unexplained` keeps without any sign of it tells of none.
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from sma_bench.diagnose.decision import (
@@ -162,3 +163,20 @@ def _noticed(missing: Sequence[Cell]) -> set[str]:
 
 def _quantity(signal: str) -> str:
     return signal.rpartition(".")[2]
+
+
+def missing_term(found: Search) -> NDArray[np.float64]:
+    """(n,) the course of what recalibration leaves unexplained, in the signals' units.
+
+    A smooth response of free form is it only where it is sure: one that gains next to nothing is
+    next to nothing, wherever it happens to be. Else it is all that is slower than the scatter of
+    samples, what a fit has to take for the drift of a sensor.
+    """
+    if found.flexible.gain > FLEXIBLE:
+        return found.flexible.response
+    problem = found.recalibrated.problem
+    left = found.recalibrated.left
+    slow = np.concatenate(
+        [problem.noise[b.signal.name].drift_in(left[b.rows]) for b in problem.blocks]
+    )
+    return slow if slow.any() else left

@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.solver import Fit
-from sma_bench.estimation.threads import in_threads
 from sma_bench.estimation.unknowns import Unknowns, default_of, number_of_effect
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import JUMP_STD, BinnedSignal, Observation
-from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.parameters import Parameters
 
 Index = NDArray[np.intp]

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
 from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
-from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
@@ -135,6 +135,11 @@ class Problem:
                 for name, noise in self.noise.items()
             },
         )
+
+    @property
+    def held(self) -> tuple[object, ...]:
+        """What all fits to these records have in common, and is large."""
+        return *self.observations, self.nuisances, *self.nuisances, self.shared
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from io import BytesIO
+from multiprocessing import parent_process
 from typing import Any, TypeVar
 
 from sma_bench.lifeline import end_after
@@ -27,9 +28,10 @@ _MOST = 255  # places that a byte can name
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
     """Results in the order of the arguments.
 
-    What such a call calls in its turn runs in the one thread that it has.
+    What such a call calls in its turn runs in the one thread that it has, and so does all in the
+    process of a pool, which has the other cores busy.
     """
-    if getattr(_WORKER, "busy", False):
+    if _has_one_core():
         return [function(*args) for args in arguments]
 
     def work(args: tuple[Any, ...]) -> T:
@@ -52,7 +54,7 @@ def in_processes(
     Args:
         shared: what results refer to and need not bring along.
     """
-    if getattr(_WORKER, "busy", False) or len(arguments) < 2:
+    if _has_one_core() or len(arguments) < 2:
         return [function(*args) for args in arguments]
     if len(arguments) > _MOST or not _may_fork():
         return in_threads(function, arguments)
@@ -90,6 +92,10 @@ def in_processes(
     return [
         done[place] if place in done else function(*args) for place, args in enumerate(arguments)
     ]
+
+
+def _has_one_core() -> bool:
+    return getattr(_WORKER, "busy", False) or parent_process() is not None
 
 
 def _may_fork() -> bool:

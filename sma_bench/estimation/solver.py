@@ -20,7 +20,7 @@ import numpy as np
 
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.threads import in_threads
+from sma_bench.estimation.side_by_side import in_processes
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
@@ -165,7 +165,7 @@ def recalibrate(
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
         return fit(first, unknowns, x, far=True)
 
-    tried = in_threads(from_start, list(enumerate(starts)))
+    tried = in_processes(from_start, list(enumerate(starts)), first.held)
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
     return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried

@@ -5,14 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from sma_bench.diagnose.decision import SCALE, Weights
-from sma_bench.diagnose.next_experiment import (
-    WORTH,
-    Matter,
-    NextExperiment,
-    Telling,
-    prospect,
-    taken_up,
-)
+from sma_bench.diagnose.next_experiment import WORTH, Matter, NextExperiment, taken_up
+from sma_bench.diagnose.prospect import Telling, prospect
 
 
 def after(tellings, signs=-5.0, surprise=-5.0, **gains):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sma_bench.diagnose.decision import FLEXIBLE
-from sma_bench.diagnose.missing_term import missing_term
+from sma_bench.diagnose.stages import missing_term
 from sma_bench.estimation.noise_model import Noise, estimate_noise
 
 PERIOD, BINS = 0.2, 600

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from figures import Figure, Outcome, at_most
-from timing import exponent, interleaved, ratio
+from timing import exponent, interleaved, processor, ratio
 from whole_commands import ROOT, diagnosis_case, run
 
 from sma_bench.diagnose import diagnose
@@ -101,8 +101,8 @@ def _derivatives(record: Record, lab: Parameters, rounds: int) -> list[Outcome]:
 def _stages(record: Record, lab: Parameters) -> list[Outcome]:
     """Processor seconds between what a diagnosis says that it does."""
     marks: list[tuple[str, float]] = []
-    diagnose([record], lab, progress=lambda text: marks.append((text, time.process_time())))
-    marks.append(("", time.process_time()))
+    diagnose([record], lab, progress=lambda text: marks.append((text, processor())))
+    marks.append(("", processor()))
     spent: dict[str, float] = {}
     for (text, begin), (_, end) in zip(marks, marks[1:], strict=False):
         stage = "each effect alone" if text in EFFECT_NAMES else text
@@ -164,7 +164,7 @@ def long_record(lab: Parameters, protocol: str, length: float) -> Record:
 if __name__ == "__main__":
     lab_ = read_parameters(ROOT / "config" / "composite_rig.yaml")
     long_ = long_record(lab_, sys.argv[1], float(sys.argv[2]))
-    begin_, before_ = time.perf_counter(), time.process_time()
+    begin_, before_ = time.perf_counter(), processor()
     diagnose([long_], lab_)
     memory_ = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(time.perf_counter() - begin_, time.process_time() - before_, memory_)
+    print(time.perf_counter() - begin_, processor() - before_, memory_)

@@ -3,13 +3,12 @@
 import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 from diagnosing import RATE, TRIANGLES, long_record
 from figures import Figure, Outcome, at_most
-from timing import exponent
+from timing import exponent, processor
 from whole_commands import ROOT
 
 from sma_bench.identify import identify
@@ -64,9 +63,9 @@ def _figures(name: str, cpu: float, memory: float) -> list[Outcome]:
 def _coverage() -> list[Outcome]:
     """One bench of the check: drawn, run, written, read and identified by every experiment."""
     run_draw(0)  # compiles
-    begin = time.process_time()
+    begin = processor()
     run_draw(1)
-    each = time.process_time() - begin
+    each = processor() - begin
     case = "coverage check"
     return [
         Figure(case, "a bench: processor", each, "s"),
@@ -78,9 +77,9 @@ def _one(length: float) -> tuple[float, float]:
     """Seconds of the processor; the most memory that this process has had, MB."""
     lab: Parameters = read_parameters(Path(ROOT, "config", "composite_rig.yaml"))
     record = long_record(lab, TRIANGLES, length)
-    begin = time.process_time()
+    begin = processor()
     identify([record], lab, experiments=["E10"])
-    spent = time.process_time() - begin
+    spent = processor() - begin
     return spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 

@@ -5,12 +5,18 @@ machine hardly touch; what runs on several threads or processes by the clock on 
 """
 
 import gc
+import os
 import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
 Array = np.ndarray
+
+
+def processor() -> float:
+    """Seconds of the processor that this process and those that it has waited for have had."""
+    return sum(os.times()[:4])
 
 
 def interleaved(

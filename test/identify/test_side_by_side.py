@@ -1,0 +1,150 @@
+"""Work side by side comes back whole and in order, whatever becomes of the process beside."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+from sma_bench.errors import InputError
+from sma_bench.estimation import side_by_side
+from sma_bench.estimation.side_by_side import in_processes, in_threads
+
+NUMBERS = [(k,) for k in range(12)]
+HERE = os.getpid()
+
+
+@dataclass(eq=False)
+class Answer:
+    about: object
+    where: int
+    values: np.ndarray
+
+
+@pytest.fixture
+def forking(monkeypatch):
+    """As in a process of one thread, whatever libraries the tests have loaded."""
+    monkeypatch.setattr(side_by_side, "_may_fork", lambda: True)
+
+
+def slowly(k):
+    time.sleep(0.02)
+    return k**2, os.getpid()
+
+
+@pytest.mark.parametrize("side_by", [in_threads, in_processes])
+def test_results_come_in_the_order_of_the_arguments(side_by, forking):
+    assert [square for square, _ in side_by(slowly, NUMBERS)] == [k**2 for (k,) in NUMBERS]
+
+
+def test_a_copy_of_this_process_does_its_part(forking):
+    where = {number for _, number in in_processes(slowly, NUMBERS)}
+    assert HERE in where and len(where) == 2
+
+
+def test_what_results_refer_to_is_what_is_here(forking):
+    record = {"large": np.arange(5.0)}
+
+    def answer(k):
+        time.sleep(0.02)
+        return Answer(record, os.getpid(), np.full(3, float(k)))
+
+    answers = in_processes(answer, NUMBERS, [record])
+    assert any(a.where != HERE for a in answers)
+    assert all(a.about is record for a in answers)
+    assert [a.values[0] for a in answers] == [float(k) for (k,) in NUMBERS]
+
+
+def test_an_error_is_raised_here_as_it_was_there(forking):
+    def refuse(k):
+        time.sleep(0.02)
+        if k == 7:
+            raise InputError("seven: expected anything else")
+        return k
+
+    with pytest.raises(InputError, match="seven: expected anything else"):
+        in_processes(refuse, NUMBERS)
+
+
+def test_what_a_killed_copy_had_taken_is_done_here(forking):
+    def work(k):
+        time.sleep(0.02)
+        if os.getpid() != HERE:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return k
+
+    assert in_processes(work, NUMBERS) == [k for (k,) in NUMBERS]
+
+
+def test_inside_side_by_side_work_there_is_no_more_of_it(forking):
+    def outer(k):
+        time.sleep(0.02)
+        inner = {number for _, number in in_processes(slowly, NUMBERS[:3])}
+        return inner == {os.getpid()}
+
+    assert all(in_processes(outer, NUMBERS[:4]))
+
+
+def test_beside_threads_that_python_does_not_know_nothing_is_forked(monkeypatch):
+    monkeypatch.setattr(threading, "active_count", lambda: 0)
+    assert {number for _, number in in_processes(slowly, NUMBERS)} == {HERE}
+
+
+def test_only_the_main_thread_forks():
+    found = []
+    work = threading.Thread(target=lambda: found.extend(in_processes(slowly, NUMBERS)))
+    work.start()
+    work.join()
+    assert {number for _, number in found} == {HERE} and len(found) == len(NUMBERS)
+
+
+def in_a_pool():
+    return {number for _, number in in_processes(slowly, NUMBERS)} == {os.getpid()}
+
+
+def test_a_process_of_a_pool_keeps_to_its_own_core():
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        assert pool.submit(in_a_pool).result(timeout=60.0)
+
+
+ENDLESS = """
+import os, time
+from sma_bench.estimation.side_by_side import in_processes
+
+def forever(k):
+    print(os.getpid(), flush=True) if os.getpid() == here else os.write(2, b"%d\\n" % os.getpid())
+    time.sleep(600.0)
+
+here = os.getpid()
+in_processes(forever, [(1,), (2,)])
+"""
+
+
+def test_a_copy_ends_with_the_process_that_made_it():
+    with subprocess.Popen(
+        [sys.executable, "-c", ENDLESS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+    ) as process:  # fmt: skip
+        assert process.stdout and process.stderr
+        process.stdout.readline()
+        copy = int(process.stderr.readline())
+        process.kill()
+    deadline = time.monotonic() + 30.0
+    while _lives(copy):
+        assert time.monotonic() < deadline, f"process {copy} still runs"
+        time.sleep(0.05)
+
+
+def _lives(number):
+    try:
+        with open(f"/proc/{number}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
