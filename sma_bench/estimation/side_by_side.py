@@ -5,13 +5,14 @@ forked copy of this process, where most of the work is Python's own.
 import gc
 import os
 import pickle
+import select
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from multiprocessing import parent_process
 from typing import Any, TypeVar
@@ -23,6 +24,7 @@ T = TypeVar("T")
 _THREADS = 2
 _WORKER = threading.local()
 _MOST = 255  # places that a byte can name
+_PATIENCE = 300.0  # s after this process is done with its own part
 
 
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
@@ -61,7 +63,6 @@ def in_processes(
     queue, fill = os.pipe()
     os.write(fill, bytes(range(len(arguments))))
     os.close(fill)
-    results, deliver = os.pipe()
 
     def work() -> dict[int, T]:
         _WORKER.busy = True
@@ -73,25 +74,45 @@ def in_processes(
         finally:
             _WORKER.busy = False
 
-    own = os.getpid()
-    helper = _fork()
-    if helper == 0:
-        _deliver(work, shared, deliver, own)
-    os.close(deliver)
     try:
-        done = work()
-        with open(results, "rb", closefd=False) as delivered:
-            done = _received(delivered.read(), shared) | done
+        with _copy_doing(work, shared) as delivered:
+            done = work()
+            done = delivered() | done
     finally:
         os.close(queue)
-        os.close(results)
-        with suppress(OSError):
-            os.kill(helper, signal.SIGKILL)
-        with suppress(OSError):
-            os.waitpid(helper, 0)
     return [
         done[place] if place in done else function(*args) for place, args in enumerate(arguments)
     ]
+
+
+@contextmanager
+def _copy_doing(
+    work: Callable[[], dict[int, T]], shared: Sequence[object]
+) -> Iterator[Callable[[], dict[int, T]]]:
+    """A forked copy of this process that does `work` meanwhile; what is yielded gets its results,
+    none where it was killed, could not be made, or does not answer.
+
+    No signal reaches the copy: what ends this process ends it too.
+    """
+    results, deliver = os.pipe()
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    own, copy = os.getpid(), 0
+    try:
+        with suppress(OSError):
+            copy = _fork()
+            if copy == 0:
+                os.close(results)
+                _deliver(work, shared, deliver, own)
+        os.close(deliver)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        yield lambda: _received(results, shared)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        os.close(results)
+        if copy:
+            with suppress(OSError):
+                os.kill(copy, signal.SIGKILL)
+                os.waitpid(copy, 0)
 
 
 def _has_one_core() -> bool:
@@ -142,13 +163,15 @@ def _sent(done: dict[int, Any], shared: Sequence[object]) -> bytes:
     return written.getvalue()
 
 
-def _received(data: bytes, shared: Sequence[object]) -> dict[int, Any]:
-    """Nothing where the copy was killed or could not go on."""
-
+def _received(results: int, shared: Sequence[object]) -> dict[int, Any]:
     class Unpickler(pickle.Unpickler):
         def persistent_load(self, place: int) -> object:
             return shared[place]
 
+    if not select.select([results], [], [], _PATIENCE)[0]:
+        return {}
+    with open(results, "rb", closefd=False) as delivered:
+        data = delivered.read()
     try:
         found: dict[int, Any] = Unpickler(BytesIO(data)).load()
     except (EOFError, pickle.UnpicklingError):

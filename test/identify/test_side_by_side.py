@@ -83,6 +83,46 @@ def test_what_a_killed_copy_had_taken_is_done_here(forking):
     assert in_processes(work, NUMBERS) == [k for (k,) in NUMBERS]
 
 
+def test_what_a_copy_that_does_not_answer_had_taken_is_done_here(forking, monkeypatch):
+    monkeypatch.setattr(side_by_side, "_PATIENCE", 0.2)
+
+    def work(k):
+        time.sleep(0.02 if os.getpid() == HERE else 600.0)
+        return k
+
+    assert in_processes(work, NUMBERS) == [k for (k,) in NUMBERS]
+
+
+def test_where_no_process_can_be_made_all_is_done_here(forking, monkeypatch):
+    def refused():
+        raise BlockingIOError("too many processes")
+
+    monkeypatch.setattr(os, "fork", refused)
+    assert {number for _, number in in_processes(slowly, NUMBERS)} == {HERE}
+
+
+def test_an_interrupt_ends_the_work_and_the_copy(forking):
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    copies = []
+
+    def interrupted(k):
+        time.sleep(0.2)
+        if os.getpid() == HERE:
+            copies.extend(children())
+            signal.raise_signal(signal.SIGINT)
+        return k
+
+    with pytest.raises(KeyboardInterrupt):
+        in_processes(interrupted, NUMBERS)
+    assert copies and not any(_lives(copy) for copy in copies)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+def children():
+    with open(f"/proc/self/task/{HERE}/children") as file:
+        return [int(number) for number in file.read().split()]
+
+
 def test_inside_side_by_side_work_there_is_no_more_of_it(forking):
     def outer(k):
         time.sleep(0.02)

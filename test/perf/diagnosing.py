@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest import mock
 
 import numpy as np
 from figures import Figure, Outcome, at_most
@@ -14,6 +15,7 @@ from timing import exponent, interleaved, processor, ratio
 from whole_commands import ROOT, diagnosis_case, run
 
 from sma_bench.diagnose import diagnose
+from sma_bench.estimation import side_by_side
 from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.unknowns import unknowns_of_records
@@ -40,7 +42,7 @@ def measure(tiny: bool = False) -> list[Outcome]:
         if tiny:
             return outcomes
         diagnose([record], lab)  # compiles
-        outcomes += _stages(record, lab)
+        outcomes += [*_stages(record, lab), *_cores(record, lab)]
         wall, cpu = run(["diagnose", str(bag), "--params", str(file)])
         outcomes.append(Figure("a composite bag", "command: on the wall", wall, "s"))
         outcomes.append(Figure("a composite bag", "command: processor", cpu, "s"))
@@ -110,6 +112,28 @@ def _stages(record: Record, lab: Parameters) -> list[Outcome]:
     return [
         Figure("a composite bag", f"{stage}: processor", seconds, "s")
         for stage, seconds in spent.items()
+    ]
+
+
+def _cores(record: Record, lab: Parameters) -> list[Outcome]:
+    """What the second core brings, by a forked copy of the process and by a thread."""
+
+    def diagnosed(**instead: bool) -> None:
+        answers = {name: (lambda answer=answer: answer) for name, answer in instead.items()}
+        with mock.patch.multiple(side_by_side, **answers):
+            diagnose([record], lab)
+
+    seconds = interleaved(
+        {
+            "one core": lambda: diagnosed(_has_one_core=True),
+            "a thread beside": lambda: diagnosed(_may_fork=False),
+            "a forked copy beside": lambda: diagnosed(_may_fork=True),
+        },
+        3, clock=time.perf_counter,
+    )  # fmt: skip
+    return [
+        Figure("a composite bag", f"{way}: on the wall", float(np.median(taken)), "s")
+        for way, taken in seconds.items()
     ]
 
 
