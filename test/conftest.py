@@ -103,6 +103,29 @@ def pytest_xdist_auto_num_workers() -> int:
     return len(os.sched_getaffinity(0)) + 1
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _one_thread_a_worker() -> Iterator[None]:
+    """Beside other workers a fit's threads only wait for one another, and for the processors:
+    a fit computes in one, as in a thread of a larger calculation. A process that a test starts
+    has its threads."""
+    from sma_bench.estimation import threads
+
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threads._WORKER, "busy", True, raising=False)
+        yield
+
+
+@pytest.fixture
+def threads_of_a_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit's threads, in the tests of a worker too."""
+    from sma_bench.estimation import threads
+
+    monkeypatch.setattr(threads._WORKER, "busy", False, raising=False)
+
+
 @pytest.fixture(autouse=True)
 def _no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a loaded machine any command may be slow enough to say so; errors are counted by line."""
