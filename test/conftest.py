@@ -6,9 +6,11 @@ import os
 import random
 import shutil
 import signal
+import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import hypothesis
@@ -241,6 +243,23 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         yield domain
     finally:
         os.close(lock)
+
+
+@pytest.fixture
+def nodes_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nodes of NodeProcesses forked, as those of test/nodes are: a process each, without the
+    second that reading the libraries takes."""
+    from forked_nodes import ForkedNode
+
+    from sma_bench.ros import processes
+
+    def started(command: list[str], stdout: Any, **_: Any) -> ForkedNode:
+        assert command[1:3] == ["-m", "sma_bench.nodes.start"]
+        return ForkedNode(command[3], command[4:], stdout.fileno())
+
+    names = ("STDOUT", "DEVNULL", "TimeoutExpired")
+    stand_in = SimpleNamespace(Popen=started, **{name: getattr(subprocess, name) for name in names})
+    monkeypatch.setattr(processes, "subprocess", stand_in)
 
 
 def _lock_free_domain() -> tuple[int, int]:

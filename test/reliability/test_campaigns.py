@@ -81,7 +81,7 @@ def test_an_allowance_ends_what_takes_too_long_or_too_much():
 
 
 @pytest.mark.slow
-def test_killed_recorders_lose_a_second_at_most(ros_domain, tmp_path):
+def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from campaign.killed_recorder import killed_recorder
 
@@ -91,7 +91,7 @@ def test_killed_recorders_lose_a_second_at_most(ros_domain, tmp_path):
 
 
 @pytest.mark.slow
-def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, tmp_path):
+def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from campaign.foreign_traffic import foreign_traffic, leaping_clocks
 
@@ -100,7 +100,7 @@ def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, tmp_pa
 
 
 @pytest.mark.slow
-def test_killed_nodes_start_again(ros_domain, tmp_path):
+def test_killed_nodes_start_again(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from campaign.restarted_nodes import orders, restarted_nodes
 

@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 _AFTER_THE_FORK = ("rclpy", "launch", "launch_ros", "ament_index_python", "sma_bench.nodes")
 _LONGEST_REQUEST = 1 << 20
 
