@@ -1,5 +1,7 @@
 """E9: the joint fit on synthetic truth and on the measured alloys."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +10,8 @@ import pytest
 from sma_bench.errors import InputError
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.constitutive.law import elastic, make_loops, martensite_fractions, strain_of
+from sma_bench.identify.estimate import Experiment
+from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 from sma_bench.physics.material import (
@@ -71,9 +75,15 @@ def draw(seed: int) -> Parameters:
     return Parameters.defaults().replace(values, moduli)
 
 
-def test_contract_material_comes_back_with_the_contract_law() -> None:
+@pytest.fixture(scope="module")
+def fitted() -> Experiment:
+    """Four loops of the third draw."""
     truth = draw(3)
-    experiment = fit_constitutive([record(s, truth, k) for k, s in enumerate(STRESSES)], truth)
+    return fit_constitutive([record(s, truth, k) for k, s in enumerate(STRESSES)], truth)
+
+
+def test_contract_material_comes_back_with_the_contract_law(fitted: Experiment) -> None:
+    truth, experiment = draw(3), fitted
     assert all("contract law" in e.method for e in experiment.estimates.values())
     for name in FITTED:
         estimate = experiment.estimates[name]
@@ -131,9 +141,8 @@ def test_one_stress_takes_the_influences_as_given() -> None:
     assert any("taken as given" in f.text for f in experiment.findings)
 
 
-def test_correlations_are_reported() -> None:
-    truth = draw(3)
-    experiment = fit_constitutive([record(s, truth, k) for k, s in enumerate(STRESSES)], truth)
+def test_correlations_are_reported(fitted: Experiment) -> None:
+    experiment = fitted
     matrix = experiment.curves["correlation"]
     np.testing.assert_allclose(np.diag(matrix), 1.0, rtol=1e-6)
     assert np.all(np.abs(matrix) <= 1.0 + 1e-9)
@@ -180,13 +189,22 @@ def test_flat_strain_is_refused() -> None:
         fit_constitutive([IsobaricRecord(Path("flat"), "flat", 1e7, "1", (cycle,))])
 
 
+def sample(measured_data: Path, number: int) -> list[IsobaricRecord]:
+    folder = measured_data / "sma_react" / "input" / f"cal_sample_{number}"
+    return [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
+
+
+@pytest.fixture(scope="module")
+def measured(measured_data: Path) -> Callable[[int], Experiment]:
+    """The joint fit of a measured alloy, by its number; fitted once."""
+    return cache(lambda number: fit_constitutive(sample(measured_data, number)))
+
+
 @pytest.mark.parametrize("number", [1, 2])
 def test_measured_alloys_are_met_within_five_percent_at_every_stress(
-    measured_data: Path, number: int
+    measured_data: Path, measured: Callable[[int], Experiment], number: int
 ) -> None:
-    folder = measured_data / "sma_react" / "input" / f"cal_sample_{number}"
-    tests = [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
-    experiment = fit_constitutive(tests)
+    tests, experiment = sample(measured_data, number), measured(number)
     contract, extended = (f for f in experiment.findings if f.subject == "fit error")
     assert len(extended.numbers) == len(tests)
     assert max(extended.numbers.values()) < 0.05
@@ -197,6 +215,18 @@ def test_measured_alloys_are_met_within_five_percent_at_every_stress(
         # Known of NiTiHf: some 10e-6 1/K in both phases.
         assert experiment.details["extended: alpha_A"].value == pytest.approx(10.8, abs=1.5)
         assert experiment.details["extended: alpha_M"].value == pytest.approx(9.4, abs=1.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 2])
+def test_measured_temperatures_of_single_branches_agree_with_the_joint_fit(
+    measured_data: Path, measured: Callable[[int], Experiment], number: int
+) -> None:
+    branches = identify_isobaric(sample(measured_data, number)).estimates
+    jointly = measured(number).estimates
+    for name in (n for n in jointly if n.endswith("_temperature")):
+        apart = branches[name].value - jointly[name].value
+        assert abs(apart) < 2.5 * np.hypot(branches[name].std, jointly[name].std), name
 
 
 def test_seven_cycles_do_not_fit_one_set_and_each_its_own(measured_data: Path) -> None:

@@ -1,12 +1,13 @@
 """E6: tangents, repeats, and the stress-temperature diagram."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.estimate import Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tangents import strain_tangents
@@ -223,6 +224,12 @@ def sample(measured_data: Path, number: int) -> list[IsobaricRecord]:
     return [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
 
 
+@pytest.fixture(scope="module")
+def measured(measured_data: Path) -> Callable[[int], Experiment]:
+    """What E6 finds in a measured alloy, by its number; found once."""
+    return cache(lambda number: identify_isobaric(sample(measured_data, number)))
+
+
 def left_over(test: IsobaricRecord, experiment: Experiment, convention: str) -> float:
     """Rms over the strain recovered that eqs. (10), (11) leave of a measured loop with the
     temperatures of one convention, each branch between two free straight lines."""
@@ -243,29 +250,16 @@ def left_over(test: IsobaricRecord, experiment: Experiment, convention: str) -> 
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_measured_loops_follow_the_temperatures_given_better_than_the_tangents(
-    measured_data: Path, number: int
+    measured_data: Path, measured: Callable[[int], Experiment], number: int
 ) -> None:
-    tests = sample(measured_data, number)
-    experiment = identify_isobaric(tests)
+    tests, experiment = sample(measured_data, number), measured(number)
     pairs = [[left_over(t, experiment, c) for c in ("cosine", "tangent")] for t in tests]
     assert all(cosine < 1.05 * tangent for cosine, tangent in pairs), pairs
     assert np.mean([c for c, _ in pairs]) < 0.85 * np.mean([t for _, t in pairs]), pairs
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 2])
-def test_measured_temperatures_agree_with_the_joint_fit_of_all_loops(
-    measured_data: Path, number: int
-) -> None:
-    tests = sample(measured_data, number)
-    branches, jointly = identify_isobaric(tests).estimates, fit_constitutive(tests).estimates
-    for name in (n for n in jointly if n.endswith("_temperature")):
-        apart = branches[name].value - jointly[name].value
-        assert abs(apart) < 2.5 * np.hypot(branches[name].std, jointly[name].std), name
-
-
-def test_nitihf_tangents_and_influences(measured_data: Path) -> None:
-    experiment = identify_isobaric(sample(measured_data, 2))
+def test_nitihf_tangents_and_influences(measured: Callable[[int], Experiment]) -> None:
+    experiment = measured(2)
     details = experiment.details
     # Read off the plotted curves by hand, to 3 K.
     by_hand = {
@@ -299,9 +293,11 @@ PUBLISHED = {
 READ_OFF = 1.0 / np.sqrt(12.0)  # K
 
 
-def test_nitihf_beside_what_its_authors_published(measured_data: Path) -> None:
+def test_nitihf_beside_what_its_authors_published(
+    measured: Callable[[int], Experiment]
+) -> None:
     """With -s the table of docs/experiments/E6.md."""
-    experiment = identify_isobaric(sample(measured_data, 2))
+    experiment = measured(2)
     found = {**experiment.details, **experiment.estimates}
     print("\n| number | published | identified | apart | standard errors |")
     print("| --- | --- | --- | --- | --- |")
@@ -318,8 +314,8 @@ def test_nitihf_beside_what_its_authors_published(measured_data: Path) -> None:
             assert abs(errors) < 2.6, name
 
 
-def test_nitico_tangents_and_influences(measured_data: Path) -> None:
-    experiment = identify_isobaric(sample(measured_data, 1))
+def test_nitico_tangents_and_influences(measured: Callable[[int], Experiment]) -> None:
+    experiment = measured(1)
     details = experiment.details
     assert details["A_f (tangent) at 200 MPa"].value == pytest.approx(282.5, abs=2.0)
     assert details["M_s (tangent) at 50 MPa"].value == pytest.approx(237.0, abs=2.0)

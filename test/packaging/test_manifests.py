@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree
@@ -40,16 +41,17 @@ OPTIONAL = {"distributed": ("distributed", "cluster"), "pandas": ("pandas", "not
 ROS = re.compile(r"rclpy|rosidl_\w+|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
 
 
-def imported() -> set[str]:
+@cache
+def imported() -> frozenset[str]:
     """Top-level modules that the package and its launch files import, less Python's own."""
-    found = set()
+    found: set[str] = set()
     for path in [*ROOT.glob("sma_bench/**/*.py"), *ROOT.glob("launch/**/*.py")]:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.partition(".")[0])
-    return found - sys.stdlib_module_names - {"sma_bench"}
+    return frozenset(found - sys.stdlib_module_names - {"sma_bench"})
 
 
 STAGED = ("requirements-build.txt", "requirements.txt", "requirements-test.txt",
