@@ -11,6 +11,7 @@ Commands of ROS 2 and nodes that run until they are stopped are never run here: 
 arguments are checked by test_documented_commands.py, the nodes by tests of their own.
 """
 
+import contextlib
 import os
 import re
 import shlex
@@ -33,6 +34,8 @@ _BLOCK = re.compile(
 )
 _NOTE = re.compile(r"<!-- (first|file|not run): (.*?) -->")
 _SHELL = re.compile(r"[|<>;&$`*~]")
+# Output into a file, which needs no shell either.
+_WRITTEN = re.compile(r"(?P<command>[^|<>;&$`*~]+) >(?P<more>>?) (?P<file>~?[\w./-]+)")
 _BENCH = '#!/bin/sh\nexec "{python}" -P -m sma_bench.cli "$@"\n'
 
 
@@ -122,6 +125,11 @@ class PageRunner:
             instrument_files.write(words[1])
         elif words[0] in PROGRAMS and not _SHELL.search(command):
             assert main(words[1:]) == 0, command
+        elif words[0] in PROGRAMS and (written := _WRITTEN.fullmatch(command)):
+            place = Path(written["file"].replace("~", self._shell["HOME"], 1))
+            mode = "a" if written["more"] else "w"
+            with place.open(mode) as file, contextlib.redirect_stdout(file):
+                assert main(shlex.split(written["command"])[1:]) == 0, command
         else:
             shell = ["bash", "-eo", "pipefail", "-c", command]
             done = subprocess.run(shell, env=self._shell, text=True, capture_output=True)
