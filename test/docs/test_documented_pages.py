@@ -125,6 +125,7 @@ def test_a_page_is_run_in_order_and_only_what_can_be(tmp_path, monkeypatch):
     [
         "```\n./bench identfy x\n```",
         "```\nsma-bench info nowhere | cat\n```",
+        "```\nsma-bench info nowhere > told\n```",
         "```\ncd nowhere\n```",
         "```python\n1 / 0\n```",
     ],

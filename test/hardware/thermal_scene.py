@@ -2,6 +2,7 @@
 a wire painted on pixels divided by eight, blurred and averaged."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -21,12 +22,16 @@ def radiance(kelvin):
     )
 
 
-GRID = np.arange(220.0, 640.0, 0.25)
-GRID_RADIANCE = radiance(GRID)
+@cache
+def grid():
+    """Temperatures and their radiances."""
+    kelvin = np.arange(220.0, 640.0, 0.25)
+    return kelvin, radiance(kelvin)
 
 
 def temperature(value):
-    return np.interp(value, GRID_RADIANCE, GRID)
+    kelvin, radiances = grid()
+    return np.interp(value, radiances, kelvin)
 
 
 def scene(

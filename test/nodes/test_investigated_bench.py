@@ -19,6 +19,8 @@ from sma_bench.tasks.investigation import Investigation, NextRun
 from sma_bench.tasks.jobs import InvestigationJob
 
 SPACE = "/investigated"
+# Messages take most of the processor's time.
+RATES = {"rate__power": 20.0, "rate__temperature": 20.0, "rate__mechanics": 20.0}
 
 
 def planned(folder, lab, level, seconds, bag):
@@ -28,6 +30,7 @@ def planned(folder, lab, level, seconds, bag):
     return NextRun(path, load_protocol(path, lab), folder / bag)
 
 
+@pytest.mark.usefixtures("nodes_forked")
 def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, tmp_path):
     lab = Parameters.defaults().replace({"bench.maximum_temperature": 315.0})
     write_parameters(tmp_path / "lab.yaml", lab)
@@ -61,7 +64,7 @@ def test_the_node_waits_for_confirmation_stops_at_0_v_and_goes_on_after_kill_9(b
         return bench.start("investigation", tmp_path / "lab.yaml", use_sim_time=True,
                            folder=tmp_path / "gap", output_root=tmp_path)
 
-    bench.start("simulator", tmp_path / "lab.yaml", speed=5.0)
+    bench.start("simulator", tmp_path / "lab.yaml", speed=5.0, **RATES)
     bench.start("experiment", tmp_path / "lab.yaml", use_sim_time=True, require_recorder=True,
                 protocol="composite_triangle", protocol_root=tmp_path)
     node = investigation()

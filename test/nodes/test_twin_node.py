@@ -15,7 +15,7 @@ HIDDEN = {EFFECT: 0.002}
 PULSE = 7.0  # s
 SPEED = 10.0
 # Messages take most of the processor's time.
-RATES = {"rate__power": 40.0, "rate__temperature": 40.0, "rate__mechanics": 40.0}
+RATES = {"rate__power": 25.0, "rate__temperature": 25.0, "rate__mechanics": 25.0}
 
 pytestmark = pytest.mark.slow
 
