@@ -42,14 +42,19 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
 
-# Some 20 s each and more, on the wall.
+# Some 15 s each and more, on the wall, the longest first.
 LONGEST = (
-    "commands/test_demo", "nodes/test_bridge_faults", "identify/test_campaign",
-    "nodes/test_twin_node", "nodes/test_serial_bridge", "docs/test_documented_pages",
-    "perf/test_perf", "nodes/test_controllers", "reliability/test_campaigns",
-    "identify/test_composite", "batch/test_batch", "nodes/test_launch_files",
-    "blind/test_making_cases", "packaging/test_bench_script", "packaging/test_installing",
-    "identify/test_constitutive", "identify/test_load_frame", "diagnose/test_next_experiment",
+    "docs/test_documented_pages", "commands/test_demo", "nodes/test_bridge_faults",
+    "reliability/test_campaigns", "nodes/test_twin_node", "nodes/test_investigated_bench",
+    "nodes/test_serial_bridge", "blind/test_making_cases", "perf/test_perf",
+    "nodes/test_controllers", "packaging/test_bench_script", "nodes/test_simulator",
+    "nodes/test_experiment", "nodes/test_ir_camera", "nodes/test_recorder",
+    "nodes/test_dashboard", "batch/test_batch", "test_architecture", "identify/test_moving_loads",
+    "twin/test_twin", "identify/test_composite", "identify/test_constitutive",
+    "identify/test_campaign", "nodes/test_launch_files", "packaging/test_installing",
+    "identify/test_coverage_of_errors", "diagnose/test_tutorial", "report/test_collected_report",
+    "report/test_paper", "identify/test_isobaric", "docs/test_site", "identify/test_load_frame",
+    "diagnose/test_next_experiment",
 )
 
 # Run again when they fail, and why; the summary names every rerun. All others have one try.
