@@ -111,26 +111,25 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _one_thread_a_worker() -> Iterator[None]:
-    """Beside other workers a fit's threads only wait for one another, and for the processors:
-    a fit computes in one, as in a thread of a larger calculation. A process that a test starts
-    has its threads."""
-    from sma_bench.estimation import threads
+def _one_core_a_worker() -> Iterator[None]:
+    """Beside other workers the two halves of a fit only wait for one another: it computes on one
+    core, as in a part of a larger calculation. A process that a test starts has both."""
+    from sma_bench.estimation import side_by_side
 
     if "PYTEST_XDIST_WORKER" not in os.environ:
         yield
         return
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(threads._WORKER, "busy", True, raising=False)
+        patch.setattr(side_by_side._WORKER, "busy", True, raising=False)
         yield
 
 
 @pytest.fixture
-def threads_of_a_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fit's threads, in the tests of a worker too."""
-    from sma_bench.estimation import threads
+def both_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit's two halves side by side, in the tests of a worker too."""
+    from sma_bench.estimation import side_by_side
 
-    monkeypatch.setattr(threads._WORKER, "busy", False, raising=False)
+    monkeypatch.setattr(side_by_side._WORKER, "busy", False, raising=False)
 
 
 @pytest.fixture(autouse=True)

@@ -26,6 +26,7 @@ from sma_bench.commands.demo_acts import (
     RECORD,
     SIMULATED,
     TABLE_ONE,
+    VALIDATION,
     confidently_wrong,
     gap_on_new_drive,
     hidden_bench,
@@ -56,8 +57,6 @@ FIGURES = {
 }
 LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig.yaml")
 SEEDS = range(60)
-# In place of three slow triangles, which take longer than both protocols that are fitted.
-BRIEF = "ramp"
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
@@ -295,7 +294,6 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
         monkeypatch.setenv(variable, "")  # the demo sets them for itself; put back afterwards
         monkeypatch.delenv(variable)
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
-    monkeypatch.setattr(demo_acts, "VALIDATION", BRIEF)
     out = tmp_path / "demo"
     answer_file = tmp_path / "demo.json"
     words = ["--draw", "3", "--out", str(out), "--json", str(answer_file)]
@@ -306,7 +304,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     identified = read_parameters(out / "identified.yaml")
     assert truth["resistance"] != pytest.approx(2.6987, rel=0.01)
     assert identified["wire.resistance"] == pytest.approx(truth["resistance"], rel=0.005)
-    assert {path.name for path in (out / "bags").iterdir()} == {*QUICK, BRIEF}
+    assert {path.name for path in (out / "bags").iterdir()} == {*QUICK, VALIDATION}
     assert {path.stem for path in (out / "report").glob("*.png")} == FIGURES
     assert (out / "report" / "index.html").stat().st_size > 100_000
     found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))

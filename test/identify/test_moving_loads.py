@@ -10,7 +10,7 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 
 import sma_bench
 from sma_bench.errors import InputError
-from sma_bench.estimation import threads
+from sma_bench.estimation import side_by_side
 from sma_bench.identify import identify
 from sma_bench.identify.whole_model import (
     identify_moving_bench,
@@ -131,15 +131,17 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
         assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
 
 
-def test_a_fit_in_threads_is_that_in_one(monkeypatch):
+def test_a_fit_on_both_cores_is_that_on_one(both_cores, monkeypatch):
     believed = Parameters({**BELIEVED, **RIGS["spring"]})
     record = recorded(drawn(believed, seed=4), "triangle", 1)
     found = []
-    for busy in (False, True):
-        monkeypatch.setattr(threads._WORKER, "busy", busy, raising=False)
-        found.append(identify_moving_bench([record], believed).estimates)
-    for name, estimate in found[0].items():
-        assert (estimate.value, estimate.std) == (found[1][name].value, found[1][name].std), name
+    for ways in ({"_has_one_core": True}, {"_may_fork": False}, {"_may_fork": True}):
+        with monkeypatch.context() as patch:
+            for name, answer in ways.items():
+                patch.setattr(side_by_side, name, lambda answer=answer: answer)
+            estimates = identify_moving_bench([record], believed).estimates
+            found.append({name: (e.value, e.std) for name, e in estimates.items()})
+    assert found[0] == found[1] == found[2]
 
 
 def test_a_current_source_needs_no_voltmeter():

@@ -17,6 +17,8 @@ from sma_bench.errors import InputError
 from sma_bench.estimation import side_by_side
 from sma_bench.estimation.side_by_side import in_processes, in_threads
 
+pytestmark = pytest.mark.usefixtures("both_cores")
+
 NUMBERS = [(k,) for k in range(12)]
 HERE = os.getpid()
 
@@ -42,6 +44,26 @@ def slowly(k):
 @pytest.mark.parametrize("side_by", [in_threads, in_processes])
 def test_results_come_in_the_order_of_the_arguments(side_by, forking):
     assert [square for square, _ in side_by(slowly, NUMBERS)] == [k**2 for (k,) in NUMBERS]
+
+
+def test_a_thread_does_what_its_calls_call_in_their_turn():
+    def inner(k):
+        return in_threads(lambda j: (k, j, threading.get_ident()), [(j,) for j in range(3)])
+
+    def outer(k):
+        time.sleep(0.02 * (k == 0))  # the first ends last
+        return k, threading.get_ident(), inner(k)
+
+    found = in_threads(outer, [(k,) for k in range(6)])
+    assert [k for k, _, _ in found] == list(range(6))
+    assert len({thread for _, thread, _ in found} - {threading.get_ident()}) == 2
+    for k, thread, below in found:
+        assert below == [(k, j, thread) for j in range(3)]
+
+
+def test_an_error_in_a_thread_is_that_of_the_call():
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda k: 1 / k, [(2,), (1,), (0,)])
 
 
 def test_a_copy_of_this_process_does_its_part(forking):
