@@ -33,6 +33,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--limit", metavar="N", help="stop after N more cases")
     args = parser.parse_args(words)
     answers = Path(args.set) / ANSWERS
+    if not any(is_kept(answers / DIAGNOSIS, name) for name in read_case_set(args.set).names):
+        parser.error(f"{args.set}: no case is answered yet (sma-bench blind run {args.set})")
     program = f"{sys.executable} {Path(__file__).resolve()}"
     limit = ["--limit", args.limit] if args.limit else []
     code = cli.main([
