@@ -141,8 +141,9 @@ def test_an_interrupt_ends_the_work_and_the_copy(forking):
 
 
 def children():
-    with open(f"/proc/self/task/{HERE}/children") as file:
-        return [int(number) for number in file.read().split()]
+    return [
+        int(name) for name in os.listdir("/proc") if name.isdigit() and _parent(name) == HERE
+    ]
 
 
 def test_inside_side_by_side_work_there_is_no_more_of_it(forking):
@@ -205,8 +206,17 @@ def test_a_copy_ends_with_the_process_that_made_it():
 
 
 def _lives(number):
+    return _state(number)[:1] not in ([], ["Z"])
+
+
+def _parent(number):
+    return int((_state(number) or [0, 0])[1])
+
+
+def _state(number):
+    """State, parent and more of a process; empty after its end."""
     try:
         with open(f"/proc/{number}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
+            return file.read().rpartition(")")[2].split()
     except OSError:
-        return False
+        return []
