@@ -13,7 +13,7 @@ from sma_bench.diagnose.tails import gain_of_tails, with_tails
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.side_by_side import in_processes
-from sma_bench.estimation.solver import Fit, fit, recalibrate
+from sma_bench.estimation.solver import Fit, fit, fits_in_processes, recalibrate
 from sma_bench.estimation.unknowns import Unknowns, unknowns_of, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
@@ -116,7 +116,7 @@ def search(
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("the best again, carefully")
     worth = [(singles[name],) for name in _worth_refining(singles, recalibrated)]
-    again = in_processes(_refined, worth, problem.held)
+    again = fits_in_processes(_refined, worth, problem)
     again += [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
     for found in again:
         (name,) = found.unknowns.effects
@@ -178,20 +178,20 @@ def _singles(
     if not names:
         return {}
     progress(names[0])
-    held = recalibrated.problem.held
+    problem = recalibrated.problem
     found = in_processes(
-        lambda name: find_start(remainder, models[name], name), [(name,) for name in names], held
+        lambda name: find_start(remainder, models[name], name), [(name,) for name in names]
     )
     starts = dict(zip(names, found, strict=True))
     ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
     first = ranked[:_FIRST]
-    begun = in_processes(single, [(name,) for name in first], held)
+    begun = fits_in_processes(single, [(name,) for name in first], problem)
     fits = dict(zip(first, begun, strict=True))
     lead = max((f.evidence - recalibrated.evidence for f in fits.values()), default=0.0)
     hopeless = {n for n in ranked[_FIRST:] if _PROMISES * starts[n].gain < lead - _BEYOND}
     others = ranked[_FIRST:]
-    rest = in_processes(lambda name: (off if name in hopeless else single)(name),
-                        [(name,) for name in others], held)  # fmt: skip
+    rest = fits_in_processes(lambda name: (off if name in hopeless else single)(name),
+                             [(name,) for name in others], problem)  # fmt: skip
     fits |= zip(others, rest, strict=True)
     return {name: fits[name] for name in names}
 
@@ -220,13 +220,13 @@ def _from_belief(
     remainder = Remainder(believed)
     starts = in_processes(
         lambda name: find_start(remainder, baseline.with_effects([name]), name),
-        [(name,) for name in names], problem.held,
+        [(name,) for name in names],
     )
     ranked = sorted(zip(names, starts, strict=True), key=lambda s: s[1].gain, reverse=True)
     best = ranked[:_MOST_FROM_BELIEF]
-    fits = in_processes(
+    fits = fits_in_processes(
         lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True),
-        best, problem.held,
+        best, problem,
     )
     return {name: found for (name, _), found in zip(best, fits, strict=True)}
 
@@ -311,5 +311,4 @@ def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[
     partners = [partner for partner in singles if partner != name]
     promises = in_processes(promise, [(partner,) for partner in partners])
     order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
-    held = singles[name].problem.held
-    return in_processes(pair, [(partners[k],) for k in order], held)
+    return fits_in_processes(pair, [(partners[k],) for k in order], singles[name].problem)

@@ -136,11 +136,6 @@ class Problem:
             },
         )
 
-    @property
-    def held(self) -> tuple[object, ...]:
-        """What all fits to these records have in common, and is large."""
-        return *self.observations, self.nuisances, *self.nuisances, self.shared
-
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """The index of the rows: records in order, signals in order."""

@@ -4,8 +4,6 @@ forked copy of this process, where most of the work is Python's own.
 
 import gc
 import os
-import pickle
-import select
 import signal
 import sys
 import threading
@@ -13,8 +11,8 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from io import BytesIO
-from multiprocessing import parent_process
+from multiprocessing import Pipe, parent_process
+from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from sma_bench.lifeline import end_after
@@ -25,6 +23,10 @@ _THREADS = 2
 _WORKER = threading.local()
 _MOST = 255  # places that a byte can name
 _PATIENCE = 300.0  # s after this process is done with its own part
+
+
+def _as_it_is(result: Any) -> Any:
+    return result
 
 
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
@@ -45,16 +47,17 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
 
 
 def in_processes(
-    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], shared: Sequence[object] = ()
+    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]],
+    packed: Callable[[T], Any] = _as_it_is, unpacked: Callable[[Any], T] = _as_it_is,
 ) -> list[T]:
     """As `in_threads`, on two cores whatever share of the work is Python's.
 
-    A forked copy of this process has everything already; only its results come back, pickled.
+    A forked copy of this process has everything already; only its results are handed over.
     Whatever it does not deliver is done here, so an error is raised where it can be read. Threads
     do it where a fork could be caught in another thread's lock.
 
     Args:
-        shared: what results refer to and need not bring along.
+        packed: a result without what is large and here as well; unpacked: whole again.
     """
     if _has_one_core() or len(arguments) < 2:
         return [function(*args) for args in arguments]
@@ -75,9 +78,9 @@ def in_processes(
             _WORKER.busy = False
 
     try:
-        with _copy_doing(work, shared) as delivered:
+        with _copy_doing(lambda: {k: packed(one) for k, one in work().items()}) as delivered:
             done = work()
-            done = delivered() | done
+            done |= {k: unpacked(one) for k, one in delivered().items()}
     finally:
         os.close(queue)
     return [
@@ -86,29 +89,35 @@ def in_processes(
 
 
 @contextmanager
-def _copy_doing(
-    work: Callable[[], dict[int, T]], shared: Sequence[object]
-) -> Iterator[Callable[[], dict[int, T]]]:
+def _copy_doing(work: Callable[[], dict[int, Any]]) -> Iterator[Callable[[], dict[int, Any]]]:
     """A forked copy of this process that does `work` meanwhile; what is yielded gets its results,
     none where it was killed, could not be made, or does not answer.
 
     No signal reaches the copy: what ends this process ends it too.
     """
-    results, deliver = os.pipe()
+    results, deliver = Pipe(duplex=False)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     own, copy = os.getpid(), 0
+
+    def delivered() -> dict[int, Any]:
+        with suppress(EOFError):
+            if results.poll(_PATIENCE):
+                found: dict[int, Any] = results.recv()
+                return found
+        return {}
+
     try:
         with suppress(OSError):
             copy = _fork()
             if copy == 0:
-                os.close(results)
-                _deliver(work, shared, deliver, own)
-        os.close(deliver)
+                results.close()
+                _deliver(work, deliver, own)
+        deliver.close()
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        yield lambda: _received(results, shared)
+        yield delivered
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        os.close(results)
+        results.close()
         if copy:
             with suppress(OSError):
                 os.kill(copy, signal.SIGKILL)
@@ -138,42 +147,13 @@ def _fork() -> int:
 
 
 def _deliver(
-    work: Callable[[], dict[int, Any]], shared: Sequence[object], deliver: int, parent: int
+    work: Callable[[], dict[int, Any]], deliver: Connection, parent: int
 ) -> None:
     """The forked copy: it works, hands its results over and is gone."""
     try:
         gc.disable()
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115, of which it has nothing
         end_after(parent, signal.SIGKILL)
-        with open(deliver, "wb") as pipe:
-            pipe.write(_sent(work(), shared))
+        deliver.send(work())
     finally:
         os._exit(0)
-
-
-def _sent(done: dict[int, Any], shared: Sequence[object]) -> bytes:
-    places = {id(one): place for place, one in enumerate(shared)}
-
-    class Pickler(pickle.Pickler):
-        def persistent_id(self, one: object) -> int | None:
-            return places.get(id(one))
-
-    written = BytesIO()
-    Pickler(written, pickle.HIGHEST_PROTOCOL).dump(done)
-    return written.getvalue()
-
-
-def _received(results: int, shared: Sequence[object]) -> dict[int, Any]:
-    class Unpickler(pickle.Unpickler):
-        def persistent_load(self, place: int) -> object:
-            return shared[place]
-
-    if not select.select([results], [], [], _PATIENCE)[0]:
-        return {}
-    with open(results, "rb", closefd=False) as delivered:
-        data = delivered.read()
-    try:
-        found: dict[int, Any] = Unpickler(BytesIO(data)).load()
-    except (EOFError, pickle.UnpicklingError):
-        return {}
-    return found

@@ -12,13 +12,15 @@ scipy.optimize.least_squares ends at the same place after several times as many 
 of a nat.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation.noise_model import Array, Noise
+from sma_bench.estimation.nuisances import Nuisances
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.side_by_side import in_processes
 from sma_bench.estimation.unknowns import Unknowns
@@ -149,6 +151,27 @@ def fit(
     return state.finished()
 
 
+def fits_in_processes(
+    function: Callable[..., Fit], arguments: Sequence[tuple[Any, ...]], problem: Problem
+) -> list[Fit]:
+    """Fits of the records of `problem`, which are not handed from process to process."""
+
+    def packed(fitted: Fit) -> tuple[Fit, dict[str, Noise], tuple[Nuisances, ...] | None]:
+        found = fitted.problem
+        own = None if found.nuisances is problem.nuisances else found.nuisances
+        return replace(fitted, problem=None), found.noise, own  # type: ignore[arg-type]
+
+    def unpacked(sent: tuple[Fit, dict[str, Noise], tuple[Nuisances, ...] | None]) -> Fit:
+        fitted, noise, own = sent
+        found = replace(problem, noise=noise)
+        return replace(
+            fitted,
+            problem=found if own is None else replace(found, nuisances=own, shared={}),
+        )
+
+    return in_processes(function, arguments, packed, unpacked)
+
+
 def recalibrate(
     problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
     report: Report = silent,
@@ -165,7 +188,7 @@ def recalibrate(
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
         return fit(first, unknowns, x, far=True)
 
-    tried = in_processes(from_start, list(enumerate(starts)), first.held)
+    tried = fits_in_processes(from_start, list(enumerate(starts)), first)
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
     return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
