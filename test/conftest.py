@@ -67,9 +67,6 @@ RERUN = {
         "failed once at nine times the load that the processors can take; cause not known",
     "test/reliability/test_campaigns.py::test_killed_recorders_lose_a_second_at_most":
         "a second of the wall's clock, of recorders that others may keep from running",
-    "test/security/test_two_machines.py::"
-    "test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened":
-        "of five nodes of this machine one was not discovered within 45 s, once; cause not known",
 }  # fmt: skip
 
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.

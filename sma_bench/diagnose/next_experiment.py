@@ -66,8 +66,6 @@ _TAKEN_UP = 3.5
 # A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
 _MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
 _SETUP = 5.0  # minutes until the bench is cold and recorded again
-
-
 # Of the most that any drive tells. One that tells much more settles less: of a large gain equations
 # are off by their share.
 _PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))

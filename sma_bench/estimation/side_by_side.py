@@ -100,7 +100,7 @@ def _copy_doing(work: Callable[[], dict[int, Any]]) -> Iterator[Callable[[], dic
     own, copy = os.getpid(), 0
 
     def delivered() -> dict[int, Any]:
-        with suppress(EOFError):
+        with suppress(EOFError, OSError):  # killed before, or amid, its answer
             if results.poll(_PATIENCE):
                 found: dict[int, Any] = results.recv()
                 return found
@@ -110,7 +110,6 @@ def _copy_doing(work: Callable[[], dict[int, Any]]) -> Iterator[Callable[[], dic
         with suppress(OSError):
             copy = _fork()
             if copy == 0:
-                results.close()
                 _deliver(work, deliver, own)
         deliver.close()
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.estimation.noise_model import Array, Noise
-from sma_bench.estimation.nuisances import Nuisances
+from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.side_by_side import in_processes
 from sma_bench.estimation.unknowns import Unknowns
@@ -156,17 +155,19 @@ def fits_in_processes(
 ) -> list[Fit]:
     """Fits of the records of `problem`, which are not handed from process to process."""
 
-    def packed(fitted: Fit) -> tuple[Fit, dict[str, Noise], tuple[Nuisances, ...] | None]:
-        found = fitted.problem
-        own = None if found.nuisances is problem.nuisances else found.nuisances
-        return replace(fitted, problem=None), found.noise, own  # type: ignore[arg-type]
-
-    def unpacked(sent: tuple[Fit, dict[str, Noise], tuple[Nuisances, ...] | None]) -> Fit:
-        fitted, noise, own = sent
-        found = replace(problem, noise=noise)
+    def packed(fitted: Fit) -> Fit:
+        own = fitted.problem.nuisances
+        own = () if own is problem.nuisances else own
         return replace(
-            fitted,
-            problem=found if own is None else replace(found, nuisances=own, shared={}),
+            fitted, problem=replace(fitted.problem, observations=(), nuisances=own, shared={})
+        )
+
+    def unpacked(sent: Fit) -> Fit:
+        same, own = problem.observations, sent.problem.nuisances
+        nuisances, shared = (own, {}) if own else (problem.nuisances, problem.shared)
+        return replace(
+            sent,
+            problem=replace(sent.problem, observations=same, nuisances=nuisances, shared=shared),
         )
 
     return in_processes(function, arguments, packed, unpacked)

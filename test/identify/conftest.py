@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sma_bench.records import Record, Signal
+from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
 
 ADC_STEP = 10.0 / 1023.0
 CURRENT_STEP = 0.026
@@ -211,3 +213,16 @@ def staircase() -> Callable[..., Record]:
 @pytest.fixture
 def ramp() -> Callable[..., Record]:
     return ramp_record
+
+
+@pytest.fixture(scope="session")
+def alloy(measured_data: Path) -> Callable[[int], list[IsobaricRecord]]:
+    """Measured loops of an alloy, by its number."""
+    folder = measured_data / "sma_react" / "input"
+
+    @cache
+    def loops(number: int) -> list[IsobaricRecord]:
+        files = sorted((folder / f"cal_sample_{number}").glob("*MPa.txt"))
+        return [read_isobaric(path) for path in files]
+
+    return loops

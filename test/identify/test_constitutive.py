@@ -189,22 +189,20 @@ def test_flat_strain_is_refused() -> None:
         fit_constitutive([IsobaricRecord(Path("flat"), "flat", 1e7, "1", (cycle,))])
 
 
-def sample(measured_data: Path, number: int) -> list[IsobaricRecord]:
-    folder = measured_data / "sma_react" / "input" / f"cal_sample_{number}"
-    return [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
+Alloy = Callable[[int], list[IsobaricRecord]]
 
 
 @pytest.fixture(scope="module")
-def measured(measured_data: Path) -> Callable[[int], Experiment]:
+def measured(alloy: Alloy) -> Callable[[int], Experiment]:
     """The joint fit of a measured alloy, by its number; fitted once."""
-    return cache(lambda number: fit_constitutive(sample(measured_data, number)))
+    return cache(lambda number: fit_constitutive(alloy(number)))
 
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_measured_alloys_are_met_within_five_percent_at_every_stress(
-    measured_data: Path, measured: Callable[[int], Experiment], number: int
+    alloy: Alloy, measured: Callable[[int], Experiment], number: int
 ) -> None:
-    tests, experiment = sample(measured_data, number), measured(number)
+    tests, experiment = alloy(number), measured(number)
     contract, extended = (f for f in experiment.findings if f.subject == "fit error")
     assert len(extended.numbers) == len(tests)
     assert max(extended.numbers.values()) < 0.05
@@ -220,9 +218,9 @@ def test_measured_alloys_are_met_within_five_percent_at_every_stress(
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2])
 def test_measured_temperatures_of_single_branches_agree_with_the_joint_fit(
-    measured_data: Path, measured: Callable[[int], Experiment], number: int
+    alloy: Alloy, measured: Callable[[int], Experiment], number: int
 ) -> None:
-    branches = identify_isobaric(sample(measured_data, number)).estimates
+    branches = identify_isobaric(alloy(number)).estimates
     jointly = measured(number).estimates
     for name in (n for n in jointly if n.endswith("_temperature")):
         apart = branches[name].value - jointly[name].value

@@ -219,15 +219,13 @@ def test_flat_strain_is_refused() -> None:
         identify_isobaric([flat], TRUTH)
 
 
-def sample(measured_data: Path, number: int) -> list[IsobaricRecord]:
-    folder = measured_data / "sma_react" / "input" / f"cal_sample_{number}"
-    return [read_isobaric(p) for p in sorted(folder.glob("*MPa.txt"))]
+Alloy = Callable[[int], list[IsobaricRecord]]
 
 
 @pytest.fixture(scope="module")
-def measured(measured_data: Path) -> Callable[[int], Experiment]:
+def measured(alloy: Alloy) -> Callable[[int], Experiment]:
     """What E6 finds in a measured alloy, by its number; found once."""
-    return cache(lambda number: identify_isobaric(sample(measured_data, number)))
+    return cache(lambda number: identify_isobaric(alloy(number)))
 
 
 def left_over(test: IsobaricRecord, experiment: Experiment, convention: str) -> float:
@@ -250,9 +248,9 @@ def left_over(test: IsobaricRecord, experiment: Experiment, convention: str) -> 
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_measured_loops_follow_the_temperatures_given_better_than_the_tangents(
-    measured_data: Path, measured: Callable[[int], Experiment], number: int
+    alloy: Alloy, measured: Callable[[int], Experiment], number: int
 ) -> None:
-    tests, experiment = sample(measured_data, number), measured(number)
+    tests, experiment = alloy(number), measured(number)
     pairs = [[left_over(t, experiment, c) for c in ("cosine", "tangent")] for t in tests]
     assert all(cosine < 1.05 * tangent for cosine, tangent in pairs), pairs
     assert np.mean([c for c, _ in pairs]) < 0.85 * np.mean([t for _, t in pairs]), pairs

@@ -117,6 +117,16 @@ def test_what_a_copy_that_does_not_answer_had_taken_is_done_here(forking, monkey
     assert in_processes(work, NUMBERS) == [k for (k,) in NUMBERS]
 
 
+def test_what_a_copy_killed_amid_its_answer_had_done_is_done_here(forking, monkeypatch):
+    def half(work, deliver, parent):
+        work()
+        os.write(deliver.fileno(), b"\0\0\1\0half")  # of 256 bytes
+        os._exit(0)
+
+    monkeypatch.setattr(side_by_side, "_deliver", half)
+    assert [square for square, _ in in_processes(slowly, NUMBERS)] == [k**2 for (k,) in NUMBERS]
+
+
 def test_where_no_process_can_be_made_all_is_done_here(forking, monkeypatch):
     def refused():
         raise BlockingIOError("too many processes")

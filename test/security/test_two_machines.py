@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ BOUND = {
 }  # fmt: skip
 OPEN = {"open": {RANGE: "SUBNET"}}
 PATIENCE = 60.0
+STARTS = 3
 # Calls the stop of every namespace that it finds, for a while after the last one it waits for.
 CALLER = """
 import json, sys, time
@@ -97,30 +99,44 @@ def inside(
     )
 
 
+@contextmanager
+def node(machine: str, name: str) -> Iterator[subprocess.Popen[str]]:
+    """The experiment's, in the namespace of its way to be kept to this machine or opened."""
+    process = inside(
+        machine, [sys.executable, "-m", "sma_bench.nodes.start", "experiment", "--ros-args", "-r",
+                  f"__ns:=/{name}"], {**BOUND, **OPEN}[name],
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
 def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
     two_machines: tuple[str, str], ros_domain: int
 ) -> None:
     here, there = two_machines
     everything = {**BOUND, **OPEN}
-    nodes = [
-        inside(here, [sys.executable, "-m", "sma_bench.nodes.start", "experiment", "--ros-args",
-                      "-r", f"__ns:=/{name}"], variables)
-        for name, variables in everything.items()
-    ]  # fmt: skip
-    peers = {"ROS_STATIC_PEERS": BENCH}
-    try:
-        names = ",".join(everything)
-        here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
-        local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
-        assert local.keys() == everything.keys(), "programs of this machine reach all of them"
+    names = ",".join(everything)
+    with ExitStack() as running:
+        # Beside the whole suite one of the five was not found at its first start, twice; the cause
+        # is not known. What the other machine may see and do has one try.
+        for _ in range(STARTS):
+            running.close()
+            nodes = {name: running.enter_context(node(here, name)) for name in everything}
+            here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
+            local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
+            if local.keys() == everything.keys():
+                break
+        ended = {name: one.returncode for name, one in nodes.items() if one.poll() is not None}
+        missing = everything.keys() - local.keys()
+        assert not missing, f"programs of this machine reach all of them; ended: {ended}"
         stranger = inside(
-            there, [sys.executable, "-c", CALLER, "open", "3", names], peers, own_memory=True
-        )
+            there, [sys.executable, "-c", CALLER, "open", "3", names],
+            {"ROS_STATIC_PEERS": BENCH}, own_memory=True,
+        )  # fmt: skip
         answers, seen = json.loads(stranger.communicate(timeout=PATIENCE)[0])
-    finally:
-        for node in nodes:
-            node.kill()
-            node.wait()
     assert answers == {"open": "aborted: stopped on request"}
     assert seen == ["open"]
 
