@@ -59,9 +59,13 @@ for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda *_: os._exit(0))
 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # one that came before is heard now
 if __name__ == "__main__":
-    from {PACKAGE}.nodes.start import script
+    if %(name)r == "sma-bench":
+        from {PACKAGE}.cli import script
 
-    script(%(name)r)
+        script()
+    from {PACKAGE}.nodes import start
+
+    getattr(start, %(name)r)()
 """
 
 

@@ -10,10 +10,13 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from sma_bench.drawn import Drawn
+from sma_bench.installation import VERSION
+
 if TYPE_CHECKING:
     from sma_bench.api import *  # what type checkers see; the list below is its `__all__`
 
-__version__ = "0.1.0"
+__version__ = VERSION
 __all__ = [
     "Diagnosis",
     "Identification",
@@ -58,6 +61,11 @@ def __dir__() -> list[str]:
     return ["__version__", *__all__]
 
 
+def _drawing_room(module: str) -> ModuleType:
+    return import_module(f"sma_bench.report.{module}")
+
+
+Drawn.drawing_room = _drawing_room
 for _name in __all__:
     setattr(_Package, _name, _on_first_use(_name))
 sys.modules[__name__].__class__ = _Package

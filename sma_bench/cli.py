@@ -5,12 +5,12 @@ import importlib
 import os
 import shlex
 import shutil
+import signal
 import sys
 import textwrap
 import warnings
 from collections.abc import Sequence
 
-from sma_bench import __version__
 from sma_bench.commands.parser import (
     COMMANDS,
     CommandParser,
@@ -18,6 +18,7 @@ from sma_bench.commands.parser import (
     terminated_as_interrupted,
 )
 from sma_bench.errors import InputError, did_you_mean
+from sma_bench.installation import VERSION
 from sma_bench.lifeline import end_with_parent
 
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
@@ -56,6 +57,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of a pipe (head, less) has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+
+
+def script() -> None:
+    """What the executable of colcon's installation runs, which ends in silence until here."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    sys.exit(main())
 
 
 def _folded(line: str) -> str:
@@ -107,7 +115,7 @@ def _top_parser() -> CommandParser:
         epilog=_EXAMPLES + "\nsma-bench COMMAND --help shows the options of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"sma-bench {__version__}")
+    parser.add_argument("--version", action="version", version=f"sma-bench {VERSION}")
     parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND")
     return parser
 

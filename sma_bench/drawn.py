@@ -1,11 +1,13 @@
 """What draws itself: `plot()` of records, simulations, overlays, identifications and diagnoses.
 
-The drawing room lies above all of them (`report/plots.py`) and brings matplotlib: it is looked up
-by name at the first call, so nothing depends on it that does not plot.
+The drawing room lies above all of them and brings matplotlib. The package itself
+(`sma_bench/__init__.py`), above both, gives it in: nothing here depends on it, and it is imported
+by the first plot.
 """
 
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any, ClassVar, Protocol
 
 
@@ -21,7 +23,9 @@ class Plot(Protocol):
 
 
 class Drawn:
-    """What `plot` can draw."""
+    """What `plot` can draw; `drawing_room` imports a module of the room that draws."""
+
+    drawing_room: ClassVar[Callable[[str], ModuleType]]
 
     def plot(self, *what: str) -> Plot:
         """A figure, to be shown by a notebook or saved; `what` of it, else what matters most.
@@ -33,12 +37,12 @@ class Drawn:
         Raises:
             InputError: there is nothing of that name to draw.
         """
-        plot: Plot = import_module("sma_bench.report.plots").picture_of(self, *what)
+        plot: Plot = Drawn.drawing_room("plots").picture_of(self, *what)
         return plot
 
 
 class Reported(Drawn):
-    """What has a page of its own too; `writer`: the module of the report room and its function."""
+    """What has a page of its own too; `writer`: the module of the drawing room and its function."""
 
     writer: ClassVar[tuple[str, str]]
 
@@ -49,5 +53,5 @@ class Reported(Drawn):
             InputError: the folder cannot be written, or holds what is not a report's.
         """
         module, function = self.writer
-        page: Path = getattr(import_module(f"sma_bench.report.{module}"), function)(folder, self)
+        page: Path = getattr(Drawn.drawing_room(module), function)(folder, self)
         return page

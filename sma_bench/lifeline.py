@@ -1,4 +1,5 @@
-"""Processes that end with the one that started them, even where that is killed outright.
+"""Processes that end when they are asked to, and with the one that started them, even where that is
+killed outright.
 
 A process that is killed cannot end those it has started; they have to notice by themselves.
 """
@@ -12,6 +13,13 @@ from collections.abc import Mapping
 
 _VARIABLE = "SMA_BENCH_STARTED_BY"
 _LOOK = 0.1  # s
+
+
+def ending_signals() -> list[signal.Signals]:
+    """What asks a node to end; not the end of its terminal where it is started with nohup."""
+    asked = [signal.SIGINT, signal.SIGTERM]
+    unheard = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return asked if unheard else [*asked, signal.SIGHUP]
 
 
 def tied_to_this_process(environment: Mapping[str, str] | None = None) -> dict[str, str]:

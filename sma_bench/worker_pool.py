@@ -24,8 +24,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
-from sma_bench import __version__
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
 from sma_bench.lifeline import end_after
 
 P = ParamSpec("P")
@@ -176,10 +176,10 @@ class _Cluster:
     def check_versions(self) -> None:
         """Raises InputError: a worker has another version, which might answer otherwise."""
         for worker, version in self._client.run(_version, on_error="return").items():
-            if version != __version__:
+            if version != VERSION:
                 found = " ".join(str(version).split())
                 raise InputError(
-                    f"dask worker {worker}: sma_bench {found}, expected {__version__}"
+                    f"dask worker {worker}: sma_bench {found}, expected {VERSION}"
                 )
 
     def look(self) -> None:
@@ -213,7 +213,7 @@ class _Cluster:
 
 
 def _version() -> str:
-    return __version__
+    return VERSION
 
 
 # --- Processes of this machine.

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench import __version__
 from sma_bench.blind.case_files import CASES, LABELS, MANIFEST, STAGE_OF, seal
 from sma_bench.blind.cases import (
     NONE,
@@ -46,6 +45,7 @@ from sma_bench.blind.severity import (
     size,
 )
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
@@ -118,7 +118,7 @@ def make_label(
         "sensors": stage.sensors.to_json(),
         "drives": {name: drive.to_json() for name, drive in case.drives.items()},
         "starts": dict(case.starts),
-        "version": __version__,
+        "version": VERSION,
     }
 
 
@@ -209,7 +209,7 @@ def make(
         labels = _make_all(draw_cases(seed, n, load), folder / CASES, jobs, progress)
         manifest = {
             "layout": _LAYOUT,
-            "version": __version__,
+            "version": VERSION,
             "seed": seed,
             "n": n,
             "split": split_of(seed),

@@ -12,7 +12,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from sma_bench import __version__
 from sma_bench.blind.case_files import MANIFEST, CaseSet
 from sma_bench.blind.cases import (
     ALL,
@@ -55,6 +54,7 @@ from sma_bench.blind.score import (
 )
 from sma_bench.blind.sensors import UNITS, measure
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.records import Signal
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
@@ -417,7 +417,7 @@ def write_markdown(
 
 def _head(cases: CaseSet) -> str:
     return (
-        f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {__version__}, "
+        f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
         f"sealed labels {cases.sealed_sha256[:16]}."
     )
 

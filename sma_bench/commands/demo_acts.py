@@ -23,6 +23,7 @@ from sma_bench.diagnose.drives import Drive
 from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BACK, FRONT
+from sma_bench.installation import share_directory
 from sma_bench.live.simulated_run import SimulatedRun
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.parameter import EFFECT_PREFIX
@@ -33,7 +34,6 @@ from sma_bench.progress import COMPILING, Report, part
 from sma_bench.protocols import parse_protocol
 from sma_bench.records.bag_writer import write_record
 from sma_bench.results import diagnosis_from, in_print
-from sma_bench.share import share_directory
 
 # --- What the demo's bench hides: an effect drawn at random, and parameters a little off.
 

@@ -1,6 +1,7 @@
 """sma-bench run NODE [--ros-args ...]: the same entry points as `ros2 run sma_bench NODE`."""
 
-import importlib
+import runpy
+import sys
 from collections.abc import Sequence
 
 from sma_bench.commands.parser import EXAMPLES, example_text
@@ -30,19 +31,17 @@ def run(arguments: Sequence[str]) -> int:
     network = rest[:1] == [NETWORK_OPTION]
     if name not in NODE_TABLES:
         raise InputError(f"run: no node {name!r}, expected one of: {nodes}")
-    # By its name, as ROS would: commands know of nodes as little as these of commands.
-    nodes_start = importlib.import_module("sma_bench.nodes.start")
-    try:
-        nodes_start.node_class(name)
+    if network:
+        from sma_bench.ros.processes import choose_discovery
+
+        choose_discovery(network=True)
+    sys.argv[1:] = [name, *rest[network:]]
+    try:  # as `python -m` would: commands know of nodes as little as these of commands
+        runpy.run_module("sma_bench.nodes.start", run_name="__main__")
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sma_bench"):
             raise
         raise InputError(
             f"run: {error.name} is not installed: source a ROS 2 Jazzy setup file, or use ./bench"
         ) from None
-    if network:
-        from sma_bench.ros.processes import choose_discovery
-
-        choose_discovery(network=True)
-    status: int = nodes_start.start(name, rest[network:])
-    return status
+    return 0

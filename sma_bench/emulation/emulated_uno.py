@@ -11,7 +11,7 @@ from enum import IntEnum
 from pathlib import Path
 
 from sma_bench.errors import InputError
-from sma_bench.share import share_directory
+from sma_bench.installation import share_directory
 
 CHANNELS = 4
 START_UP = 2.21e-3

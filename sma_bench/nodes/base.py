@@ -27,9 +27,8 @@ from rclpy.logging import get_logger
 from rclpy.parameter import Parameter as RosParameter
 
 from sma_bench.errors import InputError
-from sma_bench.lifeline import end_with_starter
+from sma_bench.lifeline import end_with_starter, ending_signals
 from sma_bench.nodes.arguments import check_arguments, node_help
-from sma_bench.nodes.start import ending_signals
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX

@@ -15,13 +15,13 @@ from xml.etree import ElementTree as Xml
 from sma_bench.border import read_yaml
 from sma_bench.errors import InputError
 from sma_bench.hardware.thermal_settings import regions_side_by_side
+from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES, SIMULATOR
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.records import read_record
 from sma_bench.records.contract import choose_topics
-from sma_bench.share import share_directory
 
 PACKAGE = "sma_bench"
 MODES = ("simulated", "hardware", "emulated")

@@ -13,6 +13,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
+from sma_bench.lifeline import ending_signals
+
 NODES = {  # by the executable's name: module and class
     "simulator": "simulator.Simulator",
     "serial_bridge": "serial_bridge.SerialBridge",
@@ -54,22 +56,6 @@ def node_class(name: str) -> Any:
     """The class of a node, its module imported."""
     module, _, kind = NODES[name].partition(".")
     return getattr(import_module(f"sma_bench.nodes.{module}"), kind)
-
-
-def ending_signals() -> list[signal.Signals]:
-    """What asks a node to end; not the end of its terminal where it is started with nohup."""
-    asked = [signal.SIGINT, signal.SIGTERM]
-    unheard = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    return asked if unheard else [*asked, signal.SIGHUP]
-
-
-def script(name: str) -> None:
-    """What an executable of colcon's installation runs, which ends in silence at a signal."""
-    if name == "sma-bench":
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        sys.exit(import_module("sma_bench.cli").main())
-    _run(name)
 
 
 def __getattr__(name: str) -> Callable[[], None]:

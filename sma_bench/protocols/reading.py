@@ -8,10 +8,10 @@ from typing import Any
 
 from sma_bench.border import read_bytes, read_yaml
 from sma_bench.errors import InputError, did_you_mean
+from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
 from sma_bench.protocols.protocol import Protocol, Segment, Until, spoken_steps
-from sma_bench.share import share_directory
 
 # --- The kinds of step a protocol is written with, each expanded into straight segments.
 #

@@ -18,10 +18,10 @@ import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from sma_bench import __version__
 from sma_bench.border import csv_cell, is_inside, printable, read_bytes, write_files
 from sma_bench.cards import Card
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.report.drawing import (
     COLUMNS,
@@ -469,7 +469,7 @@ def _blocks(path: Path) -> Iterator[bytes]:
 @cache
 def versions() -> dict[str, str]:
     """Of this package, what it computes with, Python and the machine."""
-    found = {"sma_bench": __version__, "Python": platform.python_version()}
+    found = {"sma_bench": VERSION, "Python": platform.python_version()}
     for name in _PACKAGES:
         try:
             found[name] = metadata.version(name)
@@ -489,7 +489,7 @@ class Made:
     @property
     def head(self) -> str:
         """Date and version."""
-        return f"{self.when:%Y-%m-%d}, sma_bench {__version__}."
+        return f"{self.when:%Y-%m-%d}, sma_bench {VERSION}."
 
     def section(self) -> Section:
         """Files, versions and the command; what was never a file has no hash.

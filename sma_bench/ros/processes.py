@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from sma_bench.errors import InputError
+from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
-from sma_bench.share import share_directory
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 THIS_MACHINE, NETWORK = "LOCALHOST", "SUBNET"

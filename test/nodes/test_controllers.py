@@ -10,7 +10,7 @@ import yaml
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from sma_bench.share import share_directory
+from sma_bench.installation import share_directory
 
 COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
 # Few readings: the test has to keep up with them. However long a loaded machine keeps the

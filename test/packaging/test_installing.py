@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EXECUTABLES = {"sma-bench", *NODE_TABLES}
 # Of hundreds of files of which a few are run.
 NO_BYTE_CODE = {"PIP_NO_COMPILE": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-WHERE = "from sma_bench.share import share_directory; print(share_directory())"
+WHERE = "from sma_bench.installation import share_directory; print(share_directory())"
 LOAD = """
 from importlib.metadata import distribution
 for script in distribution("sma_bench").entry_points.select(group="console_scripts"):

@@ -1,4 +1,5 @@
-"""Where the package's shared files (config/, launch/) are, however it was installed."""
+"""Which version this is, and where its shared files (config/, launch/) are, however it was
+installed."""
 
 import os
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 from sma_bench.errors import InputError
 
 PACKAGE = "sma_bench"
+VERSION = "0.1.0"
 
 
 def share_directory() -> Path:
