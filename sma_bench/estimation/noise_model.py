@@ -102,11 +102,6 @@ class Noise:
         power = 0.5 * (variance + np.sqrt(max(variance**2 - 4.0 * lagged**2, 0.0)))
         return phi, lagged / power, float(np.sqrt(power))
 
-    def log_likelihood(self, residual: Array) -> float:
-        """log p of a residual (b,), without the constant."""
-        white = self.whiten(residual)
-        return float(-0.5 * white @ white) - self.log_scale(len(residual))
-
     def log_scale(self, bins: int) -> float:
         """log of the whitening's determinant, inverted."""
         return (bins - 1) * float(np.log(self.innovation)) + float(np.log(self.total))

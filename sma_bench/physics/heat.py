@@ -1,4 +1,4 @@
-"""Heat of one wire: eqs. (1) to (5), the exact response to a held voltage, the energy balance."""
+"""Heat of one wire: eqs. (1) to (5), the energy balance."""
 
 from dataclasses import dataclass
 
@@ -37,24 +37,6 @@ def temperature_rate(
 def current(voltage: ArrayLike, resistance: float) -> Array:
     """Current [A] through a wire of `resistance` [ohm] at `voltage` [V], eq. (3)."""
     return np.asarray(voltage, float) / resistance
-
-
-def heat_transfer_coefficient(
-    voltage: ArrayLike, temperature: ArrayLike, parameters: Parameters
-) -> Array:
-    """h [W/(m2 K)] from a steady voltage [V] and temperature [K], eq. (4)."""
-    rise = np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
-    return np.asarray(
-        np.square(voltage)
-        / (heated_resistance(parameters) * parameters["wire.surface_area"] * rise)
-    )
-
-
-def heating_per_mass(
-    temperature: ArrayLike, voltage: ArrayLike, parameters: Parameters
-) -> Array:
-    """f(T, V) [W/kg] of eq. (5): c_p dT/dt below A_s."""
-    return parameters["wire.specific_heat"] * temperature_rate(temperature, voltage, parameters)
 
 
 def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
@@ -127,15 +109,6 @@ def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
     """T [K] that a held direct voltage [V] leads to, eq. (4) solved for T."""
     rise = np.square(voltage) / (heated_resistance(parameters) * heat_loss(parameters))
     return np.asarray(parameters["environment.ambient_temperature"] + rise)
-
-
-def held_voltage_response(
-    start: ArrayLike, voltage: ArrayLike, elapsed: ArrayLike, parameters: Parameters
-) -> Array:
-    """T [K] after `elapsed` [s] at a held voltage [V] from `start` [K]: eq. (2) solved."""
-    steady = steady_temperature(voltage, parameters)
-    decay = np.exp(-np.asarray(elapsed, float) / time_constant(parameters))
-    return np.asarray(steady + (np.asarray(start, float) - steady) * decay)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ def test_steady_temperature_inverts_the_heat_transfer_coefficient(wire_rig):
     voltage = np.array([0.5, 2.0, 6.25])
     temperature = heat.steady_temperature(voltage, wire_rig)
     assert heat.temperature_rate(temperature, voltage, wire_rig) == pytest.approx(0.0, abs=1e-10)
-    assert heat.heat_transfer_coefficient(voltage, temperature, wire_rig) == pytest.approx(403.26)
+    # Eq. (4), with Table I's R, A_c and T_inf.
+    h = voltage**2 / (2.6987 * 395.84e-6 * (temperature - 296.15))
+    assert h == pytest.approx(403.26)
     # 6.25^2/(2.6987 * 403.26 * 395.84e-6) = 90.677 K
     assert temperature[-1] - 296.15 == pytest.approx(90.677, abs=1e-3)
 
@@ -20,16 +22,22 @@ def test_paper_numbers_give_a_time_constant_of_a_fifth_of_a_second(wire_rig):
     assert heat.time_constant(wire_rig) == pytest.approx(0.19565, abs=1e-5)
 
 
-def test_heating_per_mass_is_specific_heat_times_rate(wire_rig):
-    f = heat.heating_per_mass(300.0, 2.7, wire_rig)
+def test_heating_is_specific_heat_times_rate(wire_rig):
+    rate = heat.temperature_rate(300.0, 2.7, wire_rig)  # eq. (5) is c_p times it
     power = 2.7**2 / 2.6987 - 403.26 * 395.84e-6 * (300.0 - 296.15)
-    assert f == pytest.approx(power / 0.091e-3)
+    assert wire_rig["wire.specific_heat"] * rate == pytest.approx(power / 0.091e-3)
+
+
+def held_voltage_response(start, voltage, elapsed, wire):
+    """T [K] after `elapsed` [s] at a held voltage [V] from `start` [K]: eq. (2) solved."""
+    steady = heat.steady_temperature(voltage, wire)
+    return steady + (start - steady) * np.exp(-elapsed / heat.time_constant(wire))
 
 
 def test_step_response_is_the_exponential(wire_rig):
     time = np.linspace(0.0, 2.0, 41)
     run = simulate(wire_rig, time, np.full((41, 1), 5.0))
-    closed = heat.held_voltage_response(296.15, 5.0, time, wire_rig)
+    closed = held_voltage_response(296.15, 5.0, time, wire_rig)
     assert run.temperature[:, 0] == pytest.approx(closed, rel=1e-13)
 
 
@@ -39,8 +47,8 @@ def test_temperature_does_not_depend_on_the_sampling_of_a_held_voltage(wire_rig,
     voltage = np.where(time < 12.0, 4.0, 1.0)[:, np.newaxis]
     run = simulate(wire_rig, time, voltage)
     change = time[np.argmax(time >= 12.0)]
-    hot = heat.held_voltage_response(296.15, 4.0, change, wire_rig)
-    end = heat.held_voltage_response(hot, 1.0, time[-1] - change, wire_rig)
+    hot = held_voltage_response(296.15, 4.0, change, wire_rig)
+    end = held_voltage_response(hot, 1.0, time[-1] - change, wire_rig)
     assert run.temperature[-1, 0] == pytest.approx(float(end), rel=1e-12)
 
 
