@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sma_bench.parameters import Parameters
+
 _SHARES = {"full": (1.0,), "growing": (0.7, 0.8, 0.9, 1.0), "partial": (0.85, 0.8)}
 _ORDERS = ("in turn", "one side", "the other side", "both sides", "the other side warmed before")
 _SECONDS, _RESTS = (5.0, 60.0), (5.0, 90.0)
@@ -114,6 +116,11 @@ class Test(NamedTuple):
     relative: Mapping[str, float]
     readings_hold: str = ""
 
+    def stds(self, parameters: Parameters) -> dict[str, float]:
+        """What it leaves, in the parameters' units."""
+        relative = {name: share * abs(parameters[name]) for name, share in self.relative.items()}
+        return {**self.absolute, **relative}
+
 
 TESTS = {
     # With sense leads: by the driver's volts all three would hold the resistance of the leads.
@@ -142,3 +149,13 @@ TESTS = {
         "wire.thermal_expansion_factor": 0.03,
     }),
 }
+_ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
+
+
+def measured(parameters: Parameters) -> frozenset[str]:
+    """Parameters that are stated as well as a test of the paper leaves them: they were measured."""
+    stated = parameters.given_uncertainty
+    return frozenset(
+        name for test in TESTS.values() for name, std in test.stds(parameters).items()
+        if stated.get(name, np.inf) <= _ROUNDING * std
+    )

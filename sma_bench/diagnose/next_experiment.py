@@ -370,8 +370,7 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
     """A test of the paper, of the parameters that it would know better than they are known; a
     cause that is in its readings is as open after it as before."""
     test, parameters = TESTS[name], matter.parameters
-    stds = dict(test.absolute)
-    stds |= {p: share * abs(parameters[p]) for p, share in test.relative.items()}
+    stds = test.stds(parameters)
     items = matter.search.recalibrated.unknowns.items
     known = {item.name: (k, item.std) for k, item in enumerate(items)}
     places = {n: known[n][0] for n, std in stds.items() if n in known and std < known[n][1]}

@@ -6,6 +6,8 @@ search's?
 SET has been answered (`sma-bench blind run SET`). Beside its measures stand those of
 
 - exact: the same records, the lab's parameters true to a tenth of what it states;
+- tested: the same records, after every test of the paper (E1 to E3, E6 to E8, DSC) that would
+  narrow a parameter: what no proposal of a test can add to;
 - model: the same cases made by the model's own physics, each effect as large as the answer's fit of
   it, read by the same instruments (without effects that no library has).
 
@@ -31,19 +33,29 @@ from sma_bench.blind.case_files import (
     PAIR_SIGN,
     CaseSet,
     Examination,
+    NextExperiment,
     read_case_set,
     read_kept,
     seal,
     write_examination,
 )
 from sma_bench.blind.cases import QUANTITIES
-from sma_bench.blind.examination import HOLD_OUT, NOMINAL, RECORD, Examinee, examine, open_cases
+from sma_bench.blind.examination import (
+    HOLD_OUT,
+    NOMINAL,
+    RECORD,
+    Examinee,
+    after_tests,
+    examine,
+    open_cases,
+)
 from sma_bench.blind.measures import TARGETS
 from sma_bench.blind.reality import Outcome, World
 from sma_bench.blind.rigs import CHANNELS, COMMAND_PERIOD, Drive, rig_of
 from sma_bench.blind.score import handed_in, open_labels, score, side_by_side
 from sma_bench.blind.sensors import Sensors, measure
 from sma_bench.commands.blind import _SMA_BENCH
+from sma_bench.diagnose.drives import TESTS
 from sma_bench.diagnose.search import search
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.solver import Fit, fit
@@ -52,7 +64,7 @@ from sma_bench.records import read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import simulate_finely
 
-EXACT, MODEL = "exact", "model"
+EXACT, TESTED, MODEL = "exact", "tested", "model"
 DIAGNOSIS = "diagnosis"
 _SHARE = 0.1  # of the stated standard deviations
 _FAILURE = 5.0  # nats
@@ -82,16 +94,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     exact = made(out / EXACT, whole, labels, [n for n in names if with_effect_or_none(labels[n])])
     for name in exact.names:
         make_exact(exact.folder / name, labels[name])
+    tested = made(out / TESTED, whole, labels, names)
+    for name in names:
+        make_tested(tested.folder / name, labels[name], whole.seed)
     model = made(out / MODEL, whole, labels, [n for n in names if labels[n]["kind"] != "outside"])
     for name in model.names:
         make_by_model(model.folder / name, labels[name], effects_of(whole, labels[name]))
     scores = []
-    for cases in (asis, exact, model):
+    for cases in (asis, exact, tested, model):
         examined(cases, args.time_limit)
         paper = handed_in(cases, [cases.answers / DIAGNOSIS])
         scores += score(cases, paper, labels)
-    print("| measure | as it is | exact parameters | the model's physics |")
-    print("| --- | --- | --- | --- |")
+    print("| measure | as it is | exact parameters | all tests done | the model's physics |")
+    print("| --- | --- | --- | --- | --- |")
     for row in side_by_side(scores, TARGETS):
         print(f"| {' | '.join(row)} |")
     print_failures(whole, labels, names)
@@ -133,6 +148,19 @@ def make_exact(case: Path, label: Label) -> None:
     both = right | {n: v for n, v in twins.items() if n in believed.given}
     exact = believed.replace(both, stds)
     write_parameters(case / NOMINAL, exact, names=sorted(exact.given))
+
+
+def make_tested(case: Path, label: Label, seed: int) -> None:
+    believed = read_parameters(case / NOMINAL)
+    stds: dict[str, float] = {}
+    for test in TESTS.values():
+        for name, std in test.stds(believed).items():
+            if std < stds.get(name, believed.given_uncertainty.get(name, 0.0)):
+                stds[name] = std
+    asked = NextExperiment("", (), {}, stds)
+    random = np.random.default_rng([_STREAM, seed, int(case.name)])
+    tested = after_tests(label, asked, believed, random)
+    write_parameters(case / NOMINAL, tested, names=sorted(tested.given))
 
 
 def effects_of(whole: CaseSet, label: Label) -> dict[str, float]:

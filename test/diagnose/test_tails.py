@@ -10,20 +10,21 @@ from scipy.stats import norm
 
 from sma_bench.diagnose import diagnose
 from sma_bench.diagnose.argument import _kinetics
-from sma_bench.diagnose.tails import RARE, WIDE, gain_of_tails
+from sma_bench.diagnose.tails import MEASURED, RARE, WIDE, gain_of_tails
+from sma_bench.parameters import Parameters
 
 
-def fitted(*readings):
+def fitted(*readings, names=tuple("abcdef"), base=None):
     """Fit of parameters read each by itself: (value, error) in stated deviations."""
     x = np.array([value / (1.0 + error**2) for value, error in readings])
     covariance = np.diag([error**2 / (1.0 + error**2) for _, error in readings])
-    names = tuple("abcdef"[: len(readings)])
-    return SimpleNamespace(
-        x=x, covariance=covariance, unknowns=SimpleNamespace(bench=len(readings), names=names)
+    unknowns = SimpleNamespace(
+        bench=len(readings), names=names[: len(readings)], base=base or Parameters.defaults()
     )
+    return SimpleNamespace(x=x, covariance=covariance, unknowns=unknowns)
 
 
-def by_integration(value, error):
+def by_integration(value, error, wide=WIDE):
     """Log of the mixture's evidence over the narrow prior's."""
 
     def evidence(std):
@@ -31,13 +32,22 @@ def by_integration(value, error):
             lambda x: norm.pdf(x, 0.0, std) * norm.pdf(value, x, error), -60, 60, points=[0, value]
         )[0]
 
-    return np.log((1.0 - RARE) + RARE * evidence(WIDE) / evidence(1.0))
+    return np.log((1.0 - RARE) + RARE * evidence(wide) / evidence(1.0))
 
 
 def test_what_tails_add_is_what_integration_says():
     for value, error in ((5.0, 0.3), (6.0, 1.0), (-4.5, 0.5)):
         gain, off = gain_of_tails(fitted((value, error)))
         assert off == ("a",) and gain == pytest.approx(by_integration(value, error), rel=1e-3)
+
+
+def test_what_a_test_of_the_paper_has_measured_is_less_far_off():
+    ohms = Parameters.defaults()["wire.resistance"]
+    for share, wide in ((0.003, MEASURED), (0.01, WIDE)):
+        lab = Parameters.defaults().replace(uncertainty={"wire.resistance": share * ohms})
+        gain, off = gain_of_tails(fitted((8.0, 0.3), names=("wire.resistance",), base=lab))
+        assert off == ("wire.resistance",)
+        assert gain == pytest.approx(by_integration(8.0, 0.3, wide), rel=1e-3)
 
 
 def test_each_parameter_that_is_off_is_found_and_none_that_is_as_believed():
