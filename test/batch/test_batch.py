@@ -293,7 +293,7 @@ def test_what_is_wrong_with_a_cluster_is_one_line(tmp_path, monkeypatch):
         assert dict(over_cluster(int, ["1", "2"], address)) == {0: 1, 1: 2}
         with pytest.raises(InputError, match=f"scheduler {address}: ValueError: invalid literal"):
             list(over_cluster(int, ["one"], address))
-        monkeypatch.setattr(worker_pool, "__version__", "0.0")
+        monkeypatch.setattr(worker_pool, "VERSION", "0.0")
         monkeypatch.setattr(worker_pool, "_version", str)
         with pytest.raises(InputError, match="dask worker tcp://.*: sma_bench , expected 0.0"):
             list(over_cluster(int, ["1"], address))

@@ -19,15 +19,13 @@ from sma_bench.ros.processes import (
 
 ROOT = Path(__file__).resolve().parents[2]
 SAYS = f"""
-import os, sys
+import os, runpy, sys
 import sma_bench.commands.run as command
-import sma_bench.nodes.start as starting
-def start(name, rest):
+def node(module, run_name):
     from sma_bench.ros.processes import choose_discovery
     choose_discovery()
-    print(os.environ.get("{RANGE}"), rest)
-    return 0
-starting.start = start
+    print(os.environ.get("{RANGE}"), sys.argv[1:])
+runpy.run_module = node
 command.run(sys.argv[1:])
 """
 
@@ -105,8 +103,8 @@ def test_every_launch_file_has_the_switch_and_it_is_off() -> None:
 def test_the_command_line_has_the_switch() -> None:
     environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)}
     for words, expected in (
-        (["simulator", "--ros-args"], "LOCALHOST ['--ros-args']"),
-        (["simulator", "--network", "--ros-args"], "SUBNET ['--ros-args']"),
+        (["simulator", "--ros-args"], "LOCALHOST ['simulator', '--ros-args']"),
+        (["simulator", "--network", "--ros-args"], "SUBNET ['simulator', '--ros-args']"),
     ):
         process = subprocess.run(
             [sys.executable, "-c", SAYS, *words],
