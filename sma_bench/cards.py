@@ -22,9 +22,9 @@ from sma_bench.results import (
     SOMETHING_ELSE,
     DiagnoseResult,
     IdentifyResult,
-    Number,
     Proposed,
-    Shown,
+    ShownCandidate,
+    ShownNumber,
     Shrunk,
     in_print,
     in_unit,
@@ -145,7 +145,7 @@ def _in_a_row(cells: tuple[str, ...]) -> str:
     return ", ".join(part for part in said if part)
 
 
-def two_errors(number: Number) -> str:
+def two_errors(number: ShownNumber) -> str:
     """Value ± statistical ± systematic error, to the digits that the smaller leaves it, and the
     unit."""
     parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
@@ -156,7 +156,7 @@ def two_errors(number: Number) -> str:
     return in_unit(both, number.unit)
 
 
-def reference_of(number: Number) -> float | None:
+def reference_of(number: ShownNumber) -> float | None:
     """The number of the paper or a data sheet; None where there is nothing to compare with."""
     known = BY_NAME.get(number.name)
     if known is None or not isinstance(known.default, float) or not known.default:
@@ -169,7 +169,7 @@ def is_assumed(name: str) -> bool:
     return name in BY_NAME and BY_NAME[name].provenance.startswith("assumed")
 
 
-def surprising(result: IdentifyResult) -> list[Number]:
+def surprising(result: IdentifyResult) -> list[ShownNumber]:
     """Numbers that lie far off a reference which somebody has measured."""
     return [
         n for n in result.parameters
@@ -178,12 +178,12 @@ def surprising(result: IdentifyResult) -> list[Number]:
     ]  # fmt: skip
 
 
-def _surprise(number: Number) -> str:
+def _surprise(number: ShownNumber) -> str:
     _, off = _agreement(number)
     return f"{number.name} {off}"
 
 
-def _agreement(number: Number) -> tuple[str, str]:
+def _agreement(number: ShownNumber) -> tuple[str, str]:
     """The reference, and how far the number is off it."""
     reference = reference_of(number)
     if reference is None:
@@ -265,7 +265,7 @@ def _plain(name: str) -> str:
     return f"{title[:1].lower()}{title[1:]} ({effect.stage} stage)."
 
 
-def _size(name: str, numbers: Sequence[Number]) -> str:
+def _size(name: str, numbers: Sequence[ShownNumber]) -> str:
     own = [n for n in numbers if n.name.startswith(f"effect.{name}.")]
     return ", ".join(f"{n.name.rpartition('.')[2]} {two_errors(n)}" for n in own)
 
@@ -359,6 +359,6 @@ def _proposal(proposed: Proposed) -> str:
     return f"{name}{minutes}to separate {', '.join(proposed.separates)}{chance}{more}"
 
 
-def _named(candidates: Sequence[Shown]) -> str:
+def _named(candidates: Sequence[ShownCandidate]) -> str:
     close = [c for c in candidates if c.probability >= _LEAST_NAMED]
     return ", ".join(f"{c.name} ({percent(c.probability)})" for c in close)

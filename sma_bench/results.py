@@ -14,7 +14,7 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 # --- How measured quantities are printed for people.
 
 
-class Scale(NamedTuple):
+class PaperUnit(NamedTuple):
     """Unit on paper and the factor from SI to it."""
 
     unit: str
@@ -22,11 +22,12 @@ class Scale(NamedTuple):
 
 
 _SCALES = {
-    "current": Scale("mA", 1e3), "temperature": Scale("K", 1.0), "deflection": Scale("mm", 1e3),
+    "current": PaperUnit("mA", 1e3), "temperature": PaperUnit("K", 1.0),
+    "deflection": PaperUnit("mm", 1e3),
 }
 
 
-def scale_of(signal: str) -> Scale:
+def scale_of(signal: str) -> PaperUnit:
     """Of a quantity, or of a signal `channel.quantity`."""
     return _SCALES[signal.rpartition(".")[2]]
 
@@ -85,7 +86,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Number:
+class ShownNumber:
     """A number with one standard deviation, both in `unit`; `systematic` is the part of it that
     more of the same records would not lower, `informed` the share of its information that came from
     the records, NaN where that is not said; `warned`: how many warnings concern it."""
@@ -112,14 +113,14 @@ class IdentifyResult:
     `correlation`: names, and the correlations of their errors, row by row."""
 
     path: Path
-    parameters: tuple[Number, ...]
-    experiments: tuple[tuple[str, str, tuple[Number, ...]], ...]
+    parameters: tuple[ShownNumber, ...]
+    experiments: tuple[tuple[str, str, tuple[ShownNumber, ...]], ...]
     warnings: tuple[str, ...]
     correlation: tuple[tuple[str, ...], tuple[tuple[float, ...], ...]] = ((), ())
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownCandidate:
     """A candidate: its numbers are those of its effects."""
 
     name: str
@@ -127,7 +128,7 @@ class Shown:
     probability: float
     gap: float
     gain: float
-    numbers: tuple[Number, ...]
+    numbers: tuple[ShownNumber, ...]
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ class DiagnoseResult:
     verdict: str
     cause: tuple[str, ...]
     stage: str
-    candidates: tuple[Shown, ...]
+    candidates: tuple[ShownCandidate, ...]
     where: tuple[tuple[str, str, str, float, float, float], ...]
     chain: tuple[tuple[str, float, float, float], ...]
     shrinkage: tuple[Shrunk, ...]
@@ -262,8 +263,8 @@ def _proposed(found: dict[str, Any]) -> Proposed:
     )
 
 
-def _candidate(found: dict[str, Any]) -> Shown:
-    return Shown(
+def _candidate(found: dict[str, Any]) -> ShownCandidate:
+    return ShownCandidate(
         _text(found["name"]), _text(found["stage"]), _number(found["probability"]),
         _number(found.get("gap_over_noise")), _number(found.get("log_evidence")),
         _numbers(found["parameters"]),
@@ -289,9 +290,9 @@ def _shrunk(quantity: str, found: dict[str, Any]) -> Shrunk:
     return Shrunk(_signal(quantity), before, moved, after, noise, fraction, (low, high))
 
 
-def _numbers(found: dict[str, Any]) -> tuple[Number, ...]:
+def _numbers(found: dict[str, Any]) -> tuple[ShownNumber, ...]:
     return tuple(
-        Number(
+        ShownNumber(
             name, _number(entry["value"]), _number(entry["std"]), _text(entry["unit"]),
             _text(entry.get("method", "")), int(entry.get("n", 0)),
             _number(entry.get("systematic", 0.0)), _number(entry.get("informed")),

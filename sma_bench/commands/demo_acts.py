@@ -15,7 +15,7 @@ from rich.markup import escape
 from sma_bench.blind.judgement import CONFIDENT
 from sma_bench.cards import card_text
 from sma_bench.commands import investigate
-from sma_bench.commands.demo_stage import COMPILED_AFTER, HardwareStage, Stage, recording_time
+from sma_bench.commands.demo_stage import COMPILED_AFTER, DemoStage, HardwareStage, recording_time
 from sma_bench.commands.diagnose import print_tables
 from sma_bench.commands.terminal import WorkState, print_table, progress, write_json
 from sma_bench.compiled import is_compiled
@@ -222,7 +222,7 @@ def _identified(
 ) -> dict[str, Any]:
     """Run the protocols on the nodes, record them, and ask the service; its answer."""
     protocols = (*fitted, VALIDATION)
-    with Stage(out, WIRE_NAMESPACE, report, plan) as stage:
+    with DemoStage(out, WIRE_NAMESPACE, report, plan) as stage:
         stage.start_bench(truth_file, protocols[0], {"speed": speed})
         stage.start_service("identification", {"output_directory": "."})
         bags = {protocol: stage.record(protocol) for protocol in protocols}
@@ -485,7 +485,7 @@ def gap_act(
     plan["diagnose"] = _DIAGNOSING
     with (
         progress("demo", state) as report,
-        Stage(out, COMPOSITE_NAMESPACE, part(report, share, 1.0), plan) as stage,
+        DemoStage(out, COMPOSITE_NAMESPACE, part(report, share, 1.0), plan) as stage,
     ):
         write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
         answer = _diagnosed(stage, out, hidden_file, speed)
@@ -509,7 +509,7 @@ def gap_act(
 
 
 def _diagnosed(
-    stage: Stage, out: Path, hidden_file: Path, speed: float
+    stage: DemoStage, out: Path, hidden_file: Path, speed: float
 ) -> dict[str, Any]:
     """Two bags of the bench, and what the diagnosis service says of them."""
     stage.start_bench(hidden_file, RECORD, {"speed": speed, **INSTRUMENTS})

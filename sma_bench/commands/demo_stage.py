@@ -42,7 +42,7 @@ _CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 _PICTURE_RATE = 15.0
 
 
-class Stage:
+class DemoStage:
     """Nodes of one namespace, as processes; leaving the context ends them all.
 
     In the folder: `bags`, one of each protocol, and `logs`, one of each node.
@@ -203,7 +203,7 @@ class Stage:
         return {*_COMMANDS, *(f"{channel}/{what}" for channel in channels for what in _READINGS)}
 
 
-class HardwareStage(Stage):
+class HardwareStage(DemoStage):
     """Emulated Uno, camera, bridge, experiment: real time, the wire and the silicon emulated."""
 
     simulated = False

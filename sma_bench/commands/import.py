@@ -10,7 +10,7 @@ from sma_bench.commands.terminal import add_json_option, print_findings, write_j
 from sma_bench.errors import InputError
 
 if TYPE_CHECKING:
-    from sma_bench.records.import_proposal import Bench
+    from sma_bench.records.import_proposal import BenchHints
 
 MAP_SUFFIX = ".map.yaml"
 
@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read every file, then write every bag: a file that is wrong leaves none of them."""
     from sma_bench.records.import_map import read_map
-    from sma_bench.records.import_proposal import Bench
+    from sma_bench.records.import_proposal import BenchHints
 
     given = read_map(args.map_file) if args.map_file else None
-    bench = _bench(args.params) if args.params else Bench()
+    bench = _bench(args.params) if args.params else BenchHints()
     outputs = _outputs([Path(file) for file in args.files], Path(args.out))
     _protect(args, outputs)
     made = [_read(source, out, given, bench, args) for source, out in outputs]
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(path: str) -> "Bench":
+def _bench(path: str) -> "BenchHints":
     from sma_bench.parameters.yaml_file import read_parameter_names
     from sma_bench.records.import_proposal import bench_of
 
@@ -88,7 +88,7 @@ def _map_of(out: Path) -> Path:
 
 
 def _read(
-    source: Path, out: Path, given: Any, bench: "Bench", args: argparse.Namespace
+    source: Path, out: Path, given: Any, bench: "BenchHints", args: argparse.Namespace
 ) -> dict[str, Any]:
     from sma_bench.records.import_map import convert, map_text
     from sma_bench.records.import_proposal import propose

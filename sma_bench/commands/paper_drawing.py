@@ -38,8 +38,8 @@ from sma_bench.report.paper_page import (
     KINDS,
     TABLES,
     THERMAL,
+    ExperimentResults,
     LabRecords,
-    Outcome,
     PaperPage,
     Row,
     table_rows,
@@ -159,7 +159,7 @@ _THERMAL_CHOICES = (THERMAL, ("E1", "E2"), ("E3",), ("E1",), ("E2",))
 
 def identify_lab(
     records: LabRecords, parameters: Parameters, *, synthetic: bool
-) -> tuple[dict[str, Outcome], list[Finding]]:
+) -> tuple[dict[str, ExperimentResults], list[Finding]]:
     """Run every experiment that the records allow.
 
     Args:
@@ -169,7 +169,7 @@ def identify_lab(
     Returns:
         Outcomes by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing.
     """
-    found: dict[str, Outcome] = {}
+    found: dict[str, ExperimentResults] = {}
     notes: list[Finding] = []
     if records.thermal:
         found.update(_thermal(records.thermal, parameters, synthetic, notes))
@@ -196,13 +196,13 @@ def identify_lab(
         except InputError as error:
             notes.append(Finding("warning", kind, str(error)))
         else:
-            found[kind] = Outcome((experiment,), experiment.estimates, synthetic)
+            found[kind] = ExperimentResults((experiment,), experiment.estimates, synthetic)
     return found, notes
 
 
 def _thermal(
     records: Sequence[Record], parameters: Parameters, synthetic: bool, notes: list[Finding]
-) -> dict[str, Outcome]:
+) -> dict[str, ExperimentResults]:
     reasons: list[str] = []
     for choice in _THERMAL_CHOICES:
         try:
@@ -227,13 +227,15 @@ def _thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Exp
 def _outcome(
     experiments: Sequence[Experiment], estimates: Mapping[str, Estimate], kind: str,
     synthetic: bool,
-) -> Outcome:
+) -> ExperimentResults:
     mine = tuple(e for e in experiments if e.name == kind)
     names = {name for e in mine for name in e.estimates}
-    return Outcome(mine, {n: e for n, e in estimates.items() if n in names}, synthetic)
+    return ExperimentResults(mine, {n: e for n, e in estimates.items() if n in names}, synthetic)
 
 
-def identified_parameters(parameters: Parameters, outcomes: Sequence[Outcome]) -> Parameters:
+def identified_parameters(
+    parameters: Parameters, outcomes: Sequence[ExperimentResults]
+) -> Parameters:
     """The given parameters with what the outcomes identified put in."""
     estimates = {name: e for outcome in outcomes for name, e in outcome.estimates.items()}
     return parameters.replace(
@@ -293,18 +295,18 @@ def _bends(parameters: Parameters) -> bool:
 
 
 def _synthetic_outcomes(
-    paper: Parameters, measured: Mapping[str, Outcome], report: Report
-) -> dict[str, Outcome]:
+    paper: Parameters, measured: Mapping[str, ExperimentResults], report: Report
+) -> dict[str, ExperimentResults]:
     """Outcomes of the kinds of experiment that no measured record gave."""
     groups = [g for g, kinds in KINDS.items() if not set(kinds) <= set(measured)]
-    found: dict[str, Outcome] = {}
+    found: dict[str, ExperimentResults] = {}
     for group in in_turn(groups, report, lambda name: f"{name} experiments"):
         found |= identify_lab(synthetic_records(paper, [group]), paper, synthetic=True)[0]
     return {kind: outcome for kind, outcome in found.items() if kind not in measured}
 
 
 def _validation(
-    records: LabRecords, parameters: Parameters, outcomes: Mapping[str, Outcome],
+    records: LabRecords, parameters: Parameters, outcomes: Mapping[str, ExperimentResults],
     notes: list[Finding], *, synthetic: bool = False,
 ) -> Picture | None:
     """Fig. 6, simulated with what was identified from data of the same origin."""

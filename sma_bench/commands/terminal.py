@@ -24,7 +24,7 @@ from sma_bench.progress import Report
 from sma_bench.results import json_text, write_result
 
 if TYPE_CHECKING:
-    from sma_bench.report.drawing import Column as PaperColumn
+    from sma_bench.report.drawing import PaperColumn
 
 # --- Tables that fit: as wide as they need be in a file, no wider than a terminal.
 #

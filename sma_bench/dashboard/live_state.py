@@ -76,7 +76,7 @@ CELSIUS_ZERO = 273.15
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ShownQuantity:
     """How a quantity in SI units is shown: `factor` times it, less `zero`; and its limit's name."""
 
     title: str
@@ -91,15 +91,15 @@ class Quantity:
 
 
 QUANTITIES = {
-    "voltage": Quantity("Voltage", "V", limit="bench.maximum_voltage"),
-    "current": Quantity("Current", "A", limit="bench.maximum_current"),
-    "temperature": Quantity(
+    "voltage": ShownQuantity("Voltage", "V", limit="bench.maximum_voltage"),
+    "current": ShownQuantity("Current", "A", limit="bench.maximum_current"),
+    "temperature": ShownQuantity(
         "Temperature", "°C", zero=CELSIUS_ZERO, limit="bench.maximum_temperature"
     ),
-    "deflection": Quantity("Deflection", "mm", 1e3),
-    "elongation": Quantity("Elongation", "mm", 1e3),
-    "force": Quantity("Force", "N"),
-    "distance": Quantity("Distance", "mm", 1e3),
+    "deflection": ShownQuantity("Deflection", "mm", 1e3),
+    "elongation": ShownQuantity("Elongation", "mm", 1e3),
+    "force": ShownQuantity("Force", "N"),
+    "distance": ShownQuantity("Distance", "mm", 1e3),
 }
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
 
@@ -295,7 +295,7 @@ _REPEAT = 0.02
 _SILENT = 1.0
 
 
-class Bench(Protocol):
+class WatchedBench(Protocol):
     """What can be stopped and watched."""
 
     state: LiveState
@@ -366,7 +366,7 @@ class Wires:
         return max(self.off_since.values()) - self.begin if self.stay_off else None
 
 
-async def stop(bench: Bench) -> dict[str, Any]:
+async def stop(bench: WatchedBench) -> dict[str, Any]:
     """Stop the bench and say what came of it.
 
     0 V is commanded until the voltages are gone, so that a bench stops which has no service, or

@@ -22,7 +22,7 @@ import tornado.web
 import tornado.websocket
 
 from sma_bench.border import TEXT, read_fields
-from sma_bench.dashboard.live_state import Bench, Seen, quantity_table, stop
+from sma_bench.dashboard.live_state import Seen, WatchedBench, quantity_table, stop
 from sma_bench.errors import InputError
 
 # --- Who may see the page and press its button: a token, and names that lead here.
@@ -121,7 +121,7 @@ _HEADERS = {
 class DashboardServer:
     """Serves one bench; `url`, with its token, is the only address that answers."""
 
-    def __init__(self, bench: Bench, title: str, host: str, port: int) -> None:
+    def __init__(self, bench: WatchedBench, title: str, host: str, port: int) -> None:
         """Listen; port 0 is any that is free.
 
         Raises:
@@ -188,7 +188,8 @@ class _Guarded(tornado.web.RequestHandler):
     """Answers nobody who may not see the page, whatever is asked for."""
 
     def initialize(
-        self, access: Access, bench: Bench, title: str, pages: set, admit: Callable[[Any], None]
+        self, access: Access, bench: WatchedBench, title: str, pages: set,
+        admit: Callable[[Any], None],
     ) -> None:
         self.access, self.bench, self.title, self.pages = access, bench, title, pages
         self.admit = admit

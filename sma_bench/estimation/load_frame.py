@@ -11,7 +11,7 @@ from sma_bench.estimation.noise_model import (
     inflation,
     white_noise_level,
 )
-from sma_bench.estimation.voltage import FEWEST_SAMPLES, Segment, find_segments
+from sma_bench.estimation.voltage import FEWEST_SAMPLES, VoltageSegment, find_segments
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.physics import Boundary
@@ -97,7 +97,7 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
     return (*holds, *_followed(time, force, here, stop))
 
 
-def _plateaus(record: Record) -> tuple[list[Segment], float]:
+def _plateaus(record: Record) -> tuple[list[VoltageSegment], float]:
     """Where the force is held, and for how long in all (s)."""
     found = [
         p for p in find_segments(*samples(record, "force")).plateaus

@@ -43,7 +43,7 @@ _ALIKE = 4.0  # converter's steps between the ends of two ramps
 
 
 @dataclass(frozen=True)
-class Segment:
+class VoltageSegment:
     """A stretch of the voltage that one straight line describes.
 
     `start`, `stop` in s, `voltage_start`, `voltage_stop` in V are the line's ends. A plateau's
@@ -80,17 +80,17 @@ class Segments:
     `tolerance` (V) is how far a sample may lie from its line.
     """
 
-    items: tuple[Segment, ...]
+    items: tuple[VoltageSegment, ...]
     edges: tuple[tuple[float, float], ...]
     tolerance: float
 
     @property
-    def plateaus(self) -> tuple[Segment, ...]:
+    def plateaus(self) -> tuple[VoltageSegment, ...]:
         """Stretches of constant voltage."""
         return tuple(s for s in self.items if s.kind == "plateau")
 
     @property
-    def ramps(self) -> tuple[Segment, ...]:
+    def ramps(self) -> tuple[VoltageSegment, ...]:
         """Stretches of steadily changing voltage."""
         return tuple(s for s in self.items if s.kind == "ramp")
 
@@ -248,7 +248,7 @@ def _sort(
             rise = reference[-1] - reference[0] if len(reference) == 2 else 0.0
             seen += 1
         items.append(
-            Segment(
+            VoltageSegment(
                 "plateau" if flat else "ramp", start, stop, begin, end,
                 "up" if rise >= 0.0 else "down",
             )

@@ -14,8 +14,8 @@ from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device import DeviceIdentity, LinkStatus, Reading
 from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits
-from sma_bench.hardware.self_test import NEEDED, Finding, Link, self_test
-from sma_bench.hardware.serial_messages import TIMEOUT_CAUSE, State
+from sma_bench.hardware.self_test import NEEDED, CheckResult, DeviceLink, self_test
+from sma_bench.hardware.serial_messages import TIMEOUT_CAUSE, DeviceState
 
 REFRESH = 0.02
 """s between commands to the device, whose own timeout is ten times that"""
@@ -34,7 +34,7 @@ class BenchDriver:
 
     def __init__(
         self,
-        link: Link,
+        link: DeviceLink,
         sensors: BenchSensors,
         guard: Guard,
         channels: Sequence[str],
@@ -81,7 +81,7 @@ class BenchDriver:
         status = self._link.status
         if not status.connected:
             return ""
-        by_device = status.cause_text if status.state == State.STILL_FLOWING else ""
+        by_device = status.cause_text if status.state == DeviceState.STILL_FLOWING else ""
         return self._guard.flowing or by_device
 
     @property
@@ -155,7 +155,7 @@ class BenchDriver:
         self._guard.recorder("")
         self._watch_shared_sensors()
 
-    def self_test(self) -> list[Finding]:
+    def self_test(self) -> list[CheckResult]:
         """Check what can be checked without driving; ends disabled, at 0 V.
 
         Raises:
@@ -284,7 +284,7 @@ def device_limits(limits: Limits, device: DeviceIdentity, supply: float) -> list
     return [round(1e3 * value) for value in values]
 
 
-def _failed(findings: Sequence[Finding]) -> list[Finding]:
+def _failed(findings: Sequence[CheckResult]) -> list[CheckResult]:
     return [finding for finding in findings if finding.check in NEEDED and not finding.passed]
 
 

@@ -13,8 +13,8 @@ from sma_bench.hardware.serial_messages import (
     CAUSES,
     CHANNELS,
     PROTOCOL_VERSION,
+    DeviceState,
     Named,
-    State,
     Telemetry,
     name_of,
     resets,
@@ -260,7 +260,7 @@ class LinkStatus:
 
     connected: bool = False
     device: DeviceIdentity | None = None
-    state: State = State.IDLE
+    state: DeviceState = DeviceState.IDLE
     cause: int = 0
     telemetry: int = 0
     lost: int = 0
@@ -291,7 +291,7 @@ class LinkStatus:
     @property
     def stopped(self) -> bool:
         """True where the device wants a reset first."""
-        return self.state in (State.STOPPED, State.STILL_FLOWING)
+        return self.state in (DeviceState.STOPPED, DeviceState.STILL_FLOWING)
 
     @property
     def cause_text(self) -> str:
@@ -304,14 +304,14 @@ class LinkStatus:
             self.lost += (telemetry.sequence - self._last.sequence - 1) % _NUMBERS
         self._last = telemetry
         self.telemetry += 1
-        self.state = State(telemetry.state)
+        self.state = DeviceState(telemetry.state)
         self.cause = telemetry.cause
 
     def start_anew(self, device: DeviceIdentity) -> None:
         """A new connection; its first frame is not late."""
         self.connected, self.device, self.problem = True, device, ""
         self.connections += 1
-        self.state, self.cause = State.IDLE, 0
+        self.state, self.cause = DeviceState.IDLE, 0
         self._last = None
 
     def restarted(self, telemetry: Telemetry, period_us: int) -> bool:

@@ -19,7 +19,7 @@ NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
 """checks without which nobody enables"""
 
 
-class Link(Protocol):
+class DeviceLink(Protocol):
     """What driving and testing need of a SerialLink."""
 
     @property
@@ -43,7 +43,7 @@ class Link(Protocol):
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """One check: what, how it ended, and the number behind it."""
 
     check: str
@@ -55,12 +55,12 @@ class Finding:
 
 
 def self_test(
-    link: Link,
+    link: DeviceLink,
     newest: BenchReading | None,
     supply: float,
     sensors: BenchSensors,
     pause: Callable[[float], None] = time.sleep,
-) -> list[Finding]:
+) -> list[CheckResult]:
     """Every check, in under a second; ends with the device stopped and reset, outputs at 0 V.
 
     Args:
@@ -70,7 +70,7 @@ def self_test(
     status = link.status
     if not status.connected or newest is None:
         text = status.problem or "no reading yet"
-        return [Finding("connection", False, text)]
+        return [CheckResult("connection", False, text)]
     return [
         *_link_findings(status),
         *_sensor_findings(status, newest, supply, sensors.range_sensors),
@@ -79,52 +79,53 @@ def self_test(
     ]
 
 
-def _link_findings(status: LinkStatus) -> Iterator[Finding]:
+def _link_findings(status: LinkStatus) -> Iterator[CheckResult]:
     device = status.device
     if device is not None:
-        yield Finding("connection", True, f"{device.name} {device.build}, reset: {device.reset}")
+        text = f"{device.name} {device.build}, reset: {device.reset}"
+        yield CheckResult("connection", True, text)
     bad = status.lost + status.damaged + status.not_understood
     text = f"{status.telemetry} frames, {status.lost} lost, {status.damaged} damaged"
-    yield Finding("link", bad == 0, text)
+    yield CheckResult("link", bad == 0, text)
     uncertainty = status.clock_uncertainty
     text = f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"
-    yield Finding("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY, text)
+    yield CheckResult("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY, text)
 
 
 def _sensor_findings(
     status: LinkStatus, newest: BenchReading, supply: float, range_sensors: tuple[str, ...]
-) -> Iterator[Finding]:
+) -> Iterator[CheckResult]:
     if status.device is not None:
         low, high = status.device.supply_range
         text = f"{supply:.2f} V, expected {low:g} to {high:g} V"
-        yield Finding("supply", low <= supply <= high, text)
+        yield CheckResult("supply", low <= supply <= high, text)
     most = max(abs(current) for current in newest.board_currents)
     text = f"at most {most:.2f} A at rest, expected under {_MOST_CURRENT_AT_REST:g} A"
-    yield Finding("currents", most < _MOST_CURRENT_AT_REST, text)
+    yield CheckResult("currents", most < _MOST_CURRENT_AT_REST, text)
     for side, distance in zip(("front", "back"), newest.distances, strict=True):
         if side in range_sensors:
-            yield Finding(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
+            yield CheckResult(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
 
 
 def _relay_finding(
-    link: Link, sensors: BenchSensors, pause: Callable[[float], None]
-) -> Finding:
+    link: DeviceLink, sensors: BenchSensors, pause: Callable[[float], None]
+) -> CheckResult:
     """With the relay closed and nothing driven, a switch that is stuck or inverted conducts."""
     try:
         link.arm()
     except LinkError as error:
-        return Finding("relay", False, str(error))
+        return CheckResult("relay", False, str(error))
     pause(_CLOSED_FOR)
     status = link.status
     if status.stopped:
-        return Finding("relay", False, f"closed, nothing driven: {status.cause_text}")
+        return CheckResult("relay", False, f"closed, nothing driven: {status.cause_text}")
     currents = sensors.board_currents(status.newest) if status.newest else (0.0,)
     most = max(abs(current) for current in currents)
     text = f"closed, nothing driven: at most {most:.2f} A"
-    return Finding("relay", most < _MOST_CURRENT_AT_REST, text)
+    return CheckResult("relay", most < _MOST_CURRENT_AT_REST, text)
 
 
-def _stop_finding(link: Link, pause: Callable[[float], None]) -> Finding:
+def _stop_finding(link: DeviceLink, pause: Callable[[float], None]) -> CheckResult:
     """The emergency stop must be heard, and be forgotten on request only."""
     link.stop()
     waited = 0.0
@@ -132,9 +133,9 @@ def _stop_finding(link: Link, pause: Callable[[float], None]) -> Finding:
         pause(0.005)
         waited += 0.005
     if not link.status.stopped:
-        return Finding("stop", False, f"the device does not stop within {_STOP_WITHIN:g} s")
+        return CheckResult("stop", False, f"the device does not stop within {_STOP_WITHIN:g} s")
     try:
         link.reset()
     except LinkError as error:
-        return Finding("stop", False, f"no reset after the stop: {error}")
-    return Finding("stop", True, f"stopped within {waited:.3f} s")
+        return CheckResult("stop", False, f"no reset after the stop: {error}")
+    return CheckResult("stop", True, f"stopped within {waited:.3f} s")

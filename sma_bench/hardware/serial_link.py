@@ -28,11 +28,11 @@ from sma_bench.hardware.serial_messages import (
     CHANNELS,
     STOP,
     TIMEOUT_CAUSE,
+    DeviceState,
     Message,
     Named,
     Pong,
     Refused,
-    State,
     Telemetry,
     command,
 )
@@ -206,7 +206,7 @@ class SerialLink:
         self._connected().ask_for_consent("R")
         with self._changed:
             # The next telemetry says the same, a little later.
-            self._status.state, self._status.cause = State.IDLE, 0
+            self._status.state, self._status.cause = DeviceState.IDLE, 0
 
     def counters(self) -> dict[str, int]:
         """The device's own counters (S line).
@@ -333,7 +333,7 @@ class SerialLink:
         return self._status.last_refusal if now - self._refused < 2.0 * timeout else ""
 
     def _take(self, telemetry: Telemetry, now: float) -> None:
-        if telemetry.state > max(State):
+        if telemetry.state > max(DeviceState):
             raise LinkError(f"the device is in state {telemetry.state}, which nobody knows here")
         if self._status.restarted(telemetry, round(1e6 / self._options.rate)):
             raise LinkError("the device restarted by itself")

@@ -142,7 +142,7 @@ class ProtocolError(ValueError):
     """A message with a good checksum that still cannot be understood."""
 
 
-class State(IntEnum):
+class DeviceState(IntEnum):
     """Of the device."""
 
     IDLE = 0

@@ -28,14 +28,14 @@ from sma_bench.identify.instruments.transition_temperatures import (
 from sma_bench.identify.run import (
     COEFFICIENT,
     RESISTANCE,
-    Run,
+    IdentificationRun,
     about_wire,
     find_all_drives,
     run_heat_transfer,
     run_resistance,
     run_specific_heat,
 )
-from sma_bench.identify.signals import FEWEST_LEVELS, Drive, as_calibrated, sensors_of
+from sma_bench.identify.signals import FEWEST_LEVELS, ChannelDrive, as_calibrated, sensors_of
 from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME, TRANSITIONS
@@ -239,7 +239,7 @@ def identify(
         raise InputError("no record to identify from")
     bags = [as_calibrated(r, parameters) for r in records if isinstance(r, Record)]
     known = sensors_of(bags, parameters)
-    run = Run(known, wanted, asked=experiments is not None)
+    run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for record in bags for f in _remarks(record))
     run.notes.extend(about_wire(known))
     whole = _whole_model(run, bags, report)
@@ -267,7 +267,9 @@ def _remarks(record: Record) -> Iterator[Finding]:
     yield from (f for f in own if f not in record.findings)
 
 
-def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment | None:
+def _whole_model(
+    run: IdentificationRun, bags: Sequence[Record], report: Report
+) -> Experiment | None:
     """E10 where a record shows the bench moving, else E9 where one shows a load frame."""
     bent = [record for record in bags if whole_model.moves(record, run.given)]
     framed = [
@@ -299,7 +301,7 @@ def _whole_model(run: Run, bags: Sequence[Record], report: Report) -> Experiment
     return experiment
 
 
-def _held(run: Run, bags: Sequence[Record]) -> list[IsobaricRecord]:
+def _held(run: IdentificationRun, bags: Sequence[Record]) -> list[IsobaricRecord]:
     """Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same."""
     if not run.asked or "E6" not in run.wanted or load_frame.NAME in run.wanted:
         return []
@@ -314,7 +316,7 @@ def _held(run: Run, bags: Sequence[Record]) -> list[IsobaricRecord]:
 
 
 def _instruments(
-    run: Run, records: Sequence[AnyRecord], phases: Mapping[str, Phase],
+    run: IdentificationRun, records: Sequence[AnyRecord], phases: Mapping[str, Phase],
     told: Callable[[str], None], report: Report,
 ) -> None:
     """E5, E6, E7 and E9 on instrument files, each on all files of its kind together."""
@@ -351,7 +353,7 @@ def _rate_follows_cycle(record: DscRecord) -> bool:
     return len({round(abs(s.rate) * 60.0, 1) for s in scans}) > 1
 
 
-def _thermal_expansion(run: Run, bags: Sequence[Record]) -> None:
+def _thermal_expansion(run: IdentificationRun, bags: Sequence[Record]) -> None:
     """E8 on the clamped wires among the bags; the whole model tells it better where it ran."""
     clamped = [record for record in bags if load_frame.is_clamped_wire(record)]
     if clamped and not run.of(load_frame.NAME):
@@ -363,7 +365,7 @@ def _thermal_expansion(run: Run, bags: Sequence[Record]) -> None:
         )
 
 
-def _try(run: Run, name: str, experiment: Callable[[], Experiment]) -> None:
+def _try(run: IdentificationRun, name: str, experiment: Callable[[], Experiment]) -> None:
     if name not in run.wanted:
         return
     try:
@@ -373,7 +375,7 @@ def _try(run: Run, name: str, experiment: Callable[[], Experiment]) -> None:
     run.join(name)
 
 
-def _take_sharper(run: Run, whole: Experiment | None) -> None:
+def _take_sharper(run: IdentificationRun, whole: Experiment | None) -> None:
     """Of what an experiment of its own and the whole model both tell, the sharper number counts.
 
     They may rest on the same samples, so they are not averaged.
@@ -393,7 +395,8 @@ def _take_sharper(run: Run, whole: Experiment | None) -> None:
 
 
 def _report_missing(
-    run: Run, records: Sequence[AnyRecord], drives: Sequence[tuple[Record, Drive]]
+    run: IdentificationRun, records: Sequence[AnyRecord],
+    drives: Sequence[tuple[Record, ChannelDrive]],
 ) -> None:
     """A note for each experiment without a result, a warning where a record was meant for it; an
     error if that leaves nothing."""
@@ -410,9 +413,9 @@ def _report_missing(
 
 
 def _nothing(
-    run: Run,
+    run: IdentificationRun,
     records: Sequence[AnyRecord],
-    drives: Sequence[tuple[Record, Drive]],
+    drives: Sequence[tuple[Record, ChannelDrive]],
     missing: Sequence[str],
 ) -> str:
     where = ", ".join(str(r.path) for r in records)

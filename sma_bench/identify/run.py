@@ -7,7 +7,13 @@ from dataclasses import dataclass, field, replace
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment, combine, with_prior
-from sma_bench.identify.signals import Drive, Staircase, find_drives, has_samples, missing_findings
+from sma_bench.identify.signals import (
+    ChannelDrive,
+    Staircase,
+    find_drives,
+    has_samples,
+    missing_findings,
+)
 from sma_bench.identify.thermal.heat_transfer import (
     AMBIENT,
     GAIN,
@@ -23,7 +29,7 @@ from sma_bench.records import Record
 
 
 @dataclass
-class Run:
+class IdentificationRun:
     """Results by experiment and by parameter, remarks, and reasons by experiment.
 
     `asked` is False where nobody named the experiments: then slow ones wait to be asked for.
@@ -204,9 +210,11 @@ _OF_CAMERA = (COEFFICIENT, SPECIFIC_HEAT)
 _WRONG = 1.5  # a factor
 
 
-def find_all_drives(run: Run, records: Sequence[Record]) -> list[tuple[Record, Drive]]:
+def find_all_drives(
+    run: IdentificationRun, records: Sequence[Record]
+) -> list[tuple[Record, ChannelDrive]]:
     """What every channel of every record is driven with."""
-    drives: list[tuple[Record, Drive]] = []
+    drives: list[tuple[Record, ChannelDrive]] = []
     for record in records:
         try:
             found = find_drives(record)
@@ -221,7 +229,7 @@ def find_all_drives(run: Run, records: Sequence[Record]) -> list[tuple[Record, D
 
 
 def _staircases(
-    run: Run, drives: Sequence[tuple[Record, Drive]], name: str, quantity: str
+    run: IdentificationRun, drives: Sequence[tuple[Record, ChannelDrive]], name: str, quantity: str
 ) -> list[tuple[Record, Staircase]]:
     """Staircases that come with a signal; the others leave a reason."""
     found: list[tuple[Record, Staircase]] = []
@@ -236,7 +244,7 @@ def _staircases(
     return found
 
 
-def run_resistance(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
+def run_resistance(run: IdentificationRun, drives: Sequence[tuple[Record, ChannelDrive]]) -> None:
     """E1 on every staircase with current."""
     if "E1" not in run.wanted:
         return
@@ -249,7 +257,7 @@ def run_resistance(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     run.join("E1")
 
 
-def _compare(run: Run, parameter: str, found: Sequence[Estimate]) -> None:
+def _compare(run: IdentificationRun, parameter: str, found: Sequence[Estimate]) -> None:
     """Whether repeated measurements are of one thing, before they are pooled."""
     if len(found) < 2:
         return
@@ -267,11 +275,13 @@ def _compare(run: Run, parameter: str, found: Sequence[Estimate]) -> None:
     run.notes.append(Finding("warning", parameter, text, {"low": low, "high": high}))
 
 
-def _heated(run: Run) -> Estimate:
+def _heated(run: IdentificationRun) -> Estimate:
     return heated(run.known(RESISTANCE), run.given, RESISTANCE in run.estimates)
 
 
-def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
+def run_heat_transfer(
+    run: IdentificationRun, drives: Sequence[tuple[Record, ChannelDrive]]
+) -> None:
     """E2 on every staircase with temperature, with the resistance of E1."""
     if "E2" not in run.wanted:
         return
@@ -299,7 +309,9 @@ def run_heat_transfer(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
         run.estimates[AMBIENT] = combine([e.estimates[AMBIENT] for e in found])
 
 
-def run_specific_heat(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
+def run_specific_heat(
+    run: IdentificationRun, drives: Sequence[tuple[Record, ChannelDrive]]
+) -> None:
     """E3 on all ramps together, with what E1 and E2 gave."""
     if "E3" not in run.wanted:
         return
@@ -330,7 +342,7 @@ def run_specific_heat(run: Run, drives: Sequence[tuple[Record, Drive]]) -> None:
     run.join("E3")
 
 
-def _doubts(run: Run) -> list[Finding]:
+def _doubts(run: IdentificationRun) -> list[Finding]:
     """What is wrong with the heat loss is wrong with c_p, which goes with it."""
     return [
         Finding("warning", SPECIFIC_HEAT, f"goes with the heat loss, of which E2 says: {f.text}")

@@ -13,7 +13,7 @@ from sma_bench.estimation.noise_model import (
     quantisation_variance,
     resolution,
 )
-from sma_bench.estimation.voltage import Segment, Segments, find_segments, protocol_spans
+from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments, protocol_spans
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
@@ -33,7 +33,7 @@ class Staircase:
     """Plateaus at several voltages on one channel; `tolerance` in V tells levels apart."""
 
     channel: str
-    plateaus: tuple[Segment, ...]
+    plateaus: tuple[VoltageSegment, ...]
     tolerance: float
     protocol: str = ""
 
@@ -50,7 +50,7 @@ class Staircase:
 
 
 @dataclass(frozen=True)
-class Drive:
+class ChannelDrive:
     """What the voltage of one channel does over a record."""
 
     channel: str
@@ -68,7 +68,7 @@ class Drive:
         return f"{self.channel}: {plateaus} at {voltages}, {ramps}"
 
 
-def find_drives(record: Record) -> tuple[Drive, ...]:
+def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
     """Segments of every channel's voltage, split by protocol where markers name them.
 
     Raises:
@@ -82,7 +82,7 @@ def find_drives(record: Record) -> tuple[Drive, ...]:
             segments = find_segments(*samples(record, f"{channel}.voltage"))
         except InputError as error:
             raise InputError(f"{record.path}: {channel}.{error}") from None
-        drives.append(Drive(channel, segments, _staircases(record, channel, segments)))
+        drives.append(ChannelDrive(channel, segments, _staircases(record, channel, segments)))
     return tuple(drives)
 
 
@@ -190,7 +190,7 @@ class Means:
 
 
 def windows(
-    plateaus: Sequence[Segment], settle: float = SETTLE, average: float = AVERAGE
+    plateaus: Sequence[VoltageSegment], settle: float = SETTLE, average: float = AVERAGE
 ) -> tuple[Array, tuple[Finding, ...]]:
     """Averaging window (start, stop) in s of every plateau, (p, 2), as in section II.B.
 

@@ -20,7 +20,7 @@ NANOSECONDS = 1_000_000_000
 RATES = ("power", "temperature", "mechanics", "ambient")
 
 
-class Reading(NamedTuple):
+class GroupReading(NamedTuple):
     """What one group of instruments read at `time` ns since the start.
 
     `values` per kind: power, (V, A) of every channel; temperature, degC of every channel; ambient,
@@ -65,7 +65,7 @@ class VirtualBench:
             "ambient": self._read_ambient,
         }
 
-    def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[Reading]:
+    def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[GroupReading]:
         """Readings in the order of time while `voltage` (one per channel) is held `until` ns."""
         volts = np.array(voltage)
         self._notice_pulse(any(voltage))
@@ -73,7 +73,7 @@ class VirtualBench:
             self._step(volts, due)
             for kind in RATES:
                 if self._due[kind] == due:
-                    yield Reading(kind, due, self._readers[kind](voltage))
+                    yield GroupReading(kind, due, self._readers[kind](voltage))
                     self._schedule(kind)
         self._step(volts, until)
 

@@ -12,11 +12,18 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
-from sma_bench.nodes.bench_plan import PACKAGE, Argument, PlannedNode, Rig, plan_bench, switch
+from sma_bench.nodes.bench_plan import (
+    PACKAGE,
+    Argument,
+    LaunchedRig,
+    PlannedNode,
+    plan_bench,
+    switch,
+)
 from sma_bench.ros.processes import discovery_variables
 
 
-def bench_launch(rig: Rig) -> LaunchDescription:
+def bench_launch(rig: LaunchedRig) -> LaunchDescription:
     """Launch description of a rig."""
 
     def actions(values: dict[str, str]) -> list[Any]:

@@ -78,7 +78,7 @@ class PlannedNode:
 
 
 @dataclass(frozen=True)
-class Rig:
+class LaunchedRig:
     """A bench: its parameter file in config/ and the protocol to begin with."""
 
     file: str
@@ -132,11 +132,11 @@ class Rig:
         return found
 
 
-WIRE = Rig("wire_rig.yaml", "staircase", bends=False)
-COMPOSITE = Rig("composite_rig.yaml", "composite_triangle", bends=True)
-WEIGHT = Rig("weight_rig.yaml", "isobaric", bends=False)
-SPRING = Rig("spring_rig.yaml", "triangle", bends=False)
-ANTAGONIST = Rig("antagonist_rig.yaml", "composite_triangle", bends=False)
+WIRE = LaunchedRig("wire_rig.yaml", "staircase", bends=False)
+COMPOSITE = LaunchedRig("composite_rig.yaml", "composite_triangle", bends=True)
+WEIGHT = LaunchedRig("weight_rig.yaml", "isobaric", bends=False)
+SPRING = LaunchedRig("spring_rig.yaml", "triangle", bends=False)
+ANTAGONIST = LaunchedRig("antagonist_rig.yaml", "composite_triangle", bends=False)
 
 
 def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:

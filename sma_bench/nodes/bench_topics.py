@@ -17,7 +17,7 @@ from sma_bench.live.recording import RECORDER, recorder_failure
 from sma_bench.ros.node import LATCHED, MEASURED
 
 if TYPE_CHECKING:  # brings the model and its compiler, which a bridge does without
-    from sma_bench.live.virtual_bench import Reading
+    from sma_bench.live.virtual_bench import GroupReading
 
 NANOSECONDS = 1_000_000_000
 
@@ -83,7 +83,7 @@ class BenchTopics:
             "mechanics": _range_sender(node) if composite else _load_frame_sender(node),
         }
 
-    def publish(self, reading: "Reading", epoch: int) -> None:
+    def publish(self, reading: "GroupReading", epoch: int) -> None:
         """Send a reading; `epoch` ns is the ROS time of its time 0."""
         self._send[reading.kind](reading.values, epoch + reading.time)
         self._counts[reading.kind] += 1

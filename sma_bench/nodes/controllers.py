@@ -12,13 +12,13 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness
 from sma_bench.live.closed_loop import ClosedLoop, DeflectionLoop, TemperatureLoop
-from sma_bench.nodes.experiment import Experiment
+from sma_bench.nodes.experiment import ExperimentNode
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols.reading import TIP
 from sma_bench.ros.node import MEASURED
 
 
-class Controller(Experiment, ABC):
+class Controller(ExperimentNode, ABC):
     """A run ends with its reference; one from the topic goes on until stopped."""
 
     _loop: ClosedLoop

@@ -42,7 +42,7 @@ _SIMULATION_PAUSE = 10.0
 _LAST_WORD = 0.5
 
 
-class Experiment(BenchNode):
+class ExperimentNode(BenchNode):
     """One protocol at a time; a controller, driving under the same rules, has another `loop`."""
 
     def __init__(self, name: str = "experiment") -> None:

@@ -123,7 +123,7 @@ class JobNode(BenchNode, ABC):
         self.on_result(job, response.message)
 
 
-class Identification(JobNode):
+class IdentificationNode(JobNode):
     """Identifies parameters from records on request: set `record`, call `~/identify`. The message
     is the contract's JSON, or why there is none."""
 

@@ -53,7 +53,7 @@ _MEANINGS: tuple[tuple[str, tuple[str, ...], frozenset[str]], ...] = (
 
 
 @dataclass(frozen=True)
-class Bench:
+class BenchHints:
     """What a rig file says that helps to understand a table; None where it says nothing."""
 
     channels: tuple[str, ...] = ("wire",)
@@ -69,7 +69,7 @@ class _Proposal:
     """A map in the making, its questions and remarks (by column, or by key of the map)."""
 
     table: TableFile
-    bench: Bench
+    bench: BenchHints
     questions: list[str] = field(default_factory=list)
     remarks: dict[str, str] = field(default_factory=dict)
 
@@ -78,7 +78,7 @@ class _Proposal:
         self.remarks[where] = f"{self.remarks.get(where, '')} ASK: {question}".strip()
 
 
-def bench_of(named: Mapping[str, Any], where: str) -> Bench:
+def bench_of(named: Mapping[str, Any], where: str) -> BenchHints:
     """The bench of a rig file's raw names (`read_parameter_names`).
 
     Raises:
@@ -98,13 +98,13 @@ def bench_of(named: Mapping[str, Any], where: str) -> Bench:
         raise InputError(f"{where}: bench.channels is {channels!r}, expected a list of names")
     kind = named.get("load.kind") or ("beam" if len(channels) > 1 else "clamped")
     drive = named.get("bench.drive")
-    return Bench(
+    return BenchHints(
         tuple(channels), kind in ("beam", "antagonist"), None if drive is None else str(drive),
         number("bench.supply_voltage"), number("load.lever"), number("wire.length"),
     )
 
 
-def propose(table: TableFile, bench: Bench) -> tuple[ImportMap, list[str], dict[str, str]]:
+def propose(table: TableFile, bench: BenchHints) -> tuple[ImportMap, list[str], dict[str, str]]:
     """A map of a table, what is unsure about it, and remarks by column.
 
     Raises:

@@ -12,9 +12,9 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.text_table import (
-    Column,
     FloatArray,
     TextTable,
+    TitledColumn,
     find_column,
     is_driven,
     read_text_table,
@@ -146,7 +146,7 @@ def _either(
     return _column_values(table, other) / (divisor or 1.0), divisor is None
 
 
-def _column_values(table: TextTable, found: tuple[Column, str]) -> FloatArray:
+def _column_values(table: TextTable, found: tuple[TitledColumn, str]) -> FloatArray:
     column, kind = found
     return to_si(table.values[:, column.index], kind, column.unit)
 

@@ -78,7 +78,7 @@ class TextTable:
 
 
 @dataclass(frozen=True)
-class Column:
+class TitledColumn:
     """One column by its title: position, name, and unit as written or, where `is_guessed`, taken
     for granted."""
 
@@ -167,7 +167,7 @@ def head_of(path: Path, size: int) -> bytes:
 
 def find_column(
     table: TextTable, words: Sequence[str], units: Sequence[str]
-) -> tuple[Column, str] | None:
+) -> tuple[TitledColumn, str] | None:
     """First column whose name holds one of `words`, in their order, and whose unit fits.
 
     Args:
@@ -186,7 +186,7 @@ def find_column(
                 continue
             for kind in units:
                 if not column.unit and (guess := _guess(kind, table.values[:, column.index])):
-                    return Column(column.index, column.name, guess, True), kind
+                    return TitledColumn(column.index, column.name, guess, True), kind
                 if plain_unit(column.unit) in UNITS[kind]:
                     return column, kind
     return None
@@ -247,13 +247,13 @@ def plain_unit(unit: str) -> str:
     return re.sub(r"[°º^\s]", "", plain)
 
 
-def _column(index: int, title: str) -> Column:
+def _column(index: int, title: str) -> TitledColumn:
     if parts := name_and_unit(title):
-        return Column(index, *parts)
+        return TitledColumn(index, *parts)
     name, _, unit = title.partition("/")
     if unit:
-        return Column(index, name.strip(), unit.strip())
-    return Column(index, title.strip(), "")
+        return TitledColumn(index, name.strip(), unit.strip())
+    return TitledColumn(index, title.strip(), "")
 
 
 def _dialect(rows: Sequence[str]) -> tuple[str | None, str]:

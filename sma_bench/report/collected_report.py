@@ -18,7 +18,7 @@ from sma_bench.progress import Report, silent
 from sma_bench.records import Record, describe, open_record
 from sma_bench.records.open import AnyRecord
 from sma_bench.report.diagnosis_words import result_tables
-from sma_bench.report.drawing import Column
+from sma_bench.report.drawing import PaperColumn
 from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.report.page import Made, Section, Table, digest, versions, write_report
 from sma_bench.report.plots import (
@@ -28,7 +28,7 @@ from sma_bench.report.plots import (
     correlation_picture,
     record_picture,
 )
-from sma_bench.results import DiagnoseResult, IdentifyResult, Number, read_result, with_error
+from sma_bench.results import DiagnoseResult, IdentifyResult, ShownNumber, read_result, with_error
 
 # --- Each input, and all together.
 
@@ -36,7 +36,7 @@ _RESULT = ".json"
 
 
 @dataclass(frozen=True)
-class Shown:
+class ReportedInput:
     """One input: what it is, its sentence in the summary, its section, and what to beware of."""
 
     path: str
@@ -49,7 +49,7 @@ class Shown:
     answer: Section | None = None
 
 
-def shown_input(path: str, number: int, namespace: str | None) -> Shown:
+def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
     """Read one input.
 
     Raises:
@@ -70,16 +70,16 @@ def shown_input(path: str, number: int, namespace: str | None) -> Shown:
         record = open_record(path, namespace)
         kind = "bag" if isinstance(record, Record) else "instrument file"
         section, said, worth = record_section(record, name)
-    return Shown(path, kind, said, section, worth, *digest(Path(path)), answer)
+    return ReportedInput(path, kind, said, section, worth, *digest(Path(path)), answer)
 
 
-def answers(shown: Sequence[Shown]) -> list[Section]:
+def answers(shown: Sequence[ReportedInput]) -> list[Section]:
     """The cards of all results; one that stands alone needs no heading."""
     found = [one.answer for one in shown if one.answer is not None]
     return found if len(found) > 1 else [replace(section, title="") for section in found]
 
 
-def summary_section(shown: Sequence[Shown]) -> Section:
+def summary_section(shown: Sequence[ReportedInput]) -> Section:
     """A line an input, and folded above them all their warnings, which stand in their sections."""
     rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
     warnings = [text for one in shown for text in one.warnings]
@@ -90,7 +90,7 @@ def summary_section(shown: Sequence[Shown]) -> Section:
     return Section("Summary", tables=[table], folded=[head, *warnings])
 
 
-def counted(shown: Sequence[Shown]) -> str:
+def counted(shown: Sequence[ReportedInput]) -> str:
     """How many of each kind: "2 bags, 1 diagnosis"."""
     kinds = [one.kind for one in shown]
     counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
@@ -101,7 +101,7 @@ def _several(kind: str) -> str:
     return "diagnoses" if kind == "diagnosis" else f"{kind}s"
 
 
-def document(shown: Sequence[Shown], command: str, page: Path) -> dict[str, Any]:
+def document(shown: Sequence[ReportedInput], command: str, page: Path) -> dict[str, Any]:
     """The page's inputs as plain data."""
     return {
         "inputs": [
@@ -232,7 +232,7 @@ def identify_section(result: IdentifyResult, name: str) -> tuple[Section, str]:
     return section, f"{len(result.parameters)} parameters identified by {done or 'no experiment'}"
 
 
-def _is_new(number: Number, told: Sequence[Number]) -> bool:
+def _is_new(number: ShownNumber, told: Sequence[ShownNumber]) -> bool:
     """Whether it is not told already, as a parameter of the same value and error."""
     return all((n.name, n.value, n.std) != (number.name, number.value, number.std) for n in told)
 
@@ -266,7 +266,7 @@ def verdict(result: DiagnoseResult) -> str:
     return f"{result.verdict}{cause}{stage}{sure}"
 
 
-def detail_table(numbers: Sequence[Number], name: str, title: str = "") -> Table:
+def detail_table(numbers: Sequence[ShownNumber], name: str, title: str = "") -> Table:
     """Numbers with all that is known of them, a plain number a cell."""
     rows = [
         (
@@ -299,7 +299,7 @@ def parameter_section(parameters: Parameters, path: str) -> Section:
 
 def write_identification_report(
     directory: str | Path, result: Identification, report: Report = silent,
-    made: Made | None = None, column: Column | None = None,
+    made: Made | None = None, column: PaperColumn | None = None,
 ) -> Path:
     """Write the report's index.html and figures.
 

@@ -30,7 +30,7 @@ from sma_bench.report.diagnosis_words import (
     which_effect,
     worst_first,
 )
-from sma_bench.report.drawing import Column
+from sma_bench.report.drawing import PaperColumn
 from sma_bench.report.page import Made, Picture, Section, Table, write_report
 from sma_bench.results import in_print, scale_of, signed, with_error
 
@@ -39,7 +39,7 @@ _LEAST_SHOWN = 0.005
 
 def write_diagnosis_report(
     directory: str | Path, result: Diagnosis, report: Report = silent,
-    made: Made | None = None, column: Column | None = None,
+    made: Made | None = None, column: PaperColumn | None = None,
 ) -> Path:
     """Write the report's index.html and figures.
 

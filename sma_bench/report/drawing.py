@@ -277,18 +277,18 @@ _LEAST_FONT = 5.0
 _TALLEST = 9.5  # inches, of a page
 
 
-class Column(NamedTuple):
+class PaperColumn(NamedTuple):
     """Where a figure is to stand in print: width [mm] and size of its letters [pt]."""
 
     width: float = 183.0
     font: float = 8.0
 
 
-COLUMNS = {"single": Column(89.0, 7.0), "double": Column()}
+COLUMNS = {"single": PaperColumn(89.0, 7.0), "double": PaperColumn()}
 
 
 @contextmanager
-def in_column(figure: Figure, column: Column) -> Iterator[None]:
+def in_column(figure: Figure, column: PaperColumn) -> Iterator[None]:
     """The figure in another width, as high in proportion but no less than its letters need."""
     width, height = (float(length) for length in figure.get_size_inches())
     texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]

@@ -26,7 +26,7 @@ from sma_bench.progress import Report, in_turn, silent
 from sma_bench.report.drawing import (
     COLUMNS,
     TABLE_HEADER,
-    Column,
+    PaperColumn,
     curves_of,
     drawn_rows,
     in_column,
@@ -228,7 +228,7 @@ class Picture:
         with on_dark_paper(self.figure):
             return base64.b64encode(self._file("png")).decode("ascii")
 
-    def files(self, column: Column) -> dict[str, bytes]:
+    def files(self, column: PaperColumn) -> dict[str, bytes]:
         """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
         with in_column(self.figure, column):
             found = {f"{self.name}.{kind}": self._file(kind) for kind in ("svg", "pdf")}
@@ -239,7 +239,7 @@ class Picture:
         """All that is drawn, in plain numbers."""
         return Table(TABLE_HEADER, drawn_rows(self.figure))
 
-    def save(self, path: str | Path, column: Column = COLUMNS["double"]) -> None:
+    def save(self, path: str | Path, column: PaperColumn = COLUMNS["double"]) -> None:
         """Write the figure: PNG, SVG or PDF in the width of a column, or CSV of what is drawn.
 
         Raises:
@@ -288,7 +288,7 @@ class Section:
 
 def write_report(
     directory: str | Path, title: str, summary: str, sections: Sequence[Section],
-    *, column: Column | None = None, report: Report = silent,
+    *, column: PaperColumn | None = None, report: Report = silent,
 ) -> Path:
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure.
 

@@ -77,7 +77,7 @@ class LabRecords:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExperimentResults:
     """Results of one kind of experiment.
 
     `experiments` one a record, `estimates` joined over them, `synthetic` whether the records are.
@@ -209,12 +209,12 @@ TABLES: dict[str, tuple[str, tuple[Printed, ...]]] = {
 }
 
 
-def table_rows(name: str, outcomes: Mapping[str, Outcome]) -> list[Row]:
+def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row]:
     """Rows of a table of TABLES with what the outcomes identified."""
     return [_row(printed, outcomes.get(printed.kind)) for printed in TABLES[name][1]]
 
 
-def _row(printed: Printed, outcome: Outcome | None) -> Row:
+def _row(printed: Printed, outcome: ExperimentResults | None) -> Row:
     if outcome is None:
         return Row(printed, None, False, "not identified" if printed.kind else "taken as given")
     estimate = outcome.estimates.get(printed.estimate) or _detail(printed.estimate, outcome)
@@ -222,7 +222,7 @@ def _row(printed: Printed, outcome: Outcome | None) -> Row:
     return Row(printed, estimate, outcome.synthetic, source)
 
 
-def _detail(name: str, outcome: Outcome) -> Estimate | None:
+def _detail(name: str, outcome: ExperimentResults) -> Estimate | None:
     """A detail of the first experiment that has it; a star stands for anything."""
     head, _, tail = name.partition("*")
     for experiment in outcome.experiments:
@@ -401,7 +401,7 @@ class PaperPage:
         own: whether the synthetic data are of another wire than the paper's.
     """
 
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, ExperimentResults]
     validation: Picture
     validation_synthetic: bool
     composite: Sequence[CompositeRun]

@@ -46,7 +46,7 @@ from sma_bench.report.drawing import (
     thinned,
 )
 from sma_bench.report.page import Picture
-from sma_bench.results import DiagnoseResult, IdentifyResult, Number
+from sma_bench.results import DiagnoseResult, IdentifyResult, ShownNumber
 
 Array = NDArray[np.float64]
 Curves = Sequence[tuple[str, Array, Array]]
@@ -387,7 +387,7 @@ def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
     return Picture(name, "Agreement with the paper and data sheets", caption, plain(figure))
 
 
-def _statistical(number: Number) -> float:
+def _statistical(number: ShownNumber) -> float:
     return number.statistical if np.isfinite(number.std) else np.nan
 
 

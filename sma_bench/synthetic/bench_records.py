@@ -296,7 +296,7 @@ def clamped_staircase_record(
     """
     course = load_reference(reference, parameters, TEMPERATURE)
     controller = TemperatureController(parameters, COMMAND_PERIOD, delay=COMMAND_PERIOD)
-    loop = Loop(period=COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1, seed=seed)
+    loop = Feedback(period=COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1, seed=seed)
     closed = run_temperature(parameters, controller, course.level, course.duration, loop)
 
     def volts(t: Array) -> Array:
@@ -362,7 +362,7 @@ def _record(path: str, signals: list[Signal]) -> Record:
 # --- A controller and a simulated bench in one loop, with sensor noise; no ROS, no clock.
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class Feedback:
     """How the loop is closed.
 
     Attributes:
@@ -380,7 +380,7 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ClosedLoopRun:
     """A run: reference, actual and measured (n,) or (n, w), voltage (n, w) at time (n,) s."""
 
     time: Array
@@ -395,8 +395,8 @@ def run_temperature(
     controller: TemperatureController,
     reference: Callable[[float], Array],
     duration: float,
-    loop: Loop,
-) -> ClosedLoop:
+    loop: Feedback,
+) -> ClosedLoopRun:
     """Run a temperature controller on a bench whose parameters it may not know.
 
     Args:
@@ -418,8 +418,8 @@ def run_loop(
     reference: Callable[[float], Array],
     control: Callable[[Array, Array, Array], Array],
     duration: float,
-    loop: Loop,
-) -> ClosedLoop:
+    loop: Feedback,
+) -> ClosedLoopRun:
     """Run a controller on a simulated bench.
 
     Args:
@@ -441,4 +441,4 @@ def run_loop(
         volts = waiting.pop(0)
         rows.append((wanted, actual, read, volts))
         plant.advance(volts, loop.period)
-    return ClosedLoop(time, *(np.array(column) for column in zip(*rows, strict=True)))
+    return ClosedLoopRun(time, *(np.array(column) for column in zip(*rows, strict=True)))

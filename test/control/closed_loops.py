@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.control import DeflectionController
 from sma_bench.parameters import Parameters
-from sma_bench.synthetic.bench_records import ClosedLoop, Loop, run_loop
+from sma_bench.synthetic.bench_records import ClosedLoopRun, Feedback, run_loop
 
 Array = NDArray[np.float64]
 
@@ -74,8 +74,8 @@ def run_deflection(
     controller: DeflectionController,
     reference: Callable[[float], float],
     duration: float,
-    loop: Loop,
-) -> ClosedLoop:
+    loop: Feedback,
+) -> ClosedLoopRun:
     """Run a deflection controller likewise; reference: m at a time in s."""
     return run_loop(
         bench,
@@ -94,8 +94,8 @@ def run_voltages(
     voltage: Callable[[float], Array],
     reference: Callable[[float], float],
     duration: float,
-    loop: Loop,
-) -> ClosedLoop:
+    loop: Feedback,
+) -> ClosedLoopRun:
     """Voltages as a protocol gives them, no feedback: what a controller is compared with."""
     clock = iter(np.arange(round(duration / loop.period)) * loop.period)
     return run_loop(

@@ -10,7 +10,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
-from sma_bench.synthetic.bench_records import ClosedLoop, Loop
+from sma_bench.synthetic.bench_records import ClosedLoopRun, Feedback
 
 COMPOSITE = identified(
     {
@@ -45,14 +45,14 @@ def off_by_one_deviation(seed: int) -> Parameters:
 
 
 def controlled(bench: Parameters, feedback: bool = True, late: int = 0, **options: float
-               ) -> ClosedLoop:
+               ) -> ClosedLoopRun:
     controller = DeflectionController(
         COMPOSITE, PERIOD, delay=PERIOD * late + 0.005, feedback=feedback, **options
     )
-    return run_deflection(bench, controller, triangle, CYCLE, Loop(PERIOD, late, **READING))
+    return run_deflection(bench, controller, triangle, CYCLE, Feedback(PERIOD, late, **READING))
 
 
-def open_loop(bench: Parameters) -> ClosedLoop:
+def open_loop(bench: Parameters) -> ClosedLoopRun:
     """The paper's own: a triangular voltage whose peak leads to the wanted peak."""
     peak = OperatingPoint.at_deflection(COMPOSITE, PEAK, "heating").voltage.max()
 
@@ -60,10 +60,10 @@ def open_loop(bench: Parameters) -> ClosedLoop:
         level = triangle(t, peak)
         return np.where(FRONT, max(level, 0.0), max(-level, 0.0))
 
-    return run_voltages(bench, voltage, triangle, CYCLE, Loop(PERIOD))
+    return run_voltages(bench, voltage, triangle, CYCLE, Feedback(PERIOD))
 
 
-def error(run: ClosedLoop) -> float:
+def error(run: ClosedLoopRun) -> float:
     return rmse(run.reference, run.actual)
 
 
@@ -111,7 +111,7 @@ def test_feedforward_inverts_partial_loops() -> None:
         return 0.02 + 0.008 * np.sin(t) + 0.008 * np.sin(2.7 * t)
 
     controller = DeflectionController(COMPOSITE, 0.02, feedback=False)
-    run = run_deflection(COMPOSITE, controller, wave, 20.0, Loop(0.02))
+    run = run_deflection(COMPOSITE, controller, wave, 20.0, Feedback(0.02))
     settled = run.time > 1.0
     assert rmse(run.reference[settled], run.actual[settled]) < 0.02e-3
     held = OperatingPoint.at_deflection(COMPOSITE, 0.02, "heating")
@@ -131,7 +131,7 @@ def test_only_the_side_of_the_reference_is_heated() -> None:
 def test_lasting_offset_is_integrated_away() -> None:
     bench = COMPOSITE.replace({"wire.austenite_start_temperature": 334.0})
     controller = DeflectionController(COMPOSITE, PERIOD)
-    run = run_deflection(bench, controller, lambda _: -0.02, 6.0, Loop(PERIOD))
+    run = run_deflection(bench, controller, lambda _: -0.02, 6.0, Feedback(PERIOD))
     np.testing.assert_allclose(run.actual[run.time > 4.0], -0.02, atol=0.02e-3)
 
 
@@ -142,7 +142,7 @@ def test_unreachable_deflection_neither_winds_up_nor_burns() -> None:
         return 2.0 * largest if t < 5.0 else 0.02
 
     run = run_deflection(COMPOSITE, DeflectionController(COMPOSITE, PERIOD), reference, 8.0,
-                         Loop(PERIOD))
+                         Feedback(PERIOD))
     hottest = simulate(COMPOSITE, run.time, run.voltage).temperature.max()
     assert hottest < COMPOSITE["bench.maximum_temperature"] - 9.0
     assert run.actual[np.searchsorted(run.time, 4.0)] > 0.95 * largest
@@ -205,7 +205,7 @@ def test_wires_with_a_load_follow_a_wave_of_their_position(load: str) -> None:
     off = rig.replace({n: rig[n] + 0.5 * rig.std(n) * random.standard_normal() for n in names})
     exact, wrong, blind = (
         run_deflection(bench, DeflectionController(rig, PERIOD, feedback=feedback), wave, 30.0,
-                       Loop(PERIOD, noise=2e-5))
+                       Feedback(PERIOD, noise=2e-5))
         for bench, feedback in ((rig, True), (off, True), (off, False))
     )
     assert error(exact) < 0.01 * largest
@@ -220,7 +220,7 @@ def test_a_bench_as_identified_with_its_effects_is_followed_too() -> None:
     def wave(t: float) -> float:
         return -3e-3 * (1.0 - np.cos(0.8 * t)) / 2.0
 
-    run = run_deflection(rig, DeflectionController(rig, PERIOD), wave, 12.0, Loop(PERIOD))
+    run = run_deflection(rig, DeflectionController(rig, PERIOD), wave, 12.0, Feedback(PERIOD))
     assert error(run) < 0.05e-3
 
 

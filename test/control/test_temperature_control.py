@@ -11,7 +11,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.heat import direct_reading
-from sma_bench.synthetic.bench_records import Loop, run_temperature
+from sma_bench.synthetic.bench_records import Feedback, run_temperature
 
 WIRE = identified()
 SLOW_WIRE = WIRE.replace({"wire.heat_transfer_coefficient": 70.0})  # still air: tau 1.1 s
@@ -47,7 +47,7 @@ def test_staircase_below_a_s_is_tracked(
 ) -> None:
     bench = wire if seed is None else off_by_one_deviation(wire, seed)
     controller = TemperatureController(wire, PERIOD, delay=PERIOD * late + 0.0125)
-    loop = Loop(PERIOD, late, **READING, seed=seed or 0)
+    loop = Feedback(PERIOD, late, **READING, seed=seed or 0)
     run = run_temperature(bench, controller, staircase(dwell), dwell * len(LEVELS), loop)
     samples = round(dwell / PERIOD)
     starts = [bench["environment.ambient_temperature"], *LEVELS[:-1]]
@@ -62,7 +62,7 @@ def test_staircase_below_a_s_is_tracked(
 
 def test_stress_of_the_staircase_gives_back_the_thermal_expansion_factor() -> None:
     controller = TemperatureController(WIRE, PERIOD)
-    run = run_temperature(WIRE, controller, staircase(6.0), 36.0, Loop(PERIOD, **READING))
+    run = run_temperature(WIRE, controller, staircase(6.0), 36.0, Feedback(PERIOD, **READING))
     sigma = simulate(WIRE, run.time, run.voltage).stress[:, 0]
     held = np.arange(run.time.size) % 120 > 60
     slope = np.polyfit(run.measured[held, 0], sigma[held], 1)[0]
@@ -75,7 +75,7 @@ def test_unreachable_reference_does_not_wind_up() -> None:
     def reference(t: float) -> np.ndarray:
         return np.array([340.0 if t < 10.0 else 310.0])
 
-    run = run_temperature(WIRE, controller, reference, 12.0, Loop(PERIOD))
+    run = run_temperature(WIRE, controller, reference, 12.0, Feedback(PERIOD))
     late = run.time > 11.0
     assert run.actual[round(9.9 / PERIOD), 0] < 322.0
     np.testing.assert_allclose(run.actual[late, 0], 310.0, atol=0.1)
@@ -83,7 +83,7 @@ def test_unreachable_reference_does_not_wind_up() -> None:
 
 def test_power_rises_no_faster_than_its_limit() -> None:
     controller = TemperatureController(WIRE, PERIOD, power_rate=5.0)
-    run = run_temperature(WIRE, controller, lambda _: np.array([320.0]), 3.0, Loop(PERIOD))
+    run = run_temperature(WIRE, controller, lambda _: np.array([320.0]), 3.0, Feedback(PERIOD))
     power = run.voltage[:, 0] ** 2 / WIRE["wire.resistance"]
     assert np.abs(np.diff(power)).max() <= 5.0 * PERIOD * (1.0 + 1e-9)
     assert run.actual[-1, 0] == pytest.approx(320.0, abs=0.2)
@@ -164,7 +164,7 @@ def test_bad_number_is_quoted(build: object, quoted: str) -> None:
 def test_any_drive_holds_a_temperature_and_stays_within_the_current(drive) -> None:
     rig = WIRE.replace(drive)
     controller = TemperatureController(rig, PERIOD)
-    run = run_temperature(rig, controller, lambda _: np.array([325.0]), 4.0, Loop(PERIOD))
+    run = run_temperature(rig, controller, lambda _: np.array([325.0]), 4.0, Feedback(PERIOD))
     assert run.actual[-1, 0] == pytest.approx(325.0, abs=0.05)
     assert run.actual.max() < 325.4  # the model's power is the right one
     hardest = controller.heating.voltage(controller.heating.maximum_power)

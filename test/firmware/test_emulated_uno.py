@@ -23,9 +23,9 @@ from sma_bench.hardware.expectation import SharedWatch, WireModel
 from sma_bench.hardware.serial_messages import (
     CAUSES,
     REASONS,
+    DeviceState,
     Named,
     Refused,
-    State,
     Telemetry,
     command,
     line,
@@ -43,7 +43,7 @@ TIMSK0, TIMSK1 = 0x6E, 0x6F
 def last_cause(host: VirtualHost) -> str:
     host.run(0.03)
     frame = host.telemetry[-1]
-    assert frame.state == State.STOPPED
+    assert frame.state == DeviceState.STOPPED
     return CAUSES[frame.cause]
 
 
@@ -292,7 +292,7 @@ def test_a_broken_switch_stops_and_the_relay_takes_its_current_away(
 def test_a_broken_switch_is_found_when_the_relay_closes(host: VirtualHost, kind: Switch) -> None:
     host.uno.electrics.switch_is[2] = kind
     host.run(0.3)
-    assert host.telemetry[-1].state == State.IDLE
+    assert host.telemetry[-1].state == DeviceState.IDLE
     host.arm()
     assert last_cause(host) == "current with all outputs off"
 
@@ -301,11 +301,11 @@ def test_behind_a_welded_relay_it_says_that_current_still_flows(host: VirtualHos
     host.uno.electrics.relay_is = Relay.WELDED
     host.uno.electrics.switch_is[0] = Switch.STUCK_ON
     host.run(0.2)
-    assert host.telemetry[-1].state == State.STILL_FLOWING
+    assert host.telemetry[-1].state == DeviceState.STILL_FLOWING
     assert REASONS[host.refusal("R")] == "current flows though every output is off"
     host.uno.electrics.supply = 0.0  # the plug
     host.run(0.2)
-    assert host.telemetry[-1].state == State.STOPPED
+    assert host.telemetry[-1].state == DeviceState.STOPPED
     host.consent("R")
 
 
@@ -316,7 +316,7 @@ def test_a_lost_timer_interrupt_is_off_and_restarted(driving: VirtualHost, regis
     driving.uno.poke(register, 0)
     assert driving.time_until_off(limit=0.3) < 0.075
     driving.run(0.2)
-    assert driving.telemetry[-1].state == State.IDLE
+    assert driving.telemetry[-1].state == DeviceState.IDLE
     greeting = next(m for m in driving.messages[::-1] if isinstance(m, Named) and m.letter == "H")
     assert int(greeting.values["reset"]) == 8
     if register == TIMSK0:
@@ -349,7 +349,7 @@ def test_a_recorded_session_arms_nothing_after_a_reset(host: VirtualHost) -> Non
     host.uno.write(said)
     host.run(0.2)
     assert sum(host.uno.electrics.on_time) == before
-    assert host.telemetry[-1].state == State.IDLE
+    assert host.telemetry[-1].state == DeviceState.IDLE
 
 
 def test_the_cause_outlives_a_reset_but_not_the_power(driving: VirtualHost) -> None:
@@ -363,7 +363,7 @@ def test_the_cause_outlives_a_reset_but_not_the_power(driving: VirtualHost) -> N
 def test_heat_beyond_the_rigs_limit_stops(host: VirtualHost) -> None:
     host.arm((10000, 6500, 12000, 1890, 5000, 200))
     host.hold(0.6, 4500, 0, 0, 0)
-    assert host.telemetry[-1].state == State.ARMED
+    assert host.telemetry[-1].state == DeviceState.ARMED
     host.hold(0.6, 6000, 0, 0, 0)
     assert last_cause(host) == "more heat than allowed"
 
@@ -402,7 +402,7 @@ def test_what_a_weak_supply_could_not_carry_is_forgotten_when_armed_anew(host: V
     host.uno.electrics.resistance[0] = 10.0
     host.arm()
     host.hold(0.5, 5000, 0, 0, 0)
-    assert host.telemetry[-1].state == State.ARMED
+    assert host.telemetry[-1].state == DeviceState.ARMED
     assert channel_powers(host.telemetry[-1], PowerCalibration())[0].voltage == pytest.approx(
         5.0, rel=0.01
     )
@@ -420,14 +420,14 @@ def test_hung_program_is_switched_off_then_restarted(driving: VirtualHost) -> No
     assert driving.time_until_off(limit=0.3) < 0.033
     greeting = next(m for m in driving.messages[::-1] if isinstance(m, Named) and m.letter == "H")
     assert int(greeting.values["reset"]) == 8
-    assert driving.telemetry[-1].state == State.IDLE
+    assert driving.telemetry[-1].state == DeviceState.IDLE
 
 
 def test_program_hung_without_interrupts_is_off_by_the_watchdog(driving: VirtualHost) -> None:
     driving.drive(6000, 0, 0, 3000)
     driving.uno.hang(interrupts=False)
     assert driving.time_until_off(limit=0.3) < 0.075
-    assert driving.telemetry[-1].state == State.IDLE
+    assert driving.telemetry[-1].state == DeviceState.IDLE
 
 
 def test_garbage_drives_nothing_and_leaves_it_talking(host: VirtualHost) -> None:

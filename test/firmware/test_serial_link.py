@@ -20,7 +20,7 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError, find_port, open_port
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_messages import State, Telemetry, line
+from sma_bench.hardware.serial_messages import DeviceState, Telemetry, line
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 30.0
@@ -120,7 +120,7 @@ def test_stop_is_latched_until_reset_and_arming(bench: PtyBench, link: Watched) 
     link.arm()
     drive_until(link, lambda: bench.device.duties[0] > 0.2)
     link.stop()
-    wait_for(lambda: link.status.state == State.STOPPED)
+    wait_for(lambda: link.status.state == DeviceState.STOPPED)
     assert bench.device.duties == (0.0,) * 4
     assert link.events[-1] == "the device stopped: stop byte"
     with pytest.raises(LinkError, match="device refused A: stopped: reset first"):
@@ -178,7 +178,7 @@ def test_what_another_host_asks_is_noticed(
     bench.do(lambda: bench.device.write(line(body)))
     wait_for(lambda: link.status.unasked == answer)
     link.stop()
-    wait_for(lambda: link.status.state == State.STOPPED or body == "D")
+    wait_for(lambda: link.status.state == DeviceState.STOPPED or body == "D")
     link.reset()
     link.arm()
     time.sleep(0.1)
@@ -331,7 +331,7 @@ def test_port_is_found_by_its_stable_name(tmp_path: Path) -> None:
 def test_a_timeout_says_who_was_silent(bench: PtyBench, link: Watched) -> None:
     link.arm()
     drive_until(link, lambda: link.status.command_latency > 0.0)
-    wait_for(lambda: link.status.state == State.STOPPED)
+    wait_for(lambda: link.status.state == DeviceState.STOPPED)
     assert link.status.silence.startswith("this computer sent nothing for 0.")
 
 

@@ -10,7 +10,7 @@ from virtual_port import VirtualPort
 from sma_bench.emulation.emulated_uno import START_UP, EmulatedUno
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_messages import State, Telemetry
+from sma_bench.hardware.serial_messages import DeviceState, Telemetry
 
 VOLTS = (6000, 0, 0, 3000)
 PATIENCE = 60.0
@@ -76,7 +76,7 @@ def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(
     """A driver that is so slow that its own next command would come too late."""
     with driving(uno, 12, lost) as drive:
         drive.until(lambda: len(drive.frames) > 100)
-        assert {frame.state for frame in drive.frames[2:]} == {State.ARMED}
+        assert {frame.state for frame in drive.frames[2:]} == {DeviceState.ARMED}
         assert drive.link.status.refused >= drive.commands - 2
         assert drive.link.status.last_refusal in {
             f"device refused {letter}: {reason}"
@@ -88,10 +88,10 @@ def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(
 def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno: EmulatedUno) -> None:
     with driving(uno, 22) as drive:
         drive.until(lambda: len(drive.frames) > 100)
-        assert {frame.state for frame in drive.frames[2:]} == {State.ARMED}
+        assert {frame.state for frame in drive.frames[2:]} == {DeviceState.ARMED}
         sequence, commands = drive.link._sequence, drive.commands
         drive.hung = True
-        drive.until(lambda: drive.link.status.state == State.STOPPED)
+        drive.until(lambda: drive.link.status.state == DeviceState.STOPPED)
         assert drive.link.status.cause_text == "command timeout"
         assert 0 < drive.link._sequence - sequence <= 5 + drive.commands - commands
 

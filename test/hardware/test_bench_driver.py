@@ -9,7 +9,7 @@ from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device import DeviceIdentity, LinkStatus, Reading
 from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.safety import Guard, Limits
-from sma_bench.hardware.serial_messages import CAUSES, State, Telemetry
+from sma_bench.hardware.serial_messages import CAUSES, DeviceState, Telemetry
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 
@@ -37,7 +37,7 @@ class FakeLink:
 
     def arm(self):
         self.armed = True
-        self.status.state = State.ARMED
+        self.status.state = DeviceState.ARMED
         if self.stuck:
             self.stop()
             self.status.cause = CAUSES.index("current with all outputs off")
@@ -52,10 +52,10 @@ class FakeLink:
         self.armed = False
         self.sent.append("stop")
         if not self.deaf:
-            self.status.state, self.status.cause = State.STOPPED, CAUSES.index("stop byte")
+            self.status.state, self.status.cause = DeviceState.STOPPED, CAUSES.index("stop byte")
 
     def reset(self):
-        self.status.state = State.IDLE
+        self.status.state = DeviceState.IDLE
 
 
 class Bench:
@@ -184,7 +184,7 @@ def test_missing_feedback_is_an_obstacle_and_stale_feedback_a_reason(driving):
 
 
 def test_a_device_that_stopped_or_left_is_the_reason(driving):
-    driving.link.status.state = State.STOPPED
+    driving.link.status.state = DeviceState.STOPPED
     driving.link.status.cause = CAUSES.index("command timeout")
     driving.link.status.silence = "device refused V: above the duty limit"
     reason = driving.pass_time(0.1, command=3.0)
@@ -276,7 +276,7 @@ def test_current_with_all_outputs_off_stops_and_shouts_until_it_ends(bench):
 
 
 def test_a_device_that_says_current_still_flows_is_shouted_for(bench):
-    bench.link.status.state = State.STILL_FLOWING
+    bench.link.status.state = DeviceState.STILL_FLOWING
     bench.link.status.cause = CAUSES.index("current with all outputs off")
     assert bench.driver.state == "still flowing: pull the plug (current with all outputs off)"
     for request in (lambda: bench.driver.enable(bench.now), bench.driver.reset):

@@ -8,7 +8,7 @@ import pytest
 from sma_bench.estimation.result import result_of
 from sma_bench.estimation.unknowns import unknowns_of
 from sma_bench.identify.estimate import Estimate, with_prior
-from sma_bench.identify.run import Run
+from sma_bench.identify.run import IdentificationRun
 from sma_bench.parameters import Parameters
 
 LOSS, AREA = "wire.heat_transfer_coefficient", "wire.surface_area"
@@ -42,7 +42,7 @@ def test_a_contradiction_is_said_and_only_a_statement_counts_against_a_measureme
 
 
 def test_a_number_out_of_its_range_is_named_and_ends_nothing_else():
-    run = Run(Parameters.defaults(), frozenset())
+    run = IdentificationRun(Parameters.defaults(), frozenset())
     run.estimates = {
         "wire.thermal_expansion_factor": Estimate(9e12, 1e5, "Pa/K", "", 3),
         "wire.resistance": Estimate(2.5, 0.01, "ohm", "", 3),

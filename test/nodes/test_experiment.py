@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
-from sma_bench.nodes.experiment import Experiment
+from sma_bench.nodes.experiment import ExperimentNode
 from sma_bench.ros.node import LATCHED
 
 SHORT = {
@@ -147,7 +147,7 @@ def test_a_timer_that_is_called_twice_at_one_moment_commands_once_and_keeps_the_
         _run=SimpleNamespace(tick=lambda now, time: sent.append(time)),
     )
     for _ in range(3):
-        Experiment._tick(node)
+        ExperimentNode._tick(node)
     assert sent == [100e-9, 150e-9] and set_back == [100e-9]
 
 

@@ -23,7 +23,7 @@ from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.records import describe, open_record, read_record, tables
 from sma_bench.records.check import check_response
 from sma_bench.records.import_map import convert, read_map
-from sma_bench.records.import_proposal import Bench, bench_of, propose
+from sma_bench.records.import_proposal import BenchHints, bench_of, propose
 from sma_bench.records.isobaric import read_isobaric
 from sma_bench.records.table_cells import parse_unit, split_title
 from sma_bench.records.tables import read_table_file
@@ -258,7 +258,7 @@ def test_tensile_pulls_angles_and_currents_are_read(tmp_path):
     source = text_file(tmp_path / "t.csv", ["t (s)", "elongation (mm)", "force (N)"],
                        [TIME, pull, -9 * pull])  # fmt: skip
     table = read_table_file(source)
-    made, questions, _ = propose(table, Bench())
+    made, questions, _ = propose(table, BenchHints())
     signals = {s.name: s for s in convert(table, made)[0]}
     assert not questions
     np.testing.assert_allclose(signals["elongation"].values, pull / 1e3, atol=1e-12)
@@ -266,10 +266,10 @@ def test_tensile_pulls_angles_and_currents_are_read(tmp_path):
     source = text_file(tmp_path / "w.csv", ["t (s)", "strom (mA)", "winkel (grad)"],
                        [TIME, 800.0 * (DUTY > 0), MOVED * 4e3])  # fmt: skip
     table = read_table_file(source)
-    assert propose(table, Bench())[1] == [
+    assert propose(table, BenchHints())[1] == [
         "'lever': m of movement for a radian? load.lever of --params says it"
     ]
-    made, questions, _ = propose(table, Bench(lever=0.02))
+    made, questions, _ = propose(table, BenchHints(lever=0.02))
     signals = {s.name: s for s in convert(table, made)[0]}
     assert not questions and signals["wire.current"].values.max() == pytest.approx(0.8)
     np.testing.assert_allclose(
@@ -312,7 +312,7 @@ def test_variants_of_a_text_come_back_as_they_went(
     columns = [TIME * (1e3 if millis else 1), DUTY * 100, (zero + sign * MOVED) * scale]
     text_file(path, titles, columns, separator, decimal, above, digits=15)
     table = read_table_file(path)
-    made, questions, _ = propose(table, Bench(supply_voltage=SUPPLY, wire_length=0.38))
+    made, questions, _ = propose(table, BenchHints(supply_voltage=SUPPLY, wire_length=0.38))
     assert not questions
     signals = {s.name: s for s in convert(table, made)[0]}
     np.testing.assert_allclose(signals["elongation"].time, TIME, atol=1e-9)
@@ -510,7 +510,7 @@ def test_kelvin_that_are_celsius_do_not_pass(tmp_path, rig):
         tmp_path / "k.csv", ["time [s]", "duty [%]", "position [mm]", "wire temp [K]"],
         [TIME, DUTY * 100, PLACE * 1e3, np.linspace(23, 47, len(TIME))],
     ))  # fmt: skip
-    questions = propose(table, Bench(supply_voltage=12.0))[1]
+    questions = propose(table, BenchHints(supply_voltage=12.0))[1]
     assert len(questions) == 1 and "beyond belief, or in degC" in questions[0]
 
 

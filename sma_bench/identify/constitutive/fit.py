@@ -30,7 +30,7 @@ _MODULI = ("wire.austenite_modulus", "wire.martensite_modulus")
 
 
 @dataclass(frozen=True)
-class Unknown:
+class LawNumber:
     """One fitted number: its name, where the search starts, its bounds and a typical size."""
 
     name: str
@@ -108,7 +108,7 @@ class LawFit:
 def fit_law(
     loops: Sequence[Loop],
     law: Law,
-    unknowns: Sequence[Unknown],
+    unknowns: Sequence[LawNumber],
     fixed: Mapping[str, float],
     parameters: Parameters,
     report: Report = silent,
@@ -173,7 +173,7 @@ def _misfit(law: Law, p: Mapping[str, float], loop: Loop, given: Elastic) -> Arr
     return without_free_parts(loop.strain - strain, columns)[0]
 
 
-def _starts(unknowns: Sequence[Unknown]) -> list[Array]:
+def _starts(unknowns: Sequence[LawNumber]) -> list[Array]:
     rng = np.random.default_rng(_SEED)
     first = np.array([u.start for u in unknowns])
     size = np.array([u.size for u in unknowns])

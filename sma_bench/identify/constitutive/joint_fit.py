@@ -9,7 +9,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.identify.constitutive import fit as remarks
-from sma_bench.identify.constitutive.fit import LawFit, Unknown, fit_law, has_several_stresses
+from sma_bench.identify.constitutive.fit import LawFit, LawNumber, fit_law, has_several_stresses
 from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, Loop, make_loops
 from sma_bench.identify.estimate import Array, Correlation, Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import with_scales
@@ -300,7 +300,7 @@ _RELATIVE_EXPANSION = 3000.0  # 1e-6 of the strain's range per K
 
 def unknowns_of(
     loops: Sequence[Loop], law: Law, parameters: Parameters
-) -> tuple[list[Unknown], dict[str, float]]:
+) -> tuple[list[LawNumber], dict[str, float]]:
     """Unknowns with starts from the tangents, and what is fixed because the data cannot tell it.
 
     Raises:
@@ -308,7 +308,7 @@ def unknowns_of(
     """
     read = _tangents(loops)
     several = has_several_stresses(loops)
-    unknowns: list[Unknown] = []
+    unknowns: list[LawNumber] = []
     fixed: dict[str, float] = {}
     slopes: Mapping[str, float] = {
         phase: REFERENCE_STRESS / parameters[name] for phase, name in _INFLUENCE.items()
@@ -322,12 +322,12 @@ def unknowns_of(
             continue
         at_zero, slope = _line(read, ends, slopes[phase] if not several else None)
         for end, value in zip(ends, at_zero, strict=True):
-            unknowns.append(Unknown(end, value, value - 80.0, value + 80.0, 4.0))
+            unknowns.append(LawNumber(end, value, value - 80.0, value + 80.0, 4.0))
         names = [f"slope_{phase}"] if law == "contract" else [f"slope_{e}" for e in ends]
         for name in names:
             if several:
                 start = float(np.clip(slope, 1.0, 90.0))
-                unknowns.append(Unknown(name, start, *_SLOPE_BOUNDS, 2.0))
+                unknowns.append(LawNumber(name, start, *_SLOPE_BOUNDS, 2.0))
             else:
                 fixed[name] = slope
     unknowns.extend(_strain_unknowns(loops, law, read["step"]))
@@ -335,9 +335,9 @@ def unknowns_of(
     if law == "extended":
         fixed["T_ref"] = float(np.mean(np.concatenate([loop.temperature for loop in loops])))
     if law == "extended" and _stresses(loops) >= 3:
-        unknowns.append(Unknown("fading", 0.5, -20.0, 20.0, 0.5))
+        unknowns.append(LawNumber("fading", 0.5, -20.0, 20.0, 0.5))
         phases = [phase for phase, end in (("A", "A_s"), ("M", "M_s")) if end in read]
-        unknowns.extend(Unknown(f"bend_{phase}", 0.0, -30.0, 30.0, 0.5) for phase in phases)
+        unknowns.extend(LawNumber(f"bend_{phase}", 0.0, -30.0, 30.0, 0.5) for phase in phases)
     return unknowns, fixed
 
 
@@ -395,16 +395,16 @@ def _unmeasured(
     return {**found, **dict.fromkeys(names, slope)}
 
 
-def _strain_unknowns(loops: Sequence[Loop], law: Law, step: Array) -> list[Unknown]:
+def _strain_unknowns(loops: Sequence[Loop], law: Law, step: Array) -> list[LawNumber]:
     largest = max(float(np.max(np.abs(step[:, 1]))), 1e-4)
     top = max(3.0 * largest, 3.0 * max(loop.recovered for loop in loops))
     if law == "contract" or _stresses(loops) < 3:
-        return [Unknown("eps_L", largest, 0.0, top, 0.1 * largest)]
+        return [LawNumber("eps_L", largest, 0.0, top, 0.1 * largest)]
     least = max(float(np.min(np.abs(step[:, 1]))), 1e-6)
     return [
-        Unknown("H_min", 0.5 * least, 0.0, top, 0.1 * largest),
-        Unknown("dH", largest, 0.0, top, 0.1 * largest),
-        Unknown("k", 1.0, 0.01, 30.0, 0.3),
+        LawNumber("H_min", 0.5 * least, 0.0, top, 0.1 * largest),
+        LawNumber("dH", largest, 0.0, top, 0.1 * largest),
+        LawNumber("k", 1.0, 0.01, 30.0, 0.3),
     ]
 
 
@@ -412,14 +412,14 @@ def _stresses(loops: Sequence[Loop]) -> int:
     return len(np.unique(np.round([loop.stress / 2e6 for loop in loops])))
 
 
-def _expansion_unknowns(loops: Sequence[Loop], law: Law) -> list[Unknown]:
+def _expansion_unknowns(loops: Sequence[Loop], law: Law) -> list[LawNumber]:
     if loops[0].is_relative:
         limit, size = _RELATIVE_EXPANSION * 10.0, _RELATIVE_EXPANSION
     else:
         limit, size = 200.0, 5.0
     if law == "contract":
-        return [Unknown("Theta_T", -0.2, -50.0, 50.0, 0.2)] if not loops[0].is_relative else [
-            Unknown("Theta_T", 0.0, -1e4, 1e4, 10.0)
+        return [LawNumber("Theta_T", -0.2, -50.0, 50.0, 0.2)] if not loops[0].is_relative else [
+            LawNumber("Theta_T", 0.0, -1e4, 1e4, 10.0)
         ]
     start = 0.0 if loops[0].is_relative else 8.0
-    return [Unknown(name, start, -limit, limit, size) for name in ("alpha_A", "alpha_M")]
+    return [LawNumber(name, start, -limit, limit, size) for name in ("alpha_A", "alpha_M")]

@@ -54,7 +54,7 @@ Convention = Literal["cosine", "tangent"]
 
 
 @dataclass(frozen=True)
-class Reading:
+class BranchReading:
     """The tangents and the cosine of one branch."""
 
     record: IsobaricRecord
@@ -74,16 +74,16 @@ class Level:
     """All readings at one stress (Pa)."""
 
     stress: float
-    readings: tuple[Reading, ...]
+    readings: tuple[BranchReading, ...]
 
-    def along(self, direction: str) -> tuple[Reading, ...]:
+    def along(self, direction: str) -> tuple[BranchReading, ...]:
         """Those of one direction."""
         return tuple(r for r in self.readings if r.branch.direction == direction)
 
 
 def read_branches(
     records: Sequence[IsobaricRecord], parameters: Parameters, findings: list[Finding]
-) -> list[Reading]:
+) -> list[BranchReading]:
     """Tangents and cosine of every branch; one without a transformation becomes a finding.
 
     Raises:
@@ -103,15 +103,15 @@ def read_branches(
                     findings.append(Finding("warning", "tangents", text))
                 else:
                     cosine = fit_cosine(branch, tangents, parameters, stress)
-                    readings.append(Reading(record, cycle.number, branch, tangents, cosine))
+                    readings.append(BranchReading(record, cycle.number, branch, tangents, cosine))
     if not readings:
         raise InputError(f"{records[0].path}: no branch shows a transformation")
     return readings
 
 
-def group_levels(readings: Sequence[Reading]) -> list[Level]:
+def group_levels(readings: Sequence[BranchReading]) -> list[Level]:
     """Readings at the same stress together, in order of stress."""
-    groups: list[list[Reading]] = []
+    groups: list[list[BranchReading]] = []
     for reading in sorted(readings, key=lambda r: r.record.stress):
         stress = reading.record.stress
         if groups and abs(stress - groups[-1][0].record.stress) <= max(_SAME_STRESS * stress, 1e6):
@@ -378,18 +378,18 @@ def _details(levels: Sequence[Level]) -> dict[str, Estimate]:
 
 
 def _repeats(
-    readings: Sequence[Reading], end: int
-) -> list[tuple[Reading, tuple[float, float]]]:
+    readings: Sequence[BranchReading], end: int
+) -> list[tuple[BranchReading, tuple[float, float]]]:
     if len(readings) < 2:
         return []
     return [(r, r.ends("tangent")[end]) for r in readings]
 
 
-def _label(reading: Reading) -> str:
+def _label(reading: BranchReading) -> str:
     return f"{reading.record.name}, cycle {reading.cycle}, {reading.branch.direction}"
 
 
-def _curves(readings: Sequence[Reading]) -> dict[str, Array]:
+def _curves(readings: Sequence[BranchReading]) -> dict[str, Array]:
     curves = {}
     for r in readings:
         key = f"{r.record.name}/{r.cycle}/{r.branch.direction}"
@@ -412,7 +412,7 @@ _CLIPPED = 20
 _ENDS = (("cold", "M_f", "A_s"), ("hot", "M_s", "A_f"))
 
 
-def about_tangents(readings: Sequence[Reading]) -> list[Finding]:
+def about_tangents(readings: Sequence[BranchReading]) -> list[Finding]:
     """Branches turned round early, and temperature that jumps within the transformation."""
     findings = []
     early: dict[tuple[str, str, str], list[int]] = {}
@@ -459,9 +459,9 @@ def about_ends(records: Sequence[IsobaricRecord]) -> list[Finding]:
     return findings
 
 
-def about_cosines(readings: Sequence[Reading]) -> list[Finding]:
+def about_cosines(readings: Sequence[BranchReading]) -> list[Finding]:
     """Branches that no cosine describes: what a simulation takes are then ends of the nearest."""
-    rough: dict[str, list[Reading]] = {}
+    rough: dict[str, list[BranchReading]] = {}
     for r in readings:
         if r.cosine.rms > _ROUGH:
             rough.setdefault(r.branch.direction, []).append(r)
@@ -477,7 +477,7 @@ def about_cosines(readings: Sequence[Reading]) -> list[Finding]:
     return findings
 
 
-def about_training(readings: Sequence[Reading]) -> list[Finding]:
+def about_training(readings: Sequence[BranchReading]) -> list[Finding]:
     """Temperatures that drift from cycle to cycle of one record are no repeats."""
     findings = []
     for record in {r.record.name: r.record for r in readings}.values():

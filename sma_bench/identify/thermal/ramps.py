@@ -8,10 +8,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from sma_bench.estimation.noise_model import noise_floor
-from sma_bench.estimation.voltage import Segment
+from sma_bench.estimation.voltage import VoltageSegment
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.signals import Drive
+from sma_bench.identify.signals import ChannelDrive
 from sma_bench.records import Record
 from sma_bench.records.record import samples
 
@@ -40,7 +40,7 @@ class Cut:
     highest: float
 
 
-def cut_windows(record: Record, drive: Drive, limit: float) -> list[Cut]:
+def cut_windows(record: Record, drive: ChannelDrive, limit: float) -> list[Cut]:
     """Windows around the ramps of one channel, each up to where it becomes too hot."""
     voltage_time, voltage = samples(record, f"{drive.channel}.voltage")
     time, temperature = samples(record, f"{drive.channel}.temperature")
@@ -94,7 +94,7 @@ def choose_windows(
     return usable, [Finding("info" if cold else "warning", subject, text, numbers)]
 
 
-def _spans(ramps: Sequence[Segment]) -> list[tuple[float, float]]:
+def _spans(ramps: Sequence[VoltageSegment]) -> list[tuple[float, float]]:
     """Start and stop in s of the stretch around each ramp; stretches do not overlap."""
     spans = []
     for k, ramp in enumerate(ramps):

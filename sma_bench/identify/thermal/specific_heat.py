@@ -16,7 +16,7 @@ from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import Unknown, Unknowns
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.signals import Drive
+from sma_bench.identify.signals import ChannelDrive
 from sma_bench.identify.thermal.heat_transfer import scale_of_gain
 from sma_bench.identify.thermal.ramps import (
     FEWEST_SAMPLES,
@@ -61,7 +61,7 @@ class HeatLoss:
 
 
 def identify_specific_heat(
-    drives: Sequence[tuple[Record, Drive]], parameters: Parameters, heat_loss: HeatLoss
+    drives: Sequence[tuple[Record, ChannelDrive]], parameters: Parameters, heat_loss: HeatLoss
 ) -> Experiment:
     """Specific heat from voltage ramps, with the rest before and the cooling after each.
 
@@ -142,7 +142,7 @@ def _require_rise(windows: Sequence[Window], sources: Sequence[str], limit: floa
 
 # --- The fit: what is observed, what is unknown.
 
-_Used = tuple[Record, Drive, list[Window]]
+_Used = tuple[Record, ChannelDrive, list[Window]]
 
 
 def _observations(used: Sequence[_Used], parameters: Parameters) -> list[Observation]:
@@ -162,7 +162,7 @@ def _one_wire(parameters: Parameters, channel: str) -> Parameters:
     })  # fmt: skip
 
 
-def _lean(record: Record, drive: Drive, windows: Sequence[Window]) -> Record:
+def _lean(record: Record, drive: ChannelDrive, windows: Sequence[Window]) -> Record:
     """The drive from some time before the first window to the end of the last, and the readings
     inside them."""
     names = {kind: f"{drive.channel}.{kind}" for kind in ("voltage", "temperature")}
