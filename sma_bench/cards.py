@@ -127,12 +127,12 @@ def identification_card(result: IdentifyResult, numbers: bool = True) -> Card:
 def number_rows(result: IdentifyResult) -> list[tuple[str, ...]]:
     """A row a number, as `NUMBER_HEADER`: its error in two parts, the share of its information
     that came from the records, and how it agrees with the paper or data sheet (* assumed)."""
-    told = {n.name: title.split()[0] for title, _, own in result.experiments for n in own}
+    experiment_of = {n.name: title.split()[0] for title, _, own in result.experiments for n in own}
     return [
         (
             n.name, two_errors(n),
             percent(n.informed) if math.isfinite(n.informed) else "", *_agreement(n),
-            ", ".join([told.get(n.name, ""), *["warned"] * bool(n.warned)]),
+            ", ".join([experiment_of.get(n.name, ""), *["warned"] * bool(n.warned)]),
         )
         for n in result.parameters
     ]

@@ -86,7 +86,7 @@ class Meanwhile:
     Whatever a node calls, and takes long to compile, is called through one of these.
     """
 
-    told: Callable[[str], None] | None = None
+    notify: Callable[[str], None] | None = None
     """gets what there is to say; None: whoever calls waits for the compiler"""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -96,22 +96,22 @@ class Meanwhile:
 
     def __call__(self, *arguments: Any) -> Any:
         """As the function."""
-        if Meanwhile.told is None or numba is None:
+        if Meanwhile.notify is None or numba is None:
             return self.function(*arguments)
         if not self._begun:
             self._begun = True
-            self._begin(tuple(map(numba.typeof, arguments)), Meanwhile.told)
+            self._begin(tuple(map(numba.typeof, arguments)), Meanwhile.notify)
         return self._call(*arguments)
 
-    def _begin(self, signature: tuple[Any, ...], told: Callable[[str], None]) -> None:
+    def _begin(self, signature: tuple[Any, ...], notify: Callable[[str], None]) -> None:
         if signature in self.function.overloads or _on_disk(self.function, signature):
             return
-        told("compiling beside, once after an installation; slower until then")
+        notify("compiling beside, once after an installation; slower until then")
         self._call = _quietly(plain(self.function))
-        work = threading.Thread(target=self._compile, args=(signature, told), daemon=True)
+        work = threading.Thread(target=self._compile, args=(signature, notify), daemon=True)
         work.start()
 
-    def _compile(self, signature: tuple[Any, ...], told: Callable[[str], None]) -> None:
+    def _compile(self, signature: tuple[Any, ...], notify: Callable[[str], None]) -> None:
         """Another process, as the compiler holds Python's lock; then its machine code is read."""
         name = self.function.__module__, self.function.__name__
         with suppress(OSError):
@@ -123,12 +123,12 @@ class Meanwhile:
             )  # fmt: skip
         self.function.compile(signature)
         self._call = self.function
-        told("compiled")
+        notify("compiled")
 
 
-def run_plain_meanwhile(told: Callable[[str], None]) -> None:
-    """From now on this process does not wait for the compiler; `told` gets a line about it."""
-    Meanwhile.told = told
+def run_plain_meanwhile(notify: Callable[[str], None]) -> None:
+    """From now on this process does not wait for the compiler; `notify` gets a line about it."""
+    Meanwhile.notify = notify
 
 
 @cache
@@ -196,20 +196,20 @@ def compile_here() -> None:
         function.compile(signature)
 
 
-def when_compiling(told: Callable[[], None]) -> Any:
-    """Have `told` called whenever this process begins to compile a function; numba's listener."""
+def when_compiling(notify: Callable[[], None]) -> Any:
+    """Have `notify` called whenever this process begins to compile a function; numba's listener."""
     if numba is None:
         return None
     from numba.core import event
 
-    class Told(event.Listener):  # type: ignore[misc]
+    class Notified(event.Listener):  # type: ignore[misc]
         def on_start(self, _: Any) -> None:
-            told()
+            notify()
 
         def on_end(self, _: Any) -> None:
             pass
 
-    listener = Told()
+    listener = Notified()
     event.register("numba:compile", listener)
     return listener
 

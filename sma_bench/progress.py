@@ -6,7 +6,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 Report = Callable[[float, str], None]
-"""told the share that is done (0 to 1), and what comes now ("": as before)"""
+"""called with the share that is done (0 to 1), and what comes now ("": as before)"""
 
 COMPILING = "compiling, once after an installation"
 """what comes where functions of the physics have no machine code yet: nothing moves for a while"""
@@ -20,11 +20,11 @@ def part(report: Report, low: float, high: float, name: str = "") -> Report:
     """The reporter of a part of the work, from one share of the whole to another; `name` leads
     what it tells."""
 
-    def told(share: float, what: str = "") -> None:
-        told_what = ": ".join(filter(None, (name, what)))
-        report(low + (high - low) * min(share, 1.0), told_what)
+    def reporter(share: float, what: str = "") -> None:
+        named = ": ".join(filter(None, (name, what)))
+        report(low + (high - low) * min(share, 1.0), named)
 
-    return told
+    return reporter
 
 
 def in_turn(items: Sequence[T], report: Report, named: Callable[[T], str]) -> Iterator[T]:
@@ -35,13 +35,13 @@ def in_turn(items: Sequence[T], report: Report, named: Callable[[T], str]) -> It
 
 
 def counted(report: Report, total: int, unit: str) -> Callable[[int], None]:
-    """A reporter that is told how many of `total` are done."""
+    """A reporter that is called with how many of `total` are done."""
 
-    def told(done: int) -> None:
+    def reporter(done: int) -> None:
         report(done / total if total else 1.0, f"{unit} {min(done + 1, total)} of {total}")
 
-    told(0)
-    return told
+    reporter(0)
+    return reporter
 
 
 def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
@@ -58,7 +58,7 @@ def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
 
 
 def by_name(report: Report, plan: Mapping[str, float]) -> Callable[[str], None]:
-    """A reporter that is told only which step of a plan (see `shares`) comes now; one that is not
-    in it leaves the share as it is."""
+    """A reporter that is called with the step of a plan (see `shares`) that comes now; a name that
+    is not in it leaves the share as it is."""
     begins = {step: low for step, (low, _) in shares(plan).items()}
     return lambda step: report(begins.get(step, 0.0), step)

@@ -172,7 +172,7 @@ def diagnose(
     Args:
         records: bags of one bench; parameters: as believed, `uncertainty.` as priors.
         hold_out: further bags of the same bench.
-        progress: told what is being done.
+        progress: called with what is being done.
         quantities: that are compared, of current, temperature and deflection.
 
     Raises:

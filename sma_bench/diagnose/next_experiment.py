@@ -155,9 +155,9 @@ class Matter:
                 steady, wanders = sorted(pair, key=lambda name: len(_parts(name)))
                 gains = self.weights.gains
                 share = min(minutes / self.minutes, 1.0 / self.records)
-                told = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
-                seen = float(np.sqrt(2.0 * told))  # several records tell what one hardly does
-                found[pair] = Telling(told, max(seen, VISIBLE) if told > 0.0 else 0.0)
+                evidence = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
+                seen = float(np.sqrt(2.0 * evidence))  # several records tell what one hardly does
+                found[pair] = Telling(evidence, max(seen, VISIBLE) if evidence > 0.0 else 0.0)
         return found
 
     def experiment(self, kind: str, why: str, minutes: float, tellings: Tellings,
@@ -506,10 +506,10 @@ def _tellings(predicted: Columns, spaces: Columns) -> dict[tuple[str, str], Tell
 def taken_up(tellings: Tellings) -> dict[tuple[str, str], Telling]:
     """As a bench tells it that is not quite the model: against effects, of recalibration."""
     return {
-        (truth, rival): told._replace(
-            evidence=max(told.evidence - _TAKEN_UP, min(told.evidence, 0.0))
-        ) if truth == RECALIBRATION else told
-        for (truth, rival), told in tellings.items()
+        (truth, rival): telling._replace(
+            evidence=max(telling.evidence - _TAKEN_UP, min(telling.evidence, 0.0))
+        ) if truth == RECALIBRATION else telling
+        for (truth, rival), telling in tellings.items()
     }
 
 

@@ -81,7 +81,7 @@ def _expected(tellings: Tellings, truth: str, rival: str, luck: float) -> float:
     An effect that is not there is told by not being seen, which takes an experiment that would show
     it; without that its freedom alone speaks against it, and that settles nothing.
     """
-    told = tellings[truth, rival]
-    nats = told.evidence + luck * told.distance
-    visible = max(told.distance, tellings[rival, truth].distance) >= VISIBLE
+    telling = tellings[truth, rival]
+    nats = telling.evidence + luck * telling.distance
+    visible = max(telling.distance, tellings[rival, truth].distance) >= VISIBLE
     return nats if visible else min(nats, 0.0)

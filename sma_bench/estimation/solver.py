@@ -88,9 +88,9 @@ class Fit:
         """(k,) standard errors as large as what the model leaves asks for, the prior's at most.
 
         A misfit is no noise: it is the same in every bin of a pulse. So the records are cut into
-        stretches, and the numbers are told once without each (the jackknife over groups; Shao and
-        Tu, The Jackknife and Bootstrap, 1995), by a straight line from the optimum. Where noise is
-        all that is left, the squares of these moves sum up to the variances that they add; by as
+        stretches, and the numbers are estimated once without each (the jackknife over groups; Shao
+        and Tu, The Jackknife and Bootstrap, 1995), by a straight line from the optimum. Where noise
+        is all that is left, the squares of these moves sum up to the variances that they add; by as
         much as they sum up to more, the variance of a number is larger. The pull of the priors,
         of which a stretch is no sample, is taken off before.
         """
@@ -181,7 +181,7 @@ def recalibrate(
 
     Args:
         parameters: as believed, about which nuisances are linear at first.
-        starts: (k,) each; report: told at every start.
+        starts: (k,) each; report: called at every start.
     """
     first = problem.with_nuisances(parameters)
 

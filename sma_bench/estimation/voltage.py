@@ -34,8 +34,8 @@ _STRAIGHT = 1.3
 _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
-_TOLD = 6.0  # standard errors of a bend, or of a step
-_TOLD_STEPS = 1.5  # of the converter: what is smaller may be its own
+_CLEAR = 6.0  # standard errors of a bend, or of a step
+_CLEAR_STEPS = 1.5  # of the converter: what is smaller may be its own
 _ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
 _TOGGLES = 0.6  # of the step: what scatters less may be two readings by turns
 _WORTH = 0.5  # of the noise of a line's mean
@@ -553,7 +553,7 @@ def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int
     k = int(np.argmax(gain))
     levels = float(away @ away) - float(gain[k])
     nearer = float(np.sum((volts - line) ** 2)) - levels
-    if nearer <= _TOLD**2 * levels / n or height[k] < _TOLD_STEPS * step:
+    if nearer <= _CLEAR**2 * levels / n or height[k] < _CLEAR_STEPS * step:
         return [(0, n)], line
     found, course = [], []
     for first, last in ((0, int(count[k])), (int(count[k]), n)):
@@ -570,8 +570,8 @@ def _bend(left: Array, step: float) -> Array:
     bow -= bow.mean()
     power = float(bow @ bow)
     depth = float(bow @ left) / power
-    told = abs(depth) > max(0.5 * step, _TOLD * float(np.std(left - depth * bow)) / np.sqrt(power))
-    return depth * bow if told else np.zeros(len(left))
+    bent = abs(depth) > max(0.5 * step, _CLEAR * float(np.std(left - depth * bow)) / np.sqrt(power))
+    return depth * bow if bent else np.zeros(len(left))
 
 
 def _jumps(time: Array, voltage: Array, segments: Segments) -> Array:

@@ -171,8 +171,8 @@ def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estim
         return measured, ""
     sure = measured.std if stated else measured.statistical
     if sure <= prior.std:
-        told = measured.capped(prior.std)
-        return replace(told, informed=1.0 - (sure / prior.std) ** 2), ""
+        narrowed = measured.capped(prior.std)
+        return replace(narrowed, informed=1.0 - (sure / prior.std) ** 2), ""
     apart = (measured.value - prior.value) / math.hypot(measured.std, prior.std)
     remark = "" if abs(apart) < _CONTRADICTS else (
         f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit} is {apart:+.1f} "

@@ -87,21 +87,21 @@ class Identification(Reported):
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from."""
-        told = [e for e in self.experiments if name in e.estimates]
+        holding = [e for e in self.experiments if name in e.estimates]
         taken = self.estimates[name]
         same = [
-            e for e in told
+            e for e in holding
             if (e.estimates[name].value, e.estimates[name].n) == (taken.value, taken.n)
         ]
-        return (same or told)[-1].name
+        return (same or holding)[-1].name
 
     @property
     def correlation(self) -> Correlation:
         """Of the errors of all estimates; between those of different experiments as far as the
         same sensors are behind them."""
         names = list(self.estimates)
-        told = list(self.estimates.values())
-        sources = sorted({source for e in told for source in e.shares})
+        estimates = list(self.estimates.values())
+        sources = sorted({source for e in estimates for source in e.shares})
         matrix = np.eye(len(names))
         for own in (e for e in self.experiments if e.correlation is not None):
             assert own.correlation is not None
@@ -112,10 +112,10 @@ class Identification(Reported):
             if chosen:
                 here, there = np.array(chosen).T
                 matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
-        std = np.array([max(e.std, 1e-300) for e in told])
-        own_parts = np.array([e.statistical for e in told]) / std
-        shares = [[e.shares.get(s, 0.0) for s in sources] for e in told]
-        common = np.array(shares).reshape(len(told), len(sources)) / std[:, np.newaxis]
+        std = np.array([max(e.std, 1e-300) for e in estimates])
+        own_parts = np.array([e.statistical for e in estimates]) / std
+        shares = [[e.shares.get(s, 0.0) for s in sources] for e in estimates]
+        common = np.array(shares).reshape(len(estimates), len(sources)) / std[:, np.newaxis]
         matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
         np.fill_diagonal(matrix, 1.0)
         return Correlation(tuple(names), matrix)
@@ -224,7 +224,7 @@ def identify(
         parameters: what is known beforehand (mass, area, A_s, ...).
         experiments: names out of EXPERIMENTS; all that the records hold when None, but E9 on
             clamped wires and isobaric files, which takes a minute, only when named.
-        report: told how far it is.
+        report: called with how far it is.
         phases: of tensile tests, by file name or pattern of names.
 
     Raises:
@@ -243,16 +243,16 @@ def identify(
     run.notes.extend(f for record in bags for f in _remarks(record))
     run.notes.extend(about_wire(known))
     whole = _whole_model(run, bags, report)
-    told = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
+    reporter = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     # Wires that move a load are identified by the whole model alone: their staircases bend it.
     still = [r for r in bags if not (whole and whole_model.moves(r, parameters))]
     drives = find_all_drives(run, still)
     for name, thermal in _THERMAL.items():
-        told(name)
+        reporter(name)
         thermal(run, drives)
     pulled = [test for r in still for test in load_frame.tensile_tests(r, run.improved())]
-    _instruments(run, [*records, *pulled, *_held(run, still)], phases or {}, told, report)
-    told("E8")
+    _instruments(run, [*records, *pulled, *_held(run, still)], phases or {}, reporter, report)
+    reporter("E8")
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
     run.weigh_priors(whole)
@@ -288,12 +288,12 @@ def _whole_model(
         text = "the force of a clamped wire is there: --experiment E9 fits the whole model to it"
         run.notes.append(Finding("info", name, text))
         return None
-    told = part(report, 0.0, _WHOLE_MODEL, name)
+    reporter = part(report, 0.0, _WHOLE_MODEL, name)
     try:
         if bent:
-            experiment = whole_model.identify_moving_bench([*framed, *bent], run.given, told)
+            experiment = whole_model.identify_moving_bench([*framed, *bent], run.given, reporter)
         else:
-            experiment = load_frame.identify_load_frame(framed, run.given, told)
+            experiment = load_frame.identify_load_frame(framed, run.given, reporter)
     except InputError as error:
         run.fail(name, str(error))
         return None
@@ -317,18 +317,18 @@ def _held(run: IdentificationRun, bags: Sequence[Record]) -> list[IsobaricRecord
 
 def _instruments(
     run: IdentificationRun, records: Sequence[AnyRecord], phases: Mapping[str, Phase],
-    told: Callable[[str], None], report: Report,
+    reporter: Callable[[str], None], report: Report,
 ) -> None:
     """E5, E6, E7 and E9 on instrument files, each on all files of its kind together."""
     dsc = [r for r in records if isinstance(r, DscRecord)]
     isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
-    told("E5")
+    reporter("E5")
     if len(dsc) == 1 and _rate_follows_cycle(dsc[0]):
         _try(run, "E5", lambda: identify_transition_temperatures(dsc[0]))
     elif dsc:
         _try(run, "E5", lambda: identify_heating_rates(dsc))
-    told("E6")
+    reporter("E6")
     # Tensile tests take their phase from E6's temperatures, and give the moduli of E6's elastic
     # part: so the temperatures come first, then the moduli, then E6 as a whole.
     own = run.improved()
@@ -337,7 +337,7 @@ def _instruments(
             own = own.replace(
                 {n: e.value for n, e in identify_isobaric(isobaric, own).estimates.items()}
             )
-    told("E7")
+    reporter("E7")
     if tensile:
         _try(run, "E7", lambda: identify_tensile(tensile, own, phases=phases))
     if isobaric:

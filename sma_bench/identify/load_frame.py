@@ -49,7 +49,7 @@ def identify_load_frame(
         records: bags of one wire with `elongation`, `force` or both.
         parameters: the lab's values with their uncertainties; mass and diameter tell the wire's
             length (NiTi, 6450 kg/m3), for which the contract has no parameter.
-        report: told how far the fit is.
+        report: called with how far the fit is.
 
     Raises:
         InputError: no load frame in any record, no voltage, or neither held loads nor clamps.

@@ -170,7 +170,7 @@ def about_wire(known: Parameters) -> list[Finding]:
     if not length:
         return []
     doubt = {name: known.std(name) / known[name] for name in _BEHIND}
-    told = {
+    diameters = {
         "wire.mass": math.sqrt(4.0 * known["wire.mass"] / (math.pi * NITI_DENSITY * length)),
         "wire.surface_area": known["wire.surface_area"] / (math.pi * length),
         "wire.diameter": known["wire.diameter"],
@@ -182,14 +182,14 @@ def about_wire(known: Parameters) -> list[Finding]:
     }
 
     def agree(one: str, other: str) -> bool:
-        apart = abs(math.log(told[one] / told[other]))
+        apart = abs(math.log(diameters[one] / diameters[other]))
         return apart <= _SIGNIFICANT * math.hypot(error[one], error[other])
 
-    pairs = {name: [n for n in told if n != name] for name in told}
+    pairs = {name: [n for n in diameters if n != name] for name in diameters}
     if all(agree(*pair) for pair in pairs.values()):
         return []
-    odd = [name for name, pair in pairs.items() if agree(*pair)] or list(told)
-    shown = ", ".join(f"{d * 1e3:.4g} mm by {name}" for name, d in told.items())
+    odd = [name for name, pair in pairs.items() if agree(*pair)] or list(diameters)
+    shown = ", ".join(f"{d * 1e3:.4g} mm by {name}" for name, d in diameters.items())
     return [
         Finding(
             "warning", _BEHIND[name],

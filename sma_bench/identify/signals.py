@@ -240,12 +240,12 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
     n = np.array([len(v) for _, v in windows_of_samples], dtype=np.float64)
     fits = [_trend(t, v) for t, v in windows_of_samples]
     residuals = [residual for _, _, residual in fits]
-    colour = inflation(autocorrelation(residuals))
+    correlated = inflation(autocorrelation(residuals))
     variance = np.array([np.sum(r**2) / (len(r) - 2) for r in residuals])
     pooled = float(np.sum(variance * n) / np.sum(n))
     # Short windows know their own scatter badly and lean on the others'.
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)
-    noise = np.sqrt(steady * colour / n)
+    noise = np.sqrt(steady * correlated / n)
     step = resolution(values)
     hidden = quantisation_variance(float(np.sqrt(pooled)), step)
     return Means(

@@ -72,7 +72,7 @@ def identify_moving_bench(
     Args:
         records: of the bench, at least one with a deflection (or ranges) or an elongation.
         parameters: the lab's values with their uncertainties, and bench.channels.
-        report: told how far the fit is.
+        report: called with how far the fit is.
 
     Raises:
         InputError: no voltage of some channel, or no motion in any record.
@@ -111,11 +111,12 @@ def fit_experiment(
     result = fit_whole_model(observations, parameters, report)
     quantities = list(dict.fromkeys(q for one in observations for q in one.quantities))
     method = f"simulation fitted to {', '.join(quantities)}"
-    told = [number for number in result.numbers if _is_told(number)]
+    identifiable = [number for number in result.numbers if _is_identifiable(number)]
     return Experiment(
-        name, title, {n.name: _estimate(n, method, result.samples, parameters) for n in told},
+        name, title,
+        {n.name: _estimate(n, method, result.samples, parameters) for n in identifiable},
         findings(result), curves(result), "; ".join(one.path for one in observations),
-        details(result), correlation_of(result, [n.name for n in told]),
+        details(result), correlation_of(result, [n.name for n in identifiable]),
     )
 
 
@@ -155,7 +156,7 @@ def starts(unknowns: Unknowns) -> list[Array]:
     return [*(unknowns.start(spread) for spread in _SPREADS), *drawn]
 
 
-def _is_told(number: Number) -> bool:
+def _is_identifiable(number: Number) -> bool:
     """A shape of the kinetics that is the cosine's is not worth a line."""
     return number.name not in _NUISANCES or number.value != BY_NAME[number.name].default
 
@@ -167,10 +168,10 @@ def _estimate(number: Number, method: str, n: int, parameters: Parameters) -> Es
     if number.name == RESISTANCE:
         shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
     # What nobody measured better is not known better: sensors' scales are in what was known, too.
-    told = Estimate(
+    estimate = Estimate(
         number.value, number.std, BY_NAME[number.name].unit, words, n, informed=number.informed
     )
-    return told.with_shares(shares).capped(number.prior_std)
+    return estimate.with_shares(shares).capped(number.prior_std)
 
 
 def details(result: Result) -> dict[str, Estimate]:
@@ -226,8 +227,8 @@ def findings(result: Result) -> tuple[Finding, ...]:
 
 def _uninformed(result: Result) -> list[Finding]:
     remarks = []
-    told = [n for n in result.numbers if n.name not in _NUISANCES]
-    which = [n.name for n in told if n.informed < _UNINFORMED]
+    found = [n for n in result.numbers if n.name not in _NUISANCES]
+    which = [n.name for n in found if n.informed < _UNINFORMED]
     if which:
         text = (
             f"the records hardly improve what was known of {', '.join(which)}: value and error "

@@ -348,7 +348,7 @@ def _explanations(parameters: Parameters) -> Finding | None:
     judged = {"heat transfer": _heat_transfer, "time constant": _time_constant,
               "specific heat": _specific_heat}
     clashing = [name for name, check in judged.items() if check(parameters).severity != "info"]
-    told, numbers = [], {"factor": factor}
+    texts, numbers = [], {"factor": factor}
     for what, changed in undone.items():
         values = {name: _clipped(name, value) for name, value in changed.items()}
         then = [n for n, check in judged.items()
@@ -356,14 +356,14 @@ def _explanations(parameters: Parameters) -> Finding | None:
         mended = [name for name in clashing if name not in then]
         left = f"leaves {_listed(then)}" if then else "leaves nothing"
         c_p = values.get("wire.specific_heat", heat)
-        told.append(f"{what} mends {_listed(mended) or 'none of it'} and {left} (c_p {c_p:.0f})")
+        texts.append(f"{what} mends {_listed(mended) or 'none of it'} and {left} (c_p {c_p:.0f})")
         numbers[f"left by {what.partition(' by ')[0]}"] = float(len(then))
     rest = [name for name in clashing if name not in ("heat transfer", "time constant")]
-    told.append(
+    texts.append(
         "moving air or a wire in contact explain heat transfer and time constant"
         + (f" and leave {_listed(rest)}" if rest else "")
     )
-    return Finding("info", "heat transfer explained", "; ".join(told), numbers)
+    return Finding("info", "heat transfer explained", "; ".join(texts), numbers)
 
 
 def _clipped(name: str, value: float) -> float:

@@ -105,7 +105,7 @@ def write_parameters(
         InputError: the folder cannot be written.
     """
     chosen = set(_worth_writing(parameters) if names is None else names)
-    told, stds = sources or {}, parameters.given_uncertainty
+    named_sources, stds = sources or {}, parameters.given_uncertainty
     body: dict[str, Any] = {}
     notes: dict[str, str] = {}
     for parameter in TABLE:
@@ -113,14 +113,14 @@ def write_parameters(
         if name not in chosen:
             continue
         value = parameters[name]
-        if name in told and stds.get(name):
+        if name in named_sources and stds.get(name):
             value = _rounded(value, stds[name])
         _insert(body, name, _plain(value))
         by_default = "given" if value != parameter.default else parameter.provenance
-        notes[name] = _note(parameter, told.get(name, by_default))
+        notes[name] = _note(parameter, named_sources.get(name, by_default))
     for name, std in sorted(stds.items()):
         if name in chosen:
-            std = _rounded(std, std) if name in told else float(std)
+            std = _rounded(std, std) if name in named_sources else float(std)
             _insert(body, UNCERTAINTY_PREFIX + name, std)
             notes[UNCERTAINTY_PREFIX + name] = f"[{BY_NAME[name].unit or '1'}]"
     above = {p.name: p.description for p in TABLE} if explain else {}

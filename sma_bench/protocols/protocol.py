@@ -408,8 +408,8 @@ class _Speaker:
         return {"kind": "ramp", "start": start, "stop": pieces["to"], "duration": pieces["in"]}
 
     def _hold(self, pieces: dict[str, Any]) -> dict[str, Any]:
-        told = pieces.get("at", pieces.get("to"))
-        self._level = self._known() if told is None else told
+        level = pieces.get("at", pieces.get("to"))
+        self._level = self._known() if level is None else level
         return {"kind": "hold", "level": self._level, "duration": _longest(pieces, "for")}
 
     def _rest(self, pieces: dict[str, Any]) -> dict[str, Any]:

@@ -202,12 +202,12 @@ def _temperature_sense(name: str, low: float, high: float) -> Iterator[Finding]:
     numbers = {"low": low, "high": high}
     if low > _COLDEST_REST_TOO_WARM:
         text = (
-            f"never below {low - 273.15:.1f} degC; the topic seems to carry kelvin, the contract "
-            "(and sensor_msgs/Temperature) says Celsius"
+            f"never below {low - contract.CELSIUS_ZERO:.1f} degC; the topic seems to carry kelvin, "
+            "the contract (and sensor_msgs/Temperature) says Celsius"
         )
         yield Finding("error", name, text, numbers)
     elif low < 0:
-        text = f"{low - 273.15:.1f} degC lies below absolute zero"
+        text = f"{low - contract.CELSIUS_ZERO:.1f} degC lies below absolute zero"
         yield Finding("error", name, text, numbers)
     elif high < contract.COLDEST_BENCH:
         text = (

@@ -232,9 +232,9 @@ def identify_section(result: IdentifyResult, name: str) -> tuple[Section, str]:
     return section, f"{len(result.parameters)} parameters identified by {done or 'no experiment'}"
 
 
-def _is_new(number: ShownNumber, told: Sequence[ShownNumber]) -> bool:
+def _is_new(number: ShownNumber, known: Sequence[ShownNumber]) -> bool:
     """Whether it is not told already, as a parameter of the same value and error."""
-    return all((n.name, n.value, n.std) != (number.name, number.value, number.std) for n in told)
+    return all((n.name, n.value, n.std) != (number.name, number.value, number.std) for n in known)
 
 
 def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:

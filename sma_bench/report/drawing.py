@@ -239,9 +239,9 @@ def _points(ax: Axes) -> Iterator[tuple[Any, ...]]:
             if isinstance(bar, Rectangle) and bar.get_x() + bar.get_width():
                 middle = bar.get_y() + bar.get_height() / 2.0
                 near = min(high, key=lambda y: abs(y - middle), default=None)
-                told = str(bars.get_label())
+                label = str(bars.get_label())
                 yield (
-                    "" if told.startswith("_") else told, bar.get_width(),
+                    "" if label.startswith("_") else label, bar.get_width(),
                     middle if near is None else high[near],
                 )
     for found in ax.collections:

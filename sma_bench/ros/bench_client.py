@@ -155,7 +155,8 @@ class NodeCalls:
         Args:
             protocol: its file; name, seconds: of it.
             bag: new folder, there once it holds the whole run; an unfinished one is kept beside it.
-            heed: told the experiment's state some 20 times a second; may raise to end the run.
+            heed: called with the experiment's state some 20 times a second; may raise to end the
+                run.
             simulated_time: whether the bench runs on /clock.
 
         Raises:

@@ -206,7 +206,7 @@ class Investigation:
         last = self.folder / f"diagnosis_{len(self.chapters)}.json"
         result = diagnosis_from(last, read_json(read_text(last, _CHAPTER), str(last), _CHAPTER))
         answer = Section("", card=verdict_card(result))
-        told = [
+        sections = [
             Section(f"After {c.records} record{'s' if c.records != 1 else ''}", [*c.why],
                     notes=[c.proposed["why"]] if c.proposed else [])
             for c in self.chapters
@@ -214,7 +214,7 @@ class Investigation:
         table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "Probabilities by record")
         return write_report(
             self.folder / "story", "Investigation", f"{self.summary()}. {made.head}",
-            [answer, Section("Story", tables=[table]), *told, made.section()],
+            [answer, Section("Story", tables=[table]), *sections, made.section()],
         )
 
     @property

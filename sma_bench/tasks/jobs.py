@@ -23,7 +23,7 @@ OWN_ROOT = "sma_bench_results"
 _OWN_BEGINNINGS = (b"# Improved by ", b"# Identified by ", b'{\n  "parameters"')
 _LARGEST_RESULT = 1 << 26
 _BAD_INPUT = 2
-_TOLD = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
+_REPORTED = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it
 _DIAGNOSED = 0.9  # of the time, about; the rest draws the report
 _BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
 
@@ -41,7 +41,7 @@ class JobProcess:
         """The job's result, waited for without using the processor.
 
         Args:
-            report: told what the job tells meanwhile.
+            report: called with what the job reports meanwhile.
 
         Raises:
             InputError: what the job raised, or that it was ended.
@@ -61,8 +61,8 @@ class JobProcess:
             with suppress(BrokenPipeError), process.stdin:  # it has ended; its status says why
                 process.stdin.write(json.dumps(asdict(job)))
             for line in process.stderr:
-                if told := _TOLD.match(line):
-                    report(float(told["share"]), told["what"])
+                if progress := _REPORTED.match(line):
+                    report(float(progress["share"]), progress["what"])
                 else:
                     errors.append(line)
         status = process.wait()

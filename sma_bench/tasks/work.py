@@ -43,7 +43,7 @@ def identify_files(
         paths: of the records; parameters: what is known beforehand.
         experiments: of E1 to E10; all that the records allow when None.
         namespace: where two benches are in one bag, the one to take.
-        report: told how far it is.
+        report: called with how far it is.
         phases: of tensile tests, by file name or pattern of names.
 
     Raises:
@@ -68,7 +68,7 @@ def diagnose_files(
     Args:
         paths: of the bags; hold_out: of those on which the shrinkage is measured.
         parameters: as believed; quantities: that are compared.
-        report: told how far it is.
+        report: called with how far it is.
 
     Raises:
         InputError: a bag that cannot be read, or nothing that can be compared.
@@ -80,9 +80,9 @@ def diagnose_files(
         read_record(path)
         for path in in_turn([*paths, *hold_out], reading, lambda path: f"reading {path}")
     ]
-    told = diagnosis_steps(part(report, _READING_BAGS, 1.0))
+    reporter = diagnosis_steps(part(report, _READING_BAGS, 1.0))
     seen = len(paths)
-    return diagnose(records[:seen], parameters, records[seen:], told, quantities)
+    return diagnose(records[:seen], parameters, records[seen:], reporter, quantities)
 
 
 def diagnosis_steps(report: Report) -> Callable[[str], None]:

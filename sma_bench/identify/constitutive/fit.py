@@ -115,7 +115,7 @@ def fit_law(
 ) -> LawFit:
     """Fit one law to all loops, each loop's residual counted in units of the strain it recovers.
 
-    `report` is told at every start.
+    `report` is called at every start.
 
     Standard errors hold the scatter in every loop with its autocorrelation (a misfit of the law
     is no white noise), and the uncertainty of E_A and E_M, which the data do not give.
@@ -164,7 +164,7 @@ def fit_law(
 
 
 def has_several_stresses(loops: Sequence[Loop]) -> bool:
-    """Whether slopes against stress can be told."""
+    """Whether slopes against stress are identifiable."""
     return float(np.ptp([loop.stress for loop in loops])) >= _SMALLEST_STRESS_RANGE
 
 
@@ -200,7 +200,7 @@ def _covariance(jacobian: Array, fits: Sequence[LoopFit], count: int) -> Array:
     for fit in fits:
         ends = np.cumsum([len(path.strain) for path in fit.loop.paths])[:-1]
         pieces.extend(np.split(fit.residual / fit.loop.recovered, ends))
-    colour = inflation(autocorrelation(pieces))
+    correlated = inflation(autocorrelation(pieces))
     total = sum(len(fit.residual) for fit in fits)
     meat = np.zeros_like(bread)
     first = 0
@@ -208,7 +208,7 @@ def _covariance(jacobian: Array, fits: Sequence[LoopFit], count: int) -> Array:
         rows = jacobian[first : first + len(fit.residual)]
         first += len(fit.residual)
         variance = float(np.mean((fit.residual / fit.loop.recovered) ** 2))
-        meat += variance * colour * total / (total - count - 2 * len(fits)) * (rows.T @ rows)
+        meat += variance * correlated * total / (total - count - 2 * len(fits)) * (rows.T @ rows)
     return np.asarray(bread @ meat @ bread)
 
 
@@ -341,7 +341,7 @@ def is_plausible_expansion(value: float, std: float) -> bool:
 
 
 def implausible_expansion(value: float, std: float) -> Finding:
-    """A slope of the branches that is no thermal expansion, or none that can be told."""
+    """A slope of the branches that is no thermal expansion, or none that is identifiable."""
     text = (
         f"the slope of the martensite branch would be Theta_T = {value / 1e6:.3g} +- "
         f"{std / 1e6:.2g} MPa/K, not told apart from zero or not thermal expansion (-0.15 to "

@@ -60,7 +60,7 @@ def fit_constitutive(
         law: "contract" (constant eps_L), "extended" (see law.py), or "auto": the
             contract's where its rms is below 5 % of the recovered strain at every stress, else
             the extended one, with both errors in the findings.
-        report: told how far the fits are.
+        report: called with how far the fits are.
 
     Returns:
         Estimates of the contract's parameters; `details` with every fitted number and the fit
@@ -79,8 +79,8 @@ def fit_constitutive(
     fits: list[LawFit] = []
     for candidate in laws:
         unknowns, fixed = unknowns_of(loops, candidate, parameters)
-        told = part(report, *_SHARES[candidate])
-        fits.append(fit_law(loops, candidate, unknowns, fixed, parameters, told))
+        reporter = part(report, *_SHARES[candidate])
+        fits.append(fit_law(loops, candidate, unknowns, fixed, parameters, reporter))
         if worst_error(fits[-1]) < TOLERANCE:
             break
     chosen = fits[-1]
@@ -145,8 +145,8 @@ def _estimates(
     if not fit.loops[0].loop.is_relative:
         found.update(_strain_estimate(fit, method, n))
         found.update(_expansion_estimate(fit, parameters, method, n, findings))
-    told = {name: e for name, e in found.items() if _is_in_range(name, e, findings)}
-    return with_scales(told, parameters)
+    within = {name: e for name, e in found.items() if _is_in_range(name, e, findings)}
+    return with_scales(within, parameters)
 
 
 def _add_shift_error(

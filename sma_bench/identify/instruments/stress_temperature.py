@@ -242,9 +242,9 @@ def _sandwich(design: Array, residual: Array) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     scaled = design / size
     bread = np.linalg.pinv(scaled.T @ scaled)
-    colour = inflation(autocorrelation([residual])) * n / max(n - count, 1)
+    correlated = inflation(autocorrelation([residual])) * n / max(n - count, 1)
     rows = scaled * residual[:, None]
-    covariance = bread @ (rows.T @ rows) @ bread * colour
+    covariance = bread @ (rows.T @ rows) @ bread * correlated
     return np.asarray(covariance / np.outer(size, size))
 
 

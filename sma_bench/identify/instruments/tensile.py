@@ -78,7 +78,7 @@ def read_curve(record: TensileRecord) -> TensileReading:
     """Find toe, elastic rises and plateau of one curve.
 
     Raises:
-        InputError: no elastic part can be told.
+        InputError: no elastic part can be found.
     """
     top = int(np.argmax(record.stress))
     x, y = _even(record.strain[: top + 1], record.stress[: top + 1])

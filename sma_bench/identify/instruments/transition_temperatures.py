@@ -18,7 +18,6 @@ from sma_bench.identify.instruments.tangents import (
 )
 from sma_bench.records import DscRecord, DscSegment
 
-KELVIN = 273.15
 # A calorimeter is calibrated with indium to some tenths of a kelvin, which melts within seconds; a
 # wire in its pan follows by so many seconds more or less.
 _CALORIMETER_STD, _LAG_STD = 0.5, 5.0  # K, s

@@ -201,8 +201,8 @@ def _room(record: Record, bounds: Array) -> tuple[Array, Array]:
     what it may have done."""
     middle = bounds.mean(axis=1)
     if has_samples(record, _ROOM):
-        told = np.interp(middle, *samples(record, _ROOM))
-        return told - told.mean(), np.zeros(len(middle))
+        room = np.interp(middle, *samples(record, _ROOM))
+        return room - room.mean(), np.zeros(len(middle))
     duration = float(np.ptp(middle))
     size = _DRIFT_STD * min(1.0, duration / _DRIFT_TIME)
     return np.zeros(len(middle)), size * (middle - middle.mean()) / (0.5 * duration)

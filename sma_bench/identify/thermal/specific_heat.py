@@ -237,10 +237,10 @@ def _unknowns(
     """Where E2 has measured the gain, the ramps share it whatever R is: R is held, its error
     added in the end."""
     loss, gain = heat_loss.coefficient, heat_loss.gain
-    told = gain or loss
-    of_h = told.statistical / told.value if known else _ANY
+    source = gain or loss
+    of_h = source.statistical / source.value if known else _ANY
     if known and not gain:
-        of_h = told.relative_std
+        of_h = source.relative_std
     believed = {
         COEFFICIENT: (loss.value, of_h * loss.value),
         PARAMETER: (float(parameters[PARAMETER]), _ANY * parameters[PARAMETER]),
