@@ -42,19 +42,24 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
 
-# Some 15 s each and more, on the wall, the longest first.
+# Some 10 s each and more, on the wall: the longest first, and those that wait for what goes on in
+# real time by turns with those that compute, lest all workers wait at once.
 LONGEST = (
     "docs/test_documented_pages", "commands/test_demo", "nodes/test_bridge_faults",
-    "reliability/test_campaigns", "nodes/test_twin_node", "nodes/test_investigated_bench",
-    "nodes/test_serial_bridge", "blind/test_making_cases", "perf/test_perf",
-    "nodes/test_controllers", "packaging/test_bench_script", "nodes/test_simulator",
-    "nodes/test_experiment", "nodes/test_ir_camera", "nodes/test_recorder",
-    "nodes/test_dashboard", "batch/test_batch", "test_architecture", "identify/test_moving_loads",
-    "twin/test_twin", "identify/test_composite", "identify/test_constitutive",
-    "identify/test_campaign", "nodes/test_launch_files", "packaging/test_installing",
-    "identify/test_coverage_of_errors", "diagnose/test_tutorial", "report/test_collected_report",
-    "report/test_paper", "identify/test_isobaric", "docs/test_site", "identify/test_load_frame",
-    "diagnose/test_next_experiment",
+    "nodes/test_twin_node", "blind/test_making_cases", "nodes/test_investigated_bench",
+    "identify/test_moving_loads", "reliability/test_campaigns", "twin/test_twin",
+    "nodes/test_controllers", "identify/test_constitutive", "nodes/test_ir_camera",
+    "identify/test_composite", "batch/test_batch", "nodes/test_experiment",
+    "identify/test_campaign", "test_architecture", "nodes/test_recorder",
+    "nodes/test_serial_bridge", "packaging/test_bench_script", "perf/test_perf",
+    "nodes/test_simulator", "physics/test_stiff_solver", "report/test_pages_in_browser",
+    "identify/test_coverage_of_errors", "dashboard/test_stopping", "diagnose/test_tutorial",
+    "packaging/test_installing", "dashboard/test_page_in_browser", "report/test_collected_report",
+    "report/test_paper", "nodes/test_every_node", "identify/test_isobaric", "docs/test_site",
+    "reliability/test_lifeline", "identify/test_load_frame", "nodes/test_dashboard",
+    "nodes/test_launch_files", "firmware/test_emulated_uno", "records/test_damaged_bags",
+    "diagnose/test_next_experiment", "commands/test_investigate", "security/test_two_machines",
+    "control/test_deflection_control",
 )
 
 # Run again when they fail, and why; the summary names every rerun. All others have one try.
@@ -89,7 +94,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if item.nodeid.partition("[")[0] in RERUN:
             item.add_marker(pytest.mark.flaky(reruns=2))
-    # The longest files first, lest one worker is left with them at the end; then whatever has long
+    # Those in their order, lest one worker is left with them at the end; then whatever has long
     # tests.
     long = {item.path for item in items if item.get_closest_marker("slow")}
     order = {ROOT / "test" / f"{name}.py": k for k, name in enumerate(LONGEST)}

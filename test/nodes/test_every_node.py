@@ -1,5 +1,6 @@
 """What holds of every node, seen on the nodes themselves, made in this process."""
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,7 @@ def make(ros_domain, tmp_path, monkeypatch):
         node.close()
         node.destroy_node()
     rclpy.try_shutdown()
+    gc.collect()  # a node that was refused has its name until it is no more
 
 
 def assert_overridable(node):
