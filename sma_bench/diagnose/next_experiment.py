@@ -191,9 +191,9 @@ def next_experiment(
         observations: the records, for what is measured and how hard the bench was driven.
 
     Returns:
-        For `unexplained` a drive that shows most of it, else None where no experiment could be
-        worth it; one that does not `settle` where none of those
-        that the bench can do is.
+        For `unexplained` a drive that shows more of it than all records do. Else None where one
+        candidate makes up the credible set or no experiment could be worth it, and one that does
+        not `settle` where none of those that the bench can do is.
 
     Raises:
         InputError: the bench's limits refuse every drive.
@@ -201,7 +201,7 @@ def next_experiment(
     matter = Matter(decision, search, weights, observations, parameters)
     if decision.verdict == UNEXPLAINED:
         return _of_what_is_missing(matter)
-    if matter.most < WORTH:
+    if len(decision.credible) == 1 or matter.most < WORTH:
         return None
     tests = [_test(name, matter) for name in TESTS]
     options = [found for found in tests if found is not None]
@@ -225,10 +225,11 @@ def _minutes(obs: Observation) -> float:
 
 def _of_what_is_missing(matter: Matter) -> NextExperiment | None:
     """The known drive that shows most a minute of what no effect explains, as far as a smooth
-    response of free form tells it."""
+    response of free form tells it; None where the records have shown as much."""
     missing, recalibrated = matter.search.flexible, matter.search.recalibrated
     if not missing.gain > 0.0:
         return None
+    so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
     shown = []
     for drive in KNOWN:
         document = drive.document(matter.level, matter.sides)
@@ -240,6 +241,8 @@ def _of_what_is_missing(matter: Matter) -> NextExperiment | None:
         minutes = _minutes(obs)
         shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
     _, size, minutes, document = max(shown, key=lambda one: one[0])
+    if size < so_far:
+        return None
     why = (
         f"{document['description']}: would show what no effect explains by {size:.0f} standard "
         "deviations, as far as a smooth response of free form tells it"
