@@ -131,7 +131,7 @@ def test_a_fresh_installation_compiles_beside_and_plans_for_it(monkeypatch, ther
 
 def test_the_wait_for_the_compiler_moves_with_the_time_that_it_has_had(monkeypatch):
     told, seconds = [], iter([10.0, 10.0, 15.0, 20.0, 40.0])
-    stage = object.__new__(demo_stage.Stage)
+    stage = object.__new__(demo_stage.DemoStage)
     stage._report = lambda share, what: told.append((share, what))
     stage._shares = shares({COMPILING: 10.0, "identify": 10.0})
 

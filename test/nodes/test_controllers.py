@@ -129,6 +129,7 @@ def test_staircase_of_e8_runs_closed_loop_on_the_simulator(bench, reference, nam
     bench.start("simulator", **FAST)
     followed = short_staircase(reference) if name == "short" else name
     node = bench.start("temperature_controller", use_sim_time=True, reference=followed)
+    bench.until(lambda: celsius and force)  # heard before the run, which takes less than a second
     run_to_the_end(bench, "temperature_controller", name)
     bench.until(lambda: markers[-1].data == f"{name}/done")
     assert [m.data for m in markers[:2]] == [f"{name}/up {level:g} K" for level in levels[:2]]
