@@ -235,12 +235,14 @@ def _identified(
 def _rows(estimates: dict[str, Any], truth: Parameters) -> list[tuple[str, ...]]:
     """One row a parameter; the deviation from the simulated truth in standard errors."""
     paper = Parameters.defaults()
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, symbol in TABLE_ONE.items():
-        value, std = estimates[name]["value"], estimates[name]["std"]
-        numbers = [f"{number:.5g}" for number in (paper[name], truth[name], value)]
-        off = f"{deviation(estimates[name], truth[name]):+.2f}"
-        rows.append((symbol, estimates[name]["unit"], *numbers, f"{std:.2g}", off))
+        cells = ["-", "-", "-"]  # not identified: the warnings say why
+        if found := estimates.get(name):
+            off = deviation(found, truth[name])
+            cells = [f"{found['value']:.5g}", f"{found['std']:.2g}", f"{off:+.2f}"]
+        known = f"{paper[name]:.5g}", f"{truth[name]:.5g}"
+        rows.append((symbol, BY_NAME[name].unit, *known, *cells))
     return rows
 
 

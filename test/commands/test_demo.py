@@ -89,6 +89,14 @@ def test_the_promise_is_two_standard_errors_and_one_percent(deviation, relative_
     ) is holds
 
 
+def test_what_was_not_identified_is_a_dash_in_the_table():
+    found = estimates(0.0, 0.005)
+    del found["wire.specific_heat"]
+    resistance, _, heat = demo_acts._rows(found, Parameters.defaults())
+    assert heat[:2] == ("c_p", "J/(kg K)") and heat[-3:] == ("-", "-", "-")
+    assert "-" not in resistance[-3:] and len(heat) == len(resistance)
+
+
 @pytest.mark.parametrize("protocols", [FITTED, QUICK], ids=["whole", "quick"])
 def test_either_pair_of_protocols_keeps_the_promise(protocols):
     for seed in (3, 4):
