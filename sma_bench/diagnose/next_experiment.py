@@ -32,7 +32,7 @@ from sma_bench.diagnose.decision import (
     sign_of_surprise,
     surprise_of,
 )
-from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn
+from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn, measured
 from sma_bench.diagnose.prospect import VISIBLE, Telling, Tellings, prospect
 from sma_bench.diagnose.search import Search
 from sma_bench.errors import InputError
@@ -376,6 +376,8 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
     stds = test.stds(parameters)
     items = matter.search.recalibrated.unknowns.items
     known = {item.name: (k, item.std) for k, item in enumerate(items)}
+    for name in measured(parameters):  # once more it would be no better
+        known.pop(name, None)
     places = {n: known[n][0] for n, std in stds.items() if n in known and std < known[n][1]}
     fits = {c: f for c, f in matter.fits.items() if test.readings_hold not in _parts(c)}
     if not places or len(fits) < 2:
@@ -392,10 +394,10 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
         predicted[cause] = reading(f, f.x)
         moved = [reading(f, f.x + _STEP * column) for column in _directions(f).T]
         spaces[cause] = (np.column_stack(moved) - predicted[cause][:, None]) / _STEP
-    measured = {n: stds[n] for n in places}
+    leaves = {n: stds[n] for n in places}
     return matter.experiment(
-        name, f"{test.title} ({', '.join(measured)})", test.minutes,
-        _tellings(predicted, spaces), parameters=measured,
+        name, f"{test.title} ({', '.join(leaves)})", test.minutes,
+        _tellings(predicted, spaces), parameters=leaves,
     )
 
 

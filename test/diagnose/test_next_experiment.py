@@ -101,6 +101,23 @@ def test_a_test_separates_no_cause_that_its_readings_hold(short_record):
     assert separated["E1"] == separated["E3"] == separated["DSC"] == everything
 
 
+def test_a_test_that_was_done_is_not_proposed_again(short_record):
+    lab = believed()
+    with few_effects(("supply_drop",)):
+        found = diagnose([short_record], lab)
+
+    def tests(parameters):
+        matter = next_experiment.Matter(
+            found.decision, found.search, weigh(found.search), found.observations, parameters
+        )
+        matter.fits["supply_drop"] = found.search.singles["supply_drop"]
+        return {name for name in TESTS if next_experiment._test(name, matter) is not None}
+
+    assert {"E1", "E2", "E3", "DSC"} <= tests(lab)
+    done = lab.replace(uncertainty=TESTS["E3"].stds(lab))
+    assert tests(done) & {"E1", "E2", "E3"} == set() and "DSC" in tests(done)
+
+
 def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
     found = planted_diagnosis
     puzzled = replace(found.decision, verdict="unexplained")
