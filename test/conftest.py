@@ -64,6 +64,9 @@ LONGEST = (
 
 # Run again when they fail, and why; the summary names every rerun. All others have one try.
 RERUN = {
+    "test/commands/test_demo.py::test_the_demo_identifies_a_wire_and_names_what_a_bench_hides":
+        "at 40 times real time, beside others, one recorder of some twenty left the last half "
+        "second of nine topics unread; cause not known",
     "test/nodes/test_controllers.py::test_triangle_of_deflections_is_tracked_on_the_simulator":
         "one run of twenty beside others stalls for seconds between two commands; cause not known",
     "test/nodes/test_controllers.py::test_a_wire_against_a_spring_is_moved_by_its_position":
