@@ -39,10 +39,7 @@ USUAL_RECORDS = 2
 # what no model of a bench is right to; of 120 cases every true single did 0.98 or more, what a
 # recalibration was wrong by 0.1 to 0.5, as a side_asymmetry of a thousandth.
 SMALLEST_OF_INTEREST, SMALL = 0.7, 6.0
-# Nats over the single, and of the single's gain, up to so many: what a second effect takes up of
-# the model's misfit does not grow with the first. Of 11 cases with more than 600 nats the largest
-# wrong partner took up 28.
-PAIR_THRESHOLD, PAIR_SHARE, PAIR_MOST = 10.7, 0.07, 40.0
+PAIR_THRESHOLD, PAIR_SHARE = 10.7, 0.07  # nats over the single, and of the single's gain
 PARTNER_OF_INTEREST = 0.5
 # Signs of something unexplained. Of what is left: motion against rest in standard deviations,
 # share of what recalibration leaves, size in noise, largest outlier in standard deviations.
@@ -149,10 +146,9 @@ class Weights:
         if len(parts) == 1:
             return (self._as_formed(gain) - THRESHOLD) / scale + self.worth[name]
         single = max(self._counted[part] for part in parts)
+        extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
-        extra = gain - single - PAIR_THRESHOLD - min(PAIR_SHARE * single, PAIR_MOST)
-        extra /= min(scale, scale_of(PAIR_MOST / PAIR_SHARE))
-        return (single - THRESHOLD) / scale + extra + self.worth[name]
+        return (single - THRESHOLD + extra) / scale + self.worth[name]
 
     def _doubt(self, logits: Mapping[str, float]) -> float:
         """Log odds that all effects lose to recalibration, where even the best of them gains only
