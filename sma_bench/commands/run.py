@@ -36,7 +36,9 @@ def run(arguments: Sequence[str]) -> int:
 
         choose_discovery(network=True)
     sys.argv[1:] = [name, *rest[network:]]
-    try:  # as `python -m` would: commands know of nodes as little as these of commands
+    # As `python -m` would, and it ends this process: commands know of nodes as little as these of
+    # commands.
+    try:
         runpy.run_module("sma_bench.nodes.start", run_name="__main__")
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sma_bench"):

@@ -152,12 +152,20 @@ TESTS = {
 _ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
 
 
-def measured(parameters: Parameters) -> frozenset[str]:
-    """Parameters that are stated as well as the best test of the paper leaves them: they were
-    measured."""
+def least_stds(parameters: Parameters) -> dict[str, float]:
+    """The smallest deviation that any test of the paper leaves, of each parameter."""
     least: dict[str, float] = {}
     for test in TESTS.values():
         for name, std in test.stds(parameters).items():
             least[name] = min(std, least.get(name, np.inf))
+    return least
+
+
+def measured(parameters: Parameters) -> frozenset[str]:
+    """Parameters that are stated as well as the best test of the paper leaves them: they were
+    measured."""
     stated = parameters.given_uncertainty
-    return frozenset(n for n, std in least.items() if stated.get(n, np.inf) <= _ROUNDING * std)
+    return frozenset(
+        name for name, std in least_stds(parameters).items()
+        if stated.get(name, np.inf) <= _ROUNDING * std
+    )

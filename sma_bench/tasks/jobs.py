@@ -61,8 +61,8 @@ class JobProcess:
             with suppress(BrokenPipeError), process.stdin:  # it has ended; its status says why
                 process.stdin.write(json.dumps(asdict(job)))
             for line in process.stderr:
-                if progress := _REPORTED.match(line):
-                    report(float(progress["share"]), progress["what"])
+                if said := _REPORTED.match(line):
+                    report(float(said["share"]), said["what"])
                 else:
                     errors.append(line)
         status = process.wait()

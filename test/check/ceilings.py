@@ -57,7 +57,7 @@ from sma_bench.blind.score import handed_in, open_labels, score, side_by_side
 from sma_bench.blind.sensors import Sensors, measure
 from sma_bench.commands.blind import _SMA_BENCH
 from sma_bench.diagnose.decision import PAIR_THRESHOLD, THRESHOLD
-from sma_bench.diagnose.drives import TESTS
+from sma_bench.diagnose.drives import least_stds
 from sma_bench.diagnose.search import Search, search
 from sma_bench.diagnose.starts import Remainder, find_start
 from sma_bench.estimation.observation import observe, shared_bin
@@ -161,11 +161,8 @@ def make_exact(case: Path, label: Label) -> None:
 
 def make_tested(case: Path, label: Label, seed: int) -> None:
     believed = read_parameters(case / NOMINAL)
-    stds: dict[str, float] = {}
-    for test in TESTS.values():
-        for name, std in test.stds(believed).items():
-            if std < stds.get(name, believed.given_uncertainty.get(name, 0.0)):
-                stds[name] = std
+    stated = believed.given_uncertainty
+    stds = {n: std for n, std in least_stds(believed).items() if std < stated.get(n, 0.0)}
     asked = NextExperiment("", (), {}, stds)
     random = np.random.default_rng([_STREAM, seed, int(case.name)])
     tested = after_tests(label, asked, believed, random)

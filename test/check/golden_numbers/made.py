@@ -251,6 +251,8 @@ def unseen_errors(record: Any, parameters: Any) -> Numbers:
         if name.rpartition(".")[2] not in wanted or name not in run.signals:
             continue
         told, made = record[name], run[name]
+        if not np.ptp(told.values):
+            continue  # it never moved
         gap = np.interp(told.time, made.time, made.values) - told.values
         if name in ("deflection", "elongation"):
             gap -= np.median(gap)  # its zero is anywhere
