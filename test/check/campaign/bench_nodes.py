@@ -69,18 +69,31 @@ class Talker:
         self.nodes.end(name)
 
     def parameters_of(self, node: str) -> list[str]:
-        """Names of a node's parameters: an answer means that it is served."""
-        return list(self.call(ListParameters, f"{node}/list_parameters").result.names)
+        """Names of a node's parameters: an answer means that it is served.
 
-    def call(self, kind: type, service: str) -> Any:
+        One that was killed is in the graph for another 20 s, and a request then goes to nobody
+        where its successor is not there yet: asked again until there is an answer.
+        """
+        end = time.monotonic() + PATIENCE
+        while True:
+            try:
+                answer = self.call(ListParameters, f"{node}/list_parameters", patience=2.0)
+                return list(answer.result.names)
+            except GaveUp:
+                if time.monotonic() > end:
+                    raise
+
+    def call(self, kind: type, service: str, patience: float = PATIENCE) -> Any:
         """The answer of a service without arguments."""
         client = self.node.create_client(kind, service)
-        self.until(service, client.service_is_ready)
-        self.listen(0.3)  # the server knows its client a little later
-        future = client.call_async(kind.Request())
-        self.until(service, future.done)
-        self.node.destroy_client(client)
-        return future.result()
+        try:
+            self.until(service, client.service_is_ready, patience)
+            self.listen(0.3)  # the server knows its client a little later
+            future = client.call_async(kind.Request())
+            self.until(service, future.done, patience)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
 
 
 @contextlib.contextmanager

@@ -72,6 +72,7 @@ def _restart(
         powers.clear()
         talker.until("readings", lambda: powers)
         talker.until("recorded", lambda: recorders and "wire/power" in recorders[-1].data)
+        talker.parameters_of("experiment")
         for _ in range(_ATTEMPTS):
             answer = talker.call(Trigger, "experiment/start")
             if answer.success:
