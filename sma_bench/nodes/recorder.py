@@ -31,7 +31,8 @@ _DEPTH = 5000
 _IMAGE_DEPTH = 100
 _EMPTY_SPINS = 10  # more than there are timers and clocks to be served between readings
 _LONGEST_DRAIN = 3.0
-_ON_ITS_WAY = 0.1
+_ON_ITS_WAY = 0.5  # more than twice what config/dds/this_machine.xml takes to send again
+_NAP = 0.001
 _LAST_WORD = 1.0
 _LITTLE = 1 << 30  # bytes
 
@@ -95,6 +96,8 @@ class Recorder(ManagedNode):
             written = self._recording.total
             spin()
             empty = empty + 1 if self._recording.total == written else 0
+            if empty and gone < _ON_ITS_WAY:
+                time.sleep(_NAP)
 
     def close(self) -> None:
         """Finish the bag with its index."""

@@ -3,7 +3,8 @@ the user opens them. No ROS.
 
 Without SROS 2, whoever reaches a bench may heat its wires. ROS's own default is the whole subnet,
 and its range LOCALHOST only keeps a node from looking: whoever names the machine as a peer still
-gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1.
+gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1, and the range leaves all to
+it: LOCALHOST would add sockets that are not bound, and shared memory.
 """
 
 import hashlib
@@ -23,7 +24,7 @@ from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-THIS_MACHINE, NETWORK = "LOCALHOST", "SUBNET"
+THIS_MACHINE, NETWORK, BY_PROFILE = "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 # Another name of it, in later releases.
 _PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -36,7 +37,8 @@ _MIDDLEWARE = "RMW_IMPLEMENTATION"
 USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, TRANSPORTS, *_PROFILES)
 _PATIENCE = 2.0
 """s for which a name may still be held by a node that is ending"""
-_OPEN_RANGES = (NETWORK, "SYSTEM_DEFAULT")
+_OPEN_RANGES = (NETWORK, BY_PROFILE)
+_NOBODY = "OFF"
 
 
 def discovery_variables(
@@ -46,12 +48,15 @@ def discovery_variables(
     sockets = {} if _set(environment, TRANSPORTS) else {TRANSPORTS: _SOCKETS}
     if network:
         return {RANGE: NETWORK} | sockets
-    if _opened(environment):
+    bound = environment.get(PROFILE) == _own_profile()  # by a parent
+    if _opened(environment) and not bound:
         return sockets
-    variables = {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
-    if not _set(environment, *_PROFILES):
-        variables |= dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
-    return variables
+    if _set(environment, *_PROFILES) and not bound:
+        return {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
+    variables = dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
+    if environment.get(RANGE) != _NOBODY:
+        variables[RANGE] = BY_PROFILE
+    return variables | ({_ONLY: ""} if _set(environment, _ONLY) else {})
 
 
 def choose_discovery(
@@ -62,7 +67,7 @@ def choose_discovery(
     if PROFILE in variables:
         for note in _notes(environment):
             print(f"sma_bench: note: {note}", file=sys.stderr)
-    if network and environment.get(PROFILE) == _own_profile():  # of a parent that was bound
+    if network and environment.get(PROFILE) == _own_profile():
         for name in (*_PROFILES, _NO_OTHER_PROFILE):
             environment.pop(name, None)
     environment.update(variables)
@@ -146,7 +151,7 @@ def private_ros_environment() -> None:
     """Keep this process and its nodes away from any other bench: own domain, this machine only."""
     for name in USERS_VARIABLES:
         os.environ.pop(name, None)
-    os.environ[RANGE] = THIS_MACHINE
+    choose_discovery()
     os.environ["ROS_DOMAIN_ID"] = str(_PRIVATE_DOMAINS[os.getpid() % len(_PRIVATE_DOMAINS)])
 
 

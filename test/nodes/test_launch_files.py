@@ -131,7 +131,7 @@ def test_arguments_reach_the_nodes(monkeypatch):
 def test_nodes_are_bound_to_this_machine_unless_the_network_is_asked_for(name, monkeypatch):
     for variable in USERS_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
-    for network, expected in (("false", "LOCALHOST"), ("true", "SUBNET")):
+    for network, expected in (("false", "SYSTEM_DEFAULT"), ("true", "SUBNET")):
         actions = built(BENCHES[name], monkeypatch, network=network)
         given = [action.given.additional_env for action in actions]
         assert {variables[RANGE] for variables in given} == {expected}

@@ -32,7 +32,7 @@ command.run(sys.argv[1:])
 
 def test_without_a_word_of_the_user_nodes_are_bound_to_this_machine() -> None:
     variables = discovery_variables(False, {})
-    assert variables[RANGE] == "LOCALHOST"
+    assert variables[RANGE] == "SYSTEM_DEFAULT", "whatever the profile says"
     assert "<address>127.0.0.1</address>" in Path(variables[PROFILE]).read_text()
 
 
@@ -54,10 +54,12 @@ OPEN = [{RANGE: "SUBNET"}, {RANGE: "SYSTEM_DEFAULT"}, {"ROS_LOCALHOST_ONLY": "0"
 @pytest.mark.parametrize("user", LOCAL)
 def test_only_a_word_that_asks_for_the_network_opens_it(user: dict[str, str]) -> None:
     environment = dict(user)
-    choose_discovery(environment=environment)
-    assert environment[PROFILE].endswith("this_machine.xml")
-    assert environment.items() >= {k: v for k, v in user.items() if v}.items()
-    assert environment.get(RANGE) or environment["ROS_LOCALHOST_ONLY"]
+    for _ in range(2):  # and a child of it
+        choose_discovery(environment=environment)
+        assert environment[PROFILE].endswith("this_machine.xml")
+        assert environment[RANGE] == ("OFF" if user.get(RANGE) == "OFF" else "SYSTEM_DEFAULT")
+        assert not environment.get("ROS_LOCALHOST_ONLY"), "it would add what is not bound"
+        assert environment.items() >= {k: v for k, v in user.items() if "PEERS" in k}.items()
 
 
 @pytest.mark.parametrize("user", OPEN)
@@ -103,7 +105,7 @@ def test_every_launch_file_has_the_switch_and_it_is_off() -> None:
 def test_the_command_line_has_the_switch() -> None:
     environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)}
     for words, expected in (
-        (["simulator", "--ros-args"], "LOCALHOST ['simulator', '--ros-args']"),
+        (["simulator", "--ros-args"], "SYSTEM_DEFAULT ['simulator', '--ros-args']"),
         (["simulator", "--network", "--ros-args"], "SUBNET ['simulator', '--ros-args']"),
     ):
         process = subprocess.run(
