@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -196,6 +198,17 @@ def test_a_truncated_bag_is_read_up_to_the_damage_and_says_so(tmp_path, capsys, 
 
 def test_run_names_the_nodes_there_are(capsys):
     assert "simulator" in refuse(capsys, "run", "simulater")
+
+
+def test_a_node_without_ros_says_what_is_missing(tmp_path):
+    (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError('no rclpy', name='rclpy')")
+    found = subprocess.run(
+        [sys.executable, "-m", "sma_bench.cli", "run", "simulator"], capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)}, timeout=60.0, check=False,
+    )
+    assert (found.returncode, found.stderr) == (2, (
+        "sma-bench: run: rclpy is not installed: source a ROS 2 Jazzy setup file, or use ./bench\n"
+    ))
 
 
 def test_an_error_is_a_line_that_can_be_read_whatever_names_are_in_it(capsys):
