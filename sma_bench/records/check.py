@@ -300,15 +300,18 @@ _LAGS = (0.2, 1.0, 4.0, 16.0, 64.0)  # s
 _EXPLAINED = {"temperature": 0.93, "deflection": 0.7, "elongation": 0.55}
 _RESPONSE_SAMPLES = 2000
 _LEAST_DRIVE = 0.1  # V
+_LEAST_MISSING = 1.0  # s
 _LEAST_RESPONSE = 25.0  # variance over that of the noise
 
 
 def check_response(record: Record) -> Iterator[Finding]:
     """Readings that do not follow the voltages beside them: stored runs swapped, channels swapped,
-    or clocks apart by more than the wire takes to warm."""
+    or clocks apart by more than the wire takes to warm; or that go on when the voltages have
+    ended."""
     driven = [c for c in record.channels if _is_driven(record, f"{c}.voltage")]
     if not driven:
         return
+    yield from _early_ends(record, driven)
     for name in record.signals:
         kind = _kind(name)
         channel = name.removesuffix(".temperature")
@@ -323,6 +326,21 @@ def check_response(record: Record) -> Iterator[Finding]:
                 "run (stored runs or channels swapped, clocks apart)?"
             )
             yield Finding("warning", name, text, {"explained": share})
+
+
+def _early_ends(record: Record, driven: list[str]) -> Iterator[Finding]:
+    responses = [name for name in record.signals if _kind(name) in _EXPLAINED]
+    last = max((float(samples(record, name)[0][-1]) for name in responses
+                if has_samples(record, name)), default=-np.inf)  # fmt: skip
+    for name in (f"{channel}.voltage" for channel in driven):
+        time, volts = samples(record, name)
+        missing = last - float(time[-1])
+        if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
+            text = (
+                f"ends {missing:.3g} s before the last temperature or deflection, at "
+                f"{volts[-1]:.3g} V: was its sensor or the recording ended early?"
+            )
+            yield Finding("warning", name, text, {"missing": missing, "volts": float(volts[-1])})
 
 
 def _is_driven(record: Record, name: str) -> bool:

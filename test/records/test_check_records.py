@@ -221,6 +221,18 @@ def test_channels_swapped_at_the_plug_are_noticed(shared_data):
     assert all("swapped" in text for text in told.values())
 
 
+def test_voltages_that_end_before_the_readings_are_a_finding():
+    whole = record(wire_voltage=TRIANGLE, wire_temperature=settling())
+    assert "wire.voltage" not in found(whole)
+    volts = whole["wire.voltage"]
+    half = len(volts) // 2
+    cut = replace(volts, time=volts.time[:half], values=volts.values[:half], received=None)
+    text = found(replace(whole, signals=whole.signals | {"wire.voltage": cut}))["wire.voltage"]
+    missing = volts.time[-1] - volts.time[half - 1]
+    assert text.startswith(f"ends {missing:.3g} s before the last temperature or deflection")
+    assert f"at {cut.values[-1]:.3g} V" in text
+
+
 def test_noise_alone_and_a_bench_at_rest_say_nothing_of_what_belongs_together():
     noise = 296.0 + 0.1 * np.random.default_rng(1).standard_normal(len(CLOCK))
     assert found(record(wire_voltage=TRIANGLE, wire_temperature=noise)) == {}
