@@ -1,6 +1,7 @@
 """The bridge as a process on the real firmware in an emulated Uno: topics, services, rates."""
 
 import math
+import re
 import subprocess
 import sys
 import time
@@ -84,7 +85,7 @@ def test_self_test_names_each_check_and_drives_nothing(rig):
     rig.hardware.uno.electrics.supply = 3.0
     rig.until(lambda: float(rig.value("supply_volts") or 12.0) < 4.0)
     answer = rig.ask("self_test")
-    assert not answer.success and "supply: FAILED, 3.0" in answer.message
+    assert not answer.success and re.search(r"supply: FAILED, (2\.9|3\.0)", answer.message)
 
 
 def test_bad_commands_are_counted_and_leave_the_outputs_unchanged(bench, uno):

@@ -114,6 +114,7 @@ def test_a_node_of_a_fresh_install_speaks_and_publishes_in_seconds_of_the_proces
 ):
     pytest.importorskip("rclpy")
     document = run_apart(tmp_path, "first-start")
+    assert document["sections"]["first-start"]["skipped"] == []
     found = measures(document, "first-start")["simulator"]
     assert 0.0 < found["fresh install: first word"] <= 1.0
     assert found["fresh install: first front_1/power"] <= 10.0
