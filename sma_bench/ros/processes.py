@@ -51,7 +51,7 @@ def discovery_variables(
     bound = environment.get(PROFILE) == _own_profile()  # by a parent
     if _opened(environment) and not bound:
         return sockets
-    if _set(environment, *_PROFILES) and not bound:
+    if _set(environment, *_PROFILES) and not bound:  # which may bind nothing
         return {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
     variables = dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
     if environment.get(RANGE) != _NOBODY:

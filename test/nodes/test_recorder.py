@@ -74,7 +74,7 @@ def test_what_was_sent_before_the_end_is_written_though_it_still_waits(bench, tm
     for k in range(burst):
         publisher.publish(temperature(k))
     node.process.send_signal(signal.SIGCONT)
-    # No buffer has room for all of them; what it had none for comes again.
+    # Where a buffer has no room for all of them, the rest comes again.
     assert node.end(signal.SIGINT) == 0
     assert len(read_record(tmp_path / "bag")["wire.temperature"]) == burst
 
