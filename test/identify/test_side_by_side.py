@@ -41,6 +41,20 @@ def slowly(k):
     return k**2, os.getpid()
 
 
+def together(work):
+    """`work` whose first call in each of two processes waits for that in the other, however late
+    a busy machine lets it begin."""
+    both, waited = get_context("fork").Barrier(2), set()
+
+    def one(k):
+        if os.getpid() not in waited:
+            waited.add(os.getpid())
+            both.wait(60.0)
+        return work(k)
+
+    return one
+
+
 @pytest.mark.parametrize("side_by", [in_threads, in_processes])
 def test_results_come_in_the_order_of_the_arguments(side_by, forking):
     assert [square for square, _ in side_by(slowly, NUMBERS)] == [k**2 for (k,) in NUMBERS]
@@ -50,8 +64,11 @@ def test_a_thread_does_what_its_calls_call_in_their_turn():
     def inner(k):
         return in_threads(lambda j: (k, j, threading.get_ident()), [(j,) for j in range(3)])
 
+    both = threading.Barrier(2)
+
     def outer(k):
-        time.sleep(0.02 * (k == 0))  # the first ends last
+        if k < 2:
+            both.wait(60.0)
         return k, threading.get_ident(), inner(k)
 
     found = in_threads(outer, [(k,) for k in range(6)])
@@ -67,7 +84,7 @@ def test_an_error_in_a_thread_is_that_of_the_call():
 
 
 def test_a_copy_of_this_process_does_its_part(forking):
-    where = {number for _, number in in_processes(slowly, NUMBERS)}
+    where = {number for _, number in in_processes(together(slowly), NUMBERS)}
     assert HERE in where and len(where) == 2
 
 
@@ -75,12 +92,12 @@ def test_what_is_large_and_here_as_well_is_not_handed_over(forking):
     record = threading.Lock()  # which could not be
 
     def answer(k):
-        time.sleep(0.02)
         return Answer(record, os.getpid(), np.full(3, float(k)))
 
     answers = in_processes(
-        answer, NUMBERS, lambda a: (a.where, a.values), lambda sent: Answer(record, *sent)
-    )
+        together(answer), NUMBERS,
+        lambda a: (a.where, a.values), lambda sent: Answer(record, *sent),
+    )  # fmt: skip
     assert any(a.where != HERE for a in answers)
     assert all(a.about is record for a in answers)
     assert [a.values[0] for a in answers] == [float(k) for (k,) in NUMBERS]
