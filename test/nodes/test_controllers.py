@@ -224,7 +224,7 @@ def test_temperatures_come_from_a_topic_in_celsius_and_bad_ones_are_refused(benc
 def test_controller_obeys_the_safety_rules_of_the_experiment(bench):
     fake = FakeBench(bench, "temperature_controller")
     bench.start(
-        "temperature_controller", **UNHEATED, reference="''", autostart=True, feedback_timeout=0.5
+        "temperature_controller", **UNHEATED, reference="''", autostart=True, feedback_timeout=1.5
     )
     bench.until(lambda: fake.state == "running: topic")
     topic = bench.talk("temperature_controller/reference", Float64MultiArray)
@@ -251,7 +251,7 @@ def test_deflection_controller_stops_when_the_deflection_stops_coming(bench):
     fake = FakeBench(bench, "deflection_controller", channels)
     bench.start(
         "deflection_controller", COMPOSITE_RIG, **UNHEATED, reference="''", autostart=True,
-        feedback_timeout=0.5,
+        feedback_timeout=1.5,
     )
     bench.until(lambda: fake.state == "running: topic")
     topic = bench.talk("deflection_controller/reference", Float64)
