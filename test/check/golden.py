@@ -6,7 +6,7 @@ a rebuilt engine may differ in its last digits and no further. Only the public i
 `import sma_bench` and the command line.
 
     ./bench check golden [identify simulate diagnose paper] [--only NAME] [--write]
-    ./bench check golden blind60      # measures of 60 development cases, a quarter of an hour
+    ./bench check golden blind60      # measures of 60 development cases, six minutes on one core
 
 Exits with 1 if a number is outside its tolerance or gone. What needs the measured data beside the
 checkout is skipped where they are not, and named.

@@ -69,6 +69,7 @@ def test_a_thread_does_what_its_calls_call_in_their_turn():
     def outer(k):
         if k < 2:
             both.wait(60.0)
+        time.sleep(0.02 * (k == 0))  # the first ends last
         return k, threading.get_ident(), inner(k)
 
     found = in_threads(outer, [(k,) for k in range(6)])
@@ -212,7 +213,7 @@ from sma_bench.estimation.side_by_side import in_processes
 
 def forever(k):
     print(os.getpid(), flush=True) if os.getpid() == here else os.write(2, b"%d\\n" % os.getpid())
-    time.sleep(600.0)
+    time.sleep(60.0)
 
 here = os.getpid()
 in_processes(forever, [(1,), (2,)])
