@@ -311,7 +311,7 @@ def _unsteady(fitted: Fit) -> float:
     if fitted.unknowns.effects == (DRIFT_EFFECT,):
         return 1.0
     first = fitted.unknowns.baseline
-    return float(max((fitted.errors[first] / fitted.std[first] / STEADY) ** 2, 1.0))
+    return float(max((fitted.jackknifed[first] / fitted.std[first] / STEADY) ** 2, 1.0))
 
 
 def _moved(search: Search) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.side_by_side import in_processes
-from sma_bench.estimation.unknowns import Unknowns
+from sma_bench.estimation.unknowns import Unknowns, shares_of_factor
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
 
@@ -83,8 +83,19 @@ class Fit:
         """(k,) standard errors in the parameters' units, what the model leaves taken for noise."""
         return self.unknowns.slopes(self.x) * np.sqrt(np.diag(self.covariance))
 
-    @cached_property
+    @property
     def errors(self) -> Array:
+        """(k,) standard errors as they are stated: `jackknifed`, and of an effect's number what is
+        unknown of the factor that it enters the model with."""
+        values = self.unknowns.values(self.x).tolist()
+        factors = [
+            sum(shares_of_factor(name, value, self.parameters).values())
+            for name, value in zip(self.unknowns.names, values, strict=True)
+        ]
+        return np.hypot(self.jackknifed, factors)
+
+    @cached_property
+    def jackknifed(self) -> Array:
         """(k,) standard errors as large as what the model leaves asks for, the prior's at most.
 
         A misfit is no noise: it is the same in every bin of a pulse. So the records are cut into

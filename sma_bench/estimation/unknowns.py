@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import Parameter
+from sma_bench.parameters.parameter import EFFECT_PREFIX, Parameter
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import bending_coefficients
@@ -72,6 +72,11 @@ UNMODELLED = (
 PRODUCTS = {
     "wire.heat_transfer_coefficient": "wire.surface_area",
     "wire.specific_heat": "wire.mass",
+}
+_TIMES = {
+    f"{EFFECT_PREFIX}{effect.name}.{number}": other
+    for effect in EFFECTS.values()
+    for number, other in (effect.times or {}).items()
 }
 _STRAIGHT = {
     "environment.ambient_temperature",
@@ -353,6 +358,15 @@ def number_of_effect(number: Parameter) -> Unknown:
     assert number.low is not None and number.high is not None
     default, std = default_of(number), float(number.uncertainty or 1.0)
     return Unknown(number.name, default, std, number.low, number.high, log=default != 0.0)
+
+
+def shares_of_factor(name: str, value: float, parameters: Parameters) -> dict[str, float]:
+    """Error of an effect's number by the factor that it enters the model with (`Effect.times`), one
+    standard deviation of that; by the factor's name, none for all other numbers."""
+    if name not in _TIMES:
+        return {}
+    factor = _TIMES[name]
+    return {factor: -value * parameters.std(factor) / parameters[factor]}
 
 
 def default_of(number: Parameter) -> float:

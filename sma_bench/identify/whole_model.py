@@ -28,6 +28,7 @@ from sma_bench.estimation.unknowns import (
     SHAPES,
     UNMODELLED,
     Unknowns,
+    shares_of_factor,
     unknowns_of_records,
 )
 from sma_bench.findings import Finding
@@ -167,6 +168,7 @@ def _estimate(number: Number, method: str, n: int, parameters: Parameters) -> Es
     shares = dict(number.shares)
     if number.name == RESISTANCE:
         shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
+    shares |= shares_of_factor(number.name, number.value, parameters)
     # What nobody measured better is not known better: sensors' scales are in what was known, too.
     estimate = Estimate(
         number.value, number.std, BY_NAME[number.name].unit, words, n, informed=number.informed

@@ -157,6 +157,8 @@ class Effect:
             are carried along with a simulation (physics/sensitivities.py) while no other is on.
         beside: parameter whose value depends on where the effect is counted from: what a multiple
             of it would do as well is no part of what the effect does.
+        times: number to the parameter that it enters the model with, as a product: no record of
+            the bench tells one from the other, so what is unknown of it is in the number's error.
         text: title, equation and source: the docstring of its file.
     """
 
@@ -174,6 +176,7 @@ class Effect:
     scratch: tuple[str, ...] = ()
     carried: tuple[str, ...] = ()
     beside: str = ""
+    times: Mapping[str, str] | None = None
     text: str = ""
 
     @property

@@ -127,7 +127,7 @@ def test_what_gains_here_and_there_counts_as_often_as_it_is_told_and_rivals_stay
 def test_a_wandering_zero_is_no_less_one_for_wandering_here_and_there():
     def unsteady(effect):
         told = SimpleNamespace(effects=(effect,), baseline=0)
-        return _unsteady(SimpleNamespace(unknowns=told, errors=np.array([3.2]), std=np.ones(1)))
+        return _unsteady(SimpleNamespace(unknowns=told, jackknifed=np.array([3.2]), std=np.ones(1)))
 
     assert unsteady("deflection_drift") == 1.0 < 4.0 < unsteady("viscoelastic_matrix")
 

@@ -91,7 +91,7 @@ def held(uneven):
     off = np.array([abs(f.x[0] - 1.0) for f in fits])
     return [
         float(np.mean(off < INTERVAL * np.array([getattr(f, name)[0] for f in fits])))
-        for name in ("std", "errors")
+        for name in ("std", "jackknifed")
     ]
 
 
@@ -108,11 +108,11 @@ def test_errors_of_a_model_that_leaves_noise_are_those_of_the_noise():
 
 def test_errors_are_never_above_what_was_known():
     random = np.random.default_rng(4)
-    assert fitted_height(random, uneven=50.0).errors[0] == 1.0
+    assert fitted_height(random, uneven=50.0).jackknifed[0] == 1.0
 
 
 def test_errors_where_one_reading_beyond_all_measure_tells_everything_are_the_priors():
     fitted_well = fitted_height(np.random.default_rng(4), uneven=0.0)
     derivatives = fitted_well.derivatives.copy()
     derivatives[0] = 1e20
-    assert replace(fitted_well, derivatives=derivatives).errors[0] == 1.0
+    assert replace(fitted_well, derivatives=derivatives).jackknifed[0] == 1.0

@@ -11,8 +11,10 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 import sma_bench
 from sma_bench.errors import InputError
 from sma_bench.estimation import side_by_side
+from sma_bench.estimation.result import Number
 from sma_bench.identify import identify
 from sma_bench.identify.whole_model import (
+    _estimate,
     identify_moving_bench,
     observe_all,
     unknowns_of_observations,
@@ -129,6 +131,16 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     first, second = (identify_moving_bench([record], p).estimates for p in (switched, believed))
     for name, estimate in first.items():
         assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
+
+
+def test_a_latent_heat_is_known_no_better_than_the_mass():
+    believed = Parameters.defaults().replace(uncertainty={"wire.mass": 2e-6})
+    name, heat = "effect.latent_heat.heat", 12e3
+    number = Number(name, heat, 9.0, 0.0, 1e4, 1.2, 0.99, False, {})
+    estimate = _estimate(number, "a fit", 100, believed)
+    of_mass = heat * 2e-6 / believed["wire.mass"]
+    assert estimate.shares == {"wire.mass": pytest.approx(-of_mass)}
+    assert estimate.std == pytest.approx(np.hypot(9.0, of_mass))
 
 
 def test_a_fit_on_both_cores_is_that_on_one(both_cores, monkeypatch):

@@ -23,4 +23,5 @@ EFFECT = Effect(
         "afterwards"
     ),
     carried=("heat",),
+    times={"heat": "wire.mass"},
 )
