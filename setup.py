@@ -31,10 +31,14 @@ NODES = [
 # What the package imports, but for ROS, which pip cannot install; the oldest versions are those of
 # Ubuntu 24.04 (requirements-noble.txt).
 REQUIRED = [
+    "click>=8.1",
     "h5py>=3.10",
     "jinja2>=3.1",
+    "joblib>=1.3",
     "lz4",
     "matplotlib>=3.6",
+    "mcap",
+    "msgspec",
     "numba",
     "numpy>=1.26",
     "openpyxl>=3.1",

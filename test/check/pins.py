@@ -25,7 +25,7 @@ LOCKS = ROOT / "locks"
 UV, PIP_AUDIT = "uv==0.13.9", "pip-audit==2.10.1"
 OLDEST = "3.11"
 # .ci/noble's own environment, which takes what a robot has from apt, stays as it is.
-UNLOCKED = ("requirements-noble.txt",)
+UNLOCKED = ("requirements-noble.txt", "requirements-robot.txt")
 _PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)([^\\\n#]*)", re.MULTILINE)
 _HASHED = re.compile(r"^[\w.-]+==.*\\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
 
