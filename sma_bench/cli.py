@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 from sma_bench.commands.parser import (
     COMMANDS,
+    RETIRED,
     CommandParser,
     command_parser,
     terminated_as_interrupted,
@@ -87,6 +88,8 @@ def _dispatch(arguments: list[str]) -> int:
         _top_parser().parse_args(arguments)
         return 0
     name, *rest = arguments
+    if name in RETIRED:
+        raise InputError(f"{name} {RETIRED[name]}")
     if name not in COMMANDS:
         hint = did_you_mean(name, COMMANDS) or ", sma-bench --help lists them"
         raise InputError(f"no command {name!r}{hint}")

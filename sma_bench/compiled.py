@@ -257,7 +257,9 @@ def _turn(folder: Path) -> Iterator[None]:
 
 
 def _room(source: Path) -> Path:
-    """The folder right below the package in which a source file lies."""
+    """The folder right below the package in which a source file lies; elsewhere, its own."""
+    if not source.is_relative_to(PACKAGE):
+        return source.parent
     inside = source.relative_to(PACKAGE).parts
     return PACKAGE / inside[0] if len(inside) > 1 else PACKAGE
 

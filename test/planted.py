@@ -1,7 +1,7 @@
 """Records of a small composite bench on which an effect, or none, has been planted.
 
 The model itself makes them, so they test the plumbing and the arithmetic of a diagnosis; how it
-fares against another reality is for `sma-bench blind`.
+fares against another reality is for `./bench blind`.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

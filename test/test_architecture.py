@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = "sma_bench"
+PACKAGE, EXAMINATION = "sma_bench", "examination"
+# The judge's own physics, which must be wrong in other ways than that of the package.
+INDEPENDENT = {
+    f"{EXAMINATION}.{room}": {"compiled", "errors", "parameters", "records"}
+    for room in ("blind.reality", "attack_lab")
+}
 LONGEST_FILE = 600
 
 # Every room (folder or file of the package) and the rooms that it may import.
@@ -59,7 +64,6 @@ ARROWS = {
     # What a running bench does, without ROS.
     "live": LEAVES | {"parameters", "physics", "protocols", "records", "control", "hardware"},
     "dashboard": LEAVES | {"results", "cards"},
-    "blind": LEAVES | {"physics", "parameters", "protocols", "records", "report"},
     "api": LEAVES
     | {
         "diagnose", "estimation", "identify", "synthetic", "physics", "protocols", "records",
@@ -72,7 +76,7 @@ ARROWS = {
 _BELOW = {room for room in ARROWS if room not in ("", "api")}
 # Nodes and commands use everything but each other, and nothing below uses them.
 ARROWS |= {
-    "nodes": _BELOW - {"report", "blind", "diagnose", "identify", "estimation", "synthetic"},
+    "nodes": _BELOW - {"report", "diagnose", "identify", "estimation", "synthetic"},
     "commands": _BELOW | {"api"},
     "cli": {"commands", *LEAVES},
 }
@@ -84,10 +88,10 @@ ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 # --- the checker --------------------------------------------------------------------------------
 
 
-def modules(root: Path) -> dict[str, Path]:
-    """Dotted name of every module below root/sma_bench."""
+def modules(root: Path, top: str = PACKAGE) -> dict[str, Path]:
+    """Dotted name of every module below root/top."""
     found = {}
-    for path in sorted((root / PACKAGE).rglob("*.py")):
+    for path in sorted((root / top).rglob("*.py")):
         parts = path.relative_to(root).with_suffix("").parts
         found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
     return found
@@ -139,6 +143,8 @@ def violations(root: Path, arrows: dict[str, set[str]] = ARROWS) -> list[str]:
         for target in imports(name, path, known):
             if is_ros(target) and here not in USES_ROS:
                 broken.append(f"{name} imports {target}: only {' and '.join(USES_ROS)} know ROS")
+            if target.partition(".")[0] == EXAMINATION:
+                broken.append(f"{name} imports {target}: the package does not know its judge")
             if target.partition(".")[0] != PACKAGE:
                 continue
             graph[name].add(target)
@@ -147,6 +153,18 @@ def violations(root: Path, arrows: dict[str, set[str]] = ARROWS) -> list[str]:
                 broken.append(f"{name} imports {target}: no arrow from {here} to {there}")
         broken += _shape(name, path)
     return broken + _circles(graph)
+
+
+def borrowed(root: Path) -> list[str]:
+    """What the judge's own physics takes from the package beyond its leave, a line each."""
+    known = modules(root) | modules(root, EXAMINATION)
+    return [
+        f"{name} imports {target}: {part} borrows nothing from {room(target)}"
+        for part, allowed in INDEPENDENT.items()
+        for name, path in known.items() if name.startswith(part)
+        for target in imports(name, path, known)
+        if target.partition(".")[0] == PACKAGE and room(target) not in allowed
+    ]
 
 
 def _shape(name: str, path: Path) -> Iterator[str]:
@@ -174,6 +192,10 @@ def test_rooms_import_only_along_the_arrows() -> None:
 
 def test_the_arrows_themselves_run_one_way() -> None:
     assert _circles(ARROWS) == []
+
+
+def test_the_judges_physics_are_its_own() -> None:
+    assert borrowed(ROOT) == []
 
 
 def test_bench_fits_in_the_head() -> None:
@@ -220,6 +242,10 @@ BAD_TREES = {
         {"hardware/link.py": "def f():\n    from sensor_msgs.msg import Temperature"},
         "know ROS",
     ),
+    "the package that knows its judge": (
+        {"physics/heat.py": "def f():\n    from examination.blind.reality import World"},
+        "does not know its judge",
+    ),
     "circle of two modules": (
         {"physics/a.py": "from .b import y", "physics/b.py": "from . import a"},
         "circular import",
@@ -236,6 +262,14 @@ def test_a_broken_rule_is_found(case: str, tmp_path: Path) -> None:
     found = violations(make_tree(tmp_path, files))
     assert len(found) == 1
     assert expected in found[0]
+
+
+def test_a_borrowed_equation_is_found(tmp_path: Path) -> None:
+    folder = tmp_path / EXAMINATION / "blind" / "reality"
+    folder.mkdir(parents=True)
+    (folder / "heat.py").write_text("from sma_bench.errors import E\nimport sma_bench.physics\n")
+    (found,) = borrowed(tmp_path)
+    assert "borrows nothing from physics" in found
 
 
 def test_a_tidy_tree_passes(tmp_path: Path) -> None:

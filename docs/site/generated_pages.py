@@ -24,7 +24,6 @@ from mkdocs.structure.pages import Page
 
 from sma_bench import api
 from sma_bench.cli import COMMANDS
-from sma_bench.commands import blind
 from sma_bench.commands.parser import command_parser
 from sma_bench.nodes.start import NODES
 from sma_bench.parameters.documentation import parameter_table
@@ -166,10 +165,6 @@ def commands_page() -> str:
         "asked for appears whole or not at all.",
     ]  # fmt: skip
     helps = {name: _help(name, text) for name, text in COMMANDS.items()}
-    for name, command in blind.SHOWN.items():
-        parser = command_parser(f"blind {name}", command.text)
-        command.add_arguments(parser)
-        helps[f"blind {name}"] = parser.format_help().rstrip()
     for name, text in helps.items():
         lines += ["", f"## {name}", "", "```text", text, "```"]
     return "\n".join(lines) + "\n"

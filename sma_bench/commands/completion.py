@@ -7,8 +7,6 @@ import argparse
 import importlib
 from collections.abc import Callable, Iterable
 
-from sma_bench.commands import blind
-from sma_bench.commands.blind import rivals
 from sma_bench.commands.diagnose import quantities
 from sma_bench.commands.identify import experiments
 from sma_bench.commands.parser import CommandParser, command_parser
@@ -22,9 +20,6 @@ _SCRIPT = """# Completes sma-bench, and ./bench, in bash; made by: sma-bench com
 {first}_sma_bench() {{
     local word="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}"
     local command="${{COMP_WORDS[1]}}" place=$COMP_CWORD
-    if [[ $command == blind && $place -gt 2 ]]; then
-        command="blind ${{COMP_WORDS[2]}}" place=$((place - 1))
-    fi
     COMPREPLY=()
     if [[ $COMP_CWORD -eq 1 ]]; then
         COMPREPLY=($(compgen -W "{commands}" -- "$word"))
@@ -62,15 +57,13 @@ def completion_script(shell: str) -> str:
     """The whole script; it has to be made again for another version."""
     from sma_bench.commands.parser import COMMANDS
 
-    names = [n for n in COMMANDS if n not in ("run", "blind")]
+    names = [n for n in COMMANDS if n != "run"]
     parsers = {
         name: _parser(name, importlib.import_module(f"sma_bench.commands.{name}").add_arguments)
         for name in names
     }
-    for name, command in blind.SHOWN.items():
-        parsers[f"blind {name}"] = _parser(name, command.add_arguments)
     words = {name: _positional(parser) for name, parser in parsers.items()}
-    words |= {"blind": list(blind.SHOWN), "run": sorted(NODE_TABLES)}
+    words["run"] = sorted(NODE_TABLES)
     options = {name: sorted(parser._option_string_actions) for name, parser in parsers.items()}
     values = [
         _reply(f"{name} {option}", choices, 8, "; return")
@@ -104,7 +97,7 @@ def _choices(action: argparse.Action) -> list[str]:
         return [str(choice) for choice in action.choices]
     named: dict[str, Callable[[], Iterable[str]]] = {
         "protocol": _protocol_names, "overrides": lambda: BY_NAME, "effects": lambda: EFFECT_NAMES,
-        "experiments": experiments, "signals": quantities, "rival": rivals,
+        "experiments": experiments, "signals": quantities,
     }
     return list(named[action.dest]()) if action.dest in named else []
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.blind.judgement import CONFIDENT
 from sma_bench.cards import card_text
 from sma_bench.commands import investigate
 from sma_bench.commands.demo_stage import COMPILED_AFTER, DemoStage, HardwareStage, recording_time
@@ -51,6 +50,7 @@ HIDEABLE: dict[str, dict[str, tuple[float, float]]] = {
 }
 _EITHER_SIGN = ("phase_dependent_resistance",)
 _FARTHEST = 2.0  # standard errors
+_ALL_BUT_CERTAIN = 0.8  # probability of a candidate
 
 
 def hidden_bench(lab: Parameters, seed: int) -> Parameters:
@@ -371,7 +371,8 @@ def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
     if answer["cause"] and effect not in answer["cause"]:
         return True
     return any(
-        c["probability"] >= CONFIDENT and effect not in _parts(c) for c in answer["candidates"]
+        c["probability"] >= _ALL_BUT_CERTAIN and effect not in _parts(c)
+        for c in answer["candidates"]
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sma_bench.blind.case_files import checked_answer
+from examination.blind.case_files import checked_answer
 from sma_bench.errors import InputError
 
 GOOD = {

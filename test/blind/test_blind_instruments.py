@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import Card, draw_case
-from sma_bench.blind.reality import Outcome, World
-from sma_bench.blind.rigs import CHANNELS
-from sma_bench.blind.sensors import (
+from examination.blind.cases import Card, draw_case
+from examination.blind.reality import Outcome, World
+from examination.blind.rigs import CHANNELS
+from examination.blind.sensors import (
     NOISE_MODELS,
     RADIANCE_EXPONENT,
     RESOLUTION,

@@ -5,10 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from sma_bench.blind.case_files import STAGE_OF
-from sma_bench.blind.cases import EFFECTS, OUTSIDE, SHARES, deal, draw_cases, split_of
-from sma_bench.blind.reality import BY_NAME
-from sma_bench.blind.rigs import (
+from examination.blind.case_files import STAGE_OF
+from examination.blind.cases import EFFECTS, OUTSIDE, SHARES, deal, draw_cases, split_of
+from examination.blind.reality import BY_NAME
+from examination.blind.rigs import (
     BELIEVED,
     COMMAND_PERIOD,
     WRONG_BY,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sma_bench.blind.case_files import Examination, read_case_set, read_kept, write_examination
-from sma_bench.blind.examination import Examinee, examine, open_cases
+from examination.blind.case_files import Examination, read_case_set, read_kept, write_examination
+from examination.blind.examination import Examinee, examine, open_cases
 from sma_bench.errors import InputError
 
 RESULT = {

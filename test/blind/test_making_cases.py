@@ -11,12 +11,12 @@ from time import monotonic, sleep
 import numpy as np
 import pytest
 
-from sma_bench.blind.case_files import unseal
-from sma_bench.blind.cases import EFFECTS, NUISANCE_LIMIT, OUTSIDE, QUANTITIES, draw_cases
-from sma_bench.blind.judgement import UnseenRecord
-from sma_bench.blind.make import digest, make
-from sma_bench.blind.rigs import RECORDS, Stage
-from sma_bench.cli import main
+from examination.blind.case_files import unseal
+from examination.blind.cases import EFFECTS, NUISANCE_LIMIT, OUTSIDE, QUANTITIES, draw_cases
+from examination.blind.command import main
+from examination.blind.judgement import UnseenRecord
+from examination.blind.make import digest, make
+from examination.blind.rigs import RECORDS, Stage
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters
 from sma_bench.records import check_record, read_record
@@ -139,9 +139,9 @@ def test_bad_input_is_one_line_and_exit_code_2(made, tmp_path, capsys, arguments
     folder, _ = made
     before = digest(folder)
     given = ["--out", str(tmp_path / "new"), *(a.format(made=folder) for a in arguments)]
-    assert main(["blind", "make", *given]) == 2
+    assert main(["make", *given]) == 2
     said = capsys.readouterr().err.strip().splitlines()
-    assert len([text for text in said if text.startswith("sma-bench:")]) == 1
+    assert len([text for text in said if text.startswith("bench blind:")]) == 1
     assert line in said[-1]
     assert digest(folder) == before
     assert list(tmp_path.iterdir()) == []
@@ -151,7 +151,7 @@ def test_failure_halfway_leaves_nothing(tmp_path, monkeypatch):
     def full(*arguments):
         raise InputError("the disk is full")
 
-    monkeypatch.setattr("sma_bench.blind.make.write_record", full)
+    monkeypatch.setattr("examination.blind.make.write_record", full)
     with pytest.raises(InputError, match="full"):
         make(tmp_path / "set", SEED, 1)
     assert list(tmp_path.iterdir()) == []
@@ -161,9 +161,9 @@ def test_failure_halfway_leaves_nothing(tmp_path, monkeypatch):
 @pytest.mark.parametrize("how, jobs", [(signal.SIGINT, 2), (signal.SIGTERM, 1)])
 def test_cancelled_make_leaves_nothing_that_looks_whole(tmp_path, how, jobs):
     # Of this seed the first two cases hide nothing, which are made soonest.
-    command = [sys.executable, "-m", "sma_bench.cli", "blind", "make", "--seed", "9", "--n", "12"]
+    command = [sys.executable, "-m", "examination.blind.command", "make"]
     process = subprocess.Popen(
-        [*command, "--jobs", str(jobs), "--out", str(tmp_path / "set")],
+        [*command, "--seed", "9", "--n", "12", "--jobs", str(jobs), "--out", str(tmp_path / "set")],
         cwd=ROOT, stderr=subprocess.PIPE, start_new_session=True, text=True,
     )  # fmt: skip
     deadline = monotonic() + PATIENCE
@@ -176,12 +176,12 @@ def test_cancelled_make_leaves_nothing_that_looks_whole(tmp_path, how, jobs):
         process.send_signal(how)
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
-    assert said.strip().splitlines()[-1] == "sma-bench: interrupted"
+    assert said.strip().splitlines()[-1] == "bench blind: interrupted"
     assert list(tmp_path.iterdir()) == []
 
 
 def test_figures_refuse_an_existing_folder(tmp_path, capsys):
-    assert main(["blind", "figures", "--out", str(tmp_path)]) == 2
+    assert main(["figures", "--out", str(tmp_path)]) == 2
     assert "exists already, expected a new folder" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from sma_bench.blind.case_files import NO_EFFECT, STAGE_OF, checked_answer
-from sma_bench.blind.judgement import Judged, Label, Shrunk, moved_parameters
-from sma_bench.blind.measures import OTHERS, TARGETS
+from examination.blind.case_files import NO_EFFECT, STAGE_OF, checked_answer
+from examination.blind.judgement import Judged, Label, Shrunk, moved_parameters
+from examination.blind.measures import OTHERS, TARGETS
 from sma_bench.parameters import Parameters
 
 MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import EFFECTS, OUTSIDE, draw_cases
-from sma_bench.blind.rigs import BELIEVED, CHANNELS, RECORDS
-from sma_bench.blind.sensors import clocks
+from examination.blind.cases import EFFECTS, OUTSIDE, draw_cases
+from examination.blind.rigs import BELIEVED, CHANNELS, RECORDS
+from examination.blind.sensors import clocks
 
 N, FOLDS, SHUFFLES, RIDGE = 360, 6, 99, 0.3
 CHANCE = 0.02

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from reality_rig import COMPOSITE, DRIVES, RIGS, drive, needs_numba
 
-from sma_bench.blind.reality import BY_NAME, FEATURES, World, happen
+from examination.blind.reality import BY_NAME, FEATURES, World, happen
 from sma_bench.physics import simulate
 
 # What is left at 16 times the usual fineness.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from reality_rig import COMPOSITE, drive, needs_numba
 
-from sma_bench.blind.reality import BY_NAME, FEATURES, Outcome, World, happen
+from examination.blind.reality import BY_NAME, FEATURES, Outcome, World, happen
 
 ACTING = [f for f in FEATURES if not f.setting and f.stage != "sensor"]
 FRONT, BACK = slice(0, 2), slice(2, 4)

@@ -5,8 +5,8 @@ import pytest
 from reality_rig import COMPOSITE, drive, needs_numba
 from scipy.linalg import expm
 
-from sma_bench.blind.reality import World, happen
-from sma_bench.blind.reality.heat import (
+from examination.blind.reality import World, happen
+from examination.blind.reality.heat import (
     BACK_WIRE,
     FRONT_WIRE,
     NODES,
@@ -15,7 +15,7 @@ from sma_bench.blind.reality.heat import (
     strip_of,
     warm,
 )
-from sma_bench.blind.reality.transformation import (
+from examination.blind.reality.transformation import (
     grain_classes,
     grains_at_rest,
     ramp,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from reality_rig import COMPOSITE, drive
 
+from examination.blind import reality
+from examination.blind.reality import FEATURES, World, happen
 from sma_bench import compiled
-from sma_bench.blind import reality
-from sma_bench.blind.reality import FEATURES, World, happen
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 
@@ -45,7 +45,7 @@ def test_reality_imports_nothing_that_simulates() -> None:
             else:
                 continue
             for name in names:
-                inside = name.startswith("sma_bench.blind.reality")
+                inside = name.startswith("examination.blind.reality")
                 assert inside or not name.startswith("sma_bench") or name in ALLOWED, path
 
 

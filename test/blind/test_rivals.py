@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from sma_bench.blind.case_files import checked_answer
-from sma_bench.blind.rival_fitting import effect_knobs, fit, observe, whitened
-from sma_bench.blind.rivals import RIVALS, log_tail, rival_answer
+from examination.blind.case_files import checked_answer
+from examination.blind.rival_fitting import effect_knobs, fit, observe, whitened
+from examination.blind.rivals import RIVALS, log_tail, rival_answer
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import effect_values
 from sma_bench.physics.simulate import simulate

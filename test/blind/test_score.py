@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from sma_bench.blind import examination as follow_up_module
-from sma_bench.blind.case_files import (
+from examination.blind import examination as follow_up_module
+from examination.blind.case_files import (
     FOLLOW_UPS,
     NO_EFFECT,
     STAGE_OF,
@@ -21,12 +21,12 @@ from sma_bench.blind.case_files import (
     seal,
     write_examination,
 )
-from sma_bench.blind.cases import Card, draw_case
-from sma_bench.blind.examination import Examinee, after_tests, bench_protocol, follow_up
-from sma_bench.blind.judgement import UnseenRecord, parameter_error, unseen_drive
-from sma_bench.blind.rigs import true_values
-from sma_bench.blind.score import beaten, followed_up, handed_in, open_labels, score
-from sma_bench.cli import main
+from examination.blind.cases import Card, draw_case
+from examination.blind.command import main
+from examination.blind.examination import Examinee, after_tests, bench_protocol, follow_up
+from examination.blind.judgement import UnseenRecord, parameter_error, unseen_drive
+from examination.blind.rigs import true_values
+from examination.blind.score import beaten, followed_up, handed_in, open_labels, score
 from sma_bench.errors import InputError
 from sma_bench.parameters import write_parameters
 from sma_bench.records import read_record
@@ -108,8 +108,8 @@ GOOD = {
 def test_labels_stay_sealed_until_the_last_answer(made, tmp_path, monkeypatch, capsys):
     cases = hand_in(made, tmp_path, {n: GOOD[n] for n in ("0001", "0003")})
     touched = []
-    monkeypatch.setattr("sma_bench.blind.case_files.unseal", lambda *a: touched.append(a))
-    assert main(["blind", "score", str(cases.root), "--answers", str(tmp_path)]) == 2
+    monkeypatch.setattr("examination.blind.case_files.unseal", lambda *a: touched.append(a))
+    assert main(["score", str(cases.root), "--answers", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "1 of 3 cases have no answer yet, the first is 0002: the labels stay sealed" in error
     assert error.count("\n") == 1 and touched == []
@@ -289,7 +289,7 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
     always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
     hand_in(made, folders[1], always, "rmse", ("python", "blind", "rival", "rmse"))
     page, markdown, result = tmp_path / "page", tmp_path / "docs" / "r.md", tmp_path / "r.json"
-    arguments = ["blind", "score", str(root), "--no-follow-up", "--json", str(result)]
+    arguments = ["score", str(root), "--no-follow-up", "--json", str(result)]
     arguments += ["--page", str(page), "--markdown", str(markdown)]
     for folder in folders:
         arguments += ["--answers", str(folder)]
@@ -307,8 +307,8 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
     assert html.count("<img") == 8
     assert "Truth against first choice" in html and "SHA-256" in html  # tables say what they are of
     text = markdown.read_text()
-    assert "sma-bench blind make --seed 5 --n 3 --out cases" in text
-    assert "sma-bench blind run cases --rival rmse" in text
+    assert "./bench blind make --seed 5 --n 3 --out cases" in text
+    assert "./bench blind run cases --rival rmse" in text
     markdown.write_text(text + "\n## Notes\n\nMissed because of the wind.\n")
     assert main(arguments) == 2
     assert main([*arguments, "--force"]) == 0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sma_bench.blind.case_files import seal, unseal
+from examination.blind.case_files import seal, unseal
 from sma_bench.errors import InputError
 
 LABELS = [{"id": "0001", "effects": ["latent_heat"], "severity": 2.5}]

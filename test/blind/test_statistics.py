@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from sma_bench.blind.measures import (
+from examination.blind.measures import (
     calibration_error,
     clopper_pearson,
     mean,

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sma_bench.blind.cases import (
+from examination.blind.cases import (
     ALL,
     EFFECTS,
     OUTSIDE,
@@ -15,11 +15,11 @@ from sma_bench.blind.cases import (
     draw,
     draw_case,
 )
-from sma_bench.blind.pages import write_symptom
-from sma_bench.blind.pages import write_symptoms_index as write_page
-from sma_bench.blind.reality import BY_NAME, World
-from sma_bench.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of, where
-from sma_bench.blind.severity import Separation, measured, separation, size
+from examination.blind.pages import write_symptom
+from examination.blind.pages import write_symptoms_index as write_page
+from examination.blind.reality import BY_NAME, World
+from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of, where
+from examination.blind.severity import Separation, measured, separation, size
 
 SYMPTOMS = {**EFFECTS, **OUTSIDE}
 PNG_LIMIT = 60_000

@@ -221,7 +221,6 @@ def test_an_error_is_a_line_that_can_be_read_whatever_names_are_in_it(capsys):
     [
         (["identify", "bag", "--parms", "lab.yaml"], "did you mean --params?"),
         (["simulate", "--protokol", "ramp", "--out", "bag"], "did you mean --protocol?"),
-        (["blind", "make", "--sead", "1"], "did you mean --seed?"),
         (["simulate", "--protocol", "quick_stairs", "--out", "bag"],
          "did you mean quick_staircase?"),
         (["call", "experiment/start", "--patience", "0"], "expected more than 0"),

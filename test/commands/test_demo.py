@@ -15,7 +15,7 @@ import pytest
 import yaml
 from rich.console import Console
 
-from sma_bench.blind.case_files import checked_answer
+from examination.blind.case_files import checked_answer
 from sma_bench.cli import main
 from sma_bench.commands import demo_acts, demo_stage
 from sma_bench.commands.demo_acts import (

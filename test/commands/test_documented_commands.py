@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from examination.blind import command as blind
+from examination.perf.perf import SECTIONS
 from sma_bench.cli import COMMANDS
+from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -20,9 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 EXPERIMENTS = [f"E{number}" for number in range(1, 13)]
 HEADINGS = ("Purpose", "Wiring", "Command", "Result", "What can go wrong")
-DEVELOPER = {"test", "perf", "check"}
-# Of `./bench perf`, whose own module is not on the path here.
-SECTIONS = set(re.findall(r'^    "(\w+)": \("', (ROOT / "test/perf/perf.py").read_text(), re.M))
+DEVELOPER = {"test", "blind", "perf", "check"}
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
 LAUNCH_ARGUMENTS = {
@@ -60,10 +61,12 @@ def check_command(words: list[str]) -> str:
     """Why sma-bench would not take these words, or ""."""
     name, *rest = words
     if name == "perf":
-        sections = {word for word in rest if word.isalpha()}
-        return "" if sections <= SECTIONS else f"no section among {sections}"
+        sections = {word for word in rest if word.replace("-", "").isalpha() and word[0] != "-"}
+        return "" if sections <= set(SECTIONS) else f"no section among {sections}"
+    if name == "blind":
+        return objection(blind.parser_of(rest[0]), rest[1:]) if len(rest) > 1 else ""
     if name in DEVELOPER:
-        script = ROOT / "test" / name / f"{(rest or [name])[0]}.py"
+        script = ROOT / "examination" / name / f"{(rest or [name])[0]}.py"
         return "" if name == "test" or script.is_file() else f"no {script}"
     if len(words) == 1 and name in NAMED_ONLY:
         return ""
@@ -73,11 +76,15 @@ def check_command(words: list[str]) -> str:
         return "" if rest and rest[0] in NODE_TABLES else f"no node {rest[:1]}"
     parser = argparse.ArgumentParser(prog=name, exit_on_error=False)
     importlib.import_module(f"sma_bench.commands.{name}").add_arguments(parser)
+    return objection(parser, rest) or check_files(rest)
+
+
+def objection(parser: argparse.ArgumentParser, words: list[str]) -> str:
     try:
-        parser.parse_args(rest)
-    except (argparse.ArgumentError, SystemExit) as error:
+        parser.parse_args(words)
+    except (argparse.ArgumentError, InputError, SystemExit) as error:
         return str(error) or "not accepted"
-    return check_files(rest)
+    return ""
 
 
 def check_files(words: list[str]) -> str:

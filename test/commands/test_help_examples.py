@@ -9,14 +9,13 @@ import sys
 import pytest
 
 from sma_bench.cli import COMMANDS, main
-from sma_bench.commands import blind
 from sma_bench.commands.parser import EXAMPLES, command_parser
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
 from sma_bench.protocols.reading import is_spoken
 
 ESCAPE = "\x1b"
-ALL = [*COMMANDS, *(f"blind {name}" for name in blind.SHOWN)]
+ALL = list(COMMANDS)
 
 
 def help_of(name, capsys):
@@ -39,9 +38,7 @@ def objection(words):
     name, *rest = words
     if name == "run":
         return "" if rest[0] in NODE_TABLES else f"no node {rest[0]}"
-    if name == "blind" and rest[0] in blind.COMMANDS:
-        add_arguments, rest = blind.COMMANDS[rest[0]].add_arguments, rest[1:]
-    elif name in COMMANDS:
+    if name in COMMANDS:
         add_arguments = importlib.import_module(f"sma_bench.commands.{name}").add_arguments
     else:
         return f"no command {name}"
@@ -66,12 +63,11 @@ def test_help_shows_examples_that_the_command_takes(name, capsys):
 
 
 def test_there_are_no_examples_of_other_commands():
-    assert set(EXAMPLES) == {*ALL, "blind rival"}
+    assert set(EXAMPLES) == set(ALL)
 
 
 def test_a_wrong_example_would_be_found():
-    for line in ("identify", "identfy x", "run simulatr", "simulate --protocol none --out x",
-                 "blind make --seed many --out x"):  # fmt: skip
+    for line in ("identify", "identfy x", "run simulatr", "simulate --protocol none --out x"):
         assert objection(line.split()) != "", line
 
 
@@ -82,8 +78,7 @@ def test_a_wrong_example_would_be_found():
         (["identify"], "identify: the following arguments are required: RECORD"),
         (["simulate", "--rate", "fast"], "argument --rate: invalid float value: 'fast'"),
         (["audit", "--nothing"], "unknown option --nothing"),
-        (["blind", "run"], "sma-bench blind run --help"),
-        (["blind", "nothing"], "invalid choice: 'nothing'"),
+        (["blind", "run"], "./bench blind"),
         (["--nothing"], "--help"),
     ],
 )
@@ -132,21 +127,12 @@ def test_a_simulation_as_json_says_what_was_simulated(tmp_path, capsys):
     assert found["samples"] == pytest.approx(10.0 * found["duration"], abs=2)
 
 
-def test_a_set_of_cases_as_json_is_its_manifest(tmp_path, capsys):
-    target, folder = tmp_path / "m.json", tmp_path / "cases"
-    words = ["blind", "make", "--seed", "7", "--n", "1", "--jobs", "1"]
-    assert main([*words, "--out", str(folder), "--json", str(target)]) == 0
-    found = json.loads(target.read_text())
-    assert found["set"] == str(folder) and found["sha256"]
-
-
 def test_help_loads_nothing_heavy():
     """It is there in a moment, of every command."""
     code = (
         "import contextlib, io, sys\n"
         "from sma_bench.cli import COMMANDS, main\n"
-        "from sma_bench.commands import blind\n"
-        "for words in [*([c] for c in COMMANDS), *(['blind', c] for c in blind.SHOWN)]:\n"
+        "for words in [[c] for c in COMMANDS]:\n"
         "    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
         "        main([*words, '--help'])\n"
         "print(sorted({'scipy', 'numba', 'matplotlib', 'rclpy'} & set(sys.modules)))"

@@ -7,15 +7,11 @@ import json
 import pytest
 
 from sma_bench.cli import COMMANDS, main
-from sma_bench.commands import blind
 
-PRINT_NO_RESULT = {"run", "completion", "blind", "dashboard"}
+PRINT_NO_RESULT = {"run", "completion", "dashboard"}
 WITH_RESULT = {
-    **{
-        name: importlib.import_module(f"sma_bench.commands.{name}").add_arguments
-        for name in COMMANDS if name not in PRINT_NO_RESULT
-    },
-    **{f"blind {name}": command.add_arguments for name, command in blind.SHOWN.items()},
+    name: importlib.import_module(f"sma_bench.commands.{name}").add_arguments
+    for name in COMMANDS if name not in PRINT_NO_RESULT
 }
 
 
@@ -42,12 +38,6 @@ def test_a_simulation_says_where_its_bag_is_beside_the_json(tmp_path, capsys):
     printed = capsys.readouterr()
     assert json.loads(printed.out)["bag"] == str(bag)
     assert "simulated samples" in printed.err
-
-
-def test_a_sub_command_of_blind_too(tmp_path, capsys):
-    words = ["blind", "make", "--seed", "7", "--n", "1", "--jobs", "1", "--out"]
-    assert main([*words, str(tmp_path / "cases"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["sha256"]
 
 
 def test_an_error_leaves_standard_output_empty(capsys):

@@ -8,15 +8,11 @@ from pathlib import Path
 import pytest
 
 from sma_bench.cli import COMMANDS, main
-from sma_bench.commands import blind
 from sma_bench.commands.parser import BAG, FILE, FOLDER, NEW, OWN, Output, command_parser
 
 PARSERS = {
-    **{
-        name: importlib.import_module(f"sma_bench.commands.{name}").add_arguments
-        for name in COMMANDS if name not in ("run", "blind")
-    },
-    **{f"blind {name}": command.add_arguments for name, command in blind.COMMANDS.items()},
+    name: importlib.import_module(f"sma_bench.commands.{name}").add_arguments
+    for name in COMMANDS if name != "run"
 }
 # What each command takes besides its outputs; IN stands for an input that exists.
 WORDS = {
@@ -27,18 +23,14 @@ WORDS = {
     "paper": ["IN", "--out", "OUT"], "calibrate": ["supply", "--csv", "IN"], "call": ["a/b"],
     "investigate": ["IN", "--folder", "OUT", "--simulated", "IN"],
     "demo": [], "linearise": ["--params", "IN"], "dashboard": [], "completion": ["bash"],
-    "blind make": ["--seed", "1", "--out", "OUT"], "blind run": ["IN"], "blind score": ["IN"],
-    "blind figures": ["--out", "OUT"], "blind rival": ["bic", "IN", "--params", "IN"],
 }
-READS_NO_FILE = {"effects", "call", "demo", "blind make", "blind figures"}
+READS_NO_FILE = {"effects", "call", "demo"}
 # Options that name files which a command reads, and others that look alike but name none.
 READ = {
     "--params", "--model", "--hold-out", "--map", "--input", "--csv", "--program", "--simulated",
 }
-# Answers are always kept, and so is an investigation.
-RESUMED = {
-    ("blind run", "--answers"), ("blind score", "--answers"), ("investigate", "--folder"),
-}
+# An investigation is always kept.
+RESUMED = {("investigate", "--folder")}
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
@@ -90,7 +82,7 @@ def test_every_option_that_names_what_is_written_is_declared() -> None:
     assert undeclared == []
     assert {name for name, option, _ in outputs({FILE, FOLDER, BAG, NEW, OWN})} >= {
         "identify", "simulate", "diagnose", "import", "report", "paper", "parameters", "demo",
-        "batch", "calibrate", "blind make", "blind score", "blind rival", "blind figures",
+        "batch", "calibrate",
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planted import believed, drive, few_effects, planted_record
 
-from sma_bench.blind.case_files import checked_answer
+from examination.blind.case_files import checked_answer
 from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
 from sma_bench.physics import simulate

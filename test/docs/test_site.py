@@ -14,7 +14,7 @@ from sma_bench.cli import COMMANDS
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
-CHECK = ROOT / "test" / "check" / "docs.py"
+CHECK = ROOT / "examination" / "check" / "docs.py"
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +49,7 @@ def test_every_page_of_docs_is_on_the_site(site):
 
 def test_commands_are_what_their_help_prints(site):
     page = text_of(site / "reference" / "commands.html")
-    for name in (*COMMANDS, "blind make"):
+    for name in COMMANDS:
         assert f"usage: sma-bench {name}" in page
     assert "--hold-out RECORD" in page
 

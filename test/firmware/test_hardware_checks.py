@@ -1,17 +1,12 @@
 """The checks of the emulated bench that are scripts: they find what they look for."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-
-import fuzz  # noqa: E402
-import table_one  # noqa: E402
-
-from sma_bench.commands.demo_acts import EMULATED, TABLE_ONE  # noqa: E402
+from examination.check import fuzz, table_one
+from sma_bench.commands.demo_acts import EMULATED, TABLE_ONE
 
 
 def program(folder: Path, text: str) -> Path:

@@ -1,14 +1,14 @@
 """No number is wrong without a word: a few attacks of `./bench check attacks`, which has all."""
 
-import importlib
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-CHECK = Path(__file__).resolve().parents[1] / "check"
+from examination import attack_lab
+from examination.attack_lab.cases import ATTACKS
+from examination.check import attacks
+
 # Each of another kind: in the errors, warned of, seen in the record, in the statements, refused.
 WIRES = tuple(
     f"E1 to E3 {name}"
@@ -21,51 +21,45 @@ TABLES = (
 )
 
 
-@pytest.fixture(scope="module")
-def attacks() -> ModuleType:
-    sys.path.insert(0, str(CHECK))
-    return importlib.import_module("attacks")
-
-
-def judged(attacks: ModuleType, name: str, seed: int) -> dict:
+def judged(name: str, seed: int) -> dict:
     (attack,) = [a for a in attacks.ATTACKS if name == f"{a.experiment} {a.name}"]
     return attacks.run_attack(attack, [seed])[0]
 
 
-def silent(attacks: ModuleType, result: dict) -> list[str]:
+def silent(result: dict) -> list[str]:
     return [n for n, x in result["numbers"].items() if attacks.verdict(x) == "silent"]
 
 
 @pytest.mark.parametrize("name", WIRES + TABLES)
-def test_a_wrong_number_is_within_its_error_or_warned_of(attacks: ModuleType, name: str) -> None:
-    result = judged(attacks, name, 0)
+def test_a_wrong_number_is_within_its_error_or_warned_of(name: str) -> None:
+    result = judged(name, 0)
     assert result["numbers"] or result["refused"]
-    assert silent(attacks, result) == []
+    assert silent(result) == []
 
 
-def test_a_warning_is_on_the_number_that_it_is_about(attacks: ModuleType) -> None:
-    numbers = judged(attacks, "E1 to E3 spot half filled", 0)["numbers"]
+def test_a_warning_is_on_the_number_that_it_is_about() -> None:
+    numbers = judged("E1 to E3 spot half filled", 0)["numbers"]
     doubted = {name for name, x in numbers.items() if x["warnings"]}
     assert doubted == {"wire.heat_transfer_coefficient", "wire.specific_heat"}
 
 
-def test_an_error_for_show_is_found_out(attacks: ModuleType) -> None:
+def test_an_error_for_show_is_found_out() -> None:
     number = {"z": 3.1, "warnings": []}
     assert attacks.verdict(number) == "silent"
     assert attacks.verdict({**number, "warnings": ["wire.resistance: ..."]}) == "warned"
     assert attacks.verdict({**number, "z": -2.9}) == "right"
 
 
-def test_a_clean_bag_raises_no_warning(attacks: ModuleType) -> None:
+def test_a_clean_bag_raises_no_warning() -> None:
     for seed in (0, 1):
         result = attacks.judge(attacks.clean_bag(np.random.default_rng(seed), seed))
-        assert result["warnings"] == [] and silent(attacks, result) == []
+        assert result["warnings"] == [] and silent(result) == []
 
 
 def test_the_generator_shares_no_code_with_the_physics() -> None:
-    for file in (CHECK / "attack_lab").glob("*.py"):
+    for file in Path(attack_lab.__file__).parent.glob("*.py"):
         text = file.read_text()
         imported = [line for line in text.splitlines() if line.startswith(("import", "from"))]
         assert not any("sma_bench.physics" in line for line in imported)
         assert not any("synthetic" in line or "identify" in line for line in imported)
-    assert len(importlib.import_module("attack_lab.cases").ATTACKS) >= 40
+    assert len(ATTACKS) >= 40

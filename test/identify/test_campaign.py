@@ -1,26 +1,14 @@
 """The campaign `./bench check identification` works, and can fail."""
 
-import importlib.util
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-CHECK = Path(__file__).resolve().parents[1] / "check"
+from examination.check import identification as campaign
 
 
-@pytest.fixture(scope="module")
-def campaign():
-    sys.path.insert(0, str(CHECK))
-    spec = importlib.util.spec_from_file_location("campaign", CHECK / "identification.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def results_with(campaign, deviations):
+def results_with(deviations):
     """Results (draws, parameters) whose errors are these many stated standard errors."""
     return [
         {
@@ -34,9 +22,9 @@ def results_with(campaign, deviations):
     ]
 
 
-def test_true_errors_pass_and_others_fail(campaign):
+def test_true_errors_pass_and_others_fail():
     normal = np.random.default_rng(1).standard_normal((50, len(campaign.IDENTIFIED)))
-    results = results_with(campaign, normal)
+    results = results_with(normal)
     honest = campaign.summarise(results)
     assert honest["passed"]
     assert honest["coverage"] == pytest.approx(0.95, abs=0.02)
@@ -45,9 +33,9 @@ def test_true_errors_pass_and_others_fail(campaign):
     assert not campaign.summarise(results, error_scale=2.0)["passed"]
 
 
-def test_a_missing_estimate_fails(campaign):
+def test_a_missing_estimate_fails():
     results = results_with(
-        campaign, np.random.default_rng(1).standard_normal((50, len(campaign.IDENTIFIED)))
+        np.random.default_rng(1).standard_normal((50, len(campaign.IDENTIFIED)))
     )
     del results[3]["parameters"]["wire.resistance"]
     summary = campaign.summarise(results)
@@ -56,7 +44,7 @@ def test_a_missing_estimate_fails(campaign):
     assert summary["parameters"]["wire.resistance"]["n"] == 49
 
 
-def test_clopper_pearson_is_the_exact_interval(campaign):
+def test_clopper_pearson_is_the_exact_interval():
     # 47 of 50: the table of Clopper and Pearson (1934), continued.
     assert campaign.clopper_pearson(47, 50) == pytest.approx((0.8345, 0.9875), abs=1e-4)
     assert campaign.clopper_pearson(50, 50)[1] == 1.0
@@ -64,8 +52,8 @@ def test_clopper_pearson_is_the_exact_interval(campaign):
 
 
 @pytest.mark.slow
-def test_a_drawn_bench_comes_back_from_its_bags(campaign, tmp_path, monkeypatch, capsys):
-    from simulated_lab.instruments import Instruments
+def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
+    from examination.simulated_lab.instruments import Instruments
 
     clock = Instruments.clock
     monkeypatch.setattr(Instruments, "clock", lambda self, rate: clock(self, 0.5 * rate))

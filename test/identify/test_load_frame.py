@@ -1,6 +1,5 @@
 """Constitutive parameters from bags of the wire rig with a load frame."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,8 @@ import pytest
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
+from examination.simulated_lab.drawn_bench import draw_bench
+from examination.simulated_lab.experiments import LOADS, clamped, isobaric
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import find_holds
 from sma_bench.estimation.unknowns import SHAPES
@@ -17,11 +18,6 @@ from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
 from sma_bench.parameters.audit import wire_length_from_mass
 from sma_bench.parameters.table import TRANSITIONS
 from sma_bench.records import Record, Signal
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-
-from simulated_lab.drawn_bench import draw_bench  # noqa: E402
-from simulated_lab.experiments import LOADS, clamped, isobaric  # noqa: E402
 
 SEED = 5
 

@@ -1,6 +1,5 @@
 """Wires that pull a weight, a spring or each other: identified from motion and voltage alone."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
 import sma_bench
+from examination.check import loads
 from sma_bench.errors import InputError
 from sma_bench.estimation import side_by_side
 from sma_bench.estimation.result import Number
@@ -22,9 +22,6 @@ from sma_bench.identify.whole_model import (
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-import loads  # noqa: E402
 
 PAIR = {"bench.channels": ("left", "right"), "bench.channel_sides": ("front", "back")}
 RIGS = {

@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from planted import supply_drop_lab
 from std_msgs.msg import String
 
-from sma_bench.blind.case_files import checked_answer
+from examination.blind.case_files import checked_answer
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES

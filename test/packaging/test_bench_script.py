@@ -40,7 +40,7 @@ def make_house(folder: Path, requirements: str = ONE_SMALL_PACKAGE) -> Path:
         "sma_bench/__init__.py": "",
         "sma_bench/cli.py": COMMAND_LINE,
         COMMANDS_FILE: "",
-        "test/check/units.py": COMMAND_LINE,
+        "examination/check/units.py": COMMAND_LINE,
     }
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,13 +1,10 @@
 """What is installed has its version and hashes written down."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-
-import pins  # noqa: E402
+from examination.check import pins
 
 REQUIREMENTS = 'numpy==2.4.6\nbackports-zstd==1.8.0; python_version < "3.14"  # why\n# pip==1\n'
 HASH = "    --hash=sha256:" + "0" * 64

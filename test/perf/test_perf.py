@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from figures import Figure, Skipped, as_json, at_least, at_most
-from perf import SECTIONS, main
-from timing import exponent, interleaved, ratio
+
+from examination.perf.figures import Figure, Skipped, as_json, at_least, at_most
+from examination.perf.perf import SECTIONS, main
+from examination.perf.timing import exponent, interleaved, ratio
 
 PERF = Path(__file__).with_name("perf.py")
 CASES = ("one wire", "one wire, effects on", "four wires", "four wires, effects on")

@@ -1,23 +1,18 @@
 """Every section of `./bench check reliability`, small: what it found once stays mended."""
 
 import random
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-
-from campaign.allowance import TooLong, allowance  # noqa: E402
-from campaign.damaged_bags import damaged_bags, judge  # noqa: E402
-from campaign.full_disk import full_disk  # noqa: E402
-from campaign.fuzzed_parsers import edited, fuzzed_parsers, try_input  # noqa: E402
-from campaign.hostile_inputs import FOR_ALL, hostile_inputs, targets  # noqa: E402
-from campaign.numbered_bag import MESSAGES, numbered_bag  # noqa: E402
-from campaign.parser_seeds import Parser, parsers  # noqa: E402
-
-from sma_bench.errors import InputError  # noqa: E402
+from examination.campaign.allowance import TooLong, allowance
+from examination.campaign.damaged_bags import damaged_bags, judge
+from examination.campaign.full_disk import full_disk
+from examination.campaign.fuzzed_parsers import edited, fuzzed_parsers, try_input
+from examination.campaign.hostile_inputs import FOR_ALL, hostile_inputs, targets
+from examination.campaign.numbered_bag import MESSAGES, numbered_bag
+from examination.campaign.parser_seeds import Parser, parsers
+from sma_bench.errors import InputError
 
 
 def failed(outcomes):
@@ -83,7 +78,7 @@ def test_an_allowance_ends_what_takes_too_long_or_too_much():
 @pytest.mark.slow
 def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from campaign.killed_recorder import killed_recorder
+    from examination.campaign.killed_recorder import killed_recorder
 
     seed = random.SystemRandom().randrange(100)
     print(f"killed_recorder(8, {seed})")  # shown where it fails
@@ -93,7 +88,7 @@ def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_pa
 @pytest.mark.slow
 def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from campaign.foreign_traffic import foreign_traffic, leaping_clocks
+    from examination.campaign.foreign_traffic import foreign_traffic, leaping_clocks
 
     assert failed(foreign_traffic(20, 1, tmp_path)) == []
     assert failed(leaping_clocks(3, 1, tmp_path)) == []
@@ -102,7 +97,7 @@ def test_nodes_go_on_under_foreign_traffic_and_leaping_clocks(ros_domain, nodes_
 @pytest.mark.slow
 def test_killed_nodes_start_again(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from campaign.restarted_nodes import orders, restarted_nodes
+    from examination.campaign.restarted_nodes import orders, restarted_nodes
 
     assert len(set(orders())) == 36
     assert failed(restarted_nodes(1, 7, tmp_path)) == []

@@ -11,13 +11,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-CHECK = Path(__file__).resolve().parents[1] / "check"
-sys.path.insert(0, str(CHECK))
-
 import rclpy  # noqa: E402
-from campaign.soak import LIMIT, judge, slope  # noqa: E402
 from sensor_msgs.msg import BatteryState  # noqa: E402
 
+from examination.campaign.soak import LIMIT, judge, slope
 from sma_bench.nodes.recorder import Recorder  # noqa: E402
 from sma_bench.ros.node import MEASURED  # noqa: E402
 
@@ -55,7 +52,7 @@ def test_looks_while_the_bench_stands_still_do_not_weigh_more():
 _MEASURED = """
 import sys
 import numpy as np
-from campaign.allowance import own_memory
+from examination.campaign.allowance import own_memory
 before = own_memory()
 made = np.ones(8_000_000)
 print((own_memory() - before) / made.nbytes)
@@ -69,8 +66,8 @@ print((own_memory() - before) / made.nbytes)
 def test_memory_counts_what_a_process_made_and_not_its_files(tmp_path):
     # A process of its own: what other tests left gives memory back at any moment.
     done = subprocess.run(
-        [sys.executable, "-c", _MEASURED, str(tmp_path / "file")], cwd=CHECK, check=True,
-        capture_output=True, text=True,
+        [sys.executable, "-c", _MEASURED, str(tmp_path / "file")],
+        cwd=Path(__file__).resolve().parents[2], check=True, capture_output=True, text=True,
     )  # fmt: skip
     made, mapped = map(float, done.stdout.split())
     assert made == pytest.approx(1.0, abs=0.1)

@@ -1,36 +1,28 @@
 """`./bench check golden` fails on a number that moved, and says which and how far."""
 
-import importlib
 import json
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-CHECK = Path(__file__).resolve().parents[1] / "check"
+from examination.check import golden
+
 ONE_RESULT = ("simulate", "--only", "plain, wire", "--jobs", "1")
 
 
-@pytest.fixture(scope="module")
-def golden() -> ModuleType:
-    sys.path.insert(0, str(CHECK))
-    return importlib.import_module("golden")
-
-
 @pytest.fixture
-def kept(golden: ModuleType, tmp_path: Path) -> Path:
+def kept(tmp_path: Path) -> Path:
     """A folder with one result, as this machine makes it."""
     assert golden.main([*ONE_RESULT, "--kept", str(tmp_path), "--write"]) == 0
     return tmp_path
 
 
-def results(golden: ModuleType, **numbers: tuple) -> dict:
+def results(**numbers: tuple) -> dict:
     return {"a wire": golden.Result({k: golden.Number(*v) for k, v in numbers.items()})}
 
 
 def test_the_same_numbers_pass_and_one_that_moved_fails(
-    golden: ModuleType, kept: Path, capsys: pytest.CaptureFixture
+    kept: Path, capsys: pytest.CaptureFixture
 ) -> None:
     again = [*ONE_RESULT, "--kept", str(kept)]
     assert golden.main(again) == 0
@@ -66,20 +58,20 @@ def test_the_same_numbers_pass_and_one_that_moved_fails(
     ],
 )
 def test_each_number_has_its_own_tolerance(
-    golden: ModuleType, number: tuple, now: tuple, outside: bool
+    number: tuple, now: tuple, outside: bool
 ) -> None:
-    moves = golden.compare(results(golden, x=number), results(golden, x=now))
+    moves = golden.compare(results(x=number), results(x=now))
     assert any(move.outside for move in moves) is outside
 
 
-def test_a_number_that_is_gone_fails_and_a_new_one_does_not(golden: ModuleType) -> None:
-    one, two = results(golden, x=(2.0, 0.1, "span")), results(golden, y=(2.0, 0.1, "span"))
+def test_a_number_that_is_gone_fails_and_a_new_one_does_not() -> None:
+    one, two = results(x=(2.0, 0.1, "span")), results(y=(2.0, 0.1, "span"))
     moves = golden.compare(one, two)
     assert [(move.name, move.outside) for move in moves] == [("x", True), ("y", False)]
 
 
 def test_a_result_that_ends_badly_fails_where_it_was_kept(
-    golden: ModuleType, kept: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+    kept: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(golden.Task, "make", lambda task: golden.Result({}, failed="no wire"))
     assert golden.main([*ONE_RESULT, "--kept", str(kept)]) == 1
@@ -89,7 +81,7 @@ def test_a_result_that_ends_badly_fails_where_it_was_kept(
     assert "skipped  plain, wire: no wire" in capsys.readouterr().out
 
 
-def test_kept_numbers_are_compared_with_what_makes_them(golden: ModuleType) -> None:
+def test_kept_numbers_are_compared_with_what_makes_them() -> None:
     files = sorted(golden.KEPT.glob("*.json"))
     assert {"identify", "paper", "simulate"} <= {file.stem for file in files} <= {*golden.SECTIONS}
     for file in files:

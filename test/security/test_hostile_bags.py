@@ -4,7 +4,6 @@ import contextlib
 import os
 import sqlite3
 import struct
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +11,15 @@ import numpy as np
 import pytest
 import zstandard
 
+from examination.campaign.allowance import allowance
+from examination.campaign.hostile_bags import (
+    chunk,
+    journal_naming,
+    mcap_of,
+    message,
+    named_joints,
+    small_bag,
+)
 from sma_bench.diagnose.diagnosis import _split
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
@@ -20,18 +28,6 @@ from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_files import METADATA
 from sma_bench.records.bag_writer import write_record
 from sma_bench.records.record import samples
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-
-from campaign.allowance import allowance  # noqa: E402
-from campaign.hostile_bags import (  # noqa: E402
-    chunk,
-    journal_naming,
-    mcap_of,
-    message,
-    named_joints,
-    small_bag,
-)
 
 GIGABYTE = 1 << 30
 RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"

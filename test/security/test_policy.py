@@ -1,17 +1,12 @@
 """The SROS 2 policy lists what the contract and the nodes themselves have, and no more."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-CHECKS = Path(__file__).resolve().parents[1] / "check"
-sys.path.insert(0, str(CHECKS))
-
-import policy  # noqa: E402
-
+from examination.check import policy
 from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 

@@ -1,22 +1,18 @@
 """The twin beside a synthetic bench: what it says of effects, of none, and of bad streams."""
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from planted import ONE_WIRE, true_bench
 from scipy.signal import lfilter
 
+from examination.check import twin_alarms
 from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin import Twin
 from sma_bench.twin.twin import CURRENT, GAP, GREW, LEARNING, NANOSECONDS, QUIET, TEMPERATURE
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "check"))
-import twin_alarms  # noqa: E402
 
 SIMULATOR = {p.name: p.default for p in NODE_TABLES["simulator"]} | {
     "rate.power": 50.0, "rate.mechanics": 50.0, "rate.temperature": 40.0,

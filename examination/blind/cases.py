@@ -1,0 +1,559 @@
+"""Cases: what every effect moves, which case hides what, and all that is drawn for it."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from examination.blind.case_files import STAGE_OF
+from examination.blind.reality import BY_NAME
+from examination.blind.rigs import RECORDS, Drive, draw_drives, draw_nominal, draw_truth, draw_wrong
+from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
+from sma_bench.parameters import Parameters
+
+# --- Every effect as features of the reality: what moves, how far it goes in practice.
+
+LOG, EVEN = "log", "even"
+LOADS = ("beam", "force", "spring", "antagonist")
+
+
+@dataclass(frozen=True)
+class Move:
+    """A feature that goes with the effect's amount a.
+
+    Attributes:
+        feature: of the reality.
+        weight: it moves by a times a number of this range.
+        factor: the amount is the logarithm of a factor on the feature instead of a step.
+    """
+
+    feature: str
+    weight: tuple[float, float] = (1.0, 1.0)
+    factor: bool = False
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A feature that shapes the effect whatever its amount."""
+
+    feature: str
+    low: float
+    high: float
+    spread: str = EVEN
+
+
+@dataclass(frozen=True)
+class Symptom:
+    """One effect.
+
+    Attributes:
+        moves: the features it moves, the first one being the one that gives it its size.
+        natural: smallest and largest amount to be met in practice.
+        signs: the directions in which it can go.
+        settings: that shape it.
+        stage: where it acts.
+        in_deflection: whether a record of voltages and deflection can show it at all.
+        of_peak_current: its amount is a share of the record's largest current.
+        loads: of the rigs that can have it.
+    """
+
+    moves: tuple[Move, ...]
+    natural: tuple[float, float]
+    signs: tuple[int, ...] = (1,)
+    settings: tuple[Setting, ...] = ()
+    stage: str = ""
+    in_deflection: bool = True
+    of_peak_current: bool = False
+    loads: tuple[str, ...] = LOADS
+
+
+_BEAM = ("beam",)
+_BOTH = (1, -1)
+
+# The contract's effects; sizes of the literature (matrix: 1 to 90 times the wire's own heat
+# capacity; sides: 0.15 to 0.24 W/(m K) over a hand's length; and so on).
+EFFECTS: dict[str, Symptom] = {
+    "phase_dependent_resistance": Symptom(
+        (
+            Move("resistance_austenite_change"),
+            Move("resistance_temperature_coefficient", (0.0, 3e-3)),
+        ),
+        (0.05, 0.25), _BOTH,
+    ),
+    "supply_drop": Symptom((Move("supply_resistance"),), (0.05, 0.5)),
+    "latent_heat": Symptom((Move("latent_heat"),), (4e3, 25e3)),
+    "temperature_dependent_convection": Symptom(
+        (Move("convection_by_correlation"),), (0.2, 1.0)
+    ),
+    "matrix_thermal_mass": Symptom(
+        (Move("silicone_heat_capacity"),), (0.04, 3.4),
+        settings=(Setting("silicone_share", 0.25, 0.75),), loads=_BEAM,
+    ),
+    "side_heat_coupling": Symptom((Move("side_conductance"),), (0.01, 0.05), loads=_BEAM),
+    "ambient_drift": Symptom(
+        (Move("ambient_rate"), Move("ambient_wave", (-60.0, 60.0))), (3.3e-4, 8.3e-3), _BOTH
+    ),
+    "partial_transformation": Symptom((Move("return_point_memory"),), (0.2, 1.0)),
+    "transition_drift": Symptom(
+        (Move("transition_drift"), Move("plastic_strain", (0.0, 3e-4))), (0.5, 10.0), _BOTH,
+        settings=(Setting("drift_cycles", 1.5, 8.0, LOG),),
+    ),
+    "stress_dependent_transition": Symptom(
+        (
+            Move("stress_influence_factor_austenite", factor=True),
+            Move("stress_influence_factor_martensite", (0.5, 1.3), factor=True),
+        ),
+        (0.1, 0.6), _BOTH,
+    ),
+    "residual_strain": Symptom((Move("unrecovered_strain"),), (0.01, 0.3)),
+    "viscoelastic_matrix": Symptom(
+        (Move("matrix_relaxation"),), (0.05, 0.2),
+        settings=(Setting("relaxation_time", 1.0, 100.0, LOG),), loads=_BEAM,
+    ),
+    "opposing_wires": Symptom(
+        (Move("opposing"),), (0.1, 1.0),
+        settings=(Setting("detwinning_stress", 40e6, 150e6, LOG),), loads=_BEAM,
+    ),
+    "side_asymmetry": Symptom(
+        (Move("stiffness_asymmetry"),), (0.05, 0.5), _BOTH, loads=_BEAM
+    ),
+    "slack": Symptom((Move("slack"),), (5e-4, 0.01), loads=("beam", "spring")),
+    "temperature_underfill": Symptom(
+        (Move("spot_fill"),), (0.05, 0.6), (-1,), in_deflection=False
+    ),
+    "temperature_lag": Symptom((Move("camera_lag"),), (0.05, 2.0), in_deflection=False),
+    "deflection_drift": Symptom((Move("deflection_drift"),), (2e-4, 1.75e-3), _BOTH),
+}
+EFFECTS = {
+    name: replace(symptom, stage=STAGE_OF[name]) for name, symptom in EFFECTS.items()
+}
+
+# What no diagnosis has in its library.
+OUTSIDE: dict[str, Symptom] = {
+    "current_limit": Symptom(
+        (Move("current_limit"),), (0.02, 0.4), stage="electrical", of_peak_current=True
+    ),
+    "contact_growth": Symptom((Move("contact_growth"),), (0.02, 0.6), stage="electrical"),
+    "draught": Symptom(
+        (Move("draught"),), (0.05, 1.0), stage="thermal",
+        settings=(Setting("draught_seed", 0.0, 1e6),),
+    ),
+    "r_phase": Symptom((Move("r_phase"),), (0.03, 0.4), stage="transformation"),
+    "transformation_lag": Symptom(
+        (Move("transformation_lag"),), (0.05, 2.0), stage="transformation"
+    ),
+    "friction": Symptom((Move("friction"),), (1e-4, 3e-3), stage="mechanical"),
+    "stiffening": Symptom(
+        (Move("stiffening"),), (10.0, 400.0), stage="mechanical", loads=_BEAM
+    ),
+    "clamp_slip": Symptom(
+        (Move("clamp_slip"),), (1e-4, 2e-3), _BOTH, stage="mechanical",
+        settings=(Setting("clamp_slip_time", 20.0, 90.0),),
+    ),
+    "sensor_nonlinearity": Symptom(
+        (Move("sensor_nonlinearity"),), (0.1, 3.0), _BOTH, stage="sensor"
+    ),
+    "pickup": Symptom((Move("pickup"),), (5e-5, 2e-3), _BOTH, stage="sensor"),
+    "shutter_steps": Symptom(
+        (Move("shutter_steps"),), (0.1, 3.0), stage="sensor", in_deflection=False
+    ),
+}
+
+# The largest amount that a target may ask for, over the largest natural one.
+STRETCH = 1.5
+_SMALLEST = 1e-4  # of the largest
+_TRIALS = 6
+_CLOSE = 0.12  # of the target
+_STALLED = 1e-3
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One rig's variety of an effect: everything about it but its amount."""
+
+    symptom: Symptom
+    sign: int
+    weights: tuple[float, ...]
+    settings: Mapping[str, float]
+    peak_current: float
+
+    def features(self, base: Mapping[str, float], amount: float) -> dict[str, float]:
+        """Features of a world that had `base` and now has the effect, too."""
+        changed = {**base, **self.settings}
+        for move, weight in zip(self.symptom.moves, self.weights, strict=True):
+            feature = BY_NAME[move.feature]
+            before = base.get(move.feature, feature.off)
+            if self.symptom.of_peak_current:
+                value = self.peak_current * (1.0 - amount)
+            elif move.factor:
+                value = before * float(np.exp(self.sign * amount * weight))
+            else:
+                value = before + self.sign * amount * weight
+            changed[move.feature] = float(np.clip(value, feature.low, feature.high))
+        return changed
+
+    def natural(self, rng: np.random.Generator) -> float:
+        """An amount to be met in practice, evenly in its logarithm."""
+        return float(np.exp(rng.uniform(*np.log(self.symptom.natural))))
+
+
+def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Draw:
+    """Direction, weights and settings of one occurrence.
+
+    Args:
+        symptom: of EFFECTS or OUTSIDE.
+        rng: draws them.
+        peak_current: the largest of the case's records in A.
+    """
+    sign = int(rng.choice(symptom.signs))
+    weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves)
+    settings = {s.feature: _drawn(s, rng) for s in symptom.settings}
+    return Draw(symptom, sign, weights, settings, peak_current)
+
+
+def _drawn(setting: Setting, rng: np.random.Generator) -> float:
+    if setting.spread == LOG:
+        return float(np.exp(rng.uniform(np.log(setting.low), np.log(setting.high))))
+    return float(rng.uniform(setting.low, setting.high))
+
+
+def amount_for(
+    drawn: Draw, target: float, gap: Callable[[float], float], start: float | None = None
+) -> float:
+    """Amount whose gap is `target`, or the nearest that the effect's bounds allow.
+
+    Gaps grow about as amounts do: steps in proportion until the target is bracketed, then
+    interpolation on logarithms.
+
+    Args:
+        drawn: the variety of the effect.
+        target: gap over noise.
+        gap: gap over noise of an amount; about monotonic.
+        start: first amount to try.
+    """
+    low, high = drawn.symptom.natural
+    smallest, largest = np.log(high * _SMALLEST), np.log(high * STRETCH)
+    at = float(np.log(start)) if start else 0.5 * float(np.log(low * high))
+    tried: list[tuple[float, float]] = []
+    for _ in range(_TRIALS):
+        tried.append((at, float(np.log(max(gap(float(np.exp(at))), 1e-9) / target))))
+        following = float(np.clip(_next(tried), smallest, largest))
+        if abs(tried[-1][1]) < _CLOSE or abs(following - at) < _STALLED:
+            break
+        at = following
+    return float(np.exp(min(tried, key=lambda trial: abs(trial[1]))[0]))
+
+
+def _next(tried: list[tuple[float, float]]) -> float:
+    """Where the misses, (log amount, log gap over target), should cross zero."""
+    below, above = ([t for t in tried if (t[1] < 0) == small] for small in (True, False))
+    if not (below and above):
+        amount, miss = tried[-1]
+        return amount - miss
+    (x0, y0), (x1, y1) = max(below), min(above)
+    return x0 - y0 * (x1 - x0) / (y1 - y0)
+
+
+# --- Which case hides what: kinds, effects, severities and signals dealt in balance.
+
+SINGLE, NONE, RECALIBRATION, PAIR, OUTSIDE_KIND = (
+    "single",
+    "none",
+    "recalibration",
+    "pair",
+    "outside",
+)
+SHARES = {SINGLE: 0.50, NONE: 0.16, RECALIBRATION: 0.08, PAIR: 0.13, OUTSIDE_KIND: 0.13}
+# Gap over noise that an effect is sized for; None takes a size of the literature as it comes.
+SEVERITIES = (1.0, 2.0, 4.0, 8.0, 16.0, None)
+# Both of a pair must be there to be seen.
+PAIR_SEVERITIES = (3.0, 6.0, 12.0, 24.0)
+MILD_KINETICS_SHARE = 0.25
+ALL, PAPER = "all", "paper"
+# What a case shows besides the voltages.
+QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",)}
+
+
+@dataclass(frozen=True)
+class Card:
+    """What one case is to be.
+
+    Attributes:
+        kind: single, none, recalibration, pair or outside.
+        effects: names of symptoms.EFFECTS or OUTSIDE.
+        targets: gap over noise to size each effect for; None for a size as it comes.
+        signals: "all", or "paper" (voltages and deflection only).
+        noise: its model, one of NOISE_MODELS.
+        mild_kinetics: the transformation is a little smoother than the model's, and that is all.
+    """
+
+    kind: str
+    effects: tuple[str, ...]
+    targets: tuple[float | None, ...]
+    signals: str
+    noise: str
+    mild_kinetics: bool = False
+
+
+def possible(symptoms: Mapping[str, Symptom], load: str) -> tuple[str, ...]:
+    """Names of those that a rig with this load can have."""
+    return tuple(name for name, symptom in symptoms.items() if load in symptom.loads)
+
+
+def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
+    """n cards in random order, every share kept as nearly as n allows.
+
+    Signals and noise models are dealt within each kind, so that neither reveals the kind.
+    """
+    cards: list[Card] = []
+    for kind, count in _counts(n, rng).items():
+        hidden = _HIDDEN[kind](count, rng, load)
+        noises = _in_turns(tuple(NOISE_MODELS), count, rng)
+        signals = _signals([effects for effects, _ in hidden], rng)
+        mild = _mild(kind, noises, rng)
+        cards += [
+            Card(kind, effects, targets, signal, noise, flag)
+            for (effects, targets), signal, noise, flag in zip(
+                hidden, signals, noises, mild, strict=True
+            )
+        ]
+    return [cards[k] for k in rng.permutation(len(cards))]
+
+
+def _counts(n: int, rng: np.random.Generator) -> dict[str, int]:
+    """Largest remainders; which kinds get the last cases is drawn where they are equal."""
+    exact = {kind: share * n for kind, share in SHARES.items()}
+    counts = {kind: int(value) for kind, value in exact.items()}
+    order = sorted(exact, key=lambda kind: (counts[kind] - exact[kind], rng.random()))
+    for kind in order[: n - sum(counts.values())]:
+        counts[kind] += 1
+    return counts
+
+
+def _in_turns(names: Sequence, n: int, rng: np.random.Generator) -> list:
+    """n names, each as often as any other give or take one, shuffled round by round."""
+    rounds = -(-n // len(names))
+    dealt = [names[k] for _ in range(rounds) for k in rng.permutation(len(names))]
+    return dealt[:n]
+
+
+_Hidden = tuple[tuple[str, ...], tuple[float | None, ...]]
+
+
+def _one_of(
+    names: Sequence[str], n: int, rng: np.random.Generator
+) -> list[_Hidden]:
+    """Each name in turn, and each name's severities in turn."""
+    levels = {name: _in_turns(SEVERITIES, n, rng) for name in names}
+    seen: Counter[str] = Counter()
+    hidden: list[_Hidden] = []
+    for name in _in_turns(names, n, rng):
+        hidden.append(((name,), (levels[name][seen[name]],)))
+        seen[name] += 1
+    return hidden
+
+
+def _singles(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    return _one_of(possible(EFFECTS, load), n, rng)
+
+
+def _outsiders(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    return _one_of(possible(OUTSIDE, load), n, rng)
+
+
+def _pairs(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    every = possible(EFFECTS, load)
+    names = _in_turns(every, 2 * n, rng)
+    levels = _in_turns(PAIR_SEVERITIES, 2 * n, rng)
+    hidden: list[_Hidden] = []
+    for k in range(n):
+        first, second = names[2 * k], names[2 * k + 1]
+        while second == first:
+            second = str(rng.choice(every))
+        hidden.append(((first, second), (levels[2 * k], levels[2 * k + 1])))
+    return hidden
+
+
+def _nothing(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+    return [((), ())] * n
+
+
+_HIDDEN = {
+    SINGLE: _singles,
+    NONE: _nothing,
+    RECALIBRATION: _nothing,
+    PAIR: _pairs,
+    OUTSIDE_KIND: _outsiders,
+}
+
+
+def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator) -> list[str]:
+    """Half of each kind shows all signals, those that show in no other way among them."""
+    symptoms = {**EFFECTS, **OUTSIDE}
+    free = np.array(
+        [all(symptoms[name].in_deflection for name in names) for names in hidden], dtype=bool
+    )
+    if not free.any():
+        return [ALL] * len(hidden)
+    # Every effect's own cases change sides in turn: systematic sampling along sorted names.
+    share = min(0.5 * len(hidden) / free.sum(), 1.0)
+    order = sorted(np.flatnonzero(free), key=lambda k: (hidden[k], rng.random()))
+    steps = np.floor(share * np.arange(len(order) + 1) + rng.random())
+    paper = {int(k) for k, taken in zip(order, np.diff(steps), strict=True) if taken}
+    return [PAPER if k in paper else ALL for k in range(len(hidden))]
+
+
+def _mild(kind: str, noises: list[str], rng: np.random.Generator) -> list[bool]:
+    if kind != NONE:
+        return [False] * len(noises)
+    number = round(MILD_KINETICS_SHARE * len(noises))
+    chosen = set(rng.permutation(len(noises))[:number].tolist())
+    return [k in chosen for k in range(len(noises))]
+
+
+# --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
+
+SPLITS = {"development": range(1000, 2000), "frozen-test": range(2000, 3000)}
+OPEN = "open"
+
+# Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
+# depends on how much another one drew.
+_STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS)
+_DECK = 2**31 - 1
+
+_STORAGES = ("mcap", "sqlite3")
+_NAMESPACES = ("bench", "lab/bench", "rig_2/bench", "composite/bench")
+_FIRST_DAY, _DAYS = 1_704_067_200, 540  # 2024-01-01, and the days of a campaign
+_WORKING_HOURS = (8 * 3600, 18 * 3600)
+_PAUSE = (200.0, 3000.0)  # s between the starts of a case's two records
+
+# Middle of the noise of each quantity; it varies by a factor from rig to rig.
+_NOISE = {"voltage": 0.004, "current": 0.008, "temperature": 0.25, "deflection": 40e-6}
+_NOISE_FACTOR = (0.7, 1.4)
+_JITTER = (0.0005, 0.0014)
+_DROPOUT = (0.004, 0.02)
+_CAMERA_CLOCK = (-0.004, 0.012)
+
+# What every rig has a little of, at the size that `nuisance_scale` = 1 gives it.
+_NUISANCES = {
+    "grain_spread": (0.0, 0.4),
+    "convection_by_correlation": (0.0, 0.02),
+    "deflection_drift": (-15e-6, 15e-6),
+}
+# Gap over noise of all nuisances together.
+NUISANCE_GAP = (0.05, 0.25)
+NUISANCE_LIMIT = 0.3
+# Of a transformation that is a little smoother than the model's.
+MILD_GAP = (1.0, 6.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case before anything is simulated.
+
+    Attributes:
+        name: of its folder.
+        card: what it hides.
+        truth, nominal: the rig, and what its owners believe.
+        wrong: parameter -> error in stated standard deviations, where the owners are mistaken.
+        sensors, drives: the instruments, and the voltages by record.
+        nuisances: features that every rig has a little of; nuisance_gap: their wanted gap.
+        mild_gap: wanted gap of mildly different kinetics.
+        storage, namespace: of the bags; starts: by record, ns since the epoch.
+    """
+
+    seed: int
+    index: int
+    name: str
+    card: Card
+    truth: Parameters
+    nominal: Parameters
+    wrong: Mapping[str, float]
+    sensors: Sensors
+    drives: Mapping[str, Drive]
+    nuisances: Mapping[str, float]
+    nuisance_gap: float
+    mild_gap: float
+    storage: str
+    namespace: str
+    starts: Mapping[str, int]
+
+    def stream(self, purpose: str) -> np.random.Generator:
+        """Random numbers of this case for one purpose, from their beginning."""
+        return _stream(self.seed, self.index, purpose)
+
+
+def split_of(seed: int) -> str:
+    """The set that cases of this seed belong to."""
+    return next((name for name, seeds in SPLITS.items() if seed in seeds), OPEN)
+
+
+def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
+    """The n cases of a seed on rigs with a load, nothing simulated."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DECK,)))
+    width = max(4, len(str(n)))
+    return [
+        draw_case(seed, k, card, f"{k + 1:0{width}d}", load)
+        for k, card in enumerate(deal(n, rng, load))
+    ]
+
+
+def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") -> Case:
+    """One case; its card decides about the noise model and the owners' mistakes, no more."""
+
+    def stream(purpose: str) -> np.random.Generator:
+        return _stream(seed, index, purpose)
+
+    truth = draw_truth(stream("rig"), load)
+    beliefs = stream("beliefs")
+    mistakes = draw_wrong(beliefs, load)
+    wrong = mistakes if card.kind == RECALIBRATION else {}
+    little = stream("nuisances")
+    nuisances = {n: float(little.uniform(*limits)) for n, limits in _NUISANCES.items()}
+    bag = stream("bag")
+    return Case(
+        seed,
+        index,
+        name,
+        card,
+        truth,
+        draw_nominal(truth, beliefs, wrong),
+        wrong,
+        _draw_sensors(card.noise, stream("sensors")),
+        draw_drives(truth, stream("drives")),
+        nuisances,
+        nuisance_gap=float(little.uniform(*NUISANCE_GAP)),
+        mild_gap=float(np.exp(little.uniform(*np.log(MILD_GAP)))),
+        storage=str(bag.choice(_STORAGES)),
+        namespace=str(bag.choice(_NAMESPACES)),
+        starts=_draw_starts(bag),
+    )
+
+
+def _stream(seed: int, index: int, purpose: str) -> np.random.Generator:
+    key = (index, _STREAMS.index(purpose))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def _draw_sensors(noise_model: str, rng: np.random.Generator) -> Sensors:
+    noise = {}
+    for quantity, middle in _NOISE.items():
+        std = middle * float(np.exp(rng.uniform(*np.log(_NOISE_FACTOR))))
+        own_model = "white" if quantity == "voltage" else noise_model
+        noise[quantity] = Noise.of_model(own_model, std, rng)
+    return Sensors(
+        noise,
+        jitter=float(rng.uniform(*_JITTER)),
+        dropout=float(rng.uniform(*_DROPOUT)),
+        camera_clock=float(rng.uniform(*_CAMERA_CLOCK)),
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def _draw_starts(rng: np.random.Generator) -> dict[str, int]:
+    """ns since the epoch: some working day, the second record after the first."""
+    day = _FIRST_DAY + 86400 * int(rng.integers(_DAYS))
+    first = day + float(rng.uniform(*_WORKING_HOURS))
+    times = (first, first + float(rng.uniform(*_PAUSE)))
+    return {name: int(t * 1e9) for name, t in zip(RECORDS, times, strict=True)}

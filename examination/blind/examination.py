@@ -1,0 +1,442 @@
+"""One case put to one program: a process of its own that sees the records and nothing else."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from examination.blind.case_files import (
+    FOLLOW_UPS,
+    CaseSet,
+    Kept,
+    NextExperiment,
+    answers_of,
+    checked_answer,
+    is_kept,
+    keep,
+    read_kept,
+)
+from examination.blind.cases import QUANTITIES
+from examination.blind.reality import happen
+from examination.blind.rigs import BACK, COMMAND_PERIOD, FRONT, rig_of, world_of
+from examination.blind.sensors import Sensors, measure
+from sma_bench.errors import InputError
+from sma_bench.lifeline import tied_to_this_process
+from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.protocols import Protocol, parse_protocol
+from sma_bench.records.bag_writer import write_record
+from sma_bench.worker_pool import Lost, over_cluster, over_threads
+
+PACKAGE_ROOT = Path(__file__).resolve().parents[2]
+RECORD, HOLD_OUT, NOMINAL, EXPERIMENT = "record", "hold_out", "nominal.yaml", "experiment"
+_RESULT, _IMPROVED = "result.json", "improved.yaml"
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_NEEDS_IMPROVED = ("effect", "recalibration")
+_LONGEST_LINE = 300
+
+
+@dataclass(frozen=True)
+class Given:
+    """What came back: the plain result (None: failed, `line` says why), and the text of the
+    improved parameter file."""
+
+    result: Any
+    line: str
+    seconds: float
+    improved: str | None = None
+
+
+class Examinee:
+    """A program that takes the arguments of `sma-bench diagnose`."""
+
+    def __init__(self, program: Sequence[str], time_limit: float) -> None:
+        """
+        Args:
+            program: start of the command line.
+            time_limit: s after which a case counts as failed.
+        """
+        self._program = tuple(program)
+        self._limit = time_limit
+        self._running: set[subprocess.Popen[str]] = set()
+        self._lock = threading.Lock()
+        self._stopped = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """On another machine the same program is run by the Python there."""
+        first, *words = self._program
+        own = first == sys.executable
+        return _examinee_here, ("" if own else first, words, self._limit)
+
+    def stop(self) -> None:
+        """End what runs, and start nothing more."""
+        with self._lock:
+            self._stopped = True
+            for process in self._running:
+                if process.poll() is None:
+                    _kill(process)
+
+    def ask(
+        self, case: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
+    ) -> Given:
+        """Put a case to the program.
+
+        Args:
+            case: folder with record, hold_out and nominal.yaml.
+            experiments: further records, of what the answers before asked for; nominal: what the
+                owners believe by now.
+
+        Raises:
+            InputError: the case cannot be read or the program not be started. Whatever the
+                program does is a failed answer.
+        """
+        with tempfile.TemporaryDirectory(prefix="bench_") as folder:
+            desk = Path(folder)
+            for name in (RECORD, HOLD_OUT):
+                _copy(case / name, desk / name)
+            _copy(nominal or case / NOMINAL, desk / NOMINAL)
+            records = [RECORD]
+            for number, bag in enumerate(experiments, 1):
+                records.append(f"{EXPERIMENT}_{number}")
+                _copy(bag, desk / records[-1])
+            begin = time.monotonic()
+            line = self._run(desk, records)
+            seconds = time.monotonic() - begin
+            if line:
+                return Given(None, line, seconds)
+            try:
+                result, improved = _collected(desk)
+            except InputError as error:
+                return Given(None, str(error).replace(f"{desk}/", ""), seconds)
+            return Given(result, "", seconds, improved)
+
+    def _run(self, desk: Path, records: Sequence[str]) -> str:
+        """Run the program in its folder; "" or the line that says why there is no answer."""
+        command = [
+            *self._program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
+            "--json", _RESULT, "--out", _IMPROVED,
+        ]  # fmt: skip
+        limit = self._limit * (1 + len(records)) / 2.0  # half of the time goes with the records
+        with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+            process = self._start(command, desk, errors)
+            try:
+                code = process.wait(timeout=limit)
+            except subprocess.TimeoutExpired:
+                _kill(process)
+                process.wait()
+                return f"no answer within {limit:g} s"
+            finally:
+                with self._lock:
+                    self._running.discard(process)
+            errors.seek(0)
+            said = [text.strip() for text in errors if text.strip()]
+        if code == 0:
+            return ""
+        return f"exit code {code}: {said[-1] if said else 'nothing said'}"[:_LONGEST_LINE]
+
+    def _start(self, command: list[str], desk: Path, errors: Any) -> subprocess.Popen[str]:
+        with self._lock:
+            if self._stopped:
+                raise InputError("the examination was stopped")
+            try:
+                process = subprocess.Popen(
+                    command, cwd=desk, env=_environment(desk), text=True, start_new_session=True,
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+                )  # fmt: skip
+            except OSError as error:
+                raise InputError(f"{command[0]}: cannot be started: {error.strerror}") from None
+            self._running.add(process)
+            return process
+
+
+def _examinee_here(first: str, words: Sequence[str], time_limit: float) -> Examinee:
+    return Examinee((first or sys.executable, *words), time_limit)
+
+
+def _environment(desk: Path) -> dict[str, str]:
+    """The caller's, with one thread a process and without a trace of the caller's folder."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("PWD", "OLDPWD", "_")}
+    paths = [str(PACKAGE_ROOT), *filter(None, [environment.get("PYTHONPATH")])]
+    one_thread = dict.fromkeys(_ONE_THREAD, "1")
+    return tied_to_this_process(
+        {**environment, **one_thread, "PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
+    )
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Contents only: links and times of files would show where the case lies and when it was made.
+
+    Raises:
+        InputError: there is no such file or folder.
+    """
+    try:
+        if source.is_dir():
+            shutil.copytree(source, target, copy_function=shutil.copyfile)
+            os.utime(target)
+        else:
+            shutil.copyfile(source, target)
+    except (OSError, shutil.Error) as error:
+        reason = getattr(error, "strerror", None) or "damaged"
+        raise InputError(f"{source}: cannot be read: {reason}") from None
+
+
+def _collected(desk: Path) -> tuple[Any, str | None]:
+    """Checked result and text of the improved parameters.
+
+    Raises:
+        InputError: there is none, or it is against the contract.
+    """
+    try:
+        result = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("no result was written") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"result is not JSON: {str(error).splitlines()[0]}") from None
+    answer = checked_answer(result, "result")
+    improved = desk / _IMPROVED
+    if improved.is_file():
+        read_parameters(improved)
+        return result, improved.read_text(encoding="utf-8")
+    if answer.verdict in _NEEDS_IMPROVED:
+        raise InputError(f"verdict {answer.verdict} without improved parameters")
+    return result, None
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """End a process and all that it started: it leads a session of its own."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+# --- Every case of a set put to one program; what is answered stays answered.
+
+# Called with the number of cases done so far and the last one's failure line, "" if it answered.
+Report = Callable[[int, str], None]
+
+
+def open_cases(cases: Sequence[str], answers: Path, again: bool = False) -> list[str]:
+    """The cases that have no answer yet.
+
+    Args:
+        cases: names of all.
+        answers: folder of the examinee.
+        again: whether a failed case counts as open.
+    """
+    waiting = [case for case in cases if not is_kept(answers, case)]
+    if again:
+        kept = (case for case in cases if is_kept(answers, case))
+        waiting += [case for case in kept if read_kept(answers, case).answer is None]
+    return sorted(waiting)
+
+
+def examine(
+    examinee: Examinee,
+    cases: Sequence[str],
+    folder: Path,
+    answers: Path,
+    jobs: int = 1,
+    report: Report = lambda done, line: None,
+    cluster: str | None = None,
+) -> None:
+    """Put `cases` to a program, `jobs` at a time, and keep each answer as soon as it is there.
+
+    Interrupted, it ends the running programs (those on a cluster end by themselves, unheard) and
+    leaves their cases open, as it does those whose worker is lost.
+
+    Args:
+        cases: names below `folder`.
+        answers: folder of the examinee.
+        report: called after each case.
+        cluster: address of the dask scheduler whose workers do it instead.
+
+    Raises:
+        InputError: a case cannot be read or an answer not be written, or the cluster fails.
+    """
+    ask = {case: partial(examinee.ask, folder.absolute() / case) for case in cases}
+    ask_all(examinee, ask, answers, jobs, report, cluster)
+
+
+def ask_all(
+    examinee: Examinee,
+    ask: Mapping[str, Callable[[], Given]],
+    answers: Path,
+    jobs: int,
+    report: Report,
+    cluster: str | None = None,
+) -> None:
+    """Do every call of `ask`, and keep what it gives under its name in `answers`."""
+    names = list(ask)
+    work: Generator[tuple[int, Given | Lost], None, None]
+    if cluster:
+        work = over_cluster(_ask, list(ask.values()), cluster)
+    else:
+        work = over_threads(_ask, list(ask.values()), jobs, examinee.stop)
+    with closing(work):
+        for done, (k, given) in enumerate(work, start=1):
+            if isinstance(given, Lost):
+                report(done, f"{names[k]}: {given.why}")
+                continue
+            keep(answers, names[k], given.result, given.line, given.seconds, given.improved)
+            report(done, f"{names[k]}: {given.line}" if given.line else "")
+
+
+def _ask(ask: Callable[[], Given]) -> Given:
+    return ask()
+
+
+# --- What an answer asks for, done, and the diagnosis asked again: at most three times.
+#
+# The lab runs the suggested protocol on the case's own bench, records it with the same instruments
+# (and with one more where that is what was asked for), and hands all records over together. A test
+# of the paper is not played: its instrument reads what the hidden wire has, off by a draw of the
+# standard deviation that the answer has stated for it.
+
+LONGEST = 1000.0
+_START_NS = 1_750_000_000 * 10**9
+_HOUR_NS = 3600 * 10**9
+# Apart from the streams that the cases are made of.
+_STREAM = 1_000_003
+
+
+def asks_for_more(kept: Kept) -> bool:
+    """An answer with an experiment, whatever its verdict."""
+    answer = kept.answer
+    if answer is None or answer.next_experiment is None:
+        return False
+    return bool(answer.next_experiment.protocol or answer.next_experiment.parameters)
+
+
+def follow_up(
+    cases: CaseSet,
+    labels: Mapping[str, Mapping[str, Any]],
+    examinee: Examinee,
+    answers: Path,
+    jobs: int = 1,
+    report: Report = lambda done, line: None,
+    cluster: str | None = None,
+) -> None:
+    """Do what is asked for, and keep each answer after it in `answers`/after_1 to after_3.
+
+    Args:
+        cases: the set; labels: by case, for the world.
+        examinee: who gave the answers; what has been answered stays.
+        answers: folder of the examinee.
+        report: called after each experiment.
+    """
+    for number, name in enumerate(FOLLOW_UPS):
+        asking = {
+            case: history for case in cases.names
+            if len(history := answers_of(answers, case)) == number + 1
+            and asks_for_more(history[-1])
+        }
+        ask = {
+            case: partial(_do_and_ask, cases.folder.absolute() / case, cases.seed, labels[case],
+                          history, examinee)
+            for case, history in asking.items()
+        }
+        ask_all(examinee, ask, answers / name, jobs, report, cluster)
+
+
+def _do_and_ask(
+    case: Path, seed: int, label: Mapping[str, Any], history: Sequence[Kept], examinee: Examinee
+) -> Given:
+    with tempfile.TemporaryDirectory(prefix="bench_") as folder:
+        bags: list[Path] = []
+        try:
+            believed = read_parameters(case / NOMINAL)
+            for number, kept in enumerate(history):
+                assert kept.answer is not None and kept.answer.next_experiment is not None
+                key = (_STREAM, int(case.name), *([number] if number else []))
+                random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+                asked = kept.answer.next_experiment
+                if asked.parameters:
+                    believed = after_tests(label, asked, believed, random)
+                    continue
+                bags.append(Path(folder) / f"{EXPERIMENT}_{number}")
+                protocol = bench_protocol(asked.protocol, believed)
+                perform(label, protocol, bags[-1], random, asked, number)
+        except InputError as error:
+            return Given(None, str(error), 0.0)
+        nominal = Path(folder) / NOMINAL
+        write_parameters(nominal, believed, names=sorted(believed.given))
+        return examinee.ask(case, bags, nominal)
+
+
+def after_tests(
+    label: Mapping[str, Any], asked: NextExperiment, believed: Parameters,
+    rng: np.random.Generator,
+) -> Parameters:
+    """What is believed after a test of some parameters.
+
+    Raises:
+        InputError: a parameter that no test gives.
+    """
+    values, stds = {}, asked.parameters
+    for name, std in stds.items():
+        if name not in label["truth"]:
+            raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
+        values[name] = float(_hidden(label, name) + std * rng.standard_normal())
+        if name == FRONT:
+            values[BACK] = values[name]
+    return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
+
+
+def _hidden(label: Mapping[str, Any], name: str) -> float:
+    """What an instrument finds in the hidden wire, with what its world does to it."""
+    value, world = label["truth"][name], world_of(rig_of(label), label["features"])
+    kind = name.removeprefix("wire.stress_influence_")
+    if kind != name:
+        return float(value / max(world.feature(f"stress_influence_factor_{kind}"), 0.05))
+    return float(value)
+
+
+def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol:
+    """The suggested protocol as the experiment node would run it.
+
+    Raises:
+        InputError: no protocol, beyond the bench's limits, or too long.
+    """
+    protocol = parse_protocol(dict(document), nominal, "next_experiment")
+    if protocol.duration > LONGEST:
+        raise InputError(
+            f"next_experiment: lasts {protocol.duration:g} s, expected at most {LONGEST:g} s"
+        )
+    return protocol
+
+
+def perform(
+    label: Mapping[str, Any], protocol: Protocol, bag: Path, rng: np.random.Generator,
+    asked: NextExperiment | None = None, number: int = 0,
+) -> None:
+    """Run a protocol on a case's bench and record it.
+
+    Args:
+        label: sealed label of the case.
+        protocol: for the channels of its rig.
+        bag: new folder.
+        rng: noise and jitter.
+        asked: for the quantities that are measured more; number: of the experiment.
+    """
+    time, voltage = protocol.sample(COMMAND_PERIOD)
+    world = world_of(rig_of(label), label["features"])
+    sensors = Sensors.from_json(label["sensors"])
+    outcome = happen(world, time, voltage)
+    more = asked.quantities if asked else ()
+    wanted = {*QUANTITIES[label["signals"]], *more}
+    quantities = tuple(q for q in QUANTITIES["all"] if q in wanted)
+    signals = measure(outcome, world, sensors, protocol.channels, rng, quantities)
+    write_record(bag, signals, "bench", "mcap", _START_NS + number * _HOUR_NS)

@@ -1,0 +1,377 @@
+"""One case judged: what its label holds to be true, and whether an answer said so."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from examination.blind.case_files import (
+    NO_GAP,
+    RECALIBRATION,
+    STAGE_OF,
+    UNEXPLAINED,
+    Answer,
+    Candidate,
+    Claim,
+)
+from examination.blind.rigs import (
+    PER_WIRE,
+    Drive,
+    Pulse,
+    Stage,
+    quantity_of,
+    simulated_reading,
+)
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.physics.simulate import simulate
+
+Array = npt.NDArray[np.float64]
+
+SET_MASS = 0.9
+CONFIDENT = 0.8
+MOVED = 2.0
+_BENIGN = frozenset((NO_GAP, RECALIBRATION))
+# What is right to say of a case without an effect of the library. Where nothing is wrong, the
+# parameters still differ from the truth by their uncertainty, and saying that is no error.
+_RIGHT_NAMES = {
+    "none": _BENIGN,
+    "recalibration": frozenset((RECALIBRATION,)),
+    "outside": frozenset((UNEXPLAINED,)),
+}
+
+
+@dataclass(frozen=True)
+class Label:
+    """What is true of a case.
+
+    Attributes:
+        kind: single, pair, none, recalibration or outside (an effect that no library knows).
+        names: the answers that are right: the effects, or recalibration, no_gap, unexplained.
+        severity: measured gap that the effects make, in standard deviations of the noise.
+        where: signal, phase, side and stage of the largest gap.
+        distinguishable: from every other single explanation, by five standard deviations.
+        noise: white, coloured or drift; kinetics: mildly different ones, the only effect there is.
+        signals: "all" or "paper" (voltages and deflection).
+        own_stages: stages of which one has to be named: that of the effect that does most, or of
+            every parameter that is wrong.
+        wrong: parameters about which the owners are mistaken.
+    """
+
+    id: str
+    kind: str
+    names: frozenset[str]
+    severity: float
+    where: Mapping[str, str] = field(default_factory=dict)
+    distinguishable: bool = True
+    noise: str = "white"
+    kinetics: bool = False
+    signals: str = "all"
+    own_stages: frozenset[str] = frozenset()
+    wrong: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> "Label":
+        """From a sealed label."""
+        kind = document["kind"]
+        names = frozenset(document["effects"]) if kind in ("single", "pair") else _RIGHT_NAMES[kind]
+        return cls(
+            id=document["id"],
+            kind=kind,
+            names=names,
+            severity=float(document.get("severity") or 0.0),
+            where=document.get("where") or {},
+            distinguishable=bool(document.get("distinguishable", True)),
+            noise=document.get("noise", "white"),
+            kinetics=bool(document.get("kinetics", False)),
+            signals=document.get("signals", "all"),
+            own_stages=_own_stages(document),
+            wrong=frozenset(document.get("wrong") or ()),
+        )
+
+    @property
+    def stages(self) -> frozenset[str]:
+        """Stages of the contract's effects in it."""
+        return frozenset(STAGE_OF[name] for name in self.names if name in STAGE_OF)
+
+
+def _own_stages(document: Mapping[str, Any]) -> frozenset[str]:
+    stages, severities = document.get("stages") or [], document.get("severities") or {}
+    if document["kind"] == "recalibration" or len(severities) < 2:
+        return frozenset(stages)
+    largest = max(severities, key=lambda name: severities[name])
+    return frozenset(stages[k] for k, n in enumerate(document["effects"]) if n == largest)
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """Noise-free gap of one signal on a protocol that nobody saw.
+
+    `before` with the lab's parameters, `after` with the improved ones, root mean square in the
+    signal's unit; `noise` is the sensor's standard deviation.
+    """
+
+    before: float
+    after: float
+    noise: float
+
+    @property
+    def fraction(self) -> float:
+        """1 - after/before; NaN where the gap is smaller than the noise."""
+        return 1.0 - self.after / self.before if self.before > self.noise else math.nan
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A case: its label, the answer (None: failed), and what the scorer found out besides.
+
+    Attributes:
+        shrunk: true shrinkage of every signal.
+        parameter_error: root mean square error of the parameters in their stated standard
+            deviations, (before, after); moved: those that the improved file has elsewhere.
+        second: the last answer after suggested experiments; `followed` whether an ambiguous answer
+            got what it asked for.
+        seconds: that the answer took; failure: why there is none.
+    """
+
+    label: Label
+    answer: Answer | None
+    shrunk: Mapping[str, Shrunk] = field(default_factory=dict)
+    parameter_error: tuple[float, float] = (math.nan, math.nan)
+    moved: frozenset[str] = frozenset()
+    second: Answer | None = None
+    followed: bool = False
+    seconds: float = math.nan
+    failure: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """"" without an answer."""
+        return self.answer.verdict if self.answer else ""
+
+    @property
+    def first_choice(self) -> Candidate | None:
+        """The most probable candidate."""
+        return self.answer.candidates[0] if self.answer else None
+
+    @property
+    def credible_set(self) -> tuple[Candidate, ...]:
+        """The fewest candidates whose probabilities make 90 %."""
+        return credible_set(self.answer) if self.answer else ()
+
+    @property
+    def first_choice_right(self) -> bool:
+        """The most probable candidate is made of nothing but what is true."""
+        first = self.first_choice
+        return first is not None and first.parts <= self.label.names
+
+    @property
+    def family_right(self) -> bool:
+        """The most probable candidate acts in a true stage (or is right where no stage is)."""
+        first = self.first_choice
+        if first is None or self.first_choice_right:
+            return self.first_choice_right
+        return any(STAGE_OF.get(part) in self.label.stages for part in first.parts)
+
+    @property
+    def set_holds_truth(self) -> bool:
+        """The 90 % set has the truth in it; of a pair, both effects, together or apart."""
+        right = [c.parts for c in self.credible_set if c.parts <= self.label.names]
+        if self.label.kind == "pair":
+            return frozenset[str]().union(*right) == self.label.names
+        return bool(right)
+
+    @property
+    def truth_probability(self) -> float:
+        """Probability of the candidates that are made of nothing but what is true."""
+        candidates = self.answer.candidates if self.answer else ()
+        return sum(c.probability for c in candidates if c.parts <= self.label.names)
+
+    @property
+    def says_gap(self) -> bool:
+        """Any verdict but no_gap, unless an ambiguous one leaves no_gap in its 90 % set."""
+        if self.answer is None or self.answer.verdict == NO_GAP:
+            return False
+        return self.answer.verdict != "ambiguous" or not self._set_has(frozenset((NO_GAP,)))
+
+    @property
+    def alarms(self) -> bool:
+        """Says that the model misses something: an effect, something unexplained, or ambiguous
+        with neither no_gap nor recalibration in the 90 % set. No answer counts as an alarm."""
+        if self.answer is None:
+            return True
+        if self.answer.verdict == "ambiguous":
+            return not self._set_has(_BENIGN)
+        return self.answer.verdict in ("effect", UNEXPLAINED)
+
+    @property
+    def abstains(self) -> bool:
+        """Verdict ambiguous or unexplained."""
+        return self.answer is not None and self.answer.verdict in ("ambiguous", UNEXPLAINED)
+
+    @property
+    def abstains_or_flags(self) -> bool:
+        """Abstains, or keeps `unexplained` in the 90 % set."""
+        return self.abstains or self._set_has(frozenset((UNEXPLAINED,)))
+
+    @property
+    def confident_and_wrong(self) -> bool:
+        """Verdict `effect` with a cause that shares nothing with the truth, or one candidate that
+        shares nothing with it at a probability of 0.8 or more."""
+        if self.answer is None:
+            return False
+        cause = frozenset(self.answer.cause)
+        if cause and not cause & self.label.names:
+            return True
+        return any(
+            c.probability >= CONFIDENT and not c.parts & self.label.names
+            for c in self.answer.candidates
+        )
+
+    @property
+    def named(self) -> frozenset[str]:
+        """The cause, or without one the parts of the most probable candidate."""
+        if self.answer is None:
+            return frozenset()
+        return frozenset(self.answer.cause) or self.answer.candidates[0].parts
+
+    def place_right(self, key: str) -> bool:
+        """`signal`, `phase`, `side` or `stage` of the gap is the label's.
+
+        Signals are the same when their quantity is: front_1.temperature and temperature.
+        """
+        if self.answer is None or self.answer.where is None:
+            return False
+        if key == "stage" and self.label.own_stages:
+            return self.answer.where.stage in self.label.own_stages
+        return quantity_of(getattr(self.answer.where, key)) == quantity_of(self.label.where[key])
+
+    @property
+    def resolved(self) -> bool:
+        """The last answer is no longer ambiguous and its most probable candidate is right."""
+        if self.second is None or self.second.verdict == "ambiguous":
+            return False
+        return self.second.candidates[0].parts <= self.label.names
+
+    @property
+    def claim(self) -> tuple[Claim, float] | None:
+        """The claimed and the true fraction of one signal: the deflection where it has a gap above
+        the noise, else the signal with the largest; None where none has, or nothing is claimed."""
+        if self.answer is None:
+            return None
+        usable = {
+            name: self.answer.shrinkage[name]
+            for name, true in self.shrunk.items()
+            if name in self.answer.shrinkage
+            and math.isfinite(true.fraction)
+            and math.isfinite(self.answer.shrinkage[name].fraction)
+        }
+        if not usable:
+            return None
+        largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
+        name = "deflection" if "deflection" in usable else largest
+        return usable[name], self.shrunk[name].fraction
+
+    def _set_has(self, names: frozenset[str]) -> bool:
+        return any(c.parts & names for c in self.credible_set)
+
+
+def credible_set(answer: Answer, mass: float = SET_MASS) -> tuple[Candidate, ...]:
+    """The fewest candidates whose probabilities sum to `mass`, most probable first."""
+    total, chosen = 0.0, []
+    for candidate in answer.candidates:
+        chosen.append(candidate)
+        total += candidate.probability
+        if total >= mass - 1e-9:
+            break
+    return tuple(chosen)
+
+
+# --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
+#
+# The reality plays the drive; the model is simulated with the lab's parameters and with those of
+# the answer; the root mean square of the differences before and after is the truth that a claim
+# is measured against.
+
+UNSEEN = "unseen"
+_DURATION = 110.0
+# Starts and lengths in s of smooth hills, back and front by turns, and their heights as a share of
+# the highest voltage of the case's records: two that transform fully and two that may not.
+_HILLS = ((5.0, 20.0, 1.0), (31.0, 18.0, 0.98), (56.0, 16.0, 0.9), (79.0, 22.0, 0.94))
+_CORNERS = 17
+
+
+def unseen_drive(
+    drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", "front")
+) -> Drive:
+    """Raised cosines that reach as high as a case's own records; no family of theirs."""
+    highest = max(max(pulse.volts) for drive in drives.values() for pulse in drive.pulses)
+    phase = np.linspace(0.0, 1.0, _CORNERS)
+    shape = (1.0 - np.cos(2.0 * np.pi * phase)) / 2.0
+    pulses = tuple(
+        Pulse(
+            sides[k % len(sides)],
+            tuple(np.round(start + length * phase, 2).tolist()),
+            tuple((height * highest * np.sqrt(shape)).tolist()),
+        )
+        for k, (start, length, height) in enumerate(_HILLS)
+    )
+    return Drive(UNSEEN, _DURATION, pulses)
+
+
+class UnseenRecord:
+    """What a case's world does on the unseen drive, as perfect instruments would read it."""
+
+    def __init__(self, label: Mapping[str, Any]) -> None:
+        """Play the world of a sealed label."""
+        seen = Stage.from_label(label)
+        sides = tuple(sorted(set(seen.sides)))
+        self.stage = replace(seen, drives={UNSEEN: unseen_drive(seen.drives, sides)})
+        outcome = self.stage.play(label["features"], UNSEEN)
+        self.time, self.voltage = outcome.time, outcome.voltage
+        self.readings = self.stage.read(label["features"], UNSEEN)
+
+    def gaps(self, parameters: Parameters) -> dict[str, float]:
+        """Root mean square of measured less simulated, of every signal and every quantity."""
+        simulation = simulate(parameters, self.time, self.voltage)
+        square = {
+            signal: float(np.mean((read - simulated_reading(simulation, signal)) ** 2))
+            for signal, read in self.readings.items()
+        }
+        for quantity in PER_WIRE:
+            of_wires = [square[f"{channel}.{quantity}"] for channel in self.stage.channels]
+            square[quantity] = float(np.mean(of_wires))
+        return {name: float(np.sqrt(value)) for name, value in square.items()}
+
+    def shrunk(self, nominal: Parameters, improved: Parameters) -> dict[str, Shrunk]:
+        """The true shrinkage by signal (`front_1.temperature`) and quantity (`temperature`)."""
+        before, after = self.gaps(nominal), self.gaps(improved)
+        return {
+            name: Shrunk(before[name], after[name], self.stage.sensors.std(quantity_of(name)))
+            for name in before
+        }
+
+
+def parameter_error(truth: Mapping[str, float], nominal: Parameters, lab: Parameters) -> float:
+    """Root mean square error of `lab` in the standard deviations that `nominal` states."""
+    stated = {name: std for name, std in nominal.given_uncertainty.items() if name in truth}
+    errors = [(lab[name] - truth[name]) / std for name, std in stated.items() if std > 0.0]
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
+
+
+def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str]:
+    """Those that were moved by MOVED of their stated standard deviations or more."""
+    stated = nominal.given_uncertainty.items()
+    return frozenset(
+        name for name, std in stated
+        if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std
+    )
+
+
+def parameters_of(nominal: Path, improved: Path | None) -> tuple[Parameters, Parameters]:
+    """The lab's parameters and the improved ones, which are the same where there is no file."""
+    before = read_parameters(nominal)
+    return before, before if improved is None else read_parameters(improved)

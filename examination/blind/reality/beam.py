@@ -1,0 +1,304 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Equilibrium of the bench: the wires of both sides, the silicone or the load, what they remember.
+
+For the wires i of side s, whose deflection towards itself is d_s, against the other side o:
+
+    contraction of the side     e_s = (d_s - opposing d_o)/alpha
+    stress, eq. (6)             sigma_i = E(xi_i)[eps_L a_i - p_i - t_i - e_s] + Theta_T (T_i - T_0)
+    balance, eqs. (12), (13)    sum sigma_i = load_s + beta_s [(1 - m) d_s + m/2 (q_1 + q_2)]
+                                              (+ stiffening)
+    relaxation (Prony)          dq_j/dt = dd_s/dt - q_j/tau_j
+
+Wires with a load are stretched by it at rest, which is in sigma_i. Antagonists are two sides that
+oppose each other fully, so that d_front - d_back is the slider's way.
+
+With a the transformed share (1 - xi, or what of it has stayed), p plastic strain and t detwinned
+strain. With all features off, a = 1 - xi, p = t = 0, and this is the contract's bending. All
+unknowns are solved together by Newton's method, xi as a linear function of stress in the step
+(transformation.py); the relaxation is exact for a deflection that is linear within the step.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from examination.blind.reality.world import World
+from sma_bench.compiled import inlined
+from sma_bench.parameters.audit import wire_length
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 25
+CONVERGED = 1e-9  # of a strain; the error left is of the order of its square
+HARDENING = 0.05  # of the modulus, while martensite detwins
+LEAST_MARTENSITE = 0.05
+LEAST_DAMPING = 0.1
+IDLE = 1e12  # Pa/m, of the wires behind a weight or a spring, which are never heated
+RELAXATION_TIMES = (1.0 / math.sqrt(10.0), math.sqrt(10.0))  # of relaxation_time
+
+# Rows of the scratch array: of the sides, then of the wires.
+STIFF, LOAD, IMBALANCE, SLOPE, GIVE, ERROR, ALONG, BEFORE = 0, 1, 2, 3, 4, 5, 6, 7
+ROWS = 8
+
+
+class Beam(NamedTuple):
+    """Constants: SI units; arrays by wire (w,), side (2,) or Prony term (2,)."""
+
+    side: NDArray[np.int64]
+    stiffness: Array
+    load: Array
+    prestretch: Array
+    lever: float
+    stiffening: float
+    opposing: float
+    relaxing: float
+    relaxation_time: Array
+    austenite_modulus: float
+    modulus_change: float
+    recoverable: float
+    expansion: float
+    rest_temperature: float
+    unrecovered: float
+    slack: float
+    detwinning_stress: float
+
+
+class Pull(NamedTuple):
+    """State: of the wires (w,) and of the sides (2,).
+
+    Attributes:
+        martensite, martensite_slope: (w,) fraction at the predicted stress, and along stress.
+        predicted, stress, stress_change: (w,) Pa; the change is that of the last step.
+        transformed: (w,) largest austenite fraction so far; elongation: (w,) plastic strain.
+        detwinned: (w,) strain.
+        deflection: (2,) m, of each side towards itself; change: (2,) in the last step.
+        held: (2, 2) m, deflection that the Prony terms of a side still feel.
+    """
+
+    martensite: Array
+    martensite_slope: Array
+    predicted: Array
+    stress: Array
+    stress_change: Array
+    transformed: Array
+    elongation: Array
+    detwinned: Array
+    deflection: Array
+    change: Array
+    held: Array
+
+
+def beam(world: World) -> Beam:
+    """What the wires of a world pull against."""
+    p = world.parameters
+    sides = np.array([0 if side == "front" else 1 for side in world.sides], dtype=np.int64)
+    lever, stiffness, load, opposing = _composite(world) if world.load == "beam" else _load(world)
+    return Beam(
+        sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
+        lever,
+        world.feature("stiffening"),
+        opposing,
+        world.feature("matrix_relaxation"),
+        world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
+        p["wire.austenite_modulus"],
+        p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
+        p["wire.maximum_recoverable_strain"],
+        p["wire.thermal_expansion_factor"],
+        p["environment.ambient_temperature"],
+        world.feature("unrecovered_strain"),
+        world.feature("slack"),
+        world.feature("detwinning_stress"),
+    )
+
+
+def _composite(world: World) -> tuple[float, Array, Array, float]:
+    """Lever [m], stiffness [Pa/m] and load [Pa] of each side, and how they oppose each other."""
+    p = world.parameters
+    betas = [p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back")]
+    asymmetry = world.feature("stiffness_asymmetry")
+    stiffness = np.array([betas[0] * (1.0 + asymmetry), betas[1] * (1.0 - asymmetry)])
+    return p["composite.deflection_per_strain"], stiffness, np.zeros(2), world.feature("opposing")
+
+
+def _load(world: World) -> tuple[float, Array, Array, float]:
+    """The same of wires with a load, whose lever is their length."""
+    p = world.parameters
+    section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
+    stiffness, preload = p["load.stiffness"] / section, p["load.preload"] / section
+    if world.load == "antagonist":
+        return wire_length(p), np.full(2, stiffness), np.full(2, preload), 1.0
+    held = p["load.force"] / section
+    if world.load == "spring":
+        return wire_length(p), np.array([stiffness, IDLE]), np.array([preload + held, 0.0]), 0.0
+    return wire_length(p), np.array([0.0, IDLE]), np.array([held, 0.0]), 0.0
+
+
+def pull_at_rest(beam: Beam) -> Pull:
+    """At rest, all martensite, bearing what the load is."""
+    wires = len(beam.side)
+    rest = np.zeros((7, wires))
+    rest[2] = (beam.load / np.bincount(beam.side))[beam.side]
+    by_wire = (np.ones(wires), rest[0], rest[1], rest[2], rest[3], rest[4], rest[5], rest[6])
+    return Pull(*by_wire, np.zeros(2), np.zeros(2), np.zeros((2, 2)))
+
+
+@inlined
+def wire_stress(beam, pull, i, xi, temperature, contraction):
+    """Stress of wire i, its slopes along xi and contraction, and its detwinned strain."""
+    austenite = 1.0 - xi
+    share, share_slope = austenite, -1.0
+    if austenite < pull.transformed[i]:
+        share += beam.unrecovered * (pull.transformed[i] - austenite)
+        share_slope += beam.unrecovered
+    modulus = beam.austenite_modulus + xi * beam.modulus_change
+    thermal = beam.expansion * (temperature - beam.rest_temperature)
+    stretch = beam.recoverable * share - pull.elongation[i] - pull.detwinned[i] - contraction
+    stretch += beam.prestretch[beam.side[i]]
+    strain = stretch + thermal / modulus
+    loose = min(max(strain, 0.0), beam.slack)
+    stress = modulus * (strain - loose)
+    along_xi = beam.modulus_change * (stretch - loose) + modulus * beam.recoverable * share_slope
+    along, detwinned = -modulus, pull.detwinned[i]
+    if 0.0 < strain < beam.slack:
+        stress = along_xi = along = 0.0
+    elif beam.opposing > 0.0:
+        yielding = beam.detwinning_stress / max(xi, LEAST_MARTENSITE)
+        flow, soft, along = detwinning(yielding, modulus, stress, detwinned, contraction)
+        stress -= modulus * flow
+        along_xi *= soft
+        detwinned += flow
+    return stress, along_xi, along, detwinned
+
+
+@inlined
+def detwinning(yielding, modulus, stress, detwinned, contraction):
+    """Strain by which martensite beyond its length at rest yields, with kinematic hardening.
+
+    Up to the length at rest its stretching back is already in the transformation strain.
+
+    Returns:
+        strain, the factor on the slope of stress along xi, the slope along contraction.
+    """
+    flow, soft, along = 0.0, 1.0, -modulus
+    beyond = max(-contraction, 0.0)
+    back = HARDENING * modulus * detwinned
+    stretched = stress - back > yielding and beyond > detwinned
+    pushed = stress - back < -yielding and detwinned > 0.0
+    if stretched or pushed:
+        soft = HARDENING / (1.0 + HARDENING)
+        along = -modulus * soft
+        excess = stress - back - yielding if stretched else stress - back + yielding
+        flow = excess / (modulus * (1.0 + HARDENING))
+        if stretched and flow > beyond - detwinned:
+            flow, soft, along = beyond - detwinned, 1.0, 0.0
+        elif pushed and flow < -detwinned:
+            flow, soft, along = -detwinned, 1.0, -modulus
+    return flow, soft, along
+
+
+@inlined
+def memory_of_silicone(beam, pull, step, s):
+    """What the relaxing part of a side's stiffness is worth in this step, and its load [m]."""
+    worth, load = 0.0, 0.0
+    for j in range(2):
+        ratio = step / beam.relaxation_time[j]
+        gain = -math.expm1(-ratio) / ratio
+        worth += 0.5 * gain
+        load += 0.5 * (math.exp(-ratio) * pull.held[s, j] - gain * pull.deflection[s])
+    return worth, load
+
+
+@inlined
+def balance(beam, pull, temperature, step, scratch):
+    """Find the stresses and deflections at the end of a step; `pull` is advanced in place.
+
+    Args:
+        temperature: (w,) K; step: s; scratch: (ROWS, w).
+    """
+    wires = len(beam.side)
+    for s in range(2):
+        scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]
+        if beam.relaxing > 0.0:
+            worth, shift = memory_of_silicone(beam, pull, step, s)
+            scratch[STIFF, s] *= 1.0 - beam.relaxing + beam.relaxing * worth
+            scratch[LOAD, s] += beam.stiffness[s] * beam.relaxing * shift
+    front, back = pull.deflection[0] + pull.change[0], pull.deflection[1] + pull.change[1]
+    for i in range(wires):
+        scratch[BEFORE, i] = pull.stress[i]
+        pull.stress[i] = pull.predicted[i]
+    largest, iteration = 1.0, 0
+    while largest > CONVERGED and iteration < ITERATIONS:
+        iteration += 1
+        linearise(beam, pull, temperature, front, back, scratch)
+        a, d = scratch[SLOPE, 0] + scratch[GIVE, 0], scratch[SLOPE, 1] + scratch[GIVE, 1]
+        b, c = beam.opposing * scratch[GIVE, 0], beam.opposing * scratch[GIVE, 1]
+        determinant = a * d - b * c
+        move_front = (d * scratch[IMBALANCE, 0] + b * scratch[IMBALANCE, 1]) / determinant
+        move_back = (c * scratch[IMBALANCE, 0] + a * scratch[IMBALANCE, 1]) / determinant
+        front += move_front
+        back += move_back
+        largest = (abs(move_front) + abs(move_back)) / beam.lever
+        for i in range(wires):
+            contraction = side_contraction(beam, i, move_front, move_back)
+            change = scratch[ALONG, i] * contraction - scratch[ERROR, i]
+            pull.stress[i] += change
+            largest = max(largest, abs(change) / beam.austenite_modulus)
+    for i in range(wires):
+        pull.stress_change[i] = pull.stress[i] - scratch[BEFORE, i]
+    remember(beam, pull, temperature, step, front, back)
+
+
+@inlined
+def linearise(beam, pull, temperature, front, back, scratch):
+    """Errors of stresses and balance at these deflections, and their slopes, into `scratch`."""
+    for s in range(2):
+        d = front if s == 0 else back
+        cubic = beam.stiffness[s] * beam.stiffening * d * d
+        scratch[IMBALANCE, s] = -(scratch[STIFF, s] + cubic) * d - scratch[LOAD, s]
+        scratch[SLOPE, s], scratch[GIVE, s] = scratch[STIFF, s] + 3.0 * cubic, 0.0
+    for i in range(len(beam.side)):
+        s = beam.side[i]
+        contraction = side_contraction(beam, i, front, back)
+        xi, slope = fraction(pull, i)
+        stress, along_xi, along, _ = wire_stress(beam, pull, i, xi, temperature[i], contraction)
+        damping = max(1.0 - along_xi * slope, LEAST_DAMPING)
+        scratch[ERROR, i] = (pull.stress[i] - stress) / damping
+        scratch[ALONG, i] = along / damping
+        scratch[IMBALANCE, s] += pull.stress[i] - scratch[ERROR, i]
+        scratch[GIVE, s] -= scratch[ALONG, i] / beam.lever
+
+
+@inlined
+def side_contraction(beam, i, front, back):
+    """Contraction of the side of wire i when the sides deflect so [m]."""
+    own, against = (front, back) if beam.side[i] == 0 else (back, front)
+    return (own - beam.opposing * against) / beam.lever
+
+
+@inlined
+def fraction(pull, i):
+    """xi of wire i at its present stress, and its slope; it stays within 0 and 1."""
+    xi = pull.martensite[i] + pull.martensite_slope[i] * (pull.stress[i] - pull.predicted[i])
+    inside = 0.0 <= xi <= 1.0
+    return min(max(xi, 0.0), 1.0), pull.martensite_slope[i] if inside else 0.0
+
+
+@inlined
+def remember(beam, pull, temperature, step, front, back):
+    """Make the solved deflections the state, and keep what wires and silicone remember."""
+    for i in range(len(beam.side)):
+        contraction = side_contraction(beam, i, front, back)
+        xi = fraction(pull, i)[0]
+        pull.detwinned[i] = wire_stress(beam, pull, i, xi, temperature[i], contraction)[3]
+        pull.transformed[i] = max(pull.transformed[i], 1.0 - xi)
+        pull.martensite[i], pull.martensite_slope[i] = xi, 0.0
+    for s in range(2):
+        moved = (front if s == 0 else back) - pull.deflection[s]
+        for j in range(2):
+            ratio = step / beam.relaxation_time[j]
+            gain = -math.expm1(-ratio) / ratio
+            pull.held[s, j] = math.exp(-ratio) * pull.held[s, j] + gain * moved
+        pull.deflection[s] += moved
+        pull.change[s] = moved

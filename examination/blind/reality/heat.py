@@ -1,0 +1,300 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Heat in the reality: what the drive puts in, the silicone between the wires, the air."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from examination.blind.reality.world import World
+from sma_bench.compiled import inlined
+
+# --- The air around a bench: its slow temperature, its gusts, and what the film at a surface
+# carries.
+#
+# Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat
+# Mass Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+PRANDTL = 0.71
+EMISSIVITY = 0.9  # silicone
+STEFAN_BOLTZMANN = 5.670374e-8
+
+REFERENCE_EXCESS = 25.0  # K above the air, at which the film is the baseline's
+EXCESS_STEP = 1.0  # K, of the table that the loop reads
+LARGEST_EXCESS = 400.0
+LEAST_FILM = 0.05
+
+WAVE_PERIOD = 180.0  # s
+GUST_GAP = 12.0  # s, mean of an exponential distribution
+GUST_LENGTH = (2.0, 8.0)  # s
+
+
+def free_convection(excess: Array, air: float, diameter: float) -> Array:
+    """h [W/(m2 K)] of a horizontal cylinder, Churchill and Chu (1975).
+
+    Args:
+        excess: (m,) K of the surface above the air, above 0; air: K; diameter: m.
+    """
+    film = air + 0.5 * excess
+    conductivity = 0.0241 * (film / 273.15) ** 0.81
+    viscosity = 1.33e-5 * (film / 273.15) ** 1.76  # kinematic, at sea level
+    rayleigh = GRAVITY / film * excess * diameter**3 * PRANDTL / viscosity**2
+    factor = (1.0 + (0.559 / PRANDTL) ** (9.0 / 16.0)) ** (8.0 / 27.0)
+    nusselt = (0.60 + 0.387 * rayleigh ** (1.0 / 6.0) / factor) ** 2
+    return np.asarray(nusselt * conductivity / diameter)
+
+
+def radiation(excess: Array, air: float) -> Array:
+    """h [W/(m2 K)] that radiation amounts to; arguments as `free_convection`."""
+    surface = air + excess
+    return np.asarray(
+        EMISSIVITY * STEFAN_BOLTZMANN * (surface**2 + air**2) * (surface + air)
+    )
+
+
+def relative_film(world: World) -> Array:
+    """(m,) conductance of the film over the baseline's, by excess in steps of EXCESS_STEP."""
+    air = world.parameters["environment.ambient_temperature"]
+    surface = "composite.thickness" if world.load == "beam" else "wire.diameter"
+    diameter = world.parameters[surface]
+    excess = np.maximum(np.arange(0.0, LARGEST_EXCESS, EXCESS_STEP), 1e-3)
+    both = free_convection(excess, air, diameter) + radiation(excess, air)
+    share = world.feature("convection_by_correlation")
+    relative = both / np.interp(REFERENCE_EXCESS, excess, both)
+    return np.asarray(np.maximum(1.0 + share * (relative - 1.0), LEAST_FILM))
+
+
+def ambient(world: World, time: Array) -> Array:
+    """(n,) K of the air; starts at the rig's ambient temperature."""
+    passed = time - time[0]
+    wave = world.feature("ambient_wave") * np.sin(2.0 * np.pi * passed / WAVE_PERIOD)
+    still = world.parameters["environment.ambient_temperature"]
+    return np.asarray(still + world.feature("ambient_rate") * passed + wave)
+
+
+def gusts(world: World, time: Array) -> Array:
+    """(n,) factor on the film's conductance, 1 in still air: a seeded train of smooth gusts."""
+    factor = np.ones(len(time))
+    strength = world.feature("draught")
+    if strength == 0.0:
+        return factor
+    rng = np.random.default_rng(int(world.feature("draught_seed")))
+    passed = time - time[0]
+    start = rng.exponential(GUST_GAP)
+    while start < passed[-1]:
+        length, height = rng.uniform(*GUST_LENGTH), rng.uniform(0.5, 1.0)
+        phase = np.clip((passed - start) / length, 0.0, 1.0)
+        factor += strength * height * np.sin(np.pi * phase) ** 2
+        start += length + rng.exponential(GUST_GAP)
+    return factor
+
+
+# --- Current through a wire: its resistance by phase and temperature, leads, contacts, the
+# driver.
+#
+# The resistance of martensite and austenite differs, and both rise with temperature (NiTi: D.
+# C. Lagoudas, Shape Memory Alloys, 2008, table 1.1); only the wire's own part heats it.
+
+LEAST_RESISTANCE = 0.05  # of the wire's at rest
+SECONDS_PER_MINUTE = 60.0
+
+
+class Circuit(NamedTuple):
+    """Constants: ohm, 1/K, K, ohm/s, A (0: no limit)."""
+
+    resistance: float
+    austenite_change: float
+    temperature_coefficient: float
+    rest_temperature: float
+    supply: float
+    contact_growth: float
+    limit: float
+
+
+def circuit(world: World) -> Circuit:
+    """The circuit of a world."""
+    return Circuit(
+        world.parameters["wire.resistance"],
+        world.feature("resistance_austenite_change"),
+        world.feature("resistance_temperature_coefficient"),
+        world.parameters["environment.ambient_temperature"],
+        world.feature("supply_resistance"),
+        world.feature("contact_growth") / SECONDS_PER_MINUTE,
+        world.feature("current_limit"),
+    )
+
+
+@inlined
+def current(circuit, voltage, temperature, martensite, driven):
+    """Current [A] of one wire, and the power [W] that heats it.
+
+    Args:
+        voltage: V at the driver; temperature: K; martensite: fraction; driven: s so far.
+    """
+    warm = 1.0 + circuit.temperature_coefficient * (temperature - circuit.rest_temperature)
+    phase = 1.0 + circuit.austenite_change * (1.0 - martensite)
+    wire = circuit.resistance * max(warm * phase, LEAST_RESISTANCE)
+    amperes = voltage / (wire + circuit.supply + circuit.contact_growth * driven)
+    if circuit.limit > 0.0:
+        amperes = min(max(amperes, -circuit.limit), circuit.limit)
+    return amperes, amperes * amperes * wire
+
+
+# --- Heat across the thickness: air, silicone, front wire, silicone, back wire, silicone, air.
+#
+# Each pair of a front wire and the back wire behind it is a strip, a chain of nodes:
+#
+#     SKIN cells, front wire, MIDDLE cells, back wire, SKIN cells
+#
+# of C dT/dt = conduction to the neighbours (+ Joule heat in a wire). The skin and the film at its
+# surface share the baseline's resistance 1/(h A_c) between wire and air, so that a skin without
+# heat capacity is the baseline. Time integration: the L-stable, stiffly accurate, second order
+# SDIRK of R. Alexander, SIAM J. Numer. Anal. 14 (1977) 1006; a cell without capacity is an
+# algebraic equation to it. Each of its two stages is one tridiagonal solution.
+
+# Relative thickness of the cells, from a wire outwards and from wire to wire: finer at the wires.
+SKIN_CELLS = (0.1, 0.2, 0.3, 0.4)
+MIDDLE_CELLS = (0.15, 0.35, 0.35, 0.15)
+SKIN, MIDDLE = len(SKIN_CELLS), len(MIDDLE_CELLS)
+FRONT_WIRE = SKIN
+BACK_WIRE = SKIN + 1 + MIDDLE
+NODES = 2 * SKIN + MIDDLE + 2
+
+STAGE = 1.0 - math.sqrt(0.5)
+CARRIED = (1.0 - STAGE) / STAGE
+
+# Rows of the scratch array.
+CAPACITY, UPPER, PIVOT, START, RIGHT = 0, 1, 2, 3, 4
+
+
+class Strip(NamedTuple):
+    """Constants of every strip: what its chain of nodes is made of.
+
+    Attributes:
+        capacity: (NODES,) J/K; link: (NODES - 1,) W/K to the next node.
+        rim: W/K from the outermost cell's middle to its surface; film: W/K from there to air.
+        relative_film: (m,) factor on `film` by the surface's excess in steps of EXCESS_STEP.
+    """
+
+    capacity: Array
+    link: Array
+    rim: float
+    film: float
+    relative_film: Array
+
+
+def strip_of(world: World) -> Strip:
+    """The strips of a world."""
+    p = world.parameters
+    loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]
+    share = world.feature("silicone_share")
+    skin = _between_wire_and_surface(share / loss)
+    middle, joined = _between_wires(world.feature("side_conductance"))
+    heat = world.feature("silicone_heat_capacity")
+    wire = p["wire.mass"] * p["wire.specific_heat"]
+    skin_heat = heat * np.array(SKIN_CELLS)
+    # Isolated cells take part in nothing, but the equations need a number.
+    middle_heat = 2.0 * heat * np.array(MIDDLE_CELLS) if joined else np.ones(MIDDLE)
+    return Strip(
+        np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
+        np.concatenate([skin[:-1][::-1], middle, skin[:-1]]),
+        float(skin[-1]),
+        loss / (1.0 - share),
+        relative_film(world),
+    )
+
+
+def _between_wire_and_surface(resistance: float) -> Array:
+    """(SKIN + 1,) W/K: wire to the first cell, cell to cell, last cell to the surface."""
+    cells = resistance * np.array(SKIN_CELLS)
+    ends = 0.5 * np.concatenate([[0.0], cells])
+    starts = 0.5 * np.concatenate([cells, [0.0]])
+    return np.asarray(1.0 / (ends + starts))
+
+
+def _between_wires(conductance: float) -> tuple[Array, bool]:
+    """(MIDDLE + 1,) W/K from wire to wire, and whether they are joined at all."""
+    cells = np.array(MIDDLE_CELLS)
+    halves = 0.5 * (np.concatenate([[0.0], cells]) + np.concatenate([cells, [0.0]]))
+    return np.asarray(conductance / halves), conductance > 0.0
+
+
+@inlined
+def surface_temperature(strip, cell, air, gust):
+    """K of the silicone's surface, and W/K from the outermost cell to the air.
+
+    The film is taken at the excess that the surface would have over the baseline's film.
+    """
+    film = strip.film * gust
+    excess = abs(cell - air) * strip.rim / (strip.rim + film)
+    place = min(excess / EXCESS_STEP, len(strip.relative_film) - 1.001)
+    k = int(place)
+    lower, upper = strip.relative_film[k], strip.relative_film[k + 1]
+    film *= lower + (upper - lower) * (place - k)
+    share = strip.rim / (strip.rim + film)
+    return air + (cell - air) * share, film * share
+
+
+@inlined
+def warm(strip, field, row, sources, air, gust, step, scratch):
+    """Advance the nodes of one strip by a step.
+
+    Args:
+        field: (s, NODES) K, of which `row` is advanced in place.
+        sources: (2, 2) by front and back wire: W into it; J/K that it has beyond its own capacity.
+        air: K; gust: factor on the film; step: s.
+        scratch: (5, NODES).
+    """
+    front_air = surface_temperature(strip, field[row, 0], air, gust)[1]
+    back_air = surface_temperature(strip, field[row, NODES - 1], air, gust)[1]
+    part = STAGE * step
+    for j in range(NODES):
+        scratch[CAPACITY, j] = strip.capacity[j]
+    scratch[CAPACITY, FRONT_WIRE] += sources[1, 0]
+    scratch[CAPACITY, BACK_WIRE] += sources[1, 1]
+    factor(strip, part, front_air, back_air, scratch)
+    for j in range(NODES):
+        scratch[START, j] = field[row, j]
+    for stage in range(2):
+        for j in range(NODES):
+            scratch[RIGHT, j] = scratch[CAPACITY, j] * scratch[START, j]
+        scratch[RIGHT, 0] += part * front_air * air
+        scratch[RIGHT, NODES - 1] += part * back_air * air
+        scratch[RIGHT, FRONT_WIRE] += part * sources[0, 0]
+        scratch[RIGHT, BACK_WIRE] += part * sources[0, 1]
+        substitute(strip, part, scratch)
+        for j in range(NODES):
+            now = scratch[RIGHT, j]
+            if stage == 0:
+                scratch[START, j] += CARRIED * (now - field[row, j])
+            else:
+                field[row, j] = now
+
+
+@inlined
+def factor(strip, part, front_air, back_air, scratch):
+    """Eliminate C + part * conduction, downwards."""
+    above = 0.0
+    for j in range(NODES):
+        diagonal = scratch[CAPACITY, j]
+        diagonal += part * (front_air if j == 0 else strip.link[j - 1] * (1.0 - above))
+        diagonal += part * (back_air if j == NODES - 1 else strip.link[j])
+        scratch[PIVOT, j] = 1.0 / diagonal
+        if j < NODES - 1:
+            above = part * strip.link[j] * scratch[PIVOT, j]
+            scratch[UPPER, j] = above
+
+
+@inlined
+def substitute(strip, part, scratch):
+    """Solve for the right-hand side, in place."""
+    scratch[RIGHT, 0] *= scratch[PIVOT, 0]
+    for j in range(1, NODES):
+        carried = part * strip.link[j - 1] * scratch[RIGHT, j - 1]
+        scratch[RIGHT, j] = (scratch[RIGHT, j] + carried) * scratch[PIVOT, j]
+    for j in range(NODES - 2, -1, -1):
+        scratch[RIGHT, j] += scratch[UPPER, j] * scratch[RIGHT, j + 1]

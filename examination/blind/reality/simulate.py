@@ -1,0 +1,372 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""What happens in a world: voltages in, true values out; one step after the other.
+
+Electricity, heat, phase, equilibrium, tip. Within a step each block sees the others as they were,
+except phase and stress, which are solved together. Latent heat is an apparent capacity by the
+transformation of the step before; what that misses is owed and paid over the next steps, so that
+no heat is lost.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from examination.blind.reality.beam import ROWS, Beam, balance, beam, pull_at_rest
+from examination.blind.reality.heat import (
+    BACK_WIRE,
+    FRONT_WIRE,
+    NODES,
+    Circuit,
+    Strip,
+    ambient,
+    circuit,
+    current,
+    gusts,
+    strip_of,
+    surface_temperature,
+    warm,
+)
+from examination.blind.reality.transformation import (
+    SMALLEST_MOVE,
+    Classes,
+    grain_classes,
+    grains_at_rest,
+    ramp_table,
+    settle,
+    transform,
+    turn,
+)
+from examination.blind.reality.world import World
+from sma_bench.compiled import borrowing, inlined, warn_if_plain
+from sma_bench.errors import InputError
+
+Array = NDArray[np.float64]
+
+PAID_BACK = 0.1  # of the owed latent heat, each step
+STEEPEST = 0.5  # 1/K, transformation per kelvin that an apparent capacity may stand for
+
+CURRENT, TEMPERATURE, SURFACE, MARTENSITE, STRESS = 0, 1, 2, 3, 4
+QUANTITIES = 5
+
+
+class Habits(NamedTuple):
+    """Constants of a wire's phase and of the tip.
+
+    Attributes:
+        memory: return_point_memory; lag: s; latent: J per wire from martensite to austenite.
+        drift: K; plastic: strain; drift_cycles: full loops.
+        friction, slip: m; slip_time: s after the start.
+    """
+
+    memory: float
+    lag: float
+    latent: float
+    drift: float
+    plastic: float
+    drift_cycles: float
+    friction: float
+    slip: float
+    slip_time: float
+
+
+class Inputs(NamedTuple):
+    """What comes from outside: (n,) s, (n, w) V, (n,) K, (n,) factor, (n - 1,) steps between."""
+
+    time: Array
+    voltage: Array
+    ambient: Array
+    gust: Array
+    steps: NDArray[np.int64]
+
+
+class Wires(NamedTuple):
+    """State of the wires, each (w,): what neither grains nor beam remember.
+
+    Attributes:
+        before, after: K at the start and the end of a step; martensite: fraction at its start.
+        driven: s; loops: full loops so far; shift: K, drift of the transition.
+        owed: J of latent heat; apparent: transformation per kelvin in the last step, 1/K.
+    """
+
+    before: Array
+    after: Array
+    martensite: Array
+    driven: Array
+    loops: Array
+    shift: Array
+    owed: Array
+    apparent: Array
+
+
+class Scratch(NamedTuple):
+    """Room to reckon in: source (2, w) W and J/K; pair (2, 2); strip (5, NODES); beam (ROWS, w)."""
+
+    source: Array
+    pair: Array
+    strip: Array
+    beam: Array
+
+
+def wires_at_rest(wires: int, temperature: float) -> Wires:
+    """Cold, all martensite, never driven."""
+    before, after = np.full((2, wires), temperature)
+    return Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(5)))
+
+
+def scratch_for(wires: int) -> Scratch:
+    """Room for so many wires."""
+    return Scratch(
+        np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)), np.zeros((ROWS, wires))
+    )
+
+
+class Rig(NamedTuple):
+    """What a world is made of; `pairs` (s, 2) are the wires in front and behind of each strip."""
+
+    circuit: Circuit
+    strip: Strip
+    pairs: NDArray[np.int64]
+    classes: Classes
+    ramps: Array
+    beam: Beam
+    habits: Habits
+
+
+@borrowing
+def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
+    """Go through a record from the given state, which is advanced in place.
+
+    Args:
+        field: (s, NODES) K.
+        values: (n, QUANTITIES, w), tip: (n,) m, sides: (n, 2) m; written.
+    """
+    reading = 0.0
+    for k in range(len(inputs.time)):
+        if k > 0:
+            parts = inputs.steps[k - 1]
+            step = (inputs.time[k] - inputs.time[k - 1]) / parts
+            for part in range(parts):
+                share = (part + 0.5) / parts
+                electricity(rig, inputs, k - 1, wires, pull, step, scratch)
+                heat(rig, inputs, k - 1, share, field, wires, step, scratch)
+                phase(rig, grains, pull, wires, step)
+                balance(rig.beam, pull, wires.after, step, scratch.beam)
+                aftermath(rig, grains, pull, wires)
+                wanted = pull.deflection[0] - pull.deflection[1]
+                reading = min(reading, wanted + rig.habits.friction)
+                reading = max(reading, wanted - rig.habits.friction)
+        slipped = inputs.time[k] - inputs.time[0] >= rig.habits.slip_time
+        tip[k] = reading + (rig.habits.slip if slipped else 0.0)
+        sides[k, 0], sides[k, 1] = pull.deflection[0], pull.deflection[1]
+        report(rig, inputs, k, field, wires, pull, values)
+
+
+@inlined
+def report(rig, inputs, k, field, wires, pull, values):
+    """Write what every wire is like at sample k."""
+    for i in range(len(wires.after)):
+        values[k, CURRENT, i] = current(
+            rig.circuit, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
+        )[0]
+        values[k, TEMPERATURE, i] = wires.after[i]
+        values[k, MARTENSITE, i] = pull.martensite[i]
+        values[k, STRESS, i] = pull.stress[i]
+    for strip in range(len(rig.pairs)):
+        for end in range(2):
+            cell = field[strip, 0 if end == 0 else NODES - 1]
+            values[k, SURFACE, rig.pairs[strip, end]] = surface_temperature(
+                rig.strip, cell, inputs.ambient[k], inputs.gust[k]
+            )[0]
+
+
+@inlined
+def electricity(rig, inputs, k, wires, pull, step, scratch):
+    """Heat [W] into every wire: Joule's, and the latent heat that is still owed."""
+    for i in range(len(wires.after)):
+        voltage = inputs.voltage[k, i]
+        joule = current(
+            rig.circuit, voltage, wires.after[i], pull.martensite[i], wires.driven[i]
+        )[1]
+        if voltage != 0.0:
+            wires.driven[i] += step
+        paid = PAID_BACK * wires.owed[i]
+        wires.owed[i] -= paid
+        scratch.source[0, i] = joule + paid / step
+        scratch.source[1, i] = rig.habits.latent * wires.apparent[i]
+
+
+@inlined
+def heat(rig, inputs, k, share, field, wires, step, scratch):
+    """Advance every strip, in the air at this share of the way from sample k to the next."""
+    air = inputs.ambient[k] * (1.0 - share) + inputs.ambient[k + 1] * share
+    gust = inputs.gust[k] * (1.0 - share) + inputs.gust[k + 1] * share
+    for strip in range(len(rig.pairs)):
+        for end in range(2):
+            i = rig.pairs[strip, end]
+            scratch.pair[0, end], scratch.pair[1, end] = scratch.source[0, i], scratch.source[1, i]
+            wires.before[i] = wires.after[i]
+        warm(rig.strip, field, strip, scratch.pair, air, gust, step, scratch.strip)
+        wires.after[rig.pairs[strip, 0]] = field[strip, FRONT_WIRE]
+        wires.after[rig.pairs[strip, 1]] = field[strip, BACK_WIRE]
+
+
+@inlined
+def phase(rig, grains, pull, wires, step):
+    """Transform every wire at its new temperature and the stress that its trend predicts."""
+    memory = rig.habits.memory
+    for i in range(len(wires.after)):
+        moved, shift = wires.after[i] - wires.before[i], wires.shift[i]
+        if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
+            turn(
+                rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift, pull.stress[i]
+            )
+        pull.predicted[i] = pull.stress[i] + pull.stress_change[i]
+        xi, slope = transform(
+            rig.classes, rig.ramps, memory, grains, i, wires.after[i] - shift, pull.predicted[i]
+        )
+        if rig.habits.lag > 0.0:
+            share = -math.expm1(-step / rig.habits.lag)
+            xi = wires.martensite[i] + share * (xi - wires.martensite[i])
+            slope *= share
+        pull.martensite[i], pull.martensite_slope[i] = xi, slope
+
+
+@inlined
+def aftermath(rig, grains, pull, wires):
+    """What the step's transformation leaves behind: grains' state, fatigue, latent heat."""
+    habits = rig.habits
+    for i in range(len(wires.after)):
+        settle(grains, i, pull.stress[i] - pull.predicted[i])
+        change = pull.martensite[i] - wires.martensite[i]
+        if rig.beam.opposing > 0.0 and change < 0.0:
+            # What transforms to austenite loses its detwinned strain.
+            pull.detwinned[i] *= pull.martensite[i] / wires.martensite[i]
+        wires.martensite[i] = pull.martensite[i]
+        wires.loops[i] += 0.5 * abs(change)
+        worn = -math.expm1(-wires.loops[i] / habits.drift_cycles)
+        wires.shift[i], pull.elongation[i] = habits.drift * worn, habits.plastic * worn
+        if habits.latent > 0.0:
+            moved = wires.after[i] - wires.before[i]
+            wires.owed[i] += habits.latent * (change + wires.apparent[i] * moved)
+            if abs(moved) > SMALLEST_MOVE:
+                wires.apparent[i] = min(max(-change / moved, 0.0), STEEPEST)
+
+
+# --- Let things happen in a world: voltages in, true values out.
+
+LONGEST_STEP = 5e-3  # s
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What happened, true values on the given time grid (w wires in the order of the channels).
+
+    Attributes:
+        time: (n,) s; voltage: (n, w) V at the driver, held from each sample to the next.
+        current: (n, w) A; temperature: (n, w) K of the wires.
+        surface: (n, w) K of the silicone beside each wire, which an infrared spot sees too.
+        martensite_fraction: (n, w); stress: (n, w) Pa.
+        deflection: (n,) m of the tip or the slider, positive to the front, or elongation of a wire
+            with a weight or a spring; side_deflection: (n, 2) m, what
+            front and back do, each towards itself.
+        ambient: (n,) K of the air.
+    """
+
+    time: Array
+    voltage: Array
+    current: Array
+    temperature: Array
+    surface: Array
+    martensite_fraction: Array
+    stress: Array
+    deflection: Array
+    side_deflection: Array
+    ambient: Array
+
+
+def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0) -> Outcome:
+    """What a world does under given voltages, from rest at ambient temperature.
+
+    Args:
+        world: the rig with its features; sensor features do nothing here.
+        time: (n,) s, increasing; voltage: (n, w) V, held from each sample to the next.
+        fine: internal steps are at most 5 ms/fine long (0.25: 20 ms, for cheap sensitivities).
+
+    Raises:
+        InputError: shapes that do not fit, times that do not increase, values that are not finite.
+    """
+    warn_if_plain()
+    inputs = _inputs(world, np.array(time, dtype=float), np.array(voltage, dtype=float), fine)
+    samples, wires = inputs.voltage.shape
+    rig, driven = _rig(world), len(world.parameters["bench.channels"])
+    still = float(world.parameters["environment.ambient_temperature"])
+    field = np.full((len(rig.pairs), NODES), still)
+    values = np.zeros((samples, QUANTITIES, wires))
+    tip, sides = np.zeros(samples), np.zeros((samples, 2))
+    grains = grains_at_rest(wires, len(rig.classes.weight))
+    run(
+        rig, inputs, field, grains, pull_at_rest(rig.beam), wires_at_rest(wires, still),
+        scratch_for(wires), values, tip, sides,
+    )
+    values = values[:, :, :driven]
+    return Outcome(
+        time=inputs.time,
+        voltage=inputs.voltage[:, :driven],
+        current=values[:, CURRENT],
+        temperature=values[:, TEMPERATURE],
+        surface=values[:, SURFACE],
+        martensite_fraction=values[:, MARTENSITE],
+        stress=values[:, STRESS],
+        deflection=tip if world.load in ("beam", "antagonist") else -tip,
+        side_deflection=sides,
+        ambient=inputs.ambient,
+    )
+
+
+def _inputs(world: World, time: Array, voltage: Array, fine: float) -> Inputs:
+    wires = len(world.parameters["bench.channels"])
+    if time.ndim != 1 or voltage.shape != (len(time), wires):
+        raise InputError(
+            f"happen: time has shape {time.shape} and voltage {voltage.shape}, "
+            f"expected (n,) and (n, {wires})"
+        )
+    if not (np.all(np.isfinite(time)) and np.all(np.isfinite(voltage))):
+        raise InputError("happen: time or voltage is not finite, expected numbers")
+    gap = np.diff(time)
+    if np.any(gap <= 0.0):
+        k = int(np.argmax(gap <= 0.0))
+        raise InputError(f"happen: time[{k + 1}] is {time[k + 1]:g} s, expected to increase")
+    if not 0.0 < fine < math.inf:
+        raise InputError(f"happen: fine is {fine:g}, expected above 0")
+    steps = np.ceil(gap * (fine / LONGEST_STEP) - ROUNDING).astype(np.int64)
+    idle = np.zeros((len(time), len(world.sides) - wires))
+    volts = np.hstack([voltage, idle])
+    return Inputs(time, volts, ambient(world, time), gusts(world, time), np.maximum(steps, 1))
+
+
+def _rig(world: World) -> Rig:
+    sides = world.sides
+    front, back = ([i for i, s in enumerate(sides) if s == side] for side in ("front", "back"))
+    return Rig(
+        circuit(world),
+        strip_of(world),
+        np.array([front, back], dtype=np.int64).T.copy(),
+        grain_classes(world),
+        ramp_table(world.feature("kinetics_smoothness")),
+        beam(world),
+        Habits(
+            memory=world.feature("return_point_memory"),
+            lag=world.feature("transformation_lag"),
+            latent=world.parameters["wire.mass"] * world.feature("latent_heat"),
+            drift=world.feature("transition_drift"),
+            plastic=world.feature("plastic_strain"),
+            drift_cycles=world.feature("drift_cycles"),
+            friction=world.feature("friction"),
+            slip=world.feature("clamp_slip"),
+            slip_time=world.feature("clamp_slip_time"),
+        ),
+    )

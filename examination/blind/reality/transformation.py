@@ -1,0 +1,321 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""How a wire transforms in the reality: grains with temperatures of their own, and loops."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from examination.blind.reality.world import World
+from sma_bench.compiled import inlined
+
+# --- What a wire's grains are: classes with transition temperatures of their own, and their
+# ramps.
+
+Array = NDArray[np.float64]
+
+GRAIN_CLASSES = 7
+
+# A ramp's table reaches so many of its widths beyond either end; the nodes hit 0 and 1.
+BEYOND = 1.0
+PER_WIDTH = 512
+
+# Standard deviation of the cosine ramp, taken as a distribution over its width: 1/4 - 2/pi^2.
+COSINE_DEVIATION = math.sqrt(0.25 - 2.0 / math.pi**2)
+
+# The R-phase: narrow, little hysteresis, little strain per stress (so large C), between the
+# martensite's start and the austenite's (S. Miyazaki and K. Otsuka, Metall. Trans. A 17, 1986).
+R_WIDTH = 8.0  # K
+R_HYSTERESIS = 3.0  # K
+R_STRESS = 0.4  # of the martensite's shift with stress
+
+
+class Classes(NamedTuple):
+    """Grain classes of every wire, each an array (c,).
+
+    Attributes:
+        weight: share of the transformation strain, in sum 1.
+        austenite_finish, martensite_finish: K.
+        austenite_rate, martensite_rate: 1/K, one over the width of the range.
+        austenite_shift, martensite_shift: K/Pa.
+    """
+
+    weight: Array
+    austenite_finish: Array
+    austenite_rate: Array
+    austenite_shift: Array
+    martensite_finish: Array
+    martensite_rate: Array
+    martensite_shift: Array
+
+
+def grain_classes(world: World) -> Classes:
+    """The grains of a world; one class where they are all alike."""
+    p = world.parameters
+    starts = p["wire.austenite_start_temperature"], p["wire.martensite_start_temperature"]
+    finishes = p["wire.austenite_finish_temperature"], p["wire.martensite_finish_temperature"]
+    shifts = (
+        world.feature("stress_influence_factor_austenite") / p["wire.stress_influence_austenite"],
+        world.feature("stress_influence_factor_martensite")
+        / p["wire.stress_influence_martensite"],
+    )
+    spread, r_share = world.feature("grain_spread"), world.feature("r_phase")
+    offsets, weights = _normal(spread)
+    rows = [
+        (
+            (1.0 - r_share) * weight,
+            finishes[0] + offset, 1.0 / (finishes[0] - starts[0]), shifts[0],
+            finishes[1] + offset, 1.0 / (starts[1] - finishes[1]), shifts[1],
+        )
+        for offset, weight in zip(offsets, weights, strict=True)
+    ]
+    if r_share > 0.0:
+        middle = 0.5 * (starts[0] + starts[1])
+        hot, cold = middle + 0.5 * (R_WIDTH + R_HYSTERESIS), middle - 0.5 * R_HYSTERESIS
+        rate = 1.0 / R_WIDTH
+        rows.append(
+            (
+                r_share, hot, rate, R_STRESS * shifts[0],
+                cold - 0.5 * R_WIDTH, rate, R_STRESS * shifts[1],
+            )
+        )
+    return Classes(*(np.ascontiguousarray(column) for column in np.array(rows).T))
+
+
+def _normal(deviation: float) -> tuple[Array, Array]:
+    """Gauss-Hermite nodes and weights of a normal distribution; one node if it has no width."""
+    if deviation == 0.0:
+        return np.zeros(1), np.ones(1)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(GRAIN_CLASSES)
+    return deviation * nodes, weights / np.sum(weights)
+
+
+def ramp_table(smoothness: float) -> Array:
+    """(m, 2) ramp from 0 to 1 over positions 0 to 1, and its slope per table step.
+
+    From (1 - cos(pi x))/2 of the contract, smoothness 0, to the normal distribution function of
+    the same mean and deviation, 1.
+    """
+    steps = round((1.0 + 2.0 * BEYOND) * PER_WIDTH)
+    position = np.arange(steps + 1) / PER_WIDTH - BEYOND
+    angle = 0.5 * np.pi * np.clip(position, 0.0, 1.0)
+    cosine, cosine_slope = np.sin(angle) ** 2, np.pi * np.sin(angle) * np.cos(angle)
+    scaled = (position - 0.5) / COSINE_DEVIATION
+    normal = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in scaled])
+    density = np.exp(-0.5 * scaled**2) / (math.sqrt(2.0 * math.pi) * COSINE_DEVIATION)
+    # Hermite interpolation meets the plateaus without a step.
+    normal[0], normal[-1], density[0], density[-1] = 0.0, 1.0, 0.0, 0.0
+    value = (1.0 - smoothness) * cosine + smoothness * normal
+    slope = (1.0 - smoothness) * cosine_slope + smoothness * density
+    return np.ascontiguousarray(np.column_stack([value, slope / PER_WIDTH]))
+
+
+# --- How the grains of a wire transform: straight lines in the plane of ramp and phase.
+#
+# While the temperature rises, the phase that vanishes is martensite, y = xi, and its own ramp is
+# o = f; while it falls, austenite, y = 1 - xi, with o = g. Between two reversals y is a straight
+# line over o, from the state at the reversal to a target:
+#
+#     y = y_t + slope (o - o_t)
+#
+# With the target y_t = o_t = 0 this is the contract's proportional rule. With the target at the
+# reversal before the last, a loop closes where it was opened and is then forgotten (return-point
+# memory and wiping-out: F. Preisach, Z. Phys. 94, 1935; I. Mayergoyz, Phys. Rev. Lett. 56, 1986).
+# `memory` moves the target from the one to the other.
+#
+# Two more lines keep a class continuous whatever the stress does, as the product reads the
+# contract: where stress has moved the other ramp u back beyond its value u_r at the reversal, y
+# is at least min(1 - u/u_r, o); and where the reversal lies beyond the own ramp's end (M_s above
+# A_f), y is a line over 1 - u, the curve of the other direction traced back.
+#
+# Wires of one side that are driven very unequally can pull each other, one into martensite and
+# one into austenite; the contract's rule has several solutions then, and which one is found
+# depends on the step.
+
+LOOPS = 16  # reversals that a class remembers
+SMALLEST_MOVE = 1e-9  # K, below which the temperature counts as held
+NOTHING = 1e-14
+
+# What a class remembers of its last reversal, columns of `line`: the line, and the other ramp.
+SLOPE, AIM_PHASE, AIM_RAMP, TRACED, OTHER_RAMP, OTHER_PLACE = 0, 1, 2, 3, 4, 5
+LINE = 6
+
+
+class Grains(NamedTuple):
+    """State of the classes (c) of every wire (w).
+
+    Attributes:
+        rising: (w,) whether the temperature rose last.
+        martensite: (w, c), and its slope along stress in the present step, 1/Pa.
+        line: (w, c, LINE) the present branch.
+        reversals: (w, c) how many are remembered; reversal: (w, c, LOOPS, 3) martensite, f, g.
+    """
+
+    rising: NDArray[np.bool_]
+    martensite: Array
+    martensite_slope: Array
+    line: Array
+    reversals: NDArray[np.int64]
+    reversal: Array
+
+
+def grains_at_rest(wires: int, classes: int) -> Grains:
+    """All martensite, cold; its first move is up."""
+    shape = (wires, classes)
+    line = np.zeros((*shape, LINE))
+    line[..., SLOPE] = 1.0
+    return Grains(
+        np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
+        np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)),
+    )
+
+
+@inlined
+def ramp(table, position):
+    """Value and slope of the ramp at a position: cubic Hermite interpolation of its table."""
+    place = min(max((position + BEYOND) * PER_WIDTH, 0.0), table.shape[0] - 1.0)
+    k = min(int(place), table.shape[0] - 2)
+    u = place - k
+    start, start_slope, end_slope = table[k, 0], table[k, 1], table[k + 1, 1]
+    rise = table[k + 1, 0] - start
+    square = 3.0 * rise - 2.0 * start_slope - end_slope
+    cube = start_slope + end_slope - 2.0 * rise
+    value = start + u * (start_slope + u * (square + u * cube))
+    return value, (start_slope + u * (2.0 * square + u * 3.0 * cube)) * PER_WIDTH
+
+
+@inlined
+def austenite_ramp(classes, table, c, temperature, stress):
+    """f of class c, and its slope along stress."""
+    rate, shift = classes.austenite_rate[c], classes.austenite_shift[c]
+    position = (classes.austenite_finish[c] + shift * stress - temperature) * rate
+    value, slope = ramp(table, position)
+    return value, slope * shift * rate
+
+
+@inlined
+def martensite_ramp(classes, table, c, temperature, stress):
+    """g of class c, and its slope along stress."""
+    rate, shift = classes.martensite_rate[c], classes.martensite_shift[c]
+    position = (temperature - shift * stress - classes.martensite_finish[c]) * rate
+    value, slope = ramp(table, position)
+    return value, -slope * shift * rate
+
+
+@inlined
+def other_place(classes, c, rising, temperature, stress):
+    """Where class c lies along the other ramp [K]; the ramp vanishes downwards."""
+    if rising:
+        return temperature - classes.martensite_shift[c] * stress
+    return classes.austenite_shift[c] * stress - temperature
+
+
+@inlined
+def turn(classes, table, memory, grains, i, temperature, stress):
+    """The temperature of wire i reverses at this state."""
+    rising, line = not grains.rising[i], grains.line
+    grains.rising[i] = rising
+    for c in range(len(classes.weight)):
+        f = austenite_ramp(classes, table, c, temperature, stress)[0]
+        g = martensite_ramp(classes, table, c, temperature, stress)[0]
+        if memory > 0.0:
+            known = grains.reversals[i, c]
+            if known == LOOPS:
+                known -= 2  # the innermost loop is forgotten early
+            grains.reversal[i, c, known, 0] = grains.martensite[i, c]
+            grains.reversal[i, c, known, 1] = f
+            grains.reversal[i, c, known, 2] = g
+            grains.reversals[i, c] = known + 1
+        own, other = (f, g) if rising else (g, f)
+        line[i, c, OTHER_RAMP] = other
+        line[i, c, OTHER_PLACE] = other_place(classes, c, rising, temperature, stress)
+        phase = grains.martensite[i, c] if rising else 1.0 - grains.martensite[i, c]
+        draw(memory, grains, i, c, phase, own)
+        if own <= NOTHING and phase > 0.0 and other < 1.0:
+            line[i, c, TRACED] = 1.0
+            line[i, c, SLOPE] = phase / (1.0 - other)
+
+
+@inlined
+def draw(memory, grains, i, c, phase, own):
+    """Draw the line of class c from this state to its target."""
+    line = grains.line
+    line[i, c, TRACED] = line[i, c, AIM_PHASE] = line[i, c, AIM_RAMP] = 0.0
+    opened = grains.reversals[i, c] - 2
+    if memory > 0.0 and opened >= 0:
+        martensite = grains.reversal[i, c, opened, 0]
+        line[i, c, AIM_PHASE] = memory * (martensite if grains.rising[i] else 1.0 - martensite)
+        ramp_there = grains.reversal[i, c, opened, 1 if grains.rising[i] else 2]
+        line[i, c, AIM_RAMP] = memory * ramp_there
+    away = own - line[i, c, AIM_RAMP]
+    if away > NOTHING:
+        line[i, c, SLOPE] = (phase - line[i, c, AIM_PHASE]) / away
+    else:
+        line[i, c, SLOPE], line[i, c, AIM_PHASE] = 0.0, phase
+
+
+@inlined
+def close_loops(memory, grains, i, c, own):
+    """Forget the loops that the ramp has run out of, each line going on from where it ended."""
+    line = grains.line
+    inside = False
+    while grains.reversals[i, c] >= 2 and not inside:
+        opened = grains.reversals[i, c] - 2
+        end = grains.reversal[i, c, opened, 1 if grains.rising[i] else 2]
+        inside = own > end
+        if not inside:
+            phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (end - line[i, c, AIM_RAMP])
+            grains.reversals[i, c] = opened
+            draw(memory, grains, i, c, phase, end)
+
+
+@inlined
+def transform(classes, table, memory, grains, i, temperature, stress):
+    """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa].
+
+    Args:
+        temperature: K, less the drift of the transition, in the direction of `grains.rising`
+            since the last call; stress: Pa.
+    """
+    rising, line = grains.rising[i], grains.line
+    total, total_slope = 0.0, 0.0
+    for c in range(len(classes.weight)):
+        if rising:
+            own, along = austenite_ramp(classes, table, c, temperature, stress)
+        else:
+            own, along = martensite_ramp(classes, table, c, temperature, stress)
+        if memory > 0.0:
+            close_loops(memory, grains, i, c, own)
+        phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (own - line[i, c, AIM_RAMP])
+        slope = line[i, c, SLOPE] * along
+        moved_back = other_place(classes, c, rising, temperature, stress) < line[i, c, OTHER_PLACE]
+        moved_back = moved_back and line[i, c, OTHER_RAMP] > 0.0
+        if moved_back or line[i, c, TRACED] > 0.0:
+            if rising:
+                other, other_along = martensite_ramp(classes, table, c, temperature, stress)
+            else:
+                other, other_along = austenite_ramp(classes, table, c, temperature, stress)
+            if line[i, c, TRACED] > 0.0:
+                phase, slope = line[i, c, SLOPE] * (1.0 - other), -line[i, c, SLOPE] * other_along
+            if moved_back:
+                least = 1.0 - other / line[i, c, OTHER_RAMP]
+                least_slope = -other_along / line[i, c, OTHER_RAMP]
+                if least > own:
+                    least, least_slope = own, along
+                if least > phase:
+                    phase, slope = least, least_slope
+        phase = min(max(phase, 0.0), 1.0)
+        grains.martensite[i, c] = phase if rising else 1.0 - phase
+        grains.martensite_slope[i, c] = slope if rising else -slope
+        total += classes.weight[c] * grains.martensite[i, c]
+        total_slope += classes.weight[c] * grains.martensite_slope[i, c]
+    return total, total_slope
+
+
+@inlined
+def settle(grains, i, loaded):
+    """Take the stress that equilibrium has found, `loaded` [Pa] above that of `transform`."""
+    for c in range(grains.martensite.shape[1]):
+        martensite = grains.martensite[i, c] + grains.martensite_slope[i, c] * loaded
+        grains.martensite[i, c] = min(max(martensite, 0.0), 1.0)

@@ -1,0 +1,556 @@
+"""A drawn lab: its rig, what drives it, and what its instruments would read."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from examination.blind.reality import Outcome, World, happen
+from examination.blind.sensors import Sensors, readings
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.physics.simulate import Simulation
+
+Array = npt.NDArray[np.float64]
+
+
+# --- A lab's rig, drawn: what it truly is, and the numbers its owners believe in.
+
+CHANNELS = ("front_1", "front_2", "back_1", "back_2")
+SIDES = ("front", "front", "back", "back")
+
+_ONE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
+_WIRES: dict[str, dict[str, Any]] = {
+    "force": _ONE, "spring": _ONE,
+    "antagonist": {"bench.channels": ("front", "back"), "bench.channel_sides": ("front", "back")},
+}
+
+# The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
+_STILL = {"antagonist": {"detwinning_stress": 1e9}}
+
+# Of two equal stiffnesses the owners know one number.
+FRONT = "composite.stress_per_deflection_front"
+BACK = "composite.stress_per_deflection_back"
+
+# Middle of the population of rigs, half width of its spread (relative, or K for temperatures),
+# stated standard deviation (in the same terms).
+_RELATIVE: dict[str, tuple[float, float, float]] = {
+    "wire.resistance": (3.05, 0.10, 0.01),
+    "wire.heat_transfer_coefficient": (115.0, 0.10, 0.03),
+    "wire.specific_heat": (415.0, 0.10, 0.03),
+    "wire.mass": (0.091e-3, 0.05, 0.005),
+    "wire.surface_area": (188.5e-6, 0.05, 0.005),
+    "wire.martensite_modulus": (21.5e9, 0.10, 0.03),
+    "wire.austenite_modulus": (56.0e9, 0.10, 0.03),
+    "wire.maximum_recoverable_strain": (0.0385, 0.10, 0.02),
+    "wire.thermal_expansion_factor": (-0.12e6, 0.10, 0.10),
+    "wire.stress_influence_austenite": (7.3e6, 0.10, 0.06),
+    "wire.stress_influence_martensite": (8.0e6, 0.10, 0.06),
+}
+_OF_LOAD: dict[str, dict[str, tuple[float, float, float]]] = {
+    "beam": {"composite.deflection_per_strain": (1.01, 0.10, 0.03), FRONT: (4.9e9, 0.10, 0.05)},
+    "force": {"load.force": (6.0, 0.30, 0.02)},
+    "spring": {"load.stiffness": (700.0, 0.30, 0.03), "load.preload": (5.0, 0.30, 0.05)},
+    "antagonist": {"load.stiffness": (250.0, 0.30, 0.05), "load.preload": (6.0, 0.30, 0.05)},
+}
+_ABSOLUTE: dict[str, tuple[float, float, float]] = {
+    "wire.austenite_start_temperature": (334.0, 4.0, 0.5),
+    "wire.austenite_finish_temperature": (353.0, 4.0, 0.5),
+    "wire.martensite_start_temperature": (320.0, 4.0, 0.5),
+    "wire.martensite_finish_temperature": (307.5, 3.0, 0.5),
+    "environment.ambient_temperature": (293.5, 2.5, 0.2),
+}
+BELIEVED = (*_RELATIVE, *_OF_LOAD["beam"], *_ABSOLUTE)
+# Only together do the area and h, the mass and c_p act; the owners have weighed and measured the
+# wire well, so a wrong number hides in the other one.
+_WEIGHED = ("wire.mass", "wire.surface_area")
+_DIGITS = 3
+# How wrong a wrong number is, in its own stated standard deviations.
+WRONG_BY = (2.5, 5.0)
+
+STAGE_OF_PARAMETER = {
+    "wire.resistance": "electrical",
+    "wire.heat_transfer_coefficient": "thermal",
+    "wire.specific_heat": "thermal",
+    "wire.mass": "thermal",
+    "wire.surface_area": "thermal",
+    "environment.ambient_temperature": "thermal",
+    "wire.austenite_start_temperature": "transformation",
+    "wire.austenite_finish_temperature": "transformation",
+    "wire.martensite_start_temperature": "transformation",
+    "wire.martensite_finish_temperature": "transformation",
+    "wire.stress_influence_austenite": "transformation",
+    "wire.stress_influence_martensite": "transformation",
+}
+
+
+def stage_of_parameter(name: str) -> str:
+    """The stage in which a wrong number of this name shows first."""
+    return STAGE_OF_PARAMETER.get(name, "mechanical")
+
+
+def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
+    """The true numbers of one rig of the population, a composite or wires with another load."""
+    values: dict[str, float] = {}
+    for name, (middle, spread, _) in (_RELATIVE | _OF_LOAD[load]).items():
+        values[name] = float(middle * (1.0 + spread * rng.uniform(-1.0, 1.0)))
+    for name, (middle, spread, _) in _ABSOLUTE.items():
+        values[name] = float(middle + spread * rng.uniform(-1.0, 1.0))
+    return _rig(values, {}, load)
+
+
+def true_values(truth: Parameters) -> dict[str, float]:
+    """The numbers that the owners of a rig have an opinion on."""
+    names = (*_RELATIVE, *_OF_LOAD[load_kind(truth)], *_ABSOLUTE)
+    return {name: float(truth[name]) for name in names}
+
+
+def stated_std(name: str, value: float) -> float:
+    """The standard deviation that the owners state for a number that they believe in."""
+    relative = {**_RELATIVE, **{n: row for own in _OF_LOAD.values() for n, row in own.items()}}
+    spread = abs(value) * relative[name][2] if name in relative else _ABSOLUTE[name][2]
+    return float(f"{spread:.{_DIGITS}g}")
+
+
+def draw_nominal(
+    truth: Parameters, rng: np.random.Generator, wrong: Mapping[str, float] | None = None
+) -> Parameters:
+    """What the owners believe: the truth, wrong by one draw of the uncertainty they state.
+
+    Args:
+        truth: of the rig.
+        rng: draws the errors.
+        wrong: parameter -> its error in stated standard deviations, instead of a draw.
+    """
+    values, stds = {}, {}
+    for name, true in true_values(truth).items():
+        error = (wrong or {}).get(name)
+        drawn = rng.standard_normal()
+        sigmas = drawn if error is None else error
+        values[name] = true + sigmas * stated_std(name, true)
+        # From the believed number: the true one must not follow from its uncertainty.
+        stds[name] = stated_std(name, values[name])
+    return _rig(values, stds, load_kind(truth))
+
+
+def recalibrated(load: str) -> tuple[str, ...]:
+    """Numbers of a rig that may hide a wrong one."""
+    names = (*_RELATIVE, *_OF_LOAD[load], *_ABSOLUTE)
+    return tuple(name for name in names if name not in _WEIGHED)
+
+
+def draw_wrong(rng: np.random.Generator, load: str = "beam") -> dict[str, float]:
+    """One to three parameters and their errors in stated standard deviations."""
+    names = rng.choice(recalibrated(load), size=int(rng.integers(1, 4)), replace=False)
+    sizes = rng.uniform(*WRONG_BY, len(names)) * rng.choice([-1.0, 1.0], len(names))
+    return {str(name): float(size) for name, size in zip(names, sizes, strict=True)}
+
+
+def rig_of(label: Mapping[str, Any]) -> Parameters:
+    """The true rig of a label."""
+    return _rig(dict(label["truth"]), {}, label.get("load", "beam"))
+
+
+def world_of(truth: Parameters, features: Mapping[str, float]) -> World:
+    """A rig of the population with these features."""
+    return World(truth, {**_STILL.get(load_kind(truth), {}), **features})
+
+
+def _rig(values: dict[str, float], stds: dict[str, float], load: str = "beam") -> Parameters:
+    if load != "beam":
+        wires = {"load.kind": load, "wire.diameter": 0.3e-3, **_WIRES[load]}
+        return Parameters({**wires, **values}, stds)
+    both = {BACK: values[FRONT]}
+    std_of_both = {BACK: stds[FRONT]} if stds else {}
+    layout = {
+        "bench.channels": CHANNELS,
+        "bench.channel_sides": SIDES,
+        "wire.diameter": 0.3e-3,
+    }
+    return Parameters({**layout, **values, **both}, {**stds, **std_of_both})
+
+
+# --- What the rig is driven with: triangles, steps, staircases and holds, with rests between.
+
+COMMAND_PERIOD = 0.02  # s: an Arduino that is commanded 50 times a second
+FAMILIES = ("triangle", "step", "staircase", "trapezoid")
+DURATIONS = (100.0, 120.0)
+_FIRST = (3.0, 7.0)
+_REST = (4.0, 9.0)
+# Steady temperature that the peak voltage would hold, K above A_f at the highest stress: full
+# cycles end above it, partial ones turn round inside the transformation.
+_FULL = (8.0, 24.0)
+_PARTIAL = (-16.0, -3.0)
+_SWIFT = 1.09  # a ramp lags behind its steady temperature
+_SWIFT_FAMILIES = ("triangle",)
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """Voltage of one side's wires against time, piecewise linear, zero before and after.
+
+    Attributes:
+        side: front or back.
+        times, volts: corners, in s since the start of the record and V.
+    """
+
+    side: str
+    times: tuple[float, ...]
+    volts: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The pulses of one record."""
+
+    family: str
+    duration: float
+    pulses: tuple[Pulse, ...]
+
+    def voltage(self, time: Array, of: tuple[str, ...] = SIDES) -> Array:
+        """(n, w) V at the wires of these sides, held since the last command."""
+        commanded = np.floor(time / COMMAND_PERIOD + 1e-6) * COMMAND_PERIOD
+        sides = {side: np.zeros(len(time)) for side in ("front", "back")}
+        for pulse in self.pulses:
+            volts = np.interp(commanded, pulse.times, pulse.volts, left=0.0, right=0.0)
+            sides[pulse.side] += volts
+        return np.column_stack([sides[side] for side in of])
+
+    def grid(self, period: float) -> Array:
+        """(n,) times from 0 to the end."""
+        return np.asarray(np.arange(int(round(self.duration / period)) + 1) * period, dtype=float)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain dictionary for a label."""
+        return {
+            "family": self.family,
+            "duration": self.duration,
+            "pulses": [[p.side, list(p.times), list(p.volts)] for p in self.pulses],
+        }
+
+    @classmethod
+    def from_json(cls, document: Mapping) -> "Drive":
+        """What `to_json` wrote."""
+        pulses = tuple(Pulse(s, tuple(t), tuple(v)) for s, t, v in document["pulses"])
+        return cls(document["family"], document["duration"], pulses)
+
+
+def draw_drives(truth: Parameters, rng: np.random.Generator) -> dict[str, Drive]:
+    """Drives of a record and of the one to hold out, of two different families."""
+    families = rng.choice(FAMILIES, size=2, replace=False)
+    return {
+        name: draw_drive(str(family), truth, rng)
+        for name, family in zip(("record", "hold_out"), families, strict=True)
+    }
+
+
+def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Drive:
+    """Full, nested and partial strokes of one of FAMILIES."""
+    duration = float(np.round(rng.uniform(*DURATIONS), 1))
+    sides = tuple(dict.fromkeys(truth["bench.channel_sides"]))
+    side = str(rng.choice(sides))
+    # Both sides finish a cycle first; a loop inside a loop and a partial cycle are in every drive.
+    plan = ["full", "full", "nested", *rng.permutation(["partial", "partial", "full"])]
+    start, pulses = float(rng.uniform(*_FIRST)), []
+    for reach in plan:
+        pulse = _draw_pulse(family, str(reach), side, start, truth, rng)
+        if pulse.times[-1] + _REST[0] > duration:
+            break
+        pulses.append(pulse)
+        start = pulse.times[-1] + float(rng.uniform(*_REST))
+        side = sides[(sides.index(side) + 1) % len(sides)]
+    return Drive(family, duration, tuple(pulses))
+
+
+def _draw_pulse(
+    family: str, reach: str, side: str, start: float, truth: Parameters, rng: np.random.Generator
+) -> Pulse:
+    above = rng.uniform(*(_FULL if reach == "full" else _PARTIAL))
+    peak = _volts_for(truth, hottest(truth) + above)
+    peak *= _SWIFT if family in _SWIFT_FAMILIES else 1.0
+    corners = _SHAPES[family](rng)
+    if reach == "nested":
+        # Turned inside the transformation to austenite, and back inside the one to martensite.
+        low = _volts_for(truth, _martensite_middle(truth) + rng.uniform(-4.0, 2.0)) / peak
+        corners = _with_dip(corners, low, rng)
+    times = np.round(start + np.array([t for t, _ in corners]), 2)
+    volts = np.round(peak * np.array([v for _, v in corners]), 3)
+    return Pulse(side, tuple(times.tolist()), tuple(volts.tolist()))
+
+
+_Corners = list[tuple[float, float]]
+
+
+def _triangle(rng: np.random.Generator) -> _Corners:
+    rise, fall = rng.uniform(5.0, 10.0, 2)
+    return [(0.0, 0.0), (rise, 1.0), (rise + fall, 0.0)]
+
+
+def _step(rng: np.random.Generator) -> _Corners:
+    return [(0.0, 1.0), (rng.uniform(6.0, 12.0), 1.0)]
+
+
+def _trapezoid(rng: np.random.Generator) -> _Corners:
+    rise, hold, fall = rng.uniform(2.5, 6.0, 3)
+    return [(0.0, 0.0), (rise, 1.0), (rise + hold, 1.0), (rise + hold + fall, 0.0)]
+
+
+def _staircase(rng: np.random.Generator) -> _Corners:
+    levels = np.sort(rng.uniform(0.6, 0.95, 2)).tolist()
+    corners, now = [], 0.0
+    for level in [*levels, 1.0, *levels[::-1][: int(rng.integers(0, 2))]]:
+        stay = rng.uniform(2.5, 5.0)
+        corners += [(now, level), (now + stay, level)]
+        now += stay + COMMAND_PERIOD
+    return corners
+
+
+_SHAPES = {
+    "triangle": _triangle,
+    "step": _step,
+    "staircase": _staircase,
+    "trapezoid": _trapezoid,
+}
+
+
+def _with_dip(corners: _Corners, low: float, rng: np.random.Generator) -> _Corners:
+    """The shape up to its peak, a fall to `low`, and the last part from the peak on again."""
+    last = max(k for k, (_, v) in enumerate(corners) if v == 1.0)
+    turn = corners[last][0]
+    fall, stay, rise = rng.uniform((2.0, 2.0, 2.0), (3.5, 4.0, 3.5))
+    dip = [(turn + fall, low), (turn + fall + stay, low), (turn + fall + stay + rise, 1.0)]
+    end = turn + fall + stay + rise + rng.uniform(2.0, 4.0)
+    after = [(t - turn + end, v) for t, v in corners[last + 1 :]]
+    return [*corners[: last + 1], *dip, (end, 1.0), *after]
+
+
+def hottest(truth: Parameters) -> float:
+    """K at which the last martensite is gone, at full contraction of one side."""
+    modulus, strain = truth["wire.austenite_modulus"], truth["wire.maximum_recoverable_strain"]
+    wires, load, stiffness = _pulled(truth)
+    own = wires * modulus
+    # sum sigma = n E_A (eps_L + eps_0 - e) = load + K e
+    drawn = load / (wires * truth["wire.martensite_modulus"])
+    contraction = (own * (strain + drawn) - load) / (own + stiffness)
+    stress = (load + stiffness * contraction) / wires
+    return float(
+        truth["wire.austenite_finish_temperature"]
+        + stress / truth["wire.stress_influence_austenite"]
+    )
+
+
+def _pulled(truth: Parameters) -> tuple[int, float, float]:
+    """Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against."""
+    if load_kind(truth) == "beam":
+        alpha = truth["composite.deflection_per_strain"]
+        return len(CHANNELS) // 2, 0.0, alpha * truth[FRONT]
+    section = np.pi * truth["wire.diameter"] ** 2 / 4.0
+    stiffness = truth["load.stiffness"] * wire_length(truth) / section
+    if load_kind(truth) == "antagonist":
+        stiffness += truth["wire.martensite_modulus"]
+    return 1, (truth["load.preload"] + truth["load.force"]) / section, stiffness
+
+
+def _martensite_middle(truth: Parameters) -> float:
+    names = ("wire.martensite_start_temperature", "wire.martensite_finish_temperature")
+    shift = hottest(truth) - truth["wire.austenite_finish_temperature"]
+    return float(np.mean([truth[name] for name in names]) + 0.4 * shift)
+
+
+def _volts_for(truth: Parameters, temperature: float) -> float:
+    """V that hold a wire at a temperature: V^2/R = h A (T - T_inf)."""
+    loss = truth["wire.heat_transfer_coefficient"] * truth["wire.surface_area"]
+    excess = temperature - truth["environment.ambient_temperature"]
+    return float(np.sqrt(truth["wire.resistance"] * loss * excess))
+
+
+# --- One rig under the drives of its two records, played with any set of features.
+
+RECORDS = ("record", "hold_out")
+PER_WIRE = ("current", "temperature")
+# 20 ms instead of 5 ms inside: enough to size an effect, and for sensitivities.
+COARSE = 0.25
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A rig, its instruments and what it is driven with.
+
+    Attributes:
+        truth: the rig's true numbers.
+        sensors: its instruments.
+        drives: by record.
+    """
+
+    truth: Parameters
+    sensors: Sensors
+    drives: Mapping[str, Drive]
+    _played: dict[Any, Outcome] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the wires."""
+        return tuple(self.truth["bench.channels"])
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Side of each wire."""
+        return tuple(self.truth["bench.channel_sides"])
+
+    @classmethod
+    def from_label(cls, label: Mapping[str, Any]) -> Self:
+        """The stage of a case; its features are label["features"] and, without the effect,
+        label["base"]."""
+        drives = {name: Drive.from_json(drive) for name, drive in label["drives"].items()}
+        return cls(rig_of(label), Sensors.from_json(label["sensors"]), drives)
+
+    def play(
+        self,
+        features: Mapping[str, float],
+        record: str,
+        fine: float = 1.0,
+        parameters: Parameters | None = None,
+    ) -> Outcome:
+        """What happens in a record under these features, every 20 ms.
+
+        Args:
+            features: of the world.
+            record: name of the drive.
+            fine: steps are at most 5 ms/fine long.
+            parameters: instead of the rig's true ones.
+        """
+        key = (record, fine, id(parameters), *sorted(_physical(features).items()))
+        if parameters is None and key in self._played:
+            return self._played[key]
+        time = self.drives[record].grid(COMMAND_PERIOD)
+        world = world_of(parameters or self.truth, features)
+        outcome = happen(world, time, self.drives[record].voltage(time, self.sides), fine)
+        if parameters is None:
+            self._played[key] = outcome
+        return outcome
+
+    def read(
+        self,
+        features: Mapping[str, float],
+        record: str,
+        fine: float = 1.0,
+        parameters: Parameters | None = None,
+    ) -> dict[str, Array]:
+        """What the instruments would read without noise: signal -> (n,), every 20 ms."""
+        outcome = self.play(features, record, fine, parameters)
+        clean = readings(outcome, world_of(self.truth, features), self.sensors)
+        signals = {
+            f"{channel}.{quantity}": clean[quantity][:, wire]
+            for quantity in PER_WIRE
+            for wire, channel in enumerate(self.channels)
+        }
+        return {**signals, "deflection": clean["deflection"]}
+
+    def peak_current(self) -> float:
+        """A; the largest of both records in the baseline."""
+        volts = (np.max(d.voltage(d.grid(COMMAND_PERIOD))) for d in self.drives.values())
+        return float(max(volts) / self.truth["wire.resistance"])
+
+
+_SENSOR_FEATURES = (
+    "spot_fill", "camera_lag", "deflection_drift", "sensor_nonlinearity", "pickup", "shutter_steps",
+)
+
+
+def _physical(features: Mapping[str, float]) -> dict[str, float]:
+    """Without what only the instruments do: the outcome is the same."""
+    return {name: value for name, value in features.items() if name not in _SENSOR_FEATURES}
+
+
+def quantity_of(signal: str) -> str:
+    """`temperature` of `front_1.temperature`."""
+    return signal.rpartition(".")[2]
+
+
+def gaps(
+    one: Mapping[str, Array],
+    other: Mapping[str, Array],
+    sensors: Sensors,
+    quantities: Iterable[str],
+) -> dict[str, float]:
+    """Root mean square of the difference over the noise, for every signal of the quantities."""
+    wanted = set(quantities)
+    return {
+        name: float(np.sqrt(np.mean((one[name] - other[name]) ** 2)) / sensors.std(quantity))
+        for name in one
+        if (quantity := quantity_of(name)) in wanted
+    }
+
+
+def largest(gap: Mapping[str, float]) -> float:
+    """The gap of the signal that shows it best."""
+    return max(gap.values())
+
+
+def phases(drive: Drive) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
+    """(n,) drive, rest or initial, and (n,) the side driven now or last ("" before)."""
+    time = drive.grid(COMMAND_PERIOD)
+    driven = drive.voltage(time) > 0.0
+    phase = np.full(len(time), "rest", dtype="<U7")
+    phase[driven.any(axis=1)] = "drive"
+    started = np.maximum.accumulate(driven.any(axis=1))
+    phase[~started] = "initial"
+    side = np.full(len(time), "", dtype="<U5")
+    for pulse in drive.pulses:
+        side[time >= pulse.times[0]] = pulse.side
+    return phase, side
+
+
+def where(
+    with_effect: Mapping[str, Array],
+    without: Mapping[str, Array],
+    stage: Stage,
+    record: str,
+    quantities: Iterable[str],
+) -> list[dict[str, Any]]:
+    """The gap by signal, phase and side, largest share first.
+
+    Returns:
+        Rows of signal, phase, side, gap (over noise, root mean square in the cell) and share (of
+        the squared gaps over noise of all samples that the record holds).
+    """
+    phase, side = phases(stage.drives[record])
+    rows = []
+    for name in gaps(with_effect, without, stage.sensors, quantities):
+        quantity = quantity_of(name)
+        square = ((with_effect[name] - without[name]) / stage.sensors.std(quantity)) ** 2
+        here = side
+        if quantity in PER_WIRE:
+            own = stage.sides[stage.channels.index(name.partition(".")[0])]
+            here = np.full(len(side), own)
+        if len(set(stage.sides)) == 1:  # no other side to tell it from
+            here = np.full(len(side), "")
+        for p, s in sorted(set(zip(phase.tolist(), here.tolist(), strict=True))):
+            cell = square[(phase == p) & (here == s)]
+            energy = float(cell.sum() * stage.sensors.rate(quantity))
+            row = {"signal": name, "phase": p, "side": s, "gap": float(np.sqrt(cell.mean()))}
+            rows.append({**row, "share": energy})
+    total = sum(row["share"] for row in rows) or 1.0
+    rows = [{**row, "share": row["share"] / total} for row in rows]
+    return sorted(rows, key=lambda row: -row["share"])
+
+
+def simulated_reading(simulation: Simulation, signal: str) -> Array:
+    """(n,) the model's `front_1.current`, `front_1.temperature` or `deflection`, in SI units.
+
+    Raises:
+        InputError: the model has no such signal.
+    """
+    channel, _, quantity = signal.rpartition(".")
+    if quantity == "deflection":
+        return simulation.deflection_reading
+    channels = simulation.parameters["bench.channels"]
+    columns = {"current": "current", "temperature": "temperature_reading"}
+    if channel not in channels or quantity not in columns:
+        raise InputError(f"no simulated signal {signal}")
+    read: Array = getattr(simulation, columns[quantity])
+    return read[:, channels.index(channel)]

@@ -1,0 +1,428 @@
+"""Answers and labels brought together, once every answer is there."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from examination.blind.case_files import (
+    EXAMINATION,
+    NO_EFFECT,
+    PAIR_SIGN,
+    STAGE_OF,
+    CaseSet,
+    Examination,
+    Kept,
+    answers_of,
+    read_examination,
+    read_kept,
+)
+from examination.blind.examination import NOMINAL, asks_for_more, open_cases
+from examination.blind.judgement import (
+    Judged,
+    Label,
+    UnseenRecord,
+    moved_parameters,
+    parameter_error,
+    parameters_of,
+)
+from examination.blind.measures import (
+    OTHERS,
+    TARGETS,
+    Bound,
+    Measure,
+    Measured,
+    bin_of,
+    mean,
+    proportion,
+)
+from sma_bench.errors import InputError
+
+Labels = Mapping[str, Mapping[str, Any]]
+FOLLOWED_UP = ", followed up"
+
+
+@dataclass(frozen=True)
+class Paper:
+    """All answers of one examinee, as handed in."""
+
+    folder: Path
+    examination: Examination
+    kept: tuple[Kept, ...]
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+        return self.examination.name
+
+
+@dataclass(frozen=True)
+class Score:
+    """One examinee judged."""
+
+    name: str
+    cases: tuple[Judged, ...]
+    measured: Mapping[str, Measured]
+
+    def to_json(self) -> dict[str, Any]:
+        """Measures, confusion matrix, reliability and groups as plain data."""
+        return {
+            "measures": {m.name: _row(m, self.measured[m.name]) for m in (*TARGETS, *OTHERS)},
+            "confusion": confusion(self.cases),
+            "reliability": [vars(bin_) for bin_ in reliability(self.cases)],
+            "groups": {
+                title: {group: {k: vars(v) for k, v in row.items()} for group, row in rows.items()}
+                for title, rows in groups(self.cases).items()
+            },
+            "failed": {c.label.id: c.failure for c in self.cases if c.answer is None},
+        }
+
+
+def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
+    """The complete papers of all examinees; the labels are not touched.
+
+    Args:
+        cases: the set.
+        folders: of the answers; empty: every folder of answers that lies in the set.
+
+    Raises:
+        InputError: nobody has answered, an answer is missing, or it is to another set.
+    """
+    found = list(folders) or sorted(path.parent for path in cases.answers.glob(f"*/{EXAMINATION}"))
+    if not found:
+        raise InputError(f"{cases.answers}: no answers: run ./bench blind run first")
+    return [_paper(cases, folder) for folder in found]
+
+
+def _paper(cases: CaseSet, folder: Path) -> Paper:
+    examination = read_examination(folder)
+    if examination.sealed != cases.sealed_sha256:
+        raise InputError(f"{folder}: holds answers to another set than {cases.root}")
+    missing = open_cases(cases.names, folder)
+    if missing:
+        raise InputError(
+            f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer yet, the first "
+            f"is {missing[0]}: the labels stay sealed until ./bench blind run has asked all"
+        )
+    return Paper(folder, examination, tuple(read_kept(folder, name) for name in cases.names))
+
+
+def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
+    """The labels by case.
+
+    Raises:
+        InputError: the seal is broken, or the labels are not those of the cases.
+    """
+    labels = {label["id"]: label for label in cases.labels()}
+    if set(labels) != set(cases.names):
+        raise InputError(f"{cases.root}: labels and cases do not belong together")
+    return labels
+
+
+def score(
+    cases: CaseSet,
+    papers: Sequence[Paper],
+    labels: Labels,
+    report: Callable[[int], None] = lambda done: None,
+) -> list[Score]:
+    """Judge every paper; each case's world is played once for all of them.
+
+    Args:
+        cases: the set; labels: by case.
+        papers: complete ones.
+        report: called with the number of cases done.
+    """
+    judged: list[list[Judged]] = [[] for _ in papers]
+    for done, name in enumerate(cases.names, 1):
+        unseen = UnseenRecord(labels[name])
+        for paper, into in zip(papers, judged, strict=True):
+            kept = paper.kept[done - 1]
+            into.append(_judged(cases, paper.folder, kept, labels[name], unseen))
+        report(done)
+    return [
+        Score(paper.name, tuple(found), {m.name: m.of(found) for m in (*TARGETS, *OTHERS)})
+        for paper, found in zip(papers, judged, strict=True)
+    ]
+
+
+def _judged(
+    cases: CaseSet, folder: Path, kept: Kept, label: Mapping[str, Any], unseen: UnseenRecord
+) -> Judged:
+    nominal, improved = parameters_of(cases.folder / kept.case / NOMINAL, kept.improved)
+    truth = label["truth"]
+    history = answers_of(folder, kept.case)
+    tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
+    followed = tied and (len(history) > 1 or not asks_for_more(kept))
+    second = history[-1].answer if len(history) > 1 else None
+    return Judged(
+        Label.of(label),
+        kept.answer,
+        unseen.shrunk(nominal, improved),
+        (parameter_error(truth, nominal, nominal), parameter_error(truth, nominal, improved)),
+        moved_parameters(nominal, improved),
+        second,
+        followed,
+        kept.seconds,
+        kept.line,
+    )
+
+
+def followed_up(papers: Sequence[Paper]) -> list[Paper]:
+    """Of everyone for whom an experiment was performed, the last answers."""
+    found = []
+    for paper in papers:
+        last = tuple(answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
+        if last != paper.kept:
+            name = f"{paper.name}{FOLLOWED_UP}"
+            found.append(Paper(paper.folder, replace(paper.examination, name=name), last))
+    return found
+
+
+def _row(measure: Measure, measured: Measured) -> dict[str, Any]:
+    bounds = {"floor": measure.floor, "aim": measure.aim, "met": measure.met(measured)}
+    return {**vars(measured), **bounds, "definition": measure.definition}
+
+
+# --- Results by what was hidden: the confusion matrix, the reliability diagram, groups of cases.
+
+JOINT, OTHER, FAILED = "two effects", "other effect", "no answer"
+COLUMNS = (*STAGE_OF, JOINT, OTHER, *NO_EFFECT, FAILED)
+_ROWS = (*STAGE_OF, "pair", "none", "mild kinetics", "recalibration", "outside")
+_EDGES = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)
+_BINS = 10
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Most probable candidates stated with a probability from `low` to `high`.
+
+    Attributes:
+        n: how many; stated: their mean probability.
+        right: share that was right, with its 95 % interval right_low to right_high.
+    """
+
+    low: float
+    high: float
+    n: int
+    stated: float
+    right: float
+    right_low: float
+    right_high: float
+
+
+def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
+    """What is true (rows, as they occur) against the most probable candidate (all columns)."""
+    table: dict[str, dict[str, int]] = {}
+    for case in cases:
+        row = table.setdefault(truth_of(case), dict.fromkeys(COLUMNS, 0))
+        row[_column(case, row)] += 1
+    return {name: table[name] for name in sorted(table, key=_place)}
+
+
+def truth_of(case: Judged) -> str:
+    """Name of a case's row."""
+    if case.label.kind == "single":
+        return next(iter(case.label.names))
+    if case.label.kind == "none" and case.label.kinetics:
+        return "mild kinetics"
+    return case.label.kind
+
+
+def _place(name: str) -> int:
+    return _ROWS.index(name) if name in _ROWS else len(_ROWS)
+
+
+def _column(case: Judged, columns: Mapping[str, int]) -> str:
+    if case.first_choice is None:
+        return FAILED
+    name = case.first_choice.name
+    if name in columns:
+        return name
+    return JOINT if PAIR_SIGN in name else OTHER
+
+
+def reliability(cases: Sequence[Judged]) -> list[Bin]:
+    """Stated probability of the most probable candidate against how often it was right."""
+    stated = np.array([c.first_choice.probability for c in cases if c.first_choice])
+    right = np.array([c.first_choice_right for c in cases if c.first_choice], dtype=bool)
+    which = bin_of(stated, _BINS)
+    bins = []
+    for k in range(_BINS):
+        here = which == k
+        if here.any():
+            share = proportion(right[here].tolist())
+            bins.append(
+                Bin(k / _BINS, (k + 1) / _BINS, share.n, float(stated[here].mean()), share.value,
+                    share.low, share.high)
+            )  # fmt: skip
+    return bins
+
+
+GROUP_MEASURES: Mapping[str, Callable[[Sequence[Judged]], Measured]] = {
+    "gap seen": lambda cases: proportion([c.says_gap for c in cases]),
+    "first choice right": lambda cases: proportion([c.first_choice_right for c in cases]),
+    "90 % set holds the truth": lambda cases: proportion([c.set_holds_truth for c in cases]),
+    "probability of the truth": lambda cases: mean([c.truth_probability for c in cases]),
+    "confident and wrong": lambda cases: proportion([c.confident_and_wrong for c in cases]),
+}
+
+Groups = dict[str, dict[str, dict[str, Measured]]]
+
+
+def groups(cases: Sequence[Judged]) -> Groups:
+    """Title -> group -> measure: singles by severity, by signals and by effect; all by kind."""
+    singles = [c for c in cases if c.label.kind == "single"]
+    return {
+        "single effects by severity (gap over noise)": _by(singles, _severity),
+        "single effects by signals": _by(singles, lambda c: c.label.signals),
+        "single effects by distinguishability": _by(
+            singles, lambda c: "distinguishable" if c.label.distinguishable else "not by 5 sigma"
+        ),
+        "single effects by name": _by(singles, truth_of),
+        "all cases by kind": _by(cases, _kind),
+        "all cases by noise": _by(cases, lambda c: c.label.noise),
+    }
+
+
+def _kind(case: Judged) -> str:
+    return truth_of(case) if case.label.kind == "none" else case.label.kind
+
+
+def _severity(case: Judged) -> str:
+    k = int(np.searchsorted(_EDGES, case.label.severity, side="right")) - 1
+    if k == len(_EDGES) - 2:
+        return f"{k + 1}: above {_EDGES[k]:g}"
+    return f"{k + 1}: {_EDGES[k]:g} to {_EDGES[k + 1]:g}"
+
+
+def _by(
+    cases: Sequence[Judged], group_of: Callable[[Judged], str]
+) -> dict[str, dict[str, Measured]]:
+    split: dict[str, list[Judged]] = {}
+    for case in cases:
+        split.setdefault(group_of(case), []).append(case)
+    return {
+        group: {name: of(split[group]) for name, of in GROUP_MEASURES.items()}
+        for group in sorted(split, key=lambda name: (_place(name), name))
+    }
+
+
+# --- How numbers of the examination are printed, the same on the terminal and on pages.
+
+DASH = "–"
+MEASURE_HEADER = ("measure", "cases", "value", "95 % interval", "floor", "aim", "met")
+_SCALE = {"share": 100.0, "points": 100.0, "number": 1.0, "seconds": 1.0}
+_DIGITS = {"share": 1, "points": 1, "number": 2, "seconds": 1}
+_UNIT = {"share": " %", "points": "", "number": "", "seconds": " s"}
+_NAME_UNIT = {"points": " (points)"}
+
+
+def title(measure: Measure) -> str:
+    """Name of a row with its unit."""
+    return measure.name + _NAME_UNIT.get(measure.style, "")
+
+
+def number(measure: Measure, value: float) -> str:
+    """A value in the style of its measure; a dash for none."""
+    if not math.isfinite(value):
+        return DASH
+    digits = _DIGITS[measure.style]
+    return f"{value * _SCALE[measure.style]:.{digits}f}{_UNIT[measure.style]}"
+
+
+def interval(measure: Measure, measured: Measured) -> str:
+    """Low to high; an open end where the cases are too few for a bound."""
+    if not measured.n:
+        return DASH
+    low, high = number(measure, measured.low), number(measure, measured.high)
+    if measured.high == math.inf:
+        return f"above {low}" if math.isfinite(measured.low) else DASH
+    if measured.low == -math.inf:
+        return f"below {high}"
+    return f"{low.removesuffix(_UNIT[measure.style])} to {high}"
+
+
+def bound(measure: Measure, value: Bound) -> str:
+    """A floor or an aim."""
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        low, high = (f"{100 * v:.0f}" for v in value)
+        return f"{low} to {high} %"
+    unit, scale = _UNIT[measure.style], _SCALE[measure.style]
+    return f"{'≥' if measure.better == 'higher' else '≤'} {value * scale:g}{unit}"
+
+
+def measure_row(measure: Measure, measured: Measured) -> tuple[str, ...]:
+    """Cells of MEASURE_HEADER."""
+    return (
+        title(measure), str(measured.n), number(measure, measured.value),
+        interval(measure, measured), bound(measure, measure.floor), bound(measure, measure.aim),
+        measure.met(measured),
+    )  # fmt: skip
+
+
+# (title, header, rows)
+ResultTable = tuple[str, Sequence[str], list[tuple[str, ...]]]
+
+
+def tables(score: Score) -> list[ResultTable]:
+    """Measures (without a title), those besides, and groups of cases, of one examinee."""
+    rows = [measure_row(m, score.measured[m.name]) for m in (*TARGETS, *OTHERS)]
+    found: list[ResultTable] = [
+        ("", MEASURE_HEADER, rows[: len(TARGETS)]),
+        ("besides", MEASURE_HEADER[:4], [row[:4] for row in rows[len(TARGETS) :]]),
+    ]
+    for title, by_group in groups(score.cases).items():
+        names = list(next(iter(by_group.values()), {}))
+        lines = [
+            (group, str(row[names[0]].n),
+             *(f"{row[n].value:.2f} ({row[n].low:.2f} to {row[n].high:.2f})" for n in names))
+            for group, row in by_group.items()
+        ]  # fmt: skip
+        if lines:
+            found.append((title, ("", "cases", *names), lines))
+    return found
+
+
+def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:
+    """One row a measure: its name, and each examinee's value with its interval."""
+    return [
+        (title(m), *(f"{number(m, s.measured[m.name].value)} ({interval(m, s.measured[m.name])})"
+                     if s.measured[m.name].n else DASH for s in scores))
+        for m in measures
+    ]  # fmt: skip
+
+
+def summary(score: Score) -> str:
+    """How many floors and aims an examinee reaches, and which floors it misses."""
+    met = {m.name: m.met(score.measured[m.name]) for m in TARGETS}
+    missed = [name for name, how in met.items() if how == "missed"]
+    open_ = [name for name, how in met.items() if not how]
+    aims = sum(how == "aim" for how in met.values())
+    text = f"{score.name}: {aims} aims reached, {len(met) - len(missed) - len(open_)} of "
+    text += f"{len(met) - len(open_)} floors"
+    return text + (f"; missed: {', '.join(missed)}" if missed else "")
+
+
+def beaten(score: Score, rivals: Sequence[Score]) -> list[str]:
+    """Measures with a floor in which some rival is better than `score`."""
+    return [
+        measure.name
+        for measure in TARGETS
+        if any(_outdoes(measure, rival, score) for rival in rivals)
+    ]
+
+
+def _outdoes(measure: Measure, rival: Score, score: Score) -> bool:
+    mine, theirs = score.measured[measure.name], rival.measured[measure.name]
+    if not mine.n or not theirs.n or not measure.better_than(theirs.value, mine.value):
+        return False
+    condition = next((m for m in TARGETS if m.name == measure.given), None)
+    if condition is None:
+        return True
+    here, there = (s.measured[condition.name].value for s in (score, rival))
+    return not condition.better_than(here, there)

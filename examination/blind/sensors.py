@@ -1,0 +1,320 @@
+"""The bench's instruments: converters, an infrared camera, a range sensor, and their noise."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from examination.blind.reality import Outcome, World
+from sma_bench.records import Signal
+
+# --- What a sensor adds of its own: white, coloured and drifting noise.
+
+Array = npt.NDArray[np.float64]
+
+# Noise model -> lowest and highest (share of the variance that is correlated), and the same of its
+# correlation time in s.
+# "coloured" is a filtered or mains-ridden amplifier, "drift" one that warms up and wanders.
+NOISE_MODELS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
+    "white": ((0.0, 0.0), (1.0, 1.0)),
+    "coloured": ((0.4, 0.95), (0.1, 1.5)),
+    "drift": ((0.08, 0.3), (8.0, 40.0)),
+}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Stationary noise: a white part, and an AR(1) part of exponential correlation.
+
+    Attributes:
+        std: of both parts together, in the unit of the signal.
+        share: of the variance that is correlated, 0 to 1.
+        correlation_time: s, in which the correlation falls to 1/e.
+    """
+
+    std: float
+    share: float = 0.0
+    correlation_time: float = 1.0
+
+    @classmethod
+    def of_model(cls, noise_model: str, std: float, rng: np.random.Generator) -> "Noise":
+        """Noise of one of NOISE_MODELS, its share and time drawn from the ranges given there."""
+        (least, most), (fastest, slowest) = NOISE_MODELS[noise_model]
+        time = float(np.exp(rng.uniform(np.log(fastest), np.log(slowest))))
+        return cls(std, float(rng.uniform(least, most)), time)
+
+    def draw(self, n: int, period: float, rng: np.random.Generator) -> Array:
+        """(n,) noise at samples `period` s apart, stationary from the first one on."""
+        white, driving = rng.standard_normal((2, n))
+        rho = np.exp(-period / self.correlation_time)
+        driving[1:] *= np.sqrt(1.0 - rho**2)
+        correlated = lfilter([1.0], [1.0, -rho], driving)
+        mixed = np.sqrt(1.0 - self.share) * white + np.sqrt(self.share) * correlated
+        return np.asarray(self.std * mixed)
+
+    def whiten_means(self, means: Array, width: float, samples: float) -> Array:
+        """Means over windows side by side, filtered so that their noise is white with std 1.
+
+        Means of white noise plus an AR(1) process are an ARMA(1,1) process: its innovations are
+        what this returns, for a process that was quiet before the first window.
+
+        Args:
+            means: (n,) of the windows.
+            width: of a window in s.
+            samples: in a window.
+        """
+        ratio = width / self.correlation_time
+        rho = float(np.exp(-ratio))
+        # Variance of the means, and covariance of neighbours: the correlation integrated twice.
+        variance = 2.0 * (ratio - 1.0 + rho) / ratio**2
+        neighbours = (1.0 - rho) ** 2 / ratio**2
+        variance = self.share * variance + (1.0 - self.share) / samples
+        neighbours = self.share * neighbours
+        # x_t - rho x_(t-1) is e_t + moving e_(t-1).
+        own = (1.0 + rho**2) * variance - 2.0 * rho * neighbours
+        next_one = neighbours - rho * variance
+        moving = 2.0 * next_one / (own + np.sqrt(max(own**2 - 4.0 * next_one**2, 0.0)))
+        innovation = np.sqrt(own / (1.0 + moving**2))
+        filtered = lfilter([1.0, -rho], [1.0, moving], means)
+        return np.asarray(filtered / (self.std * innovation))
+
+
+# --- The bench's instruments: an Arduino's 10-bit converters, an infrared camera, a range sensor.
+#
+# What happens (an Outcome of the reality) becomes readings, by the physics of the instruments,
+# and readings become signals, by sampling, noise and resolution.
+
+QUANTITIES = ("voltage", "current", "temperature", "deflection")
+UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
+# 5 V in 1024 counts; the current through an amplifier of 1 V/A; the camera's tenth of a degree on
+# the Celsius scale; the range sensor's digits.
+RESOLUTION = {"voltage": 5 / 1024, "current": 5 / 1024, "temperature": 0.1, "deflection": 5e-6}
+_CELSIUS_ZERO = 273.15
+# The signal of a camera at 8 to 14 um grows like this power of the temperature around 330 K.
+RADIANCE_EXPONENT = 4.5
+# From the stamp to the recorder, s: serial line, image processing, serial line.
+_DELAY = {"power": 0.002, "temperature": 0.006, "joint_states": 0.003}
+_DELAY_SPREAD = 0.0003
+_LARGEST_JITTER = 0.4  # of the period: stamps stay in order
+_DRIFT_TERMS = 3
+_SHUTTER_PERIOD = (12.0, 40.0)  # s between two flags of the camera
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """One set of instruments.
+
+    Attributes:
+        noise: by quantity (voltage: white and only while driven).
+        power_rate, camera_rate, mechanics_rate: Hz.
+        jitter: std of the sampling instants, s.
+        dropout: part of the messages that never arrive.
+        camera_clock: the camera's stamps are late by this many s.
+        seed: of shapes that are a matter of the rig, not of a record: drift, shutter.
+    """
+
+    noise: Mapping[str, Noise]
+    power_rate: float = 50.0
+    camera_rate: float = 25.0
+    mechanics_rate: float = 50.0
+    jitter: float = 0.0009
+    dropout: float = 0.01
+    camera_clock: float = 0.0
+    seed: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary for a label."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """What `to_json` wrote."""
+        noise = {quantity: Noise(**values) for quantity, values in document["noise"].items()}
+        return cls(**{**document, "noise": noise})
+
+    def std(self, quantity: str) -> float:
+        """Noise and rounding of a quantity together."""
+        return float(np.hypot(self.noise[quantity].std, RESOLUTION[quantity] / np.sqrt(12.0)))
+
+    def rate(self, quantity: str) -> float:
+        """Hz at which a quantity is read."""
+        rates = {"temperature": self.camera_rate, "deflection": self.mechanics_rate}
+        return rates.get(quantity, self.power_rate)
+
+
+def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Array]:
+    """What perfect samples of the instruments' readings would be, without noise.
+
+    Args:
+        outcome: on a uniform grid of n times and w wires.
+        world: for what its instruments do wrong.
+        sensors: for the clock and the shapes of drift and shutter.
+
+    Returns:
+        voltage, current, temperature (n, w) and deflection (n,), in SI units, by their stamps.
+    """
+    return {
+        "voltage": outcome.voltage,
+        "current": outcome.current,
+        "temperature": _temperature(outcome, world, sensors),
+        "deflection": _deflection(outcome, world, sensors),
+    }
+
+
+def _temperature(outcome: Outcome, world: World, sensors: Sensors) -> Array:
+    """Radiance of wire and surroundings in the spot, through the camera's own lag."""
+    fill, lag = world.feature("spot_fill"), world.feature("camera_lag")
+    seen = outcome.temperature
+    if fill < 1.0:
+        wire, beside = seen**RADIANCE_EXPONENT, outcome.surface**RADIANCE_EXPONENT
+        seen = (fill * wire + (1.0 - fill) * beside) ** (1.0 / RADIANCE_EXPONENT)
+    seen = _lagged(seen, outcome.time, lag)
+    seen = _delayed(seen, outcome.time, sensors.camera_clock)
+    steps = world.feature("shutter_steps")
+    return seen + steps * shutter_offset(outcome.time, sensors.seed)[:, None] if steps else seen
+
+
+def _lagged(values: Array, time: Array, lag: float) -> Array:
+    """(n, w) through a first-order lag that rests at the first value."""
+    if lag <= 0.0:
+        return values
+    rho = np.exp(-(time[1] - time[0]) / lag)
+    start = rho * values[:1]
+    return np.asarray(lfilter([1.0 - rho], [1.0, -rho], values, axis=0, zi=start)[0])
+
+
+def _delayed(values: Array, time: Array, delay: float) -> Array:
+    if delay == 0.0:
+        return values
+    columns = [np.interp(time - delay, time, column) for column in values.T]
+    return np.column_stack(columns)
+
+
+def _deflection(outcome: Outcome, world: World, sensors: Sensors) -> Array:
+    true = outcome.deflection
+    read = true + world.feature("sensor_nonlinearity") * true**2
+    read = read + world.feature("pickup") * outcome.current.sum(axis=1)
+    drift = world.feature("deflection_drift")
+    return read + drift * drift_shape(outcome.time, sensors.seed) if drift else read
+
+
+def drift_shape(time: Array, seed: int) -> Array:
+    """(n,) smooth wandering from 0, at most 1 in magnitude."""
+    rng = np.random.default_rng([seed, 1])
+    terms = np.arange(1, _DRIFT_TERMS + 1)
+    weights = rng.standard_normal(_DRIFT_TERMS) / terms
+    phase = rng.uniform(0.0, 2.0 * np.pi, _DRIFT_TERMS)
+    angles = np.pi * terms * (time[:, None] - time[0]) / (time[-1] - time[0])
+    shape = ((np.sin(angles + phase) - np.sin(phase)) * weights).sum(axis=1)
+    return np.asarray(shape / np.abs(shape).max())
+
+
+def shutter_offset(time: Array, seed: int) -> Array:
+    """(n,) offsets of about 1 that change whenever the camera closes its shutter to calibrate."""
+    rng = np.random.default_rng([seed, 2])
+    span = time[-1] - time[0]
+    instants = np.cumsum(rng.uniform(*_SHUTTER_PERIOD, int(span / _SHUTTER_PERIOD[0]) + 2))
+    levels = np.concatenate([[0.0], rng.standard_normal(len(instants))])
+    return np.asarray(levels[np.searchsorted(instants, time - time[0], side="right")])
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When one instrument was read.
+
+    Attributes:
+        time: (n,) s of every tick, by its stamps; received: (n,) s, by the recorder's clock.
+        arrived: (n,) which of the messages did.
+        period: s between ticks.
+    """
+
+    time: Array
+    received: Array
+    arrived: npt.NDArray[np.bool_]
+    period: float
+
+
+def clocks(
+    duration: float, sensors: Sensors, channels: tuple[str, ...], rng: np.random.Generator
+) -> dict[str, Clock]:
+    """The clock of every topic, `front_1/power` say, of a record from 0 to `duration` s."""
+    topics = {f"{channel}/power": sensors.power_rate for channel in channels}
+    topics |= {f"{channel}/temperature": sensors.camera_rate for channel in channels}
+    topics["joint_states"] = sensors.mechanics_rate
+    return {topic: _clock(topic, duration, rate, sensors, rng) for topic, rate in topics.items()}
+
+
+def _clock(
+    topic: str, duration: float, rate: float, sensors: Sensors, rng: np.random.Generator
+) -> Clock:
+    period, kind = 1.0 / rate, topic.rpartition("/")[2]
+    n = int(duration * rate)
+    jitter = sensors.jitter * rng.standard_normal(n)
+    jitter = np.clip(jitter, -_LARGEST_JITTER * period, _LARGEST_JITTER * period)
+    time = (np.arange(n) + rng.uniform(0.4, 0.6)) * period + jitter
+    arrived = rng.random(n) >= sensors.dropout
+    # A camera whose clock is late has stamped its images that much later than the recorder.
+    late = sensors.camera_clock if kind == "temperature" else 0.0
+    received = time - late + _DELAY[kind] + rng.exponential(_DELAY_SPREAD, n)
+    return Clock(time, received, arrived, period)
+
+
+def measure(
+    outcome: Outcome,
+    world: World,
+    sensors: Sensors,
+    channels: tuple[str, ...],
+    rng: np.random.Generator,
+    quantities: tuple[str, ...] = QUANTITIES,
+) -> list[Signal]:
+    """Signals of the contract as this set of instruments would record them.
+
+    Args:
+        outcome: on a uniform grid from 0; voltage and current hold their value until the next
+            time.
+        world: for what its instruments do wrong.
+        sensors: the instruments.
+        channels: (w,) names of the wires.
+        rng: the clocks and the noise of this record.
+        quantities: that are recorded at all; the voltages always.
+    """
+    clean = readings(outcome, world, sensors)
+    ticks = clocks(float(outcome.time[-1]), sensors, channels, rng)
+    signals = []
+    for wire, channel in enumerate(channels):
+        for quantity in ("voltage", "current", "temperature"):
+            power = quantity != "temperature"
+            clock = ticks[f"{channel}/power" if power else f"{channel}/temperature"]
+            sample = _held if power else np.interp
+            values = np.asarray(sample(clock.time, outcome.time, clean[quantity][:, wire]))
+            read = _read(quantity, values, clock, sensors, rng)
+            if quantity == "voltage":  # a converter reads no less than 0, and 0 when off
+                read = np.where(values > 0.0, np.maximum(read, 0.0), 0.0)
+            signals.append(_signal(f"{channel}.{quantity}", quantity, clock, read))
+    clock = ticks["joint_states"]
+    values = np.interp(clock.time, outcome.time, clean["deflection"])
+    read = _read("deflection", values, clock, sensors, rng)
+    name = "deflection" if world.load in ("beam", "antagonist") else "elongation"
+    signals.append(_signal(name, "deflection", clock, read))
+    kept = ("voltage", *quantities, *(["elongation"] if "deflection" in quantities else []))
+    return [s for s in signals if s.name.rpartition(".")[2] in kept]
+
+
+def _held(at: Array, time: Array, values: Array) -> Array:
+    return np.asarray(values[np.searchsorted(time, at, side="right") - 1])
+
+
+def _read(
+    quantity: str, values: Array, clock: Clock, sensors: Sensors, rng: np.random.Generator
+) -> Array:
+    noisy = values + sensors.noise[quantity].draw(len(values), clock.period, rng)
+    step, zero = RESOLUTION[quantity], _CELSIUS_ZERO if quantity == "temperature" else 0.0
+    return np.asarray(np.rint((noisy - zero) / step) * step + zero)
+
+
+def _signal(name: str, quantity: str, clock: Clock, values: Array) -> Signal:
+    kept = clock.arrived
+    return Signal(name, UNITS[quantity], clock.time[kept], values[kept], clock.received[kept])

@@ -1,0 +1,342 @@
+"""How large a case's effects are, and whether another explanation could look the same."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from examination.blind.case_files import RECALIBRATION
+from examination.blind.cases import (
+    EFFECTS,
+    NUISANCE_LIMIT,
+    OUTSIDE,
+    QUANTITIES,
+    Case,
+    Draw,
+    Move,
+    Symptom,
+    amount_for,
+    draw,
+    possible,
+)
+from examination.blind.reality import BY_NAME
+from examination.blind.rigs import (
+    BACK,
+    COARSE,
+    COMMAND_PERIOD,
+    FRONT,
+    RECORDS,
+    Stage,
+    gaps,
+    largest,
+    quantity_of,
+    recalibrated,
+    stated_std,
+)
+from sma_bench.parameters.parameters import load_kind
+
+Array = npt.NDArray[np.float64]
+
+Features = Mapping[str, float]
+ALL_QUANTITIES = QUANTITIES["all"]
+# Features that a mildly different kinetics moves together, at amount 1.
+MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
+_SHRINK = 0.8
+_TRIALS = 8
+
+
+@dataclass(frozen=True)
+class Sized:
+    """What a case's world holds.
+
+    Attributes:
+        base: features of the rig without what is hidden: nuisances (and mild kinetics).
+        features: with all that is hidden.
+        draws, amounts: by effect.
+        nuisance_gap, kinetics_gap: measured, the largest of both records.
+    """
+
+    base: dict[str, float]
+    features: dict[str, float]
+    draws: dict[str, Draw]
+    amounts: dict[str, float]
+    nuisance_gap: float
+    kinetics_gap: float
+
+    def without(self, effect: str) -> dict[str, float]:
+        """Features of a world in which this one effect is not there."""
+        features = dict(self.base)
+        for name, drawn in self.draws.items():
+            if name != effect:
+                features = drawn.features(features, self.amounts[name])
+        return features
+
+
+def size(case: Case, stage: Stage) -> Sized:
+    """Find the features of a case: nuisances below their limit, effects at their targets."""
+    little, nuisance_gap = _nuisances(case, stage)
+    base, kinetics_gap = dict(little), 0.0
+    if case.card.mild_kinetics:
+        base = _mild_kinetics(case, stage, little)
+        kinetics_gap = measured(stage, base, little)
+    rng = case.stream("effect")
+    features, draws, amounts = dict(base), {}, {}
+    for name, target in zip(case.card.effects, case.card.targets, strict=True):
+        drawn = draw({**EFFECTS, **OUTSIDE}[name], rng, stage.peak_current())
+        natural = drawn.natural(rng)
+        amount = natural
+        if target is not None:
+            amount = _amount(case, stage, base, drawn, natural, target)
+        features = drawn.features(features, amount)
+        draws[name], amounts[name] = drawn, amount
+    return Sized(base, features, draws, amounts, nuisance_gap, kinetics_gap)
+
+
+def measured(
+    stage: Stage,
+    features: Features,
+    other: Features,
+    quantities: tuple[str, ...] = ALL_QUANTITIES,
+    fine: float = 1.0,
+) -> float:
+    """Gap over noise between two worlds: the largest over signals and records."""
+    found = 0.0
+    for record in RECORDS:
+        one, two = (stage.read(f, record, fine) for f in (features, other))
+        found = max(found, largest(gaps(one, two, stage.sensors, quantities)))
+    return found
+
+
+def _amount(
+    case: Case, stage: Stage, base: Features, drawn: Draw, start: float, target: float
+) -> float:
+    quantities = QUANTITIES[case.card.signals]
+
+    def gap(amount: float) -> float:
+        return measured(stage, drawn.features(base, amount), base, quantities, COARSE)
+
+    return amount_for(drawn, target, gap, start)
+
+
+def _nuisances(case: Case, stage: Stage) -> tuple[dict[str, float], float]:
+    """The rig's nuisances at their wanted gap, and the gap that both records measure."""
+    wanted, scale = case.nuisance_gap, 1.0
+    for trial in range(_TRIALS):
+        features = {name: scale * value for name, value in case.nuisances.items()}
+        fine = COARSE if trial == 0 else 1.0
+        reached = measured(stage, features, {}, fine=fine)
+        if trial and reached <= NUISANCE_LIMIT:
+            return features, reached
+        # The gap grows with the scale or its square: down by the root stays above nothing.
+        scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
+    return {}, 0.0
+
+
+def _mild_kinetics(case: Case, stage: Stage, base: Features) -> dict[str, float]:
+    """The base with a transformation smoother by the wanted gap."""
+    rng = case.stream("effect")
+    parts = {name: value * rng.uniform(0.3, 1.0) for name, value in MILD_KINETICS.items()}
+
+    def features(amount: float) -> dict[str, float]:
+        added = {name: base.get(name, 0.0) + amount * part for name, part in parts.items()}
+        return {**base, **added, "kinetics_smoothness": min(added["kinetics_smoothness"], 1.0)}
+
+    amount = 1.0
+    for _ in range(3):
+        reached = measured(stage, features(amount), base, fine=COARSE)
+        # Smoothing acts by its variance: the gap grows between the first and second power.
+        amount *= float(np.clip((case.mild_gap / reached) ** 0.7, 0.2, 3.0))
+    return features(amount)
+
+
+def readings_of(stage: Stage, features: Features) -> dict[str, dict[str, Array]]:
+    """Noise-free readings of both records."""
+    return {record: stage.read(features, record) for record in RECORDS}
+
+
+def rounded(gap: Mapping[str, float]) -> dict[str, Any]:
+    """Gaps as a label keeps them."""
+    return {name: round(value, 4) for name, value in gap.items()}
+
+
+# --- Could another explanation look the same? Measured with the reality's own sensitivities.
+#
+# The difference that an effect makes is whitened by the true noise and compared with every rival:
+# each other effect of the contract, refitted in size and shape, and wrong parameters alone, the
+# parameters being refitted under their stated uncertainty each time. What no refit takes away, in
+# standard deviations, is the distance to that rival.
+
+# Squared distance above which two explanations are distinguishable: five standard deviations.
+DISTINCT = 25.0
+_WINDOW = 10  # samples of 20 ms to a mean: 5 Hz
+_STEP = 0.5  # stated standard deviations
+_TINY = 1e-12
+_SHAPES = (0.25, 0.75)  # places within the range of a setting
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Distances of a case's difference from its rivals, in standard deviations."""
+
+    distances: Mapping[str, float]
+
+    @property
+    def rival(self) -> str:
+        """The explanation that comes closest."""
+        return min(self.distances, key=lambda name: self.distances[name])
+
+    @property
+    def distance(self) -> float:
+        """Of the closest rival."""
+        return self.distances[self.rival]
+
+    @property
+    def distinguishable(self) -> bool:
+        """Whether every rival is out of reach."""
+        return self.distance**2 > DISTINCT
+
+    def to_json(self) -> dict[str, Any]:
+        """As a label keeps it."""
+        distances = {name: round(value, 3) for name, value in self.distances.items()}
+        return {"rival": self.rival, "distance": round(self.distance, 3), "distances": distances}
+
+
+def separation(
+    stage: Stage,
+    base: Features,
+    truth: Mapping[str, Mapping[str, Array]],
+    without: Mapping[str, Mapping[str, Array]],
+    quantities: tuple[str, ...],
+    own: str = "",
+) -> Separation:
+    """Distances of one difference from every rival explanation.
+
+    Args:
+        stage: the rig and its drives.
+        base: its features without the effect.
+        truth, without: noise-free readings by record, with and without what is hidden.
+        quantities: that the records hold.
+        own: the effect itself, no rival of its own; "" where all are rivals.
+    """
+    whitener = _Whitener(stage, quantities)
+    origin = {record: stage.read(base, record, COARSE) for record in RECORDS}
+    difference = whitener(truth, without)
+    sensitivities = _parameter_columns(stage, base, origin, whitener)
+    prior = np.vstack([sensitivities, np.eye(sensitivities.shape[1])])
+    free = np.linalg.qr(prior)[0]
+
+    def beyond_parameters(columns: Array) -> Array:
+        """What a refit of the parameters under their uncertainty leaves of (m, k) columns."""
+        padded = np.vstack([columns, np.zeros((prior.shape[1], columns.shape[1]))])
+        return padded - free @ (free.T @ padded)
+
+    rest = beyond_parameters(difference[:, None])[:, 0]
+    distances = {RECALIBRATION: float(np.linalg.norm(rest))}
+    load = load_kind(stage.truth)
+    for name in possible(EFFECTS, load):
+        symptom = EFFECTS[name]
+        if name != own and any(q in quantities for q in _shown_by(symptom)):
+            columns = _effect_columns(symptom, stage, base, origin, whitener)
+            distances[name] = _left_over(rest, beyond_parameters(columns), symptom)
+    return Separation(distances)
+
+
+def _shown_by(symptom: Symptom) -> tuple[str, ...]:
+    return ("deflection", "current", "temperature") if symptom.in_deflection else ("temperature",)
+
+
+def _left_over(rest: Array, columns: Array, symptom: Symptom) -> float:
+    """Norm of what the columns cannot explain, those of one direction in that direction only."""
+    if columns.shape[1] == 1:
+        square = float(np.sum(columns**2))
+        size = float(columns[:, 0] @ rest) / max(square, _TINY)
+        if symptom.signs in ((1,), (-1,)):
+            size = max(size, 0.0)
+        return float(np.linalg.norm(rest - size * columns[:, 0]))
+    basis, spread, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, spread > spread[0] * _TINY]
+    return float(np.linalg.norm(rest - basis @ (basis.T @ rest)))
+
+
+class _Whitener:
+    """Differences of readings as one vector with unit white noise."""
+
+    def __init__(self, stage: Stage, quantities: tuple[str, ...]) -> None:
+        self.quantities = quantities
+        self._sensors = stage.sensors
+
+    def __call__(
+        self, one: Mapping[str, Mapping[str, Array]], other: Mapping[str, Mapping[str, Array]]
+    ) -> Array:
+        """(m,) of all windows of all signals of both records."""
+        parts = []
+        for record in RECORDS:
+            for name in sorted(one[record]):
+                quantity = quantity_of(name)
+                if quantity in self.quantities:
+                    means = _means(one[record][name] - other[record][name])
+                    parts.append(self._whitened(quantity, means))
+        return np.concatenate(parts)
+
+    def _whitened(self, quantity: str, means: Array) -> Array:
+        sensors, width = self._sensors, _WINDOW * COMMAND_PERIOD
+        samples = sensors.rate(quantity) * width * (1.0 - sensors.dropout)
+        # Rounding is noise like the rest; that it is white makes next to no difference.
+        noise = replace(sensors.noise[quantity], std=sensors.std(quantity))
+        return noise.whiten_means(means, width, samples)
+
+
+def _means(values: Array) -> Array:
+    n = len(values) // _WINDOW
+    return np.asarray(values[: n * _WINDOW].reshape(n, _WINDOW).mean(axis=1))
+
+
+Origin = Mapping[str, Mapping[str, Array]]
+
+
+def _parameter_columns(
+    stage: Stage, base: Features, origin: Origin, whitener: _Whitener
+) -> Array:
+    """(m, p) differences that one stated standard deviation of each parameter makes."""
+    columns = []
+    for name in recalibrated(load_kind(stage.truth)):
+        step = _STEP * stated_std(name, stage.truth[name])
+        twins = (FRONT, BACK) if name == FRONT else (name,)
+        moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
+        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}
+        columns.append(whitener(changed, origin) / _STEP)
+    return np.column_stack(columns)
+
+
+def _effect_columns(
+    symptom: Symptom, stage: Stage, base: Features, origin: Origin, whitener: _Whitener
+) -> Array:
+    """(m, k) differences that each of the effect's features makes, in each of its shapes."""
+    columns = []
+    for features in _varieties(symptom, base):
+        changed = {record: stage.read(features, record, COARSE) for record in RECORDS}
+        columns.append(whitener(changed, origin))
+    return np.column_stack(columns)
+
+
+def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
+    """Worlds with one feature of the effect, at the small end of its natural size."""
+    amount = symptom.signs[0] * symptom.natural[0]
+    shapes: list[dict[str, float]] = [
+        {s.feature: s.low * (s.high / s.low) ** share for s in symptom.settings}
+        for share in (_SHAPES if symptom.settings else _SHAPES[:1])
+    ]
+    for k, move in enumerate(symptom.moves):
+        for shape in shapes if k == 0 else shapes[:1]:
+            yield {**base, **shape, move.feature: _moved(move, base, amount)}
+
+
+def _moved(move: Move, base: Features, amount: float) -> float:
+    feature = BY_NAME[move.feature]
+    before = base.get(move.feature, feature.off)
+    weight = max(move.weight, key=abs)
+    if move.factor:
+        return before * float(np.exp(amount * weight))
+    return float(np.clip(before + amount * weight, feature.low, feature.high))

@@ -1,0 +1,175 @@
+"""A disk that fills up: one line, what was written stays readable, good files stay good."""
+
+import contextlib
+import io
+import json
+import os
+import random
+import resource
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from examination.campaign.outcome import Outcome
+from sma_bench.cli import main as sma_bench
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.records import Signal, read_record
+from sma_bench.records.bag_writer import BagWriter
+from sma_bench.records.messages import streams_of
+
+_SMALLEST, _LARGEST = 30_000, 600_000
+_PER_FLUSH = 40
+_MANY = 200_000
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path, size: int) -> Iterator[str]:
+    """`folder` with room for about `size` bytes, and what it is: a file system where this process
+    may mount one, else a limit on the size of a file."""
+    folder.mkdir(parents=True)
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "sma_bench_full_disk", str(folder)]
+    root = os.geteuid() == 0 and shutil.which("mount") is not None
+    if root and subprocess.run(command, capture_output=True, check=False).returncode == 0:
+        try:
+            yield "tmpfs"
+        finally:
+            subprocess.run(["umount", "-l", str(folder)], check=True)
+            folder.rmdir()
+        return
+    before, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield "limit on files"
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, hard))
+        shutil.rmtree(folder)
+
+
+def full_disk(size: int, seed: int, folder: Path) -> list[Outcome]:
+    """Fill `size` disks of random sizes with a bag, and as many with each command's files."""
+    rng = random.Random(seed)
+    bags, commands = [], []
+    for number in range(size):
+        with small_disk(folder / f"bag_{number}", rng.randrange(_SMALLEST, _LARGEST)) as disk:
+            kind = disk
+            bags.append(_fill_with_a_bag(folder / f"bag_{number}" / "bag"))
+        for command in _COMMANDS:
+            with small_disk(folder / f"out_{number}", rng.randrange(1, 4) * 4096):
+                commands.append(_fill_with(command, folder / f"out_{number}"))
+    return [
+        _outcome(f"recorder's bag fills the disk ({kind})", bags),
+        _outcome(f"{', '.join(_COMMANDS)}, parameter file ({kind})", commands),
+    ]
+
+
+def _fill_with_a_bag(path: Path) -> str:
+    """What went wrong, or ""."""
+    time = np.arange(_MANY) * 0.01
+    noise = np.random.default_rng(0).normal(300.0, 10.0, _MANY)
+    signal = Signal("wire.temperature", "K", time, noise)
+    (stream,) = streams_of({signal.name: signal}, "/bench/", 10**18)
+    safe = 0
+    try:
+        bag = BagWriter(path, flush_every=float("inf"))
+        bag.add_topic(stream.topic, stream.type)
+        for number, (stamp, blob) in enumerate(zip(stream.received, stream.blobs, strict=True)):
+            bag.write(stream.topic, int(stamp), blob)
+            if number % _PER_FLUSH == _PER_FLUSH - 1:
+                bag.flush()
+                safe = number + 1
+    except InputError as error:
+        if "\n" in str(error) or "cannot be written" not in str(error):
+            return f"says {error!s:.80}"
+    except Exception as error:  # that is what is looked for
+        return f"{type(error).__name__}: {error}"
+    else:
+        return "the disk never filled"
+    finally:
+        with contextlib.suppress(InputError, UnboundLocalError):
+            bag.close()
+    try:
+        found = read_record(path)["wire.temperature"].values
+    except InputError as error:
+        return f"{safe} messages were flushed, but: {error}" if safe else ""
+    if len(found) < safe or (np.abs(found[:safe] - noise[:safe]) > 1e-9).any():
+        return f"{safe} messages were flushed, {len(found)} are read"
+    return ""
+
+
+# Commands that write more than these disks hold, with the option that says where.
+_COMMANDS = {
+    "simulate": ["simulate", "--params", "{params}", "--protocol", "quick_ramp", "--out", "{out}"],
+    "simulate --json": ["simulate", "--protocol", "quick_ramp", "--out", "{bag}", "--json",
+                        "{out}", "--force"],
+    "write": [],
+}  # fmt: skip
+
+
+def _fill_with(command: str, disk: Path) -> str:
+    """What went wrong, or "": a command's file or bag on a full disk, over a good file."""
+    good = disk / "good"
+    good.write_text("good")
+    _fill(disk / "ballast")
+    beside = disk.parent / f"{disk.name}_beside"
+    shutil.rmtree(beside, ignore_errors=True)
+    beside.mkdir()
+    params = beside / "params.yaml"
+    write_parameters(params, Parameters.defaults())
+    if not _COMMANDS[command]:
+        try:
+            write_parameters(good, Parameters.defaults())
+        except InputError as error:
+            said, status = str(error), 2
+        else:
+            said, status = "", 0
+        return _judge(command, status, said, disk)
+    out = good if "--json" in command else disk / "bag"
+    names = {"params": params, "bag": beside / "bag", "out": out}
+    errors = io.StringIO()
+    arguments = [part.format(**names) for part in _COMMANDS[command]]
+    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            status = sma_bench(arguments)
+        except SystemExit as error:
+            status = int(error.code or 0)
+        except Exception as error:  # that is what is looked for
+            return f"{command}: {type(error).__name__}: {error}"
+    return _judge(command, status, errors.getvalue(), disk)
+
+
+def _fill(ballast: Path) -> None:
+    """Take what room the disk has left; with a limit on files there is no need."""
+    with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        for _ in range(1000):
+            file.write(bytes(4096))
+
+
+def _judge(command: str, status: int, said: str, disk: Path) -> str:
+    if any(f"/{disk.name}/" in path for path in _open_files()):
+        return f"{command}: leaves a file open"
+    # What takes its time says how far it is.
+    lines = [line for line in said.splitlines() if "cannot" in line or "Error" in line]
+    if status != 2 or len(lines) != 1:
+        return f"{command}: status {status}, says {json.dumps(said[-200:])}"
+    if (disk / "good").read_text() != "good":
+        return f"{command}: the good file is damaged"
+    left = sorted(p.name for p in disk.iterdir() if p.name not in ("good", "ballast", "bag"))
+    return f"{command}: leaves {', '.join(left)}" if left else ""
+
+
+def _open_files() -> list[str]:
+    found = []
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            found.append(os.readlink(link))
+    return found
+
+
+def _outcome(what: str, wrong: list[str]) -> Outcome:
+    failures = sorted({text for text in wrong if text})
+    found = f"failed {sum(map(bool, wrong))}" + "".join(f"; {text}" for text in failures[:3])
+    return Outcome("disk", what, len(wrong), found, "failed 0", not failures)

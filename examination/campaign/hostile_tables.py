@@ -1,0 +1,317 @@
+"""Tables of other loggers that keep their format's rules and are made to harm: text, spreadsheets,
+MATLAB, HDF5 and Parquet, with the rig files and maps beside them that `import` takes."""
+
+import io
+import random
+import re
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from examination.campaign.parser_seeds import PARAMETERS
+
+ROWS = 60
+TITLES = (
+    "time [s]", "t", "Zeit (s)", "voltage [V]", "duty [%]", "current (A)", "temperature [degC]",
+    "position [mm]", "force [N]", "=1+1", "\x1b[2J", "<script>", "x" * 3000, "", "caf\xe9", "a\tb",
+    "time [s]", "Spannung; V", "$m_1$", "u/V", "@SUM(A1)", "\u202eV", "units", "name",
+)  # fmt: skip
+CELLS = (
+    "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "9" * 400, "1" * 5000 + "x", "=1+1", "",
+    "=cmd|' /C calc'!A1", "\x1b]0;owned\x07", "\ud800", "\0", "\r", "\n", '"', "12:00:60",
+    "9999-12-31 23:59:59", "0001-01-01", "1,5", "1.5.5", "x" * 5000, "-", "TRUE", "#DIV/0!",
+    "2020-13-45", "25:00:00", "1_000", "\uff11", "0x10",
+)  # fmt: skip
+_MAP: dict[str, Any] = {
+    "time": {"time [s]": "s"}, "supply_voltage": 12.0, "lever": 0.1,
+    "signals": [
+        {"signal": "wire.voltage", "column": "voltage [V]", "unit": "V", "clock": "time [s]",
+         "scale": 1.0, "offset": 0.0, "sign": 1, "reference": "none", "form": "rms"},
+        {"signal": "wire.temperature", "column": "temperature [degC]", "unit": "degC",
+         "clock": "time [s]", "sign": 1, "reference": "none"},
+    ],
+    "ignored": ["x"],
+}  # fmt: skip
+_XML = '<?xml version="1.0" encoding="UTF-8"?>'
+_OPEN = "http://schemas.openxmlformats.org"
+_MAIN = f"{_OPEN}/spreadsheetml/2006/main"
+_BOMB = (
+    '<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">'
+    + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9)) + "]>"
+)
+_FILE = '<!DOCTYPE b [<!ENTITY a8 SYSTEM "file:///etc/passwd">]>'
+
+
+def columns(rng: random.Random, rows: int = ROWS) -> dict[str, np.ndarray]:
+    """A good table: a drive, what it did, and now and then what no sensor says."""
+    time = np.arange(rows) * 0.1
+    voltage = np.where((time > 1.0) & (time < 3.0), 5.0, 0.0)
+    found = {"time [s]": time, "voltage [V]": voltage, "temperature [degC]": 23.0 + voltage}
+    if rng.random() < 0.5:  # the harm is in the file's format, or in what lies beside it
+        return found
+    if rng.random() < 0.3:  # which `import` asks about
+        found["position [mm]"] = 12.0 + 0.1 * voltage
+    for title in rng.sample(TITLES, rng.choice((0, 1, 4))):
+        found[title] = time if rng.random() < 0.5 else voltage
+    if rng.random() < 0.6:
+        chosen = found[rng.choice(list(found))] = found[rng.choice(list(found))].copy()
+        odd = (np.nan, np.inf, -1.0, 1e308, 1e18, 5e-324, 0.0)
+        chosen[rng.randrange(rows) :: rng.choice((1, 2, 100))] = rng.choice(odd)
+    if rng.random() < 0.2:
+        rng.shuffle(titles := list(found))
+        found = {title: found[title] for title in titles}
+    return found
+
+
+def text_table(rng: random.Random) -> tuple[str, bytes]:
+    """Cells of anything, ragged rows, mixed separators and encodings."""
+    found = columns(rng)
+    separator = rng.choice((",", ";", "\t", " ", ", "))
+    rows = [list(found), *([f"{v:.9g}" for v in row] for row in np.column_stack([*found.values()]))]
+    for _ in range(rng.choice((0, 0, 1, 5))):
+        row = rows[rng.randrange(len(rows))]
+        row[rng.randrange(len(row))] = rng.choice(CELLS)
+    shape = rng.choice(("plain", "plain", "plain", "ragged", "wide", "long", "above"))
+    if shape == "ragged":
+        rows[rng.randrange(len(rows)) :] = [["1"] * rng.choice((0, 1, 7, 3000))] * 3
+    elif shape == "wide":
+        rows = [row * rng.choice((300, 1100)) for row in rows]
+    elif shape == "long":
+        rows += rows[1:] * 300
+    elif shape == "above":
+        rows[:0] = [[rng.choice(CELLS)] * rng.choice((1, 2, 40)) for _ in range(30)]
+    text = rng.choice(("\n", "\n", "\r\n", "\r")).join(separator.join(row) for row in rows)
+    encoding = rng.choice(("utf-8", "utf-8", "utf-8-sig", "utf-16", "latin-1"))
+    return "table.csv", text.encode(encoding, "replace")
+
+
+# --- Excel ----------------------------------------------------------------------------------------
+
+
+def _cell(reference: str, content: str) -> str:
+    """One cell: a number, else a text in it."""
+    if content.replace(".", "", 1).isdigit():
+        return f'<c r="{reference}"><v>{content}</v></c>'
+    shown = "".join(c for c in content if c.isprintable())
+    shown = shown.replace("&", "&amp;").replace("<", "&lt;")
+    return f'<c r="{reference}" t="inlineStr"><is><t>{shown}</t></is></c>'
+
+
+_CELLS = (
+    '<c r="XFD1048576"><v>1</v></c>', '<c r="A1048576"><v>1</v></c>', '<c r="A0"><v>1</v></c>',
+    '<c r="ZZZZ9"><v>1</v></c>', "<c><v>1</v></c>", '<c r="B2" t="s"><v>99999</v></c>',
+    '<c r="B2" t="s"><v>-1</v></c>', '<c r="B2" t="d"><v>x</v></c>', '<c r="B2"><v>1e999</v></c>',
+    '<c r="B2"><f>HYPERLINK("http://a","b")</f></c>', '<c r="B2"><f>1+1</f><v>2</v></c>',
+    '<c r="B2" s="1"><v>1e300</v></c>', '<c r="B2" s="1"><v>-5</v></c>', '<c r="B2" s="7"/>',
+    '<c r="B2" t="e"><v>#DIV/0!</v></c>', '<c r="B2" t="b"><v>7</v></c>', '<c r="B2" t="q"/>',
+    '<c r="B2"><v>&a8;</v></c>', '<c r="B2" s="1"><v>nan</v></c>',
+)  # fmt: skip
+
+
+def excel_table(rng: random.Random) -> tuple[str, bytes]:
+    """A workbook whose archive, dimensions, rows, styles or entities are not what they should."""
+    found = columns(rng)
+    rows = [list(found), *([f"{v:.9g}" for v in row] for row in np.column_stack([*found.values()]))]
+    lines = []
+    for k, row in enumerate(rows, 1):
+        cells = [_cell(f"{chr(65 + n)}{k}", text) for n, text in enumerate(row)]
+        if rng.random() < 0.03:
+            cells.insert(rng.randrange(len(cells) + 1), rng.choice(_CELLS))
+        lines.append(f'<row r="{k}">' + "".join(cells) + "</row>")
+    trick = rng.choice((
+        "", "", "far", "rows", "size", "entities", "bomb", "sheets", "strings", "paths", "links",
+    ))  # fmt: skip
+    if trick == "far":
+        lines.append(rng.choice((
+            '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>', '<row r="99999999999"/>',
+            '<row r="-5"><c><v>1</v></c></row>', '<row r="x"/>',
+            "".join(f'<row r="{k}"><c r="XFD{k}"><v>1</v></c></row>' for k in range(70, 700)),
+        )))  # fmt: skip
+    elif trick == "rows":
+        lines += ["<row><c><v>1</v></c><c><v>2</v></c></row>"] * rng.choice((60_000, *[2000] * 9))
+    prolog = rng.choice((_BOMB, _FILE)) if trick == "entities" else ""
+    if trick == "entities":
+        lines.append('<row r="70"><c r="A70"><v>&a8;</v></c></row>')
+    size = rng.choice(("A1:XFD1048576", "A1:ZZZZZZ9", "", "B7"))
+    sheet = (
+        f'{_XML}{prolog}<worksheet xmlns="{_MAIN}"><dimension ref="{size}"/><sheetData>'
+        + "".join(lines) + "</sheetData></worksheet>"
+    )
+    return "table.xlsx", _workbook(rng, sheet, trick)
+
+
+def _workbook(rng: random.Random, sheet: str, trick: str) -> bytes:
+    count = 300 if trick == "sheets" else 1
+    target = rng.choice(("../../../etc/passwd", "/etc/passwd", "http://a/b")) \
+        if trick == "paths" else "worksheets/sheet1.xml"  # fmt: skip
+    title = rng.choice(("Sheet", "=1+1", "\x9b2J", "s" * 2000, "../x"))
+    named = "".join(
+        f'<sheet name="{title}{k}" sheetId="{k}" r:id="r1"/>' for k in range(1, count + 1)
+    )
+    relation = f"{_OPEN}/officeDocument/2006/relationships"
+    package = f"{_OPEN}/package/2006"
+    kind = "application/vnd.openxmlformats-officedocument.spreadsheetml"
+    parts = {
+        "[Content_Types].xml": f'{_XML}<Types xmlns="{package}/content-types">'
+        f'<Override PartName="/xl/workbook.xml" ContentType="{kind}.sheet.main+xml"/>'
+        f'<Override PartName="/xl/worksheets/sheet1.xml" ContentType="{kind}.worksheet+xml"/>'
+        + (f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}.sharedStrings+xml"/>'
+           if trick == "strings" else "") + "</Types>",
+        "_rels/.rels": f'{_XML}<Relationships xmlns="{package}/relationships"><Relationship '
+        f'Id="r1" Type="{relation}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": f'{_XML}<workbook xmlns="{_MAIN}" xmlns:r="{relation}"><sheets>{named}'
+        "</sheets></workbook>",
+        "xl/_rels/workbook.xml.rels": f'{_XML}<Relationships xmlns="{package}/relationships">'
+        f'<Relationship Id="r1" Type="{relation}/worksheet" Target="{target}"/></Relationships>',
+        "xl/worksheets/sheet1.xml": sheet,
+        "xl/styles.xml": f'{_XML}<styleSheet xmlns="{_MAIN}"><cellXfs count="2"><xf numFmtId="0"/>'
+        '<xf numFmtId="14" applyNumberFormat="1"/></cellXfs></styleSheet>',
+    }
+    if trick == "strings":
+        texts = "<si><t>x</t></si>" * rng.choice((1_000_000, *[2000] * 19))
+        parts["xl/sharedStrings.xml"] = f'{_XML}<sst xmlns="{_MAIN}" count="9">{texts}</sst>'
+    if trick == "links":
+        parts.pop(rng.choice(list(parts)))
+    written = io.BytesIO()
+    with zipfile.ZipFile(written, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in parts.items():
+            archive.writestr(name, text)
+        if trick == "bomb":
+            archive.writestr(rng.choice(("xl/media/a.png", "xl/theme/theme1.xml")),
+                             bytes(rng.choice((1 << 24, 1 << 28))))  # fmt: skip
+    content = bytearray(written.getvalue())
+    if trick == "size":  # what the directory says of a member is a lie
+        at = content.find(b"PK\x01\x02") + rng.choice((20, 24))
+        content[at : at + 4] = rng.choice((b"\0\0\0\0", b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff"))
+    return bytes(content)
+
+
+# --- MATLAB, HDF5, Parquet ------------------------------------------------------------------------
+
+
+def matlab_table(rng: random.Random) -> tuple[str, bytes]:
+    """Structures in structures, arrays of odd types and shapes, and lengths that are lies."""
+    from scipy.io import savemat
+
+    data: dict[str, Any] = {
+        re.sub(r"\W+", "_", title, flags=re.ASCII).strip("_0123456789")[:31] or "c": values
+        for title, values in columns(rng).items()
+    }
+    trick = rng.choice(("", "", "deep", "odd", "bytes", "bytes", "large"))
+    nest: Any = np.arange(ROWS) * 0.1
+    for _ in range(rng.choice((3, 40)) if trick == "deep" else 0):
+        nest = {"a": nest}
+    if trick == "odd":
+        data["odd"] = rng.choice((
+            np.array([{}, 1], dtype=object), np.zeros((0, 5)), np.zeros((3, 3, 3)), 1j * np.ones(9),
+            np.array(["a", "b"]), np.zeros((2, 3000)), "V", np.ones(ROWS, dtype=np.int8) * -1,
+        ))  # fmt: skip
+    if trick == "large":
+        data["large"] = np.zeros(rng.choice((1 << 20, 1 << 23)))
+    if trick == "deep":
+        data["nest"] = nest
+    written = io.BytesIO()
+    savemat(written, data, do_compression=rng.random() < 0.6)
+    content = bytearray(written.getvalue())
+    for _ in range(rng.choice((1, 3)) if trick == "bytes" else 0):
+        at = rng.randrange(128, min(len(content) - 4, 600))
+        content[at : at + 4] = rng.choice((b"\xff\xff\xff\x7f", bytes(4), b"\x0f\0\0\0", b"abcd"))
+    return "table.mat", bytes(content)
+
+
+def hdf5_table(rng: random.Random) -> tuple[str, bytes]:
+    """Arrays that take no room in the file, links in circles and out of it, attributes of all."""
+    import h5py
+
+    written = io.BytesIO()
+    with h5py.File(written, "w") as file:
+        for k, (title, values) in enumerate(columns(rng).items()):
+            dataset = file.create_dataset(f"c{k}", data=values)
+            dataset.attrs["long_name"] = "".join(c for c in title if c != "\0")
+            if rng.random() < 0.1:
+                said = ("V", b"\xff", np.zeros(500), "\x1b[2J", h5py.Empty("f"), file["c0"].ref)
+                dataset.attrs[rng.choice(("unit", "label", "x"))] = rng.choice((*said, "x" * 999))
+        group = file.create_group("g")
+        trick = rng.choice(("", "", "empty", "empty", "circle", "deep", "links", "types", "many"))
+        if trick == "empty":
+            shape = rng.choice(((10**9,), (10**6, 10**6), (0, 5), (1 << 22,), (2, 10**7)))
+            packed = rng.choice((None, "gzip")) if shape[0] else None
+            file.create_dataset("empty", shape, rng.choice("fdi"), chunks=shape[0] > 0 or None,
+                                compression=packed)  # fmt: skip
+        elif trick == "circle":
+            group["again"], group["self"] = file["/"], h5py.SoftLink("/g/self")
+        elif trick == "deep":
+            for _ in range(rng.choice((20, 600))):
+                group = group.create_group("g")
+            group["t"] = np.arange(ROWS)
+        elif trick == "links":
+            group["out"] = h5py.ExternalLink("/etc/passwd", "/")
+            layout = h5py.VirtualLayout((9,), "d")
+            layout[:] = h5py.VirtualSource("/etc/passwd", "x", (9,))
+            file.create_virtual_dataset("virtual", layout)
+        elif trick == "types":
+            file["odd"] = rng.choice((
+                np.zeros(9, "i4,f8"), np.array([b"a", b"b"]), np.ones(9) * 1j, 5.0,
+                np.ones(9, "f2"), np.zeros((3, 3, 3)), np.ones(9, bool),
+            ))  # fmt: skip
+            file.create_dataset("text", data=["V", "\ud7ff", "x" * 9], dtype=h5py.string_dtype())
+        elif trick == "many":
+            for k in range(rng.choice((300, 1200))):
+                group[f"n{k}"] = np.arange(3.0)
+    return "table.h5", written.getvalue()
+
+
+def parquet_table(rng: random.Random) -> tuple[str, bytes]:
+    """Columns of all types, rows that take no room, nulls and nested lists."""
+    import pyarrow
+    from pyarrow import parquet
+
+    found: dict[str, Any] = {k.encode("utf-8", "replace").decode(): v
+                             for k, v in columns(rng).items()}  # fmt: skip
+    trick = rng.choice(("", "", "constant", "odd", "wide"))
+    if trick == "constant":
+        rows = rng.choice((1 << 18, 1 << 22, *[1 << 12] * 20))
+        found = dict.fromkeys(list(found)[: rng.choice((2, 9))], np.zeros(rows))
+    elif trick == "odd":
+        found["odd"] = rng.choice((
+            pyarrow.nulls(ROWS), pyarrow.array([[1.0]] * ROWS), pyarrow.array(["=1+1"] * ROWS),
+            pyarrow.array([2**62] * ROWS, pyarrow.timestamp("ns")),
+            pyarrow.array([None] * ROWS, pyarrow.timestamp("us")),
+            pyarrow.array([-(2**40)] * ROWS, pyarrow.timestamp("s")),
+            pyarrow.array([None, *[1.5] * (ROWS - 1)], pyarrow.float64()),
+            pyarrow.array([True] * ROWS), pyarrow.array([{"a": 1}] * ROWS),
+        ))  # fmt: skip
+    elif trick == "wide":
+        found |= {f"w{k}": np.zeros(ROWS) for k in range(rng.choice((300, 1200)))}
+    written = io.BytesIO()
+    parquet.write_table(pyarrow.table(found), written)
+    content = bytearray(written.getvalue())
+    if rng.random() < 0.15:
+        content[rng.randrange(4, len(content) - 8)] ^= 1 << rng.randrange(8)
+    return "table.parquet", bytes(content)
+
+
+TABLES: tuple[Callable[[random.Random], tuple[str, bytes]], ...] = (
+    text_table, text_table, excel_table, excel_table, matlab_table, hdf5_table, parquet_table,
+)  # fmt: skip
+
+
+def hostile_table_file(
+    rng: random.Random, folder: Path, altered: Callable[[random.Random, Any], str]
+) -> tuple[Path, tuple[str, ...]]:
+    """A table, and of two in five a rig file or a map beside it, `altered` from a good one; the
+    options that name these."""
+    name, content = rng.choice(TABLES)(rng)
+    (folder / name).write_bytes(content)
+    beside = rng.choice(("", "", "", "--params", "--map"))
+    if not beside:
+        return folder / name, ()
+    document = _MAP if beside == "--map" else yaml.safe_load(PARAMETERS)
+    (folder / "beside.yaml").write_text(
+        altered(rng, document) if rng.random() < 0.8 else str(yaml.safe_dump(document))
+    )
+    return folder / name, (beside, str(folder / "beside.yaml"))

@@ -1,0 +1,556 @@
+"""What `./bench check golden` computes: numbers with tolerances, and the table of results.
+
+Only the public interface is used, `import sma_bench` and the command line: whatever is rebuilt
+behind it, these functions stay.
+"""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sma_bench
+
+ROOT = Path(__file__).resolve().parents[3]
+CONFIG = ROOT / "config"
+DATA = ROOT.parent / "shared" / "data"
+sys.path.insert(0, str(ROOT / "test" / "docs"))
+
+DAILY = ("identify", "simulate", "diagnose", "paper")
+SECTIONS = (*DAILY, "blind60")
+DEVELOPMENT_SEED = 1000
+BLIND = "examination.blind.command"
+# Why a number may move, and how far; kept beside the numbers.
+REASONS = {
+    "standard error": "0.1 of its standard error: optima of the same fit are nearer to each other",
+    "no error stated": "0.1 % of it",
+    "curvature": "10 % of it: a standard error is a curvature by finite differences",
+    "unseen": "5 % more, at least 0.01 % of the span: the same optimum; less is better",
+    "span": "1e-5 of what the signal spans: the order of operations",
+    "evidence": "0.02: a log evidence that is off by 0.1 moves a probability of 0.5 so far",
+    "optimum": "2 % of it: the same optimum",
+    "interval": "0.1 of its 90 % interval, at least 0.005",
+    "case": "half a case: not one more may be wrong",
+    "not worse": "2 % worse",
+    "time": "1.5 times as much: what else the machine does counts a little; less is better",
+}
+
+
+# --- numbers -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Number:
+    """What is compared: a number within a tolerance, or a text or count that must be the same.
+
+    `side`: "" if either direction counts, "+" if only more, "-" if only less is outside.
+    """
+
+    value: float | int | str | None
+    tolerance: float
+    reason: str
+    side: str = ""
+
+    def moved(self, now: "Number") -> float:
+        """By how many of this number's tolerances `now` is off; infinite if not comparable."""
+        if not (is_number(self.value) and is_number(now.value)):
+            return 0.0 if self.value == now.value else math.inf
+        assert isinstance(self.value, float | int) and isinstance(now.value, float | int)
+        if self.value == now.value:
+            return 0.0
+        if not math.isfinite(self.value - now.value) or not self.tolerance:
+            return math.inf
+        return (now.value - self.value) / self.tolerance
+
+    def is_outside(self, now: "Number") -> bool:
+        """Whether `now` is farther off than this number allows."""
+        moved = self.moved(now)
+        return {"": abs(moved), "+": moved, "-": -moved}[self.side] > 1.0
+
+
+Numbers = dict[str, Number]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One record identified, one case diagnosed, ...: its numbers, or why there are none.
+
+    `seconds`: of the processor; `skipped`: the data is not here; `failed`: how it ended.
+    """
+
+    numbers: Numbers
+    seconds: float = 0.0
+    skipped: str = ""
+    failed: str = ""
+
+
+Results = dict[str, Result]
+"""by name"""
+
+
+def exact(value: float | str | None) -> Number:
+    """A verdict, a name, a count: the same or wrong."""
+    return Number(value, 0.0, "exact")
+
+
+def within(value: float | None, tolerance: float, reason: str, side: str = "") -> Number:
+    """A number with its tolerance, both as they will be kept."""
+    if not is_number(value) or not math.isfinite(float(value or 0.0)):
+        return exact(None if value is None else str(value))
+    return Number(_digits(float(value or 0.0), 9), _digits(tolerance, 3), reason, side)
+
+
+def relative(value: float | None, share: float, reason: str) -> Number:
+    """A number with a share of itself as its tolerance."""
+    return within(value, share * abs(value or 0.0), reason)
+
+
+def estimate(value: float | None, std: float | None) -> Iterator[tuple[str, Number]]:
+    """A value and its stated standard error, by the endings of their names."""
+    if std and math.isfinite(std):
+        yield "", within(value, 0.1 * std, "standard error")
+    else:
+        yield "", relative(value, 1e-3, "no error stated")
+    yield ", std", relative(std, 0.1, "curvature")
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool)
+
+
+def _digits(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+# --- what is computed: identify -----------------------------------------------------------------
+
+WIRE, DEMO = CONFIG / "wire_rig.yaml", CONFIG / "demo_rig.yaml"
+COMPOSITE = CONFIG / "composite_rig.yaml"
+# A wire that is none of the paper's, as `demo --draw` makes them.
+DRAWN = {
+    "wire.resistance": 2.84, "wire.heat_transfer_coefficient": 377.0, "wire.specific_heat": 363.0,
+}  # fmt: skip
+
+
+def simulated_wire(*protocols: str, changed: Mapping[str, float] | None = None) -> Numbers:
+    """A simulated wire rig recorded through instruments, identified from the table's defaults."""
+    truth = sma_bench.load_parameters(WIRE).replace(dict(changed or {}))
+    return identified([_recorded(name, truth, 50.0, k) for k, name in enumerate(protocols, 1)])
+
+
+def thermal_validation() -> Numbers:
+    """E4: what a staircase and a ramp tell, tried on a triangle that the fit has not seen."""
+    truth = sma_bench.load_parameters(WIRE)
+    seen = [_recorded(name, truth, 50.0, 1) for name in ("quick_staircase", "quick_ramp")]
+    found = sma_bench.identify(seen, WIRE)
+    return unseen_errors(_recorded("triangle", truth, 50.0, 2), found.parameters)
+
+
+def clamped_wire() -> Numbers:
+    """E8: the force of a clamped wire, and what a staircase told before."""
+    truth = sma_bench.load_parameters(WIRE)
+    before = sma_bench.identify(_recorded("quick_staircase", truth, 50.0, 1), WIRE).parameters
+    return identified([_recorded("thermal_expansion", truth, 20.0, 1)], before)
+
+
+def simulated_composite() -> Numbers:
+    """E10 on a simulated composite."""
+    truth = sma_bench.load_parameters(COMPOSITE)
+    records = [_recorded(n, truth, 50.0, 1) for n in ("composite_step", "composite_triangle")]
+    return identified(records, COMPOSITE)
+
+
+def instrument_files(experiment: str, *names: str) -> Numbers:
+    """E5, E6, E7, E9: files as the instruments export them, synthetic."""
+    import instrument_files as instruments
+
+    folder = os.getcwd()
+    with tempfile.TemporaryDirectory() as made:
+        os.chdir(made)
+        try:
+            for name in names:
+                instruments.write(name)
+            return identified(names, None, [experiment])
+        finally:
+            os.chdir(folder)
+
+
+def measured(pattern: str, experiment: str = "") -> Numbers:
+    """Instrument files of real specimens."""
+    records = sorted(str(path) for path in DATA.glob(f"sma_react/input/{pattern}"))
+    return identified(records, None, [experiment] if experiment else None)
+
+
+def foreign_wire() -> Numbers:
+    """A wire bench made elsewhere."""
+    bench = DATA / "foreign" / "wire"
+    return identified([bench / "staircase", bench / "ramp"], bench / "bench.yaml")
+
+
+def foreign_composite() -> Numbers:
+    """A composite made elsewhere: identified from one record, tried on the other."""
+    bench = DATA / "foreign" / "composite"
+    found = sma_bench.identify(bench / "triangle", bench / "nominal.yaml")
+    return {
+        **_estimates(found.to_json()),
+        **unseen_errors(sma_bench.load(bench / "step"), found.parameters),
+    }
+
+
+def foreign_spring() -> Numbers:
+    """A wire against a spring made elsewhere: identified from two runs, tried on a third."""
+    bench = DATA / "foreign" / "spring"
+    with tempfile.TemporaryDirectory() as made:
+        for name in ("run_a.csv", "run_b_european.txt", "run_c.mat"):
+            sma_bench_command(
+                "import", str(bench / name), "--params", str(bench / "rig.yaml"),
+                "--out", f"{made}/{name[:5]}",
+            )
+        found = sma_bench.identify([f"{made}/run_a", f"{made}/run_b"], bench / "rig.yaml")
+        return {
+            **_estimates(found.to_json()),
+            **unseen_errors(sma_bench.load(f"{made}/run_c"), found.parameters),
+        }
+
+
+def identified(
+    records: Sequence[Any], parameters: Any = None, experiments: Sequence[str] | None = None
+) -> Numbers:
+    """Estimates of `identify`."""
+    return _estimates(sma_bench.identify(list(records), parameters, experiments).to_json())
+
+
+def _estimates(result: Mapping[str, Any]) -> Numbers:
+    """Of the result file: which experiments, their estimates, and the details behind them."""
+    names = sorted(experiment["name"] for experiment in result["experiments"])
+    tables = {"": result["parameters"]}
+    for experiment in result["experiments"]:
+        tables[experiment["name"] + ": "] = experiment.get("details", {})
+    return {"experiments": exact(" ".join(names))} | {
+        f"{table}{name}{ending}": number
+        for table, estimates in tables.items()
+        for name, found in estimates.items()
+        for ending, number in estimate(found["value"], found["std"])
+    }
+
+
+def unseen_errors(record: Any, parameters: Any) -> Numbers:
+    """Root mean square of simulated less measured, as a share of what each signal spans."""
+    run = sma_bench.load(sma_bench.simulate(record, parameters))
+    wanted = ("current", "temperature", "deflection", "elongation")
+    numbers = {}
+    for name in sorted(record.signals):
+        if name.rpartition(".")[2] not in wanted or name not in run.signals:
+            continue
+        told, made = record[name], run[name]
+        if not np.ptp(told.values):
+            continue  # it never moved
+        gap = np.interp(told.time, made.time, made.values) - told.values
+        if name in ("deflection", "elongation"):
+            gap -= np.median(gap)  # its zero is anywhere
+        error = 100.0 * float(np.sqrt(np.mean(gap**2)) / np.ptp(told.values))
+        key = f"unseen run, {name}: error in % of its span"
+        numbers[key] = within(error, max(0.05 * error, 0.01), "unseen", "+")
+    return numbers
+
+
+def _recorded(protocol: str, truth: Any, rate: float, seed: int) -> Any:
+    return sma_bench.measure(sma_bench.simulate(protocol, truth, rate=rate), seed)
+
+
+# --- what is computed: simulate -----------------------------------------------------------------
+
+# Sizes that show, of every effect.
+EFFECTS = {
+    "phase_dependent_resistance": 0.15, "supply_drop": 0.3, "latent_heat": 15e3,
+    "temperature_dependent_convection": 2e-3, "matrix_thermal_mass": 0.3,
+    "side_heat_coupling": 3e-3, "ambient_drift": 5e-3, "partial_transformation": 0.4,
+    "transition_drift": 5.0, "stress_dependent_transition": 5e-8, "residual_strain": 0.1,
+    "viscoelastic_matrix": 0.15, "opposing_wires": 0.5, "side_asymmetry": 0.2, "slack": 4e-3,
+    "temperature_underfill": 0.1, "temperature_lag": 0.8, "deflection_drift": 1e-5,
+}  # fmt: skip
+SPAN = 1e-5
+INSTANTS = (29, 62, 83)  # %
+
+
+def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
+    """A wire of each side and the deflection: least, largest, mean and instants."""
+    run = sma_bench.simulate(protocol, CONFIG / f"{rig}_rig.yaml", effects=effects, rate=50.0)
+    record = sma_bench.load(run)
+    wires = ["wire"] if rig == "wire" else ["front_1", "back_1"]
+    names = [f"{wire}.{signal}" for wire in wires for signal in ("current", "temperature")]
+    signals = {
+        name: record[name].values for name in [*names, "deflection"] if name in record.signals
+    }
+    columns = range(0, run.martensite_fraction.shape[1], 2)
+    for wire, k in zip(wires, columns, strict=True):
+        signals[f"{wire}, martensite fraction"] = run.martensite_fraction[:, k]
+    numbers = {}
+    for name, values in signals.items():
+        # Instants in the middle of a heating and of a cooling, of either side.
+        at = {f"at {k} %": values[k * len(values) // 100] for k in INSTANTS}
+        shown = {"least": values.min(), "largest": values.max(), "mean": values.mean(), **at}
+        tolerance = max(SPAN * float(np.ptp(values)), 1e-12)
+        for what, value in shown.items():
+            numbers[f"{name}, {what}"] = within(float(value), tolerance, "span")
+    return numbers
+
+
+# --- what is computed: diagnose -----------------------------------------------------------------
+
+# The demo's bench is off by these many of the lab's standard errors, and hides an effect.
+LAB_ERRORS = (0.8, -1.1, 0.3, 1.4, -0.6, -0.2, 1.0, -1.3, 0.5)
+HIDDEN = {
+    "none": {}, "latent_heat": {"latent_heat": 15e3}, "slack": {"slack": 5e-3},
+    "side_heat_coupling": {"side_heat_coupling": 4e-3},
+}  # fmt: skip
+CASES, SCORED_CASES = 30, 60
+PATIENCE = "600"  # s a case: on a loaded machine none is to fail for time
+
+
+def diagnosed_demo(hidden: str) -> Numbers:
+    """The demo's second act without nodes: a bench that is not quite the lab's."""
+    lab = sma_bench.load_parameters(DEMO)
+    errors = np.resize(LAB_ERRORS, len(lab.given_uncertainty))
+    stated = zip(errors, lab.given_uncertainty.items(), strict=True)
+    truth = lab.replace({name: float(lab[name] + error * std) for error, (name, std) in stated})
+    seen, unseen = (
+        sma_bench.measure(sma_bench.simulate(protocol, truth, effects=HIDDEN[hidden]), seed)
+        for seed, protocol in enumerate(
+            ("composite_diagnosis_triangles", "composite_diagnosis_steps"), 1
+        )
+    )
+    return diagnosed(seen, lab, unseen)
+
+
+def foreign_gap() -> Numbers:
+    """The foreign composite, diagnosed on one record and tried on the other."""
+    bench = DATA / "foreign" / "composite"
+    return diagnosed(bench / "triangle", bench / "nominal.yaml", bench / "step")
+
+
+def development_case(folder: str, number: int) -> Numbers:
+    """One of the development cases, as `blind run` would put it to the diagnosis."""
+    case = sorted(path.parent for path in Path(folder).glob("**/nominal.yaml"))[number]
+    return diagnosed(case / "record", case / "nominal.yaml", case / "hold_out")
+
+
+def diagnosed(record: Any, parameters: Any, hold_out: Any) -> Numbers:
+    """Verdict, cause, place and probabilities, and how far the gap shrinks."""
+    result = sma_bench.diagnose(record, parameters, hold_out).to_json()
+    candidates = sorted(result["candidates"], key=lambda found: -found["probability"])
+    numbers = {
+        "verdict": exact(result["verdict"]),
+        "cause": exact(" + ".join(sorted(result["cause"]))),
+        "first choice": exact(candidates[0]["name"]),
+        **{f"where, {key}": exact(result["where"][key]) for key in ("signal", "phase", "side")},
+    }
+    for candidate in candidates:
+        if candidate["probability"] >= 0.01:
+            name = f"probability of {candidate['name']}"
+            numbers[name] = within(candidate["probability"], 0.02, "evidence")
+    gap = candidates[0]["gap_over_noise"]
+    numbers["gap over noise"] = relative(gap, 0.02, "optimum")
+    for name, found in result["shrinkage"].items():
+        low, high = found["ci90"]
+        width = 0.0 if None in (low, high) else high - low
+        gone = within(found["fraction"], max(0.1 * width, 5e-3), "interval")
+        numbers[f"{name}, gap gone"] = gone
+        after = found["rmse_after"]
+        numbers[f"{name}, RMSE after"] = relative(after, 0.02, "optimum")
+    return numbers
+
+
+# --- what is computed: paper, blind60 -----------------------------------------------------------
+
+
+def paper() -> Numbers:
+    """Every row of the paper's tables, and the errata."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "paper.json"
+        sma_bench_command("paper", "--out", f"{folder}/page", "--json", str(file))
+        page = json.loads(file.read_text())
+    numbers = {"errata": exact(len(page["errata"])), "figures": exact(len(page["figures"]))}
+    for table, rows in page["tables"].items():
+        for row in rows:
+            name = f"{table}, {row['description']} ({row['quantity']})"
+            numbers[f"{name}, printed"] = exact(row["paper"])
+            found = row["identified"] or {"value": None, "std": None}
+            for ending, number in estimate(found["value"], found["std"]):
+                numbers[f"{name}, identified{ending}"] = number
+    return numbers
+
+
+def blind_measures(cases: str, jobs: int) -> Numbers:
+    """The scorer's measures of the development cases, without the follow-up experiments."""
+    with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as made:
+        answers, score = f"{made}/diagnosis", f"{made}/score.json"
+        asked = ("--answers", answers, "--jobs", str(jobs), "--time-limit", PATIENCE)
+        before = _processor_time()
+        sma_bench_command("run", cases, *asked, module=BLIND)
+        seconds = _processor_time() - before
+        scored = ("--answers", answers, "--no-follow-up", "--json", score)
+        sma_bench_command("score", cases, *scored, module=BLIND)
+        found = measures(json.loads(Path(score).read_text())["scores"]["diagnosis"])
+        each = seconds / SCORED_CASES
+        return {**found, "processor time of a case, s": within(each, 0.5 * each, "time", "+")}
+
+
+# Of the scorer's measures: which way is worse, and what is allowed.
+MEASURES = {
+    "detection of gaps above twice the noise": ("-", "case"),
+    "false alarms on no effect": ("+", "case"),
+    "first choice right, distinguishable singles": ("-", "case"),
+    "first choice right, all singles": ("-", "case"),
+    "90 % set holds the truth": ("-", "case"),
+    "90 % set, mean size": ("+", "not worse"),
+    "probability given to the truth": ("-", "not worse"),
+    "confident and wrong": ("+", "case"),
+    "out-of-library: abstains or flags": ("-", "case"),
+    "pairs: at least one": ("-", "case"),
+    "pairs: both": ("-", "case"),
+    "where: signal": ("-", "case"),
+    "where: stage": ("-", "case"),
+    "answered": ("-", "case"),
+}
+
+
+def measures(score: Mapping[str, Any]) -> Numbers:
+    """The measures of one examinee that must not become worse."""
+    numbers = {}
+    for name, (side, reason) in MEASURES.items():
+        found = score["measures"][name]
+        value, n = found["value"], found["n"]
+        tolerance = 0.5 / max(n, 1) if reason == "case" else 0.02 * (value or 0.0)
+        numbers[name] = within(value, tolerance, reason, side)
+    return numbers
+
+
+def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
+    """Run a command quietly.
+
+    Raises:
+        RuntimeError: it failed; the last line that it said.
+    """
+    command = [sys.executable, "-P", "-m", module, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or ["nothing said"]
+        raise RuntimeError(f"{module} {' '.join(arguments)}: {said[-1]}")
+
+
+# --- the tasks ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Task:
+    """A result to be made: the name of a function above, and what it is called with.
+
+    `needs`: folder of measured data; `cases`: so many development cases.
+    """
+
+    section: str
+    name: str
+    function: str
+    arguments: tuple[Any, ...] = ()
+    effects: tuple[tuple[str, float], ...] = ()
+    needs: str = ""
+    cases: int = 0
+
+    @property
+    def missing(self) -> str:
+        """The data that is not here, in words, or an empty text."""
+        folder = DATA / self.needs
+        return "" if not self.needs or folder.is_dir() else f"no measured data in {folder}"
+
+    def make(self) -> Result:
+        """Compute it."""
+        begin = _processor_time()
+        try:
+            numbers = globals()[self.function](*self.arguments, **dict(self.effects))
+        except Exception as error:  # one result that ends badly leaves the others theirs
+            line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
+            return Result({}, _processor_time() - begin, failed=line)
+        return Result(numbers, _processor_time() - begin)
+
+
+def _processor_time() -> float:
+    """s, of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
+
+
+def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
+    """All results of a section.
+
+    Args:
+        cases: folder of the sets of development cases, by their number.
+        jobs: processes that blind60 may use.
+    """
+
+    def task(name: str, function: Any, *arguments: Any, needs: str = "", of: int = 0) -> Task:
+        return Task(section, name, function.__name__, arguments, needs=needs, cases=of)
+
+    def effect(rig: str, protocol: str, name: str, size: float) -> Task:
+        label = f"{name}, {rig}"
+        return Task(section, label, "simulated", (rig, protocol), ((name, size),))
+
+    if section == "identify":
+        frames = [f"{load}_MPa.txt" for load in (10, 50, 100)]
+        tests = ("cold_1.csv", "cold_2.csv", "hot_1.csv", "hot_2.csv")
+        folder, samples = "sma_react", "preprocessor_samples"
+        return [
+            task("foreign composite", foreign_composite, needs="foreign/composite"),
+            task("foreign spring", foreign_spring, needs="foreign/spring"),
+            task("foreign wire", foreign_wire, needs="foreign/wire"),
+            *(
+                task(f"SMA-REACT sample {k}, {experiment}", measured,
+                     f"cal_sample_{k}/* MPa.txt", experiment, needs=folder)
+                for k in (1, 2) for experiment in ("E6", "E9")
+            ),
+            task("SMA-REACT seven cycles", measured, f"{samples}/isobaric_7cycle.txt",
+                 needs=folder),
+            task("SMA-REACT DSC", measured, f"{samples}/DSC.txt", needs=folder),
+            task("demo, Table I", simulated_wire, "staircase", "ramp"),
+            task("demo, quick", simulated_wire, "quick_staircase", "quick_ramp"),
+            Task(section, "demo, drawn wire", "simulated_wire", ("staircase", "ramp"),
+                 (("changed", DRAWN),)),
+            task("E1, E2", simulated_wire, "quick_staircase"),
+            task("E4, validation", thermal_validation),
+            task("E5", instrument_files, "E5", "DSC.txt"),
+            task("E6", instrument_files, "E6", *frames),
+            task("E7", instrument_files, "E7", *tests),
+            task("E8", clamped_wire),
+            task("E9", instrument_files, "E9", *frames, "200_MPa.txt"),
+            task("E10", simulated_composite),
+        ]  # fmt: skip
+    if section == "simulate":
+        bend, hold = "composite_triangle", "triangle"
+        thermal = ("latent_heat", "supply_drop", "temperature_dependent_convection")
+        return [
+            task("plain, composite", simulated, "composite", bend),
+            task("plain, composite steps", simulated, "composite", "composite_step"),
+            task("plain, wire", simulated, "wire", hold),
+            *(effect("composite", bend, name, size) for name, size in EFFECTS.items()),
+            *(effect("wire", hold, name, EFFECTS[name]) for name in thermal),
+        ]
+    if section == "diagnose":
+        return [
+            task("foreign composite", foreign_gap, needs="foreign/composite"),
+            *(task(f"demo, {hidden}", diagnosed_demo, hidden) for hidden in HIDDEN),
+            *(
+                task(f"case {k}", development_case, f"{cases}/{CASES}", k, of=CASES)
+                for k in range(CASES)
+            ),
+        ]
+    if section == "paper":
+        return [task("all tables", paper)]
+    label = f"{SCORED_CASES} development cases"
+    return [task(label, blind_measures, f"{cases}/{SCORED_CASES}", jobs, of=SCORED_CASES)]
