@@ -1,11 +1,13 @@
-"""The hashes of all that is installed: `locks/` against the requirement files beside it.
+"""The locks of all that is installed: whether they are whole, agree, and would install.
 
-A requirement file says which version; its lock adds the hash of every file of that version that the
-package index has, for all Pythons and machines: `pip install --require-hashes -r locks/...` refuses
-what has been tampered with. Without an option this says, offline, whether the two agree. `--write`
-asks the index anew (with uv, fetched for the purpose) and is due after every change of a
-requirement file. `--audit` asks for known vulnerabilities (with pip-audit) and, where it cannot
-ask, says so.
+A requirement file says which version; its lock in `locks/` adds the hash of every file of that
+version that the package index has, for all Pythons and machines, and what that version requires.
+`./bench` installs locks without resolving (`pip install --no-deps --require-hashes`), so nothing
+that is published later changes anything. Without an option this says, offline, whether a lock is
+its requirement file with hashes, whether all that its packages require is in it (or in those below
+it), and whether two locks name different versions. `--write` asks the index anew (with uv, fetched
+for the purpose, and pip) and is due after every change of a requirement file. `--audit` asks for
+known vulnerabilities (with pip-audit) and, where it cannot ask, says so.
 
     ./bench check pins [--write] [--audit]
 """
@@ -16,29 +18,86 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from packaging.markers import Marker, default_environment
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / "locks"
 UV, PIP_AUDIT = "uv==0.13.9", "pip-audit==2.10.1"
-OLDEST = "3.11"
-# .ci/noble's own environment, which takes what a robot has from apt, stays as it is.
-UNLOCKED = ("requirements-noble.txt", "requirements-robot.txt")
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+
+BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requirements-test.txt"
+ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
+# What is installed before each, whose packages it need not name again.
+BELOW = {
+    BUILD: (),
+    RUNTIME: (BUILD,),
+    TEST: (BUILD, RUNTIME),
+    "requirements-docs.txt": (BUILD, RUNTIME, TEST),
+    "requirements-perf.txt": (BUILD, RUNTIME, TEST),
+    "requirements-notebook.txt": (BUILD, RUNTIME),
+    ROBOT: (),
+    NOBLE: (BUILD, ROBOT),
+}
+# These two have Ubuntu 24.04's Python and versions, and never meet the others.
+UBUNTU = (ROBOT, NOBLE)
+
 _PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)([^\\\n#]*)", re.MULTILINE)
 _HASHED = re.compile(r"^[\w.-]+==.*\\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
+_REQUIRES = "    # requires "
+
+
+@dataclass(frozen=True)
+class Locked:
+    """A line of a lock: what it pins, for which Pythons, and what that version requires."""
+
+    name: str
+    version: str
+    marker: Marker | None
+    python: SpecifierSet
+    requires: tuple[Requirement, ...]
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def pinned(text: str) -> set[tuple[str, str, str]]:
     """(name, version, marker) of every line, names and quotes in one form."""
     return {
         (
-            re.sub(r"[-_.]+", "-", name).lower(), version,
+            canonical(name), version,
             re.sub(r"[\s;'\"]", "", marker).replace("python_full_version", "python_version"),
         )
         for name, version, marker in _PIN.findall(text)
     }  # fmt: skip
+
+
+def read_lock(path: Path) -> dict[str, Locked]:
+    """Every package of a lock by its name; none where there is no lock."""
+    found = {}
+    text = path.read_text() if path.exists() else ""
+    for block in re.split(r"\n(?=[\w.-]+==)", text):
+        pin = _PIN.search(block)
+        if pin:
+            name, version, marker = canonical(pin[1]), pin[2], pin[3].strip(" ;")
+            said = re.findall(rf"^{_REQUIRES}(.*)$", block, re.MULTILINE)
+            python = [line.removeprefix("Python ") for line in said if line.startswith("Python ")]
+            found[name] = Locked(
+                name,
+                version,
+                Marker(marker) if marker else None,
+                SpecifierSet(python[0] if python else ""),
+                tuple(Requirement(line) for line in said if not line.startswith("Python ")),
+            )
+    return found
 
 
 def disagreements(requirements: Path, lock: Path) -> list[str]:
@@ -53,30 +112,142 @@ def disagreements(requirements: Path, lock: Path) -> list[str]:
     return sorted(found) + ([f"{lock.name}: {bare} without a hash"] if bare else [])
 
 
+def conflicts(locks: dict[str, dict[str, Locked]]) -> list[str]:
+    """A line for every package that two locks of one environment have in different versions."""
+    versions: dict[tuple[bool, str], dict[str, str]] = defaultdict(dict)
+    for file, packages in locks.items():
+        for package in packages.values():
+            versions[file in UBUNTU, package.name][file] = package.version
+    return [
+        f"{name}: " + ", ".join(f"{version} in {file}" for file, version in sorted(each.items()))
+        for (_, name), each in sorted(versions.items())
+        if len(set(each.values())) > 1
+    ]
+
+
+def not_installable(file: str, locks: dict[str, dict[str, Locked]]) -> list[str]:
+    """A line for everything for which a lock, on top of those below it, would not work."""
+    together = {
+        name: package for each in (*BELOW[file], file) for name, package in locks[each].items()
+    }
+    where = defaultdict(list)
+    for python in ("3.12",) if file in UBUNTU else PYTHONS:
+        environment = {
+            **default_environment(), "python_version": python, "python_full_version": f"{python}.9",
+            "sys_platform": "linux", "platform_system": "Linux", "platform_machine": "x86_64",
+            "os_name": "posix", "implementation_name": "cpython", "extra": "",
+            "platform_python_implementation": "CPython",
+        }  # fmt: skip
+        there = {
+            name: package
+            for name, package in together.items()
+            if package.marker is None or package.marker.evaluate(environment)
+        }
+        for package, needed in required(there, environment):
+            if package.name not in locks[file]:
+                continue
+            found = there.get(canonical(needed.name))
+            if found is None:
+                where[f"{package.name} requires {needed}, which is not locked"].append(python)
+            elif not needed.specifier.contains(found.version, prereleases=True):
+                line = f"{package.name} requires {needed}, locked is {found.version}"
+                where[line].append(python)
+        for package in there.values():
+            if package.name in locks[file] and not package.python.contains(f"{python}.9"):
+                where[f"{package.name} requires Python {package.python}"].append(python)
+    return [f"{file}: {line} (Python {', '.join(at)})" for line, at in sorted(where.items())]
+
+
+def required(
+    there: dict[str, Locked], environment: dict[str, Any]
+) -> list[tuple[Locked, Requirement]]:
+    """What the packages require of each other here, those for the extras asked for too."""
+    extras: dict[str, set[str]] = defaultdict(lambda: {""})
+    while True:
+        found = [
+            (package, needed)
+            for package in there.values()
+            for needed in package.requires
+            if needed.marker is None
+            or any(
+                needed.marker.evaluate({**environment, "extra": extra})
+                for extra in extras[package.name]
+            )
+        ]
+        asked = {(canonical(needed.name), extra) for _, needed in found for extra in needed.extras}
+        if all(extra in extras[name] for name, extra in asked):
+            return found
+        for name, extra in asked:
+            extras[name].add(extra)
+
+
 def requirement_files() -> list[Path]:
-    """Those that have a lock."""
-    return [path for path in sorted(ROOT.glob("requirements*.txt")) if path.name not in UNLOCKED]
+    return sorted(ROOT.glob("requirements*.txt"))
+
+
+def problems() -> list[str]:
+    """A line for everything that is wrong with the locks."""
+    files = requirement_files()
+    found = [f"{file.name}: not in BELOW of {__file__}" for file in files if file.name not in BELOW]
+    found += [line for file in files for line in disagreements(file, LOCKS / file.name)]
+    locks = {file: read_lock(LOCKS / file) for file in BELOW}
+    return (
+        found + conflicts(locks) + [line for file in BELOW for line in not_installable(file, locks)]
+    )
 
 
 def write_locks(folder: Path) -> int:
-    """Ask the index for every file's hashes; 0 when all locks are written."""
+    """Ask the index for every file's hashes and requirements; 0 when all locks are written."""
     uv = _tool(UV, folder) / "uv"
     LOCKS.mkdir(exist_ok=True)
+    texts, metadata = {}, {}
     for path in requirement_files():
         made = folder / path.name
-        process = subprocess.run(
-            [str(uv), "pip", "compile", "--quiet", "--no-deps", "--generate-hashes", "--universal",
-             "--no-config", "--no-header", "--no-annotate", "--python-version", OLDEST,
-             str(path), "-o", str(made)],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        if process.returncode:
-            print(f"pins: {path.name}: {process.stderr.strip()[-300:]}", file=sys.stderr)
-            return 1
-        head = f"# {path.name} with hashes; written by ./bench check pins --write.\n"
-        (LOCKS / path.name).write_text(head + made.read_text())
-        print(f"{path.name}: {len(pinned(made.read_text()))} packages locked")
+        compile_ = [
+            str(uv), "pip", "compile", "--quiet", "--no-deps", "--generate-hashes", "--universal",
+            "--no-config", "--no-header", "--no-annotate", "--python-version", PYTHONS[0],
+            str(path), "-o", str(made),
+        ]  # fmt: skip
+        ask = [
+            str(uv.with_name("pip")), "install", "--quiet", "--dry-run", "--ignore-installed",
+            "--no-deps", "--report", "-", "-r", str(made),
+        ]  # fmt: skip
+        for command in (compile_, ask):
+            process = subprocess.run(command, capture_output=True, text=True, check=False)
+            if process.returncode:
+                print(f"pins: {path.name}: {process.stderr.strip()[-300:]}", file=sys.stderr)
+                return 1
+        texts[path.name] = made.read_text()
+        metadata[path.name] = {
+            canonical(package["metadata"]["name"]): package["metadata"]
+            for package in json.loads(process.stdout)["install"]
+        }
+    # Of hundreds of extras only those that a package here asks for are of interest.
+    wanted = {
+        extra
+        for packages in metadata.values()
+        for package in packages.values()
+        for line in package.get("requires_dist", [])
+        for extra in Requirement(line).extras
+    }
+    for file, text in texts.items():
+        lines = [f"# {file} with hashes; written by ./bench check pins --write."]
+        for block in re.split(r"\n(?=[\w.-]+==)", text.strip("\n")):
+            package = metadata[file][canonical(block.partition("==")[0])]
+            lines += [block, *required_lines(package, wanted)]
+        (LOCKS / file).write_text("\n".join(lines) + "\n")
+        print(f"{file}: {len(metadata[file])} packages locked")
     return 0
+
+
+def required_lines(package: dict[str, Any], extras: set[str]) -> list[str]:
+    """Comment lines of a lock from a package's metadata, but for extras that nobody asks for."""
+    found = [f"Python {package['requires_python']}"] if package.get("requires_python") else []
+    for needed in map(Requirement, package.get("requires_dist", [])):
+        names = re.findall(r"""extra\s*==\s*["']([^"']+)""", str(needed.marker or ""))
+        if not names or extras & set(names):
+            found.append(str(needed))
+    return [_REQUIRES + line for line in found]
 
 
 def audit(folder: Path) -> int:
@@ -126,7 +297,7 @@ def _tool(pin: str, folder: Path) -> Path:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when every requirement is locked (and, asked for it, nothing is known against it)."""
+    """0 when every lock would install (and, asked for it, nothing is known against it)."""
     parser = argparse.ArgumentParser(prog="./bench check pins")
     parser.add_argument("--write", action="store_true", help="ask the package index anew")
     parser.add_argument("--audit", action="store_true", help="ask for known vulnerabilities")
@@ -134,11 +305,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         if options.write and (status := write_locks(Path(folder))):
             return status
-        found = [d for path in requirement_files() for d in disagreements(path, LOCKS / path.name)]
+        found = problems()
         for line in found:
             print(line)
         if found:
-            print("pins: run ./bench check pins --write")
+            print("pins: change the requirement files, then ./bench check pins --write")
             return 1
         return audit(Path(folder)) if options.audit else 0
 

@@ -22,19 +22,25 @@ COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
 SETUP = """from setuptools import setup
 setup(name="sma_bench", version="0", packages=["sma_bench"])
 """
-ONE_SMALL_PACKAGE = "mdurl==0.1.2\n"
+NOT_THERE = f"no-such-package-of-sma-bench==1.0 --hash=sha256:{'0' * 64}\n"
 
 
-def make_house(folder: Path, requirements: str = ONE_SMALL_PACKAGE) -> Path:
+def locked(name: str) -> str:
+    """The lines of a package in the real locks."""
+    locks = "\n".join(path.read_text() for path in sorted((ROOT / "locks").iterdir()))
+    return re.search(rf"^{name}==.*\n(?: +--hash=.*\n)+", locks, re.MULTILINE)[0]
+
+
+def make_house(folder: Path, requirements: str | None = None) -> Path:
     """A checkout whose setup takes seconds; its commands print their arguments and count them."""
     (folder / "sma_bench").mkdir(parents=True)
-    for name in ("bench", "requirements-build.txt", "setup.cfg", "pyproject.toml"):
+    for name in ("bench", "locks/requirements-build.txt", "setup.cfg", "pyproject.toml"):
+        (folder / name).parent.mkdir(exist_ok=True)
         shutil.copy2(ROOT / name, folder / name)
+    more = ("test", "docs", "perf", "notebook")
     texts = {
-        "requirements.txt": requirements,
-        "requirements-test.txt": "cycler==0.12.1\n",
-        "requirements-docs.txt": "cycler==0.12.1\n",
-        "requirements-perf.txt": "cycler==0.12.1\n",
+        "locks/requirements.txt": requirements or locked("mdurl"),
+        **{f"locks/requirements-{name}.txt": locked("cycler") for name in more},
         "setup.py": SETUP,
         "package.xml": "",
         "sma_bench/__init__.py": "",
@@ -171,7 +177,7 @@ def test_changed_setup_py_installs_the_package_again_and_nothing_else(house: Pat
 @pytest.mark.slow
 def test_package_that_does_not_exist_is_told_in_short(house: Path, tmp_path: Path) -> None:
     made = environment(house)
-    house = make_house(tmp_path / "house", "--no-index\nno-such-package-of-sma-bench==1.0\n")
+    house = make_house(tmp_path / "house", f"--no-index\n{NOT_THERE}")
     # A copy of an environment, as it takes seconds to make one.
     text, making = (house / "bench").read_text(), '[sys.executable, "-m", "venv", self.path]'
     assert making in text
@@ -219,7 +225,6 @@ def good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     module = module_from_spec(spec_from_loader("bench_script", loader))
     loader.exec_module(module)
     house = make_house(tmp_path / "house")
-    (house / "requirements-notebook.txt").write_text("cycler==0.12.1\n")
     monkeypatch.setattr(module, "ROOT", house)
     found = module.Environment(house / ".venv")
     (found.path / "bin").mkdir(parents=True)
@@ -243,7 +248,7 @@ def ended_by(error: BaseException, half: Path | None = None) -> Any:
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("disk full")])
 def test_an_interrupted_setup_never_takes_a_good_environment(good: Any, error: Any) -> None:
-    (good.house / "requirements.txt").write_text("mdurl==0.1.1\n")
+    (good.house / "locks" / "requirements.txt").write_text("mdurl==0.1.1\n")
     good.module.Environment._step = ended_by(error, good.path)
     with pytest.raises(type(error)):
         good.set_up(["runtime", "package"])
