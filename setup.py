@@ -125,7 +125,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        *shared_files("config", "launch", "firmware"),
+        *shared_files("config", "examples", "launch", "firmware"),
     ],
     install_requires=REQUIRED,
     # `test` is what makes `colcon test` run pytest; the package works without the others.

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 from sma_bench.errors import InputError, did_you_mean
 
 COMMANDS = {
+    "example": "the files of a documentation page, or a rig's parameters, in a new folder",
     "info": "what a record holds and whether it can be trusted",
     "import": "tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
     "identify": "parameters of Table I from bags and instrument files",
@@ -39,6 +40,11 @@ RETIRED = {"blind": "judges the package and is no part of it; in a checkout: ./b
 
 # An example or more of every command, as its --help shows them; a test runs each by its parser.
 EXAMPLES: dict[str, tuple[str, ...]] = {
+    "example": (
+        "example",
+        "example ten_tasks",
+        "example wire_rig --out my_rig",
+    ),
     "info": (
         "info my_bag",
         "info two_benches --namespace /left --json info.json",

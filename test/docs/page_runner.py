@@ -1,10 +1,12 @@
-"""Runs the commands of a documentation page in a folder of its own, in the page's order.
+"""Runs the commands of a documentation page in an empty folder, in the page's order.
+
+Nothing is there but `sma-bench` and what the page itself gives.
 
 Fenced blocks are told by their language: none, `bash` or `console` holds commands, `python` is run,
 all others are shown only. A comment right before a block says what the block needs:
 
-    <!-- first: COMMAND -->        what the reader has done elsewhere (repeatable)
-    <!-- file: NAME -->            the block is this file
+    <!-- file: NAME -->            the reader writes the block into this file
+    <!-- shown: NAME -->           the block is the text of a file that `sma-bench example` gave
     <!-- not run: REASON -->       the block cannot be run in a test
 
 Commands of ROS 2 and nodes that run until they are stopped are never run here: their names and
@@ -21,18 +23,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import instrument_files
-
 from sma_bench.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 SHOWN_TO_A_SHELL = ("", "bash", "console")
 NEEDS_ROS = ("ros2", "colcon", "source")
-PROGRAMS = ("./bench", "sma-bench")
+PROGRAMS = ("sma-bench", "./bench")
 _BLOCK = re.compile(
     r"(?P<notes>(?:^<!-- [^\n]* -->\n+)*)^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.M | re.S
 )
-_NOTE = re.compile(r"<!-- (first|file|not run): (.*?) -->")
+_NOTE = re.compile(r"<!-- (file|shown|not run): (.*?) -->")
 _SHELL = re.compile(r"[|<>;&$`*~]")
 # Output into a file, which needs no shell either.
 _WRITTEN = re.compile(r"(?P<command>[^|<>;&$`*~]+) >(?P<more>>?) (?P<file>~?[\w./-]+)")
@@ -45,9 +45,9 @@ class Block:
 
     kind: str
     text: str
-    first: tuple[str, ...] = ()
-    file: str = ""
-    not_run: str = ""
+    file: str | None = None
+    shown: str | None = None
+    not_run: str | None = None
 
     @property
     def commands(self) -> list[str]:
@@ -63,12 +63,8 @@ class Block:
 def blocks_of(page: Path) -> Iterator[Block]:
     """All fenced blocks of a page."""
     for found in _BLOCK.finditer(page.read_text()):
-        notes = _NOTE.findall(found["notes"])
-        told = dict(notes)
-        first = tuple(text for kind, text in notes if kind == "first")
-        yield Block(
-            found["kind"], found["text"], first, told.get("file", ""), told.get("not run", "")
-        )
+        told = dict(_NOTE.findall(found["notes"]))
+        yield Block(found["kind"], found["text"], *map(told.get, ("file", "shown", "not run")))
 
 
 def is_command(line: str) -> bool:
@@ -83,16 +79,19 @@ def runs_in_a_test(line: str) -> bool:
 
 
 class PageRunner:
-    """The reader's folder: what the checkout offers is linked, all else is made by the page."""
+    """The reader's terminal, in the folder that is current.
 
-    def __init__(self, folder: Path) -> None:
-        (folder / "config").symlink_to(ROOT / "config")
-        self._shell = dict(os.environ, HOME=str(folder))
-        for place in (folder / "bench", folder / ".bin" / "sma-bench"):
-            place.parent.mkdir(exist_ok=True)
-            place.write_text(_BENCH.format(python=sys.executable))
-            place.chmod(0o755)
-        self._shell["PATH"] = f"{folder / '.bin'}:{self._shell['PATH']}"
+    Args:
+        home: the reader's home, where the command is installed too.
+    """
+
+    def __init__(self, home: Path) -> None:
+        program = home / ".bin" / "sma-bench"
+        program.parent.mkdir(parents=True)
+        program.write_text(_BENCH.format(python=sys.executable))
+        program.chmod(0o755)
+        self._shell = dict(os.environ, HOME=str(home))
+        self._shell["PATH"] = f"{program.parent}:{self._shell['PATH']}"
         self._names: dict[str, object] = {"__name__": "__main__"}
 
     def play(self, page: Path) -> int:
@@ -105,8 +104,8 @@ class PageRunner:
         for block in blocks_of(page):
             if block.not_run:
                 continue
-            for command in block.first:
-                self.run(command)
+            if block.shown:
+                assert Path(block.shown).read_text() == block.text, f"{page.name}: {block.shown}"
             if block.file:
                 Path(block.file).write_text(block.text)
             elif block.kind == "python":
@@ -121,8 +120,8 @@ class PageRunner:
     def run(self, command: str) -> None:
         """One command: those of sma-bench in this process, which spares seconds each."""
         words = shlex.split(command)
-        if words[0] == "instrument_file":
-            instrument_files.write(words[1])
+        if words[0] == "cd" and not _SHELL.search(command):
+            os.chdir(words[1])
         elif words[0] in PROGRAMS and not _SHELL.search(command):
             assert main(words[1:]) == 0, command
         elif words[0] in PROGRAMS and (written := _WRITTEN.fullmatch(command)):

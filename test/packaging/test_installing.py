@@ -53,8 +53,9 @@ def copy_checkout(target: Path) -> Path:
 
 
 def files(folder: Path) -> set[str]:
-    """Files of config/ and launch/ below a folder."""
-    found = [path for part in ("config", "launch") for path in (folder / part).rglob("*")]
+    """Files of config/, examples/ and launch/ below a folder."""
+    parts = ("config", "examples", "launch")
+    found = [path for part in parts for path in (folder / part).rglob("*")]
     return {
         str(path.relative_to(folder))
         for path in found
@@ -156,3 +157,5 @@ def test_pip_installs_command_and_share_folder(tmp_path: Path) -> None:
     share = target / "share" / "sma_bench"
     assert run(python, "-c", WHERE, cwd=tmp_path).strip() == str(share)
     assert files(share) == files(source)
+    run(target / "bin" / "sma-bench", "example", "ten_tasks", cwd=tmp_path)
+    assert (tmp_path / "ten_tasks" / "run.csv").is_file()

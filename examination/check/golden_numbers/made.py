@@ -22,7 +22,7 @@ import sma_bench
 ROOT = Path(__file__).resolve().parents[3]
 CONFIG = ROOT / "config"
 DATA = ROOT.parent / "shared" / "data"
-sys.path.insert(0, str(ROOT / "test" / "docs"))
+sys.path.insert(0, str(ROOT / "examples"))
 
 DAILY = ("identify", "simulate", "diagnose", "paper")
 SECTIONS = (*DAILY, "blind60")
@@ -170,17 +170,12 @@ def simulated_composite() -> Numbers:
 
 def instrument_files(experiment: str, *names: str) -> Numbers:
     """E5, E6, E7, E9: files as the instruments export them, synthetic."""
-    import instrument_files as instruments
+    from make import instrument_text
 
-    folder = os.getcwd()
-    with tempfile.TemporaryDirectory() as made:
-        os.chdir(made)
-        try:
-            for name in names:
-                instruments.write(name)
-            return identified(names, None, [experiment])
-        finally:
-            os.chdir(folder)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            Path(folder, name).write_text(instrument_text(name))
+        return identified([Path(folder, name) for name in names], None, [experiment])
 
 
 def measured(pattern: str, experiment: str = "") -> Numbers:

@@ -1,0 +1,44 @@
+"""sma-bench example: the files of a documentation page, or a rig's parameters, in a new folder."""
+
+import argparse
+import shutil
+from pathlib import Path
+
+from sma_bench.commands.parser import FOLDER, add_output, keep_safe
+from sma_bench.commands.terminal import say
+from sma_bench.errors import InputError, did_you_mean
+from sma_bench.installation import share_directory
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="page or rig; all are listed without it"
+    )
+    add_output(parser, "--out", FOLDER, metavar="FOLDER", help="folder to make (default: NAME)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Copy the files of one example; a rig of config/ becomes a lab.yaml."""
+    share = share_directory()
+    files = {
+        folder.name: {path.name: path for path in sorted(folder.iterdir())}
+        for folder in sorted((share / "examples").iterdir())
+        if (folder / "lab.yaml").is_file()
+    }
+    rigs = sorted((share / "config").glob("*_rig.yaml"))
+    files |= {rig.stem: {"lab.yaml": rig} for rig in rigs}
+    if args.name is None:
+        for name, found in files.items():
+            say(f"{name}: {', '.join(found)}")
+        return 0
+    if args.name not in files:
+        hint = did_you_mean(args.name, files) or f", expected one of {', '.join(files)}"
+        raise InputError(f"no example {args.name!r}{hint}")
+    folder = Path(args.out or args.name)
+    keep_safe({"--out": (folder, FOLDER)}, [], args.force)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, path in files[args.name].items():
+        shutil.copyfile(path, folder / name)
+        say(f"{folder / name}")
+    return 0
