@@ -30,7 +30,7 @@ from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / "locks"
-UV, PIP_AUDIT = "uv==0.13.9", "pip-audit==2.10.1"
+UV, PIP, PIP_AUDIT = "uv==0.13.9", "pip==26.3", "pip-audit==2.10.1"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 
 BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requirements-test.txt"
@@ -198,7 +198,7 @@ def problems() -> list[str]:
 
 def write_locks(folder: Path) -> int:
     """Ask the index for every file's hashes and requirements; 0 when all locks are written."""
-    uv = _tool(UV, folder) / "uv"
+    uv = _tool(folder, UV, PIP) / "uv"
     LOCKS.mkdir(exist_ok=True)
     texts, metadata = {}, {}
     for path in requirement_files():
@@ -223,25 +223,31 @@ def write_locks(folder: Path) -> int:
             for package in json.loads(process.stdout)["install"]
         }
     # Of hundreds of extras only those that a package here asks for are of interest.
-    wanted = {
-        extra
+    asked = [
+        needed
         for packages in metadata.values()
         for package in packages.values()
-        for line in package.get("requires_dist", [])
-        for extra in Requirement(line).extras
-    }
+        for needed in map(Requirement, package.get("requires_dist", []))
+        if needed.extras
+    ]
     for file, text in texts.items():
         lines = [f"# {file} with hashes; written by ./bench check pins --write."]
         for block in re.split(r"\n(?=[\w.-]+==)", text.strip("\n")):
-            package = metadata[file][canonical(block.partition("==")[0])]
-            lines += [block, *required_lines(package, wanted)]
+            name = canonical(block.partition("==")[0])
+            extras = {
+                extra
+                for needed in asked
+                if canonical(needed.name) == name
+                for extra in needed.extras
+            }
+            lines += [block, *required_lines(metadata[file][name], extras)]
         (LOCKS / file).write_text("\n".join(lines) + "\n")
         print(f"{file}: {len(metadata[file])} packages locked")
     return 0
 
 
 def required_lines(package: dict[str, Any], extras: set[str]) -> list[str]:
-    """Comment lines of a lock from a package's metadata, but for extras that nobody asks for."""
+    """Comment lines of a lock from a package's metadata, with those of these extras."""
     found = [f"Python {package['requires_python']}"] if package.get("requires_python") else []
     for needed in map(Requirement, package.get("requires_dist", [])):
         names = re.findall(r"""extra\s*==\s*["']([^"']+)""", str(needed.marker or ""))
@@ -253,7 +259,7 @@ def required_lines(package: dict[str, Any], extras: set[str]) -> list[str]:
 def audit(folder: Path) -> int:
     """1 when a vulnerability is known; 0 when none is, or nobody can be asked."""
     try:
-        tool = _tool(PIP_AUDIT, folder) / "pip-audit"
+        tool = _tool(folder, PIP_AUDIT) / "pip-audit"
     except subprocess.CalledProcessError:
         print("pins: not audited: pip-audit cannot be fetched")
         return 0
@@ -288,11 +294,11 @@ def audited(name: str, packages: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def _tool(pin: str, folder: Path) -> Path:
-    """The bin folder of an environment with this tool alone."""
+def _tool(folder: Path, *pins: str) -> Path:
+    """The bin folder of an environment with these tools alone."""
     subprocess.run([sys.executable, "-m", "venv", str(folder / "tool")], check=True)
     pip = folder / "tool" / "bin" / "pip"
-    subprocess.run([str(pip), "install", "--quiet", pin], check=True, capture_output=True)
+    subprocess.run([str(pip), "install", "--quiet", *pins], check=True, capture_output=True)
     return folder / "tool" / "bin"
 
 

@@ -14,11 +14,8 @@ LOCK = (
 )
 
 
-@pytest.mark.parametrize("path", pins.requirement_files(), ids=lambda path: path.name)
-def test_every_requirement_is_locked_with_hashes(path: Path) -> None:
-    assert pins.disagreements(path, pins.LOCKS / path.name) == [], (
-        "run: ./bench check pins --write"
-    )
+def test_every_lock_is_whole_agrees_with_the_others_and_would_install() -> None:
+    assert pins.problems() == [], "run: ./bench check pins --write"
 
 
 @pytest.mark.parametrize(
@@ -38,6 +35,54 @@ def test_a_lock_that_is_not_its_requirement_file_is_found(
     requirements.write_text(REQUIREMENTS)
     lock.write_text(LOCK.replace(old, new) if old else LOCK)
     assert sorted(pins.disagreements(requirements, lock)) == sorted(f"lock.txt: {f}" for f in found)
+
+
+def lock(folder: Path, **packages: str) -> dict[str, pins.Locked]:
+    """A lock from versions, each with what it requires behind it: a="1 b>=2, c[d]"."""
+    text = ""
+    for name, said in packages.items():
+        version, _, requires = said.partition(" ")
+        text += f"{name}=={version} \\\n{HASH}\n"
+        text += "".join(f"    # requires {each}\n" for each in requires.split(", ") if each)
+    (folder / "lock.txt").write_text(text)
+    return pins.read_lock(folder / "lock.txt")
+
+
+@pytest.mark.parametrize(
+    ("packages", "found"),
+    [
+        ({"a": "1 B_b>=2", "b-b": "2.1"}, ""),
+        ({"a": "1 b>=2"}, "a requires b>=2, which is not locked (Python 3.11, 3.12, 3.13, 3.14)"),
+        ({"a": "1 b>=2", "b": "1.9"}, "a requires b>=2, locked is 1.9"),
+        ({"a": "1 b; python_version >= '3.13'"}, "which is not locked (Python 3.13, 3.14)"),
+        ({"a": "1 b; sys_platform == 'win32'"}, ""),
+        ({"a": "1 Python <3.14"}, "a requires Python <3.14 (Python 3.14)"),
+        # An extra counts where somebody asks for it.
+        ({"b": "1 c; extra == 'more'"}, ""),
+        ({"a": "1 b[more]", "b": "1 c; extra == 'more'"}, "b requires c; extra == \"more\", which"),
+    ],
+)
+def test_a_lock_that_would_not_install_is_found(
+    tmp_path: Path, packages: dict[str, str], found: str
+) -> None:
+    locks = {file: {} for file in pins.BELOW} | {pins.RUNTIME: lock(tmp_path, **packages)}
+    lines = pins.not_installable(pins.RUNTIME, locks)
+    assert len(lines) == bool(found) and found in "".join(lines)
+
+
+def test_what_an_earlier_lock_has_need_not_be_in_the_next(tmp_path: Path) -> None:
+    locks = {file: {} for file in pins.BELOW}
+    locks |= {pins.RUNTIME: lock(tmp_path, b="2"), pins.TEST: lock(tmp_path, a="1 b>=2")}
+    assert pins.not_installable(pins.TEST, locks) == []
+    locks[pins.ROBOT] = lock(tmp_path, a="1 b>=2")  # on apt's Python, with none below it
+    assert len(pins.not_installable(pins.ROBOT, locks)) == 1
+
+
+def test_two_locks_of_an_environment_agree_on_every_version(tmp_path: Path) -> None:
+    locks = {pins.RUNTIME: lock(tmp_path, a="1"), pins.NOBLE: lock(tmp_path, a="2")}
+    assert pins.conflicts(locks) == []
+    locks[pins.TEST] = lock(tmp_path, a="3")
+    assert len(pins.conflicts(locks)) == 1 and pins.conflicts(locks)[0].startswith("a: ")
 
 
 def test_the_audit_says_what_it_could_not_ask_about_and_names_each_flaw():
