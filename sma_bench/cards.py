@@ -5,13 +5,13 @@ Made from the result file alone, so that a stored answer shows what a fresh one 
 
 import html
 import math
+import shlex
 import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from sma_bench.border import printable
 from sma_bench.parameters.parameter import EFFECTS
-from sma_bench.parameters.table import BY_NAME
 from sma_bench.results import (
     AT_NOISE,
     DIFFER_MOST,
@@ -22,6 +22,7 @@ from sma_bench.results import (
     SOMETHING_ELSE,
     DiagnoseResult,
     IdentifyResult,
+    Invocation,
     Proposed,
     ShownCandidate,
     ShownNumber,
@@ -45,7 +46,7 @@ class Card(NamedTuple):
     rows: tuple[tuple[str, str], ...]
 
 
-def verdict_card(result: DiagnoseResult) -> Card:
+def verdict_card(result: DiagnoseResult, asked: Invocation | None = None) -> Card:
     """Cause, place, error on unseen data, rivals, and what to type next."""
     rows = [
         *(("cause", line) for line in _causes(result)),
@@ -55,7 +56,7 @@ def verdict_card(result: DiagnoseResult) -> Card:
         ("rivals", _rivals(result)),
         ("left", _said(result, SOMETHING_ELSE)),
         ("missing", _missing(result)),
-        ("next", _next(result)),
+        ("next", _next(result, asked)),
     ]
     said = [(label, text) for label, text in rows if text]
     above = ["", *(label for label, _ in said)]
@@ -65,9 +66,11 @@ def verdict_card(result: DiagnoseResult) -> Card:
     )
 
 
-def card_text(result: DiagnoseResult, width: int = _WIDTH) -> str:
+def card_text(
+    result: DiagnoseResult, width: int = _WIDTH, asked: Invocation | None = None
+) -> str:
     """The card as lines for a terminal of `width`, folded, labels once."""
-    return "\n".join(card_lines(verdict_card(result), width))
+    return "\n".join(card_lines(verdict_card(result, asked), width))
 
 
 def card_html(result: DiagnoseResult) -> str:
@@ -106,9 +109,41 @@ _TOGETHER = 0.5  # correlation worth a line
 _MOST_PAIRS = 3
 
 
-def identification_card(result: IdentifyResult, numbers: bool = True) -> Card:
+def fit_line(result: IdentifyResult) -> str:
+    """Which signals the model misses; "" where it fits all within their noise."""
+    for verdict, head, tail in (
+        ("misfit", "The model does not fit", "Do not use these numbers; run diagnose with the "
+         "parameters you believed"),
+        ("imperfect", "The model fits imperfectly", "Above the noise, at most 5 % of the range"),
+    ):  # fmt: skip
+        missed = [
+            f"{name} is missed by {_sized(fit.rms, fit.unit)} rms (noise "
+            f"{_sized(fit.noise, fit.unit)})"
+            for name, fit in result.fit.items() if fit.verdict == verdict
+        ]
+        if missed:
+            return f"{head}: {', '.join(missed)}. {tail}"
+    return ""
+
+
+_THOUSANDTHS = {"m": "mm", "A": "mA"}
+
+
+def _sized(value: float, unit: str) -> str:
+    thousandth = _THOUSANDTHS.get(unit)
+    return f"{1e3 * value:.2g} {thousandth}" if thousandth else in_unit(f"{value:.2g}", unit)
+
+
+def is_misfit(result: IdentifyResult) -> bool:
+    """Whether the model misses some signal by more than noise and 5 % of its range."""
+    return any(fit.verdict == "misfit" for fit in result.fit.values())
+
+
+def identification_card(
+    result: IdentifyResult, numbers: bool = True, asked: Invocation | None = None
+) -> Card:
     """Every number in a row of its own where there is no table of them, which surprise, which hang
-    together, and what to type next."""
+    together, and what to type next; a model that does not fit comes first of all."""
     done = ", ".join(dict.fromkeys(title.split()[0] for title, _, _ in result.experiments))
     count, warned = len(result.parameters), len(result.warnings)
     rows = [(row[0], _in_a_row(row)) for row in number_rows(result) if numbers]
@@ -117,16 +152,37 @@ def identification_card(result: IdentifyResult, numbers: bool = True) -> Card:
         ("linked", _linked(result)),
         ("beware", f"{_plural(warned, 'warning')}, the first: {result.warnings[0]}"
          if warned else ""),
-        ("next", "the same command with --out identified.yaml, then sma-bench diagnose RECORD "
-                 "--params identified.yaml" if count else ""),
+        ("next", _after_identification(result, asked)),
     ]  # fmt: skip
     title = f"{_plural(count, 'parameter')} identified" + (f" by {done}" if done else "")
+    if said := fit_line(result):
+        rows = [("", title), *rows] if is_misfit(result) else [("fit", said), *rows]
+        title = said if is_misfit(result) else title
     return Card(title, tuple((label, text) for label, text in rows if text))
+
+
+def _after_identification(result: IdentifyResult, asked: Invocation | None) -> str:
+    """From what was asked for: after a misfit from the parameters that were believed, never from
+    those that were fitted."""
+    if not result.parameters:
+        return ""
+    records = " ".join(map(shlex.quote, asked.records)) if asked and asked.records else "RECORD"
+    if is_misfit(result):
+        params = shlex.quote(asked.params) if asked and asked.params else "lab.yaml"
+        stated = "" if asked and asked.params else (
+            ", a file of what you believe (sma-bench parameters --out lab.yaml is one to begin "
+            "with)")
+        return f"sma-bench diagnose {records} --params {params}{stated}"
+    if asked is None or asked.out:
+        out = shlex.quote(asked.out) if asked else "identified.yaml"
+        return f"sma-bench diagnose {records} --params {out}"
+    return (f"the same command with --out identified.yaml, then sma-bench diagnose {records} "
+            "--params identified.yaml")
 
 
 def number_rows(result: IdentifyResult) -> list[tuple[str, ...]]:
     """A row a number, as `NUMBER_HEADER`: its error in two parts, the share of its information
-    that came from the records, and how it agrees with the paper or data sheet (* assumed)."""
+    that came from the records, and how it agrees with what the parameter file states."""
     experiment_of = {n.name: title.split()[0] for title, _, own in result.experiments for n in own}
     return [
         (
@@ -156,26 +212,16 @@ def two_errors(number: ShownNumber) -> str:
     return in_unit(both, number.unit)
 
 
-def reference_of(number: ShownNumber) -> float | None:
-    """The number of the paper or a data sheet; None where there is nothing to compare with."""
-    known = BY_NAME.get(number.name)
-    if known is None or not isinstance(known.default, float) or not known.default:
-        return None
-    return known.default if math.isfinite(number.value) and number.std >= 0.0 else None
-
-
-def is_assumed(name: str) -> bool:
-    """Whether the reference is no more than that."""
-    return name in BY_NAME and BY_NAME[name].provenance.startswith("assumed")
-
-
 def surprising(result: IdentifyResult) -> list[ShownNumber]:
-    """Numbers that lie far off a reference which somebody has measured."""
-    return [
-        n for n in result.parameters
-        if (reference := reference_of(n)) is not None and not is_assumed(n.name)
-        and abs(n.value - reference) > _SURPRISES * n.std > 0.0
-    ]  # fmt: skip
+    """Numbers that lie far off what the parameter file states, both errors together."""
+    return [n for n in result.parameters if n.stated and abs(_off(n)) > _SURPRISES]
+
+
+def _off(number: ShownNumber) -> float:
+    """Standard deviations from what is stated; 0 where nothing is."""
+    value, std = number.stated or (math.nan, math.nan)
+    off = (number.value - value) / max(math.hypot(number.std, std), 1e-300)
+    return off if math.isfinite(off) else 0.0
 
 
 def _surprise(number: ShownNumber) -> str:
@@ -184,16 +230,17 @@ def _surprise(number: ShownNumber) -> str:
 
 
 def _agreement(number: ShownNumber) -> tuple[str, str]:
-    """The reference, and how far the number is off it."""
-    reference = reference_of(number)
-    if reference is None:
+    """What the parameter file states, and how far the number is off it."""
+    if number.stated is None or not math.isfinite(number.value):
         return "", ""
-    apart = number.value - reference  # of temperatures, a share of the absolute one says nothing
-    off = f"{signed(apart, '.2g')} K" if number.unit == "K" else (
-        f"{signed(100.0 * apart / reference, '.2g')} %")
-    if number.std > 0.0:
-        off += f" ({signed(apart / number.std, '.1f')} std)"
-    return f"{reference:.5g}" + (" *" if is_assumed(number.name) else ""), off
+    value, std = number.stated
+    apart = number.value - value  # of temperatures, a share of the absolute one says nothing
+    relative = value != 0.0 and number.unit != "K"
+    off = f"{signed(100.0 * apart / value, '.2g')} %" if relative else (
+        in_unit(signed(apart, ".2g"), number.unit))
+    if number.std > 0.0 or std > 0.0:
+        off += f" ({signed(_off(number), '.1f')} std)"
+    return with_error(value, std), off
 
 
 def _linked(result: IdentifyResult) -> str:
@@ -212,7 +259,7 @@ def _plural(count: int, name: str) -> str:
     return f"{count} {name}" + ("" if count == 1 else "s")
 
 
-def identification_text(result: IdentifyResult) -> str:
+def identification_text(result: IdentifyResult, asked: Invocation | None = None) -> str:
     """The card, a number a line below its title."""
     if not result.parameters:
         return "nothing identified"
@@ -222,8 +269,14 @@ def identification_text(result: IdentifyResult) -> str:
     table = [
         "  ".join(f"{row[k]:{w}}" for k, w in zip(kept, wide, strict=True)).rstrip() for row in rows
     ]
-    title, *below = card_lines(identification_card(result, numbers=False))
+    title, *below = title_apart(identification_card(result, False, asked))
     return "\n".join([title, *map(printable, table), *below])
+
+
+def title_apart(card: Card, width: int = _WIDTH) -> list[str]:
+    """The lines of the title as one, then those of the rows."""
+    title = card_lines(Card(card.title, ()), width)
+    return ["\n".join(title), *card_lines(card, width)[len(title) :]]
 
 
 def identification_html(result: IdentifyResult) -> str:
@@ -332,16 +385,26 @@ def _said(result: DiagnoseResult, words: str) -> str:
     return next((sentence for sentence in result.why if words in sentence), "")
 
 
-def _next(result: DiagnoseResult) -> str:
+def _next(result: DiagnoseResult, asked: Invocation | None) -> str:
+    """What to do, from what was asked for: with what is there already, or where nothing is known of
+    the command, without one."""
     if result.next_experiment is not None:
         return _proposal(result.next_experiment)
+    improved = shlex.quote(asked.out) if asked and asked.out else "improved.yaml"
+    again = f"the same command with --out {improved}" if asked and not asked.out else ""
+    record = shlex.quote(asked.records[0]) if asked and asked.records else "RECORD"
+    simulated = f"sma-bench simulate --params {improved} --input {record} --out simulated"
+    shape = "draws the shape of what is missing"
     return {
-        "effect": "the same command with --out improved.yaml, then sma-bench simulate --params "
-                  "improved.yaml --input RECORD --out simulated",
-        "recalibration": "the same command with --out improved.yaml; load that file in every node",
+        "effect": f"{again}, then {simulated}" if again else simulated,
+        "recalibration": f"{again}; load that file in every node" if again else
+                         f"load {improved} in every node",
         NO_GAP: "nothing to correct; a stronger or longer drive may show more",
         "ambiguous": "nothing that the bench can do would settle it: see the remarks",
-    }.get(result.verdict, "the same command with --report page draws the shape of what is missing")
+    }.get(
+        result.verdict, f"{asked.report} {shape}" if asked and asked.report else
+        f"the same command with --report page {shape}" if asked else f"its page {shape}",
+    )  # fmt: skip
 
 
 def _proposal(proposed: Proposed) -> str:

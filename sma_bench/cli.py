@@ -44,7 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     end_with_parent(inherited=True)
     try:
-        return _dispatch(arguments)
+        status = _dispatch(arguments)
+        sys.stdout.flush()  # a reader that has left is noticed here, not when Python ends
+        return status
     except InputError as error:
         from sma_bench.border import printable  # --help does without YAML
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Protocol
 
+_LONGEST = 400  # characters of a line that stands for a result
+
 
 class Plot(Protocol):
     """A figure that a notebook shows, and that is saved as PNG, SVG, PDF or CSV."""
@@ -45,6 +47,10 @@ class Reported(Drawn):
     """What has a page of its own too; `writer`: the module of the drawing room and its function."""
 
     writer: ClassVar[tuple[str, str]]
+
+    def __repr__(self) -> str:
+        """The first line of its card."""
+        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:_LONGEST]}>"
 
     def report(self, folder: str | Path) -> Path:
         """Write the page with its figures into a folder; the path of its index.html.

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -89,7 +89,8 @@ T = TypeVar("T")
 class ShownNumber:
     """A number with one standard deviation, both in `unit`; `systematic` is the part of it that
     more of the same records would not lower, `informed` the share of its information that came from
-    the records, NaN where that is not said; `warned`: how many warnings concern it."""
+    the records, NaN where that is not said; `warned`: how many warnings concern it; `stated`: value
+    and standard deviation in the parameter file, None where it states none."""
 
     name: str
     value: float
@@ -100,6 +101,7 @@ class ShownNumber:
     systematic: float = 0.0
     informed: float = math.nan
     warned: int = 0
+    stated: tuple[float, float] | None = None
 
     @property
     def statistical(self) -> float:
@@ -107,16 +109,35 @@ class ShownNumber:
         return math.sqrt(max(self.std**2 - self.systematic**2, 0.0))
 
 
+class ShownFit(NamedTuple):
+    """How the model fits a signal: rms of the residual and noise of a sample in `unit`."""
+
+    verdict: str
+    rms: float
+    noise: float
+    unit: str
+
+
+class Invocation(NamedTuple):
+    """The command that has made a result, as far as advice on what to do next depends on it."""
+
+    records: tuple[str, ...] = ()
+    params: str = ""
+    out: str = ""
+    report: str = ""
+
+
 @dataclass(frozen=True)
 class IdentifyResult:
     """What identify has written; `experiments`: title, source and further numbers of each;
-    `correlation`: names, and the correlations of their errors, row by row."""
+    `correlation`: names, and the correlations of their errors, row by row; `fit`: by signal."""
 
     path: Path
     parameters: tuple[ShownNumber, ...]
     experiments: tuple[tuple[str, str, tuple[ShownNumber, ...]], ...]
     warnings: tuple[str, ...]
     correlation: tuple[tuple[str, ...], tuple[tuple[float, ...], ...]] = ((), ())
+    fit: Mapping[str, ShownFit] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -224,7 +245,15 @@ def _identification(path: Path, document: dict[str, Any]) -> IdentifyResult:
     return IdentifyResult(
         path, _numbers(document["parameters"]), tuple(experiments),
         _each(_text, document["warnings"]), _correlation(document.get("correlation")),
+        {_text(name): _fit(found) for name, found in document.get("fit", {}).items()},
     )
+
+
+def _fit(found: dict[str, Any]) -> ShownFit:
+    verdict = _text(found["verdict"])
+    if verdict not in ("ok", "imperfect", "misfit"):
+        raise ValueError(f"fit {verdict!r:.40} is not ok, imperfect or misfit")
+    return ShownFit(verdict, _number(found["rms"]), _number(found["noise"]), _text(found["unit"]))
 
 
 def _correlation(
@@ -296,10 +325,14 @@ def _numbers(found: dict[str, Any]) -> tuple[ShownNumber, ...]:
             name, _number(entry["value"]), _number(entry["std"]), _text(entry["unit"]),
             _text(entry.get("method", "")), int(entry.get("n", 0)),
             _number(entry.get("systematic", 0.0)), _number(entry.get("informed")),
-            len(entry.get("warnings", [])),
+            len(entry.get("warnings", [])), _stated(entry.get("stated")),
         )
         for name, entry in found.items()
     )
+
+
+def _stated(found: dict[str, Any] | None) -> tuple[float, float] | None:
+    return None if found is None else (_number(found["value"]), _number(found["std"]))
 
 
 def _each(read: Callable[[Any], T], found: list[Any]) -> tuple[T, ...]:

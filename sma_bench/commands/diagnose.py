@@ -21,6 +21,7 @@ from sma_bench.commands.terminal import (
     write_json,
 )
 from sma_bench.findings import fold_audit
+from sma_bench.results import Invocation
 
 if TYPE_CHECKING:
     from sma_bench.diagnose import Diagnosis
@@ -63,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, result.to_json())
     if args.out:
         write_improved(args.out, result, "sma-bench diagnose")
-    print_result(result)
+    params, out, page = (text or "" for text in (args.params, args.out, args.report))
+    print_result(result, Invocation(tuple(args.records), params, out, page))
     if args.report:
         from sma_bench.report.diagnosis_report import write_diagnosis_report
         from sma_bench.report.page import Made
@@ -83,12 +85,12 @@ def quantities() -> tuple[str, ...]:
     return QUANTITIES
 
 
-def print_result(result: "Diagnosis") -> None:
+def print_result(result: "Diagnosis", asked: Invocation) -> None:
     """The card, then the argument in a few tables."""
     from sma_bench.cards import card_text
 
     console = output_console()
-    card = card_text(result.shown, console.width)
+    card = card_text(result.shown, console.width, asked)
     console.print(f"{card}\n", markup=False, soft_wrap=True)
     print_tables(console, result.shown)
     for sentence in result.why:

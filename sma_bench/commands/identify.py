@@ -1,8 +1,10 @@
 """sma-bench identify: parameters of Table I from bags and instrument files."""
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sma_bench.cards import is_misfit
 from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
 from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
 from sma_bench.commands.terminal import (
@@ -16,6 +18,9 @@ from sma_bench.commands.terminal import (
     say,
     write_json,
 )
+from sma_bench.results import Invocation
+
+MISFIT = 3  # exit status: the model does not fit the records
 
 if TYPE_CHECKING:
     from sma_bench.identify import Identification
@@ -49,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Identify, print a table, write the files that were asked for."""
+    """Identify, print a table, write the files that were asked for; 3 where the model does not
+    fit the records."""
     from sma_bench.tasks.work import identify_files, write_identified
 
     parameters, column = parameters_from_options(args), column_of(args)
@@ -61,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
-    print_result(result)
+    print_result(result, _asked(args))
     if args.report:
         from sma_bench.report.collected_report import write_identification_report
         from sma_bench.report.page import Made
@@ -70,7 +76,13 @@ def run(args: argparse.Namespace) -> int:
         with progress("drawing the report") as report:
             page = write_identification_report(args.report, result, report, made, column)
         say(f"report {page}")
-    return 0
+    return MISFIT if is_misfit(result.shown) else 0
+
+
+def _asked(args: argparse.Namespace) -> Invocation:
+    """What advice depends on; only bags can be diagnosed."""
+    bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
+    return Invocation(tuple(bags), args.params or "", args.out or "", args.report or "")
 
 
 def phase_of(text: str) -> tuple[str, str]:
@@ -88,13 +100,21 @@ def experiments() -> tuple[str, ...]:
     return EXPERIMENTS
 
 
-def print_result(result: "Identification") -> None:
+def print_result(result: "Identification", asked: Invocation) -> None:
     """The card, and below it every remark on the numbers."""
-    from sma_bench.cards import NUMBER_HEADER, card_lines, identification_card, number_rows
+    from sma_bench.cards import (
+        NUMBER_HEADER,
+        identification_card,
+        identification_text,
+        number_rows,
+        title_apart,
+    )
 
-    console, text = output_console(), str(result)
+    console, text = output_console(), identification_text(result.shown, asked)
     if max(map(len, text.splitlines())) > console.width:  # the table is folded, not the lines
-        title, *below = card_lines(identification_card(result.shown, numbers=False), console.width)
+        title, *below = title_apart(
+            identification_card(result.shown, False, asked), console.width
+        )
         print_table(console, NUMBER_HEADER, number_rows(result.shown), title=title)
         text = "\n".join(below)
     console.print(f"{text}\n", markup=False, soft_wrap=True)

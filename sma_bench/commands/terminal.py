@@ -26,7 +26,7 @@ from sma_bench.results import json_text, write_result
 if TYPE_CHECKING:
     from sma_bench.report.drawing import PaperColumn
 
-# --- Tables that fit: as wide as they need be in a file, no wider than a terminal.
+# --- Tables that fit: no wider than a terminal, or 100 cells in a file or a pipe.
 #
 # What does not fit is folded, never cut, since a name that is cut cannot be looked up; where
 # folding does not do either, every row becomes a block of lines.
@@ -34,13 +34,20 @@ if TYPE_CHECKING:
 _NARROWEST, _NARROWEST_NAME = 20, 30  # cells of a column that is folded; of the first one
 _NEVER_BROKEN = 10
 _BETWEEN = 2
-_FOR_FILES = 10_000
+_FOR_FILES = 100  # cells of a line in a file or a pipe
 _SAYS_NOTHING = ("", "·")
 
 
+class PipedConsole(Console):
+    """A console whose reader may leave early: `main` ends the command then."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def output_console() -> Console:
-    """Standard output; in a file or a pipe lines are as long as they are."""
-    console = Console(highlight=False)
+    """Standard output; in a file or a pipe tables are as wide as a page."""
+    console = PipedConsole(highlight=False)
     if not console.is_terminal and "COLUMNS" not in environ:
         console.width = _FOR_FILES
     return console

@@ -54,7 +54,7 @@ _WOULD_ADD = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Reported):
     """The result; `to_json` is the contract's.
 

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,12 @@ from sma_bench.findings import Finding
 from sma_bench.identify import load_frame, whole_model
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.estimate import Correlation, Estimate, Experiment
+from sma_bench.identify.fit_verdict import (
+    SignalFit,
+    fits_of_curves,
+    fits_of_observations,
+    worst,
+)
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
@@ -36,6 +42,7 @@ from sma_bench.identify.run import (
     run_specific_heat,
 )
 from sma_bench.identify.signals import FEWEST_LEVELS, ChannelDrive, as_calibrated, sensors_of
+from sma_bench.identify.thermal.specific_heat import CAMERA_LAG, LAG, observe_channel
 from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME, TRANSITIONS
@@ -69,13 +76,15 @@ _JOINT = 0.3
 _TRIED_ON_CHANCE = frozenset({"E8"})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification(Reported):
     """Everything the records gave.
 
     `estimates` by parameter name, `parameters` the given ones with these put in, both ready for a
     parameter file; `experiments` one each record and channel, with curves; `notes` what could not
-    be identified and why, and what the reader of the records remarked.
+    be identified and why, and what the reader of the records remarked. `fit`: how the model with
+    these parameters fits every signal that they were identified from; `stated`: value and standard
+    deviation of what the parameter file states, by name.
     """
 
     writer = ("collected_report", "write_identification_report")
@@ -84,6 +93,8 @@ class Identification(Reported):
     estimates: dict[str, Estimate]
     experiments: tuple[Experiment, ...]
     notes: tuple[Finding, ...] = ()
+    fit: dict[str, SignalFit] = field(default_factory=dict)
+    stated: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from."""
@@ -159,13 +170,20 @@ class Identification(Reported):
         doubts = self.doubts
         return {
             "parameters": {
-                name: {**e.to_json(), "warnings": list(doubts[name])}
+                name: {**e.to_json(), **self._stated(name), "warnings": list(doubts[name])}
                 for name, e in self.estimates.items()
             },
+            "fit": {name: asdict(one) for name, one in self.fit.items()},
             "correlation": self.correlation.to_json(),
             "experiments": [experiment.to_json() for experiment in self.experiments],
             "warnings": list(self.warnings),
         }
+
+    def _stated(self, name: str) -> dict[str, Any]:
+        if name not in self.stated:
+            return {}
+        value, std = self.stated[name]
+        return {"stated": {"value": value, "std": std}}
 
 
 # What an experiment on bags reads, and what its numbers go with.
@@ -258,7 +276,43 @@ def identify(
     run.weigh_priors(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
-    return Identification(improved, run.estimates, tuple(run.experiments), tuple(run.notes))
+    stated = {
+        name: (float(parameters[name]), parameters.std(name)) for name in run.estimates
+        if name in parameters.given
+    }
+    return Identification(
+        improved, run.estimates, tuple(run.experiments), tuple(run.notes),
+        _fit(run, bags, drives, improved), stated,
+    )
+
+
+# What an experiment on bags holds against its model.
+_PREDICTS = {"E1": "current", "E2": "temperature", "E3": "temperature"}
+
+
+def _fit(
+    run: IdentificationRun, bags: Sequence[Record],
+    drives: Sequence[tuple[Record, ChannelDrive]], found: Parameters,
+) -> dict[str, SignalFit]:
+    """How the model with these parameters fits what they were identified from."""
+    lag = run.estimates.get(CAMERA_LAG)
+    model = found.replace({LAG: lag.value}) if lag else found
+    fits: list[tuple[str, SignalFit]] = []
+    done = {e.name for e in run.experiments}
+    if whole := done & {whole_model.NAME, load_frame.NAME}:
+        used = {path for e in run.experiments if e.name in whole for path in e.source.split("; ")}
+        records = [record for record in bags if str(record.path) in used]
+        if records:
+            fits += fits_of_observations(whole_model.observe_all(records, model), model)
+    quantities = {_PREDICTS[name] for name in done if name in _PREDICTS}
+    for record, drive in drives:
+        with suppress(InputError):  # a channel without a reading of any of these
+            one = observe_channel(record, drive.channel, model, quantities)
+            fits += fits_of_observations([one], model)
+    loops = [e for e in run.experiments if e.name in ("E6", load_frame.NAME)]
+    for experiment in loops[-1:]:
+        fits += fits_of_curves(experiment.curves)
+    return worst(fits)
 
 
 def _remarks(record: Record) -> Iterator[Finding]:

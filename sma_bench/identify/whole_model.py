@@ -4,6 +4,7 @@ It is the fit that the diagnosis calls recalibration, from more starts.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -21,12 +22,13 @@ from sma_bench.estimation.observation import (
 )
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Number, Off, Result, result_of, scale_errors
-from sma_bench.estimation.solver import fit_with_misfit, recalibrate
+from sma_bench.estimation.solver import Fit, fit_with_misfit, recalibrate
 from sma_bench.estimation.unknowns import (
     LOADS,
     PRODUCTS,
     SHAPES,
     UNMODELLED,
+    Unknown,
     Unknowns,
     shares_of_factor,
     unknowns_of_records,
@@ -35,9 +37,12 @@ from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Correlation, Estimate, Experiment
 from sma_bench.identify.thermal.resistance import LEADS, lead_std
 from sma_bench.identify.thermal.resistance import PARAMETER as RESISTANCE
+from sma_bench.identify.thermal.specific_heat import CAMERA_LAG, LAG
+from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.heat import time_constant
 from sma_bench.progress import Report, silent
 from sma_bench.records.record import Record, has_samples
 
@@ -53,6 +58,9 @@ _FAR, _FAR_TOO = 3.5, 2.0  # prior deviations
 _FOUND = 4.0  # standard deviations of a zero or a delay
 _LAGS, _RARE = 20, 1e-6
 _FLOOR = 1.3
+_SHORT_LAG = 0.01  # s
+_TOLD = 0.1  # of the wire's time constant, error of a lag that the records by themselves tell
+_BETTER = 3.0  # nats, by which a lag must tell the records better
 _UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
           "wire.specific_heat": ("heat_capacity", "J/K", "m c_p")}  # fmt: skip
 
@@ -129,9 +137,36 @@ def fit_whole_model(
     tries = starts(unknowns)
     problem = Problem.of(observations, voltage_noise=True)
     fitted, tried = recalibrate(problem, parameters, unknowns, tries, report)
+    fitted, tried = _with_lag(fitted, tried, parameters)
     if load_kind(parameters) in LOADS:  # what ten strokes leave of a beam is not yet measured
         fitted = fit_with_misfit(fitted)
-    return result_of(fitted, tried, scale_errors(fitted))
+    result = result_of(fitted, tried, scale_errors(fitted))
+    numbers = [replace(n, name=CAMERA_LAG) if n.name == LAG else n for n in result.numbers]
+    return replace(result, numbers=tuple(numbers))
+
+
+def _with_lag(
+    fitted: Fit, tried: list[Fit], parameters: Parameters
+) -> tuple[Fit, list[Fit]]:
+    """The fit again with the thermometer's lag as an unknown, where temperatures are missed by more
+    than their noise or a lag is stated, and this tells the records better."""
+    mean, std = float(parameters[CAMERA_LAG]), parameters.std(CAMERA_LAG)
+    missed = any(
+        float(np.std(fitted.left[block.rows])) > _FLOOR * block.signal.noise
+        for block in fitted.problem.blocks if block.signal.quantity == "temperature"
+    )
+    if parameters[LAG] or std == 0.0 or not (missed or mean):
+        return fitted, tried
+    if CAMERA_LAG not in parameters.given_uncertainty:  # nobody has measured this thermometer's
+        std = max(std, float(BY_NAME[LAG].uncertainty or 0.0))
+    own = fitted.unknowns
+    item = Unknown(LAG, mean, std, 0.0, float(BY_NAME[LAG].high or np.inf))
+    unknowns = replace(own, items=(*own.items, item), baseline=own.baseline + 1)
+    first = item.x_of(max(mean, std))
+    starts = [np.append(one, first) for one in (own.start(), fitted.x)]
+    found, lagged = recalibrate(Problem.of(
+        fitted.problem.observations, fitted.problem.voltage_noise), parameters, unknowns, starts)
+    return (found, lagged) if found.evidence > fitted.evidence + _BETTER else (fitted, tried)
 
 
 def unknowns_of_observations(
@@ -223,8 +258,31 @@ def findings(result: Result) -> tuple[Finding, ...]:
     return (
         *_uninformed(result), *_tied(result), *_surprising(result.numbers),
         *_at_end(result.numbers), *_starts(result), *map(_about_off, filter(_is_off, result.off)),
-        *_residuals(result),
+        *_residuals(result), *_about_lag(result),
     )
+
+
+def _about_lag(result: Result) -> list[Finding]:
+    """Whether the temperatures would show a lag of the thermometer, or take it for c_p."""
+    fitted = result.fit
+    rows = [b.rows for b in fitted.problem.blocks if b.signal.quantity == "temperature"]
+    known = fitted.parameters
+    if not rows or known[LAG] or known.std(CAMERA_LAG) == 0.0:
+        return []
+    lagged = fitted.problem.predict(known.replace({LAG: _SHORT_LAG}))
+    white = fitted.problem.whiten((lagged - fitted.predicted) / _SHORT_LAG)
+    others = np.hstack([fitted.problem.whiten(fitted.derivatives), fitted.problem.white_nuisances])
+    taken_for = others.T @ white
+    told = float(white @ white - taken_for @ fitted.joint @ taken_for)
+    std, tau = 1.0 / np.sqrt(max(told, 1e-12)), time_constant(known)
+    if std < _TOLD * tau:
+        return []
+    text = (
+        f"the records cannot tell a lag of the thermometer from c_p: {known[CAMERA_LAG]:.2g} +- "
+        f"{known.std(CAMERA_LAG):.2g} s is assumed; more than that passes for thermal inertia "
+        f"(time constant of the wire {tau:.3g} s)"
+    )
+    return [Finding("info", SPECIFIC_HEAT, text, {"lag_std": float(std), "time_constant": tau})]
 
 
 def _uninformed(result: Result) -> list[Finding]:

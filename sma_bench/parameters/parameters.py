@@ -12,6 +12,7 @@ from sma_bench.parameters.table import BY_NAME, TABLE
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
 DRIVES = ("voltage", "duty", "current")
+_LONGEST_LIST = 800  # characters of what stands for a set of parameters
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _ORDERED_TEMPERATURES = (
     ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
@@ -80,6 +81,11 @@ class Parameters(Mapping[str, Value]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+    def __repr__(self) -> str:
+        stated = ", ".join(f"{name}={self[name]!r}" for name in sorted(self.given))
+        end = "" if len(stated) <= _LONGEST_LIST else "..."
+        return f"<Parameters: {len(self.given)} stated: {stated[:_LONGEST_LIST]}{end}>"
 
     def std(self, name: str) -> float:
         """One standard deviation of `name`, absolute, in its unit; the table's when none given.

@@ -58,7 +58,7 @@ class DscSegment:
     program_temperature: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DscRecord(Drawn):
     """A differential scanning calorimetry run.
 
@@ -75,6 +75,9 @@ class DscRecord(Drawn):
     segments: tuple[DscSegment, ...]
     findings: tuple[Finding, ...] = ()
     instrument: str = "PerkinElmer Pyris DSC"
+
+    def __repr__(self) -> str:
+        return f"<DscRecord {self.path}: {len(self.segments)} segments>"
 
     @property
     def sample(self) -> str:

@@ -174,7 +174,7 @@ _STRAIN = ("strain", "extension", "elongation", "crosshead")
 _NOTES = ("source", "unit", "readme")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class IsobaricRecord(Drawn):
     """One test at one stress.
 
@@ -194,6 +194,10 @@ class IsobaricRecord(Drawn):
     strain_unit: Literal["1", "relative"]
     cycles: tuple[Cycle, ...]
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        shown = f"{self.stress / 1e6:.4g} MPa, {len(self.cycles)} cycles"
+        return f"<IsobaricRecord {self.path}: {shown}>"
 
 
 def is_isobaric(path: Path) -> bool:

@@ -41,7 +41,7 @@ class Difference:
 HEADER = ("signal", "record", "rms", "worst", "at", "rms over range")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Overlay(Drawn):
     """Records on the clock of the first one, by name; `shifts` [s] were added to their times,
     `remarks` say where that was not possible; differences from the first, the largest first."""
@@ -50,6 +50,9 @@ class Overlay(Drawn):
     shifts: dict[str, float]
     differences: tuple[Difference, ...]
     remarks: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"<Overlay of {len(self.records)} records: {len(self.differences)} differences>"
 
     def __str__(self) -> str:
         rows = [HEADER, *(d.cells() for d in self.differences)]

@@ -14,6 +14,7 @@ from sma_bench.findings import Finding
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_LONGEST_LIST = 400  # characters of names in one line
 _LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
 
 
@@ -91,7 +92,7 @@ class Record(Drawn):
     def __repr__(self) -> str:
         ends = [s.time[-1] for s in self.signals.values() if len(s)]
         names = ", ".join(sorted(self.signals)) or "no signals"
-        return f"<Record {self.path}: {max(ends, default=0.0):.4g} s; {names}>"
+        return f"<Record {self.path}: {max(ends, default=0.0):.4g} s; {names[:_LONGEST_LIST]}>"
 
     def __getitem__(self, name: str) -> Signal:
         """The signal called `name`.

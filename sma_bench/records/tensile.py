@@ -36,7 +36,7 @@ _TEMPERATURE = re.compile(
 _PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(?P<phase>martensite|austenite)\b", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TensileRecord(Drawn):
     """One tensile test.
 
@@ -56,6 +56,9 @@ class TensileRecord(Drawn):
     phase: Phase | None = None
     is_extension: bool = False
     is_force: bool = False
+
+    def __repr__(self) -> str:
+        return f"<TensileRecord {self.path}: {len(self.strain)} rows>"
 
 
 def is_tensile(path: Path) -> bool:

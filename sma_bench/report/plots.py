@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from sma_bench.cards import is_assumed, reference_of
 from sma_bench.diagnose import Diagnosis
 from sma_bench.errors import InputError
 from sma_bench.identify import Identification
@@ -352,9 +351,11 @@ _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can 
 
 
 def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
-    """How far each number is off the paper's or data sheet's, with its errors, and the share of
-    its information that the records gave; None where there is nothing to compare."""
-    shown = [(n, ref) for n in result.parameters if (ref := reference_of(n)) is not None]
+    """How far each number is off what the parameter file states, with its errors, and the share of
+    its information that the records gave; of what it does not state the errors alone. None where
+    there is no number."""
+    known = [(n, n.stated[0] if n.stated else n.value) for n in result.parameters]
+    shown = [(n, value) for n, value in known if value and np.isfinite(value)]
     if not shown:
         return None
     figure = Figure(figsize=(7.2, 1.3 + 0.32 * len(shown)), layout="constrained")
@@ -369,10 +370,10 @@ def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
     left.errorbar(off, place, xerr=random, fmt="o", color=MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
     left.axvline(0.0, color=MODEL, lw=1.0, ls="--")
-    labels = [f"{n.name} *" if is_assumed(n.name) else n.name for n, _ in shown]
+    labels = [n.name if n.stated else f"{n.name} *" for n, _ in shown]
     left.set_yticks(place, labels, fontsize=8)
     left.set_ylim(-0.6, len(shown) - 0.4)
-    left.set_xlabel("off the reference [%]")
+    left.set_xlabel("off what was stated [%]")
     legend_above(left)
     informed = [100.0 * n.informed for n, _ in shown]
     right.barh(place, np.nan_to_num(informed), color=MEASURED, height=0.55)
@@ -380,11 +381,11 @@ def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
     plain_axes(left, right)
     figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr, call-arg]
     caption = (
-        "Reference: the paper's number or a data sheet's (docs/parameters.md); marked *: assumed. "
-        "Errors: one standard deviation. Informed: the share of what is known of a number "
-        "that these records gave; the rest was known before."
+        "Compared with what the parameter file states; marked *: it states none. Errors: one "
+        "standard deviation. Informed: the share of what is known of a number that these records "
+        "gave; the rest was known before."
     )
-    return Picture(name, "Agreement with the paper and data sheets", caption, plain(figure))
+    return Picture(name, "Agreement with what was stated", caption, plain(figure))
 
 
 def _statistical(number: ShownNumber) -> float:

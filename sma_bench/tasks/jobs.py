@@ -20,7 +20,9 @@ from sma_bench.results import json_text, write_result
 
 CANCELLED = "cancelled on request"
 OWN_ROOT = "sma_bench_results"
-_OWN_BEGINNINGS = (b"# Improved by ", b"# Identified by ", b'{\n  "parameters"')
+_OWN_BEGINNINGS = (
+    b"# Improved by ", b"# Identified by ", b"# The model ", b'{\n  "parameters"',
+)
 _LARGEST_RESULT = 1 << 26
 _BAD_INPUT = 2
 _REPORTED = re.compile(r"progress (?P<share>[01]\.\d+) (?P<what>.*)")  # as `tell` prints it

@@ -95,14 +95,19 @@ def write_identified(
     template: str | Path | None = None,
 ) -> None:
     """Write the parameters with what was identified put in; comments of the file `template` stay.
+    Where the model does not fit within the noise, that is its first comment.
 
     Raises:
         InputError: the file cannot be written.
     """
-    comment = f"Identified by {author} from " + ", ".join(sources)
+    from sma_bench.cards import fit_line
+
+    comment = f"Identified by {author} from {', '.join(sources)}".replace("\n", " ")
+    if said := fit_line(result.shown):
+        comment = f"{said}.\n{comment}"
     origins = {name: f"identified, {result.origin(name)}" for name in result.estimates}
     write_parameters(
-        path, result.parameters, comment.replace("\n", " "), sources=origins, template=template
+        path, result.parameters, comment, sources=origins, template=template
     )
 
 

@@ -21,6 +21,7 @@ from sma_bench.identify.whole_model import (
 )
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
+from sma_bench.records.record import first_order_lag
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
 
 PAIR = {"bench.channels": ("left", "right"), "bench.channel_sides": ("front", "back")}
@@ -182,3 +183,24 @@ def test_two_runs_of_another_reality_predict_five_of_other_shapes(load):
     found = loads.try_bench((load, 7, "rich"))
     assert np.median(found["believed"]) > 5.0 * np.median(found["unseen"])
     assert np.median(found["unseen"]) < loads.MEDIAN and max(found["unseen"]) < loads.TAIL
+
+
+def test_a_thermometer_that_lags_does_not_make_another_wire():
+    believed = Parameters({**BELIEVED, **RIGS["beam"]})
+    truth = drawn(believed, seed=4)
+    random = np.random.default_rng(8)
+    kept = np.exp(-1.0 / (RATE * 1.2))  # a thermocouple of 1.2 s
+    seen = []
+    for shape in ("triangle", "step"):
+        record = recorded(truth, shape, 3, ("voltage", "deflection", "temperature"))
+        hot = record["wire.temperature"]
+        read = first_order_lag(hot.values, kept, hot.values[0])
+        read = read + 0.1 * random.standard_normal(len(read))
+        signals = {**record.signals, hot.name: Signal(hot.name, hot.unit, hot.time, read)}
+        seen.append(Record(record.path, 0, signals))
+    found = identify(seen, believed)
+    lag = found.estimates["sensor.temperature.lag"]
+    assert abs(lag.value - 1.2) < 0.02
+    for name in ("wire.specific_heat", "wire.austenite_finish_temperature"):
+        assert abs(found.estimates[name].value - truth[name]) < 3.0 * found.estimates[name].std
+    assert {one.verdict for one in found.fit.values()} == {"ok"}

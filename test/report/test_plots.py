@@ -127,7 +127,7 @@ def test_simulations_and_identifications_draw_themselves():
     found = sma_bench.identify(sma_bench.measure(simulation))
     left, right = found.plot().figure.axes
     names = [text.get_text() for text in left.get_yticklabels()]
-    assert "wire.resistance" in names and right.get_xlabel() == "informed [%]"
+    assert "wire.resistance" in names[0] and right.get_xlabel() == "informed [%]"
     assert "correlation" in found.plot("correlation").name
     with pytest.raises(InputError, match="plot: nonsense, expected one of agreement, correlation"):
         found.plot("nonsense")

@@ -1,7 +1,7 @@
 """E3, specific heat: ramps below A_s (eq. 5, Figs. 4 and 5), the heat equation alone fitted."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +37,7 @@ AUSTENITE_START = "wire.austenite_start_temperature"
 LAG = "effect.temperature_lag.time_constant"
 _SMALLEST_RISE = 10.0
 _AMBIENT_STD = 2.0  # K; of the camera's zero in each record, too
-_CAMERA_LAG = "sensor.temperature.lag"
+CAMERA_LAG = "sensor.temperature.lag"
 _LEAST = 1e-6  # s
 _ANY = 1.0  # of the logarithm of what nobody knows
 _STARTS = (0.0, -1.0, 1.0)
@@ -112,6 +112,8 @@ def identify_specific_heat(
                         informed=lag.informed),
     }  # fmt: skip
     estimates = {PARAMETER: estimate}
+    if lag.value > _SIGNIFICANT * lag.std:
+        estimates[CAMERA_LAG] = details["lag"]
     if not heat_loss.known:
         # c_p and h belong together: a file with this c_p and another h has the wrong tau.
         h = _number(result, COEFFICIENT)
@@ -154,6 +156,19 @@ def _observations(used: Sequence[_Used], parameters: Parameters) -> list[Observa
         _camera_as_it_is(observe(record, rig, shortest, ("temperature",)), record)
         for record, rig in zip(lean, rigs, strict=True)
     ]
+
+
+def observe_channel(
+    record: Record, channel: str, parameters: Parameters, quantities: Collection[str]
+) -> Observation:
+    """One wire of a record by itself, all of its readings.
+
+    Raises:
+        InputError: no voltage of it, or none of these quantities.
+    """
+    own = {name: s for name, s in record.signals.items() if name.startswith(f"{channel}.")}
+    alone, rig = replace(record, signals=own), _one_wire(parameters, channel)
+    return observe(alone, rig, shared_bin([alone], rig), quantities)
 
 
 def _one_wire(parameters: Parameters, channel: str) -> Parameters:
@@ -227,8 +242,8 @@ def _camera_or_wire(values: dict[str, float], parameters: Parameters) -> dict[st
 
 def _lag(parameters: Parameters) -> tuple[float, float]:
     """What is believed of the camera's, s."""
-    mean = float(parameters[LAG] or parameters[_CAMERA_LAG])
-    return mean, max(parameters.std(_CAMERA_LAG), _LEAST)
+    mean = float(parameters[LAG] or parameters[CAMERA_LAG])
+    return mean, max(parameters.std(CAMERA_LAG), _LEAST)
 
 
 def _unknowns(
@@ -374,6 +389,7 @@ _SMALL = 0.01  # of c_p, of the steady rise or of the rise of a ramp: what is no
 _BAD_MISFIT = 6.0
 _FEWEST_IN_BIN = 3
 _COLD = 0.02  # of the rise
+_TOLD = 0.1  # of the wire's time constant, error of a lag that the ramps by themselves tell
 
 
 @dataclass(frozen=True)
@@ -431,7 +447,16 @@ def check_lag(result: Result, tau: float, parameters: Parameters) -> Check:
     lag = _number(result, LAG)
     believed, std = _lag(parameters)
     if abs(lag.value - believed) < max(_SIGNIFICANT * max(lag.std, std), _SMALL * tau):
-        return Check()
+        # What the ramps alone tell of it, the prior taken off.
+        alone = lag.std / math.sqrt(max(lag.informed, _LEAST))
+        if alone < _TOLD * tau:
+            return Check()
+        text = (
+            f"the ramps cannot tell a lag of the thermometer from c_p: {believed:.2g} +- {std:.2g} "
+            f"s is assumed ({CAMERA_LAG}); more than that passes for thermal inertia (time "
+            f"constant of the wire {tau:.3g} s)"
+        )
+        return Check(Finding("info", SUBJECT, text, {"lag_std": alone, "time_constant": tau}))
     swapped = lag.value / tau * _number(result, PARAMETER).value
     text = (
         f"the temperature follows with two time constants, {tau:.3g} s and {lag.value:.3g} +- "

@@ -1,0 +1,126 @@
+"""Whether the model fits the records comes before its numbers, wherever these are shown."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sma_bench
+from sma_bench.cli import main
+from sma_bench.records import Record
+
+LAG = "sensor.temperature.lag"
+
+
+def altered(record, name, change):
+    signal = record[name]
+    changed = replace(signal, values=change(signal.values, signal.time))
+    return Record(record.path, 0, {**record.signals, name: changed})
+
+
+def bent(record, size):
+    """Temperatures that rise by more than a wire of one h and R would: `size` at the top."""
+    def change(kelvin, time):
+        rise = kelvin - kelvin.min()
+        return kelvin - size * rise**2 / np.ptp(kelvin) ** 2
+
+    return altered(record, "wire.temperature", change)
+
+
+def written(record, path):
+    sma_bench.write_record(path, record.signals.values())
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def staircase():
+    simulated = sma_bench.simulate("quick_staircase")
+    return sma_bench.measure(simulated)
+
+
+@pytest.mark.parametrize(
+    ("size", "verdict", "status"), [(0.0, "ok", 0), (3.0, "imperfect", 0), (60.0, "misfit", 3)]
+)
+def test_the_verdict_on_the_fit_comes_first_and_the_file_is_written_in_any_case(
+    staircase, size, verdict, status, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    bag = written(bent(staircase, size), tmp_path / "bag")
+    lab = tmp_path / "my lab.yaml"
+    sma_bench.write_parameters(lab, sma_bench.load_parameters({"wire.resistance": 2.7}))
+    words = ["identify", bag, "--params", str(lab), "--out", "found.yaml", "--json", "found.json"]
+    assert main(words) == status
+    printed = capsys.readouterr().out
+    fit = json.loads(Path("found.json").read_text())["fit"]
+    assert fit["current"]["verdict"] == "ok" and fit["temperature"]["verdict"] == verdict
+    assert set(fit["temperature"]) == {"verdict", "rms", "noise", "unit"}
+    assert fit["temperature"]["unit"] == "K"
+    assert 0.05 < fit["temperature"]["noise"] < 0.2
+    first, head = printed.splitlines()[0], Path("found.yaml").read_text().splitlines()[0]
+    assert (("temperature" in first) == (verdict == "misfit")) and (
+        ("temperature" in head) == (verdict != "ok"))
+    assert sma_bench.load_parameters("found.yaml")["wire.resistance"]
+    advice = " ".join(printed[printed.index("\nnext ") :].split("\n\n")[0].split())
+    assert ("my lab.yaml" in advice) == (verdict == "misfit")
+    assert ("found.yaml" in advice) == (verdict != "misfit")
+    assert "--out" not in advice
+
+
+def test_python_and_the_service_answer_the_same(staircase):
+    found = sma_bench.identify(bent(staircase, 60.0))
+    assert found.fit["temperature"].verdict == "misfit"
+    assert found.fit["temperature"].rms > 20 * found.fit["temperature"].noise
+    assert found.to_json()["fit"]["temperature"]["verdict"] == "misfit"
+    assert "temperature" in str(found).splitlines()[0]
+
+
+def test_a_lag_of_the_thermometer_has_a_line_of_its_own(ramp, staircase):
+    found = sma_bench.identify(ramp(lag=0.3))
+    lag = found.estimates[LAG]
+    assert abs(lag.value - 0.3) < 3.0 * lag.std < 0.05
+    assert found.fit["temperature"].verdict == "ok"
+    assert LAG not in sma_bench.identify(ramp()).estimates
+
+
+def test_ramps_too_slow_for_a_lag_say_that_it_would_pass_for_specific_heat():
+    slow = sma_bench.measure(sma_bench.simulate("triangle"))
+    (e3,) = [e for e in sma_bench.identify(slow).experiments if e.name == "E3"]
+    assert any("lag_std" in f.numbers and f.subject == "wire.specific_heat" for f in e3.findings)
+
+
+def test_numbers_are_compared_with_what_the_file_states_and_with_nothing_else(staircase):
+    stated = {"wire.resistance": 4.9, "uncertainty.wire.resistance": 0.1}
+    found = sma_bench.identify(staircase, stated)
+    entries = found.to_json()["parameters"]
+    assert entries["wire.resistance"]["stated"] == {"value": 4.9, "std": 0.1}
+    assert "stated" not in entries["wire.heat_transfer_coefficient"]
+    (off,) = [line for line in str(found).splitlines() if line.startswith("off ")]
+    assert "wire.resistance" in off and "heat_transfer" not in off
+    right = sma_bench.identify(staircase, stated | {"wire.resistance": 2.72})
+    assert not [line for line in str(right).splitlines() if line.startswith("off ")]
+
+
+def test_what_a_prompt_shows_of_a_result_is_a_line(staircase, planted_diagnosis):
+    found = sma_bench.identify(staircase)
+    for thing in (found, found.parameters, staircase, planted_diagnosis):
+        assert len(repr(thing)) < 1000 and "\n" not in repr(thing)
+
+
+@pytest.mark.parametrize("words", [["parameters"], ["effects"], ["--help"]])
+def test_a_reader_that_leaves_early_is_no_error(words):
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "sma_bench.cli", *words]
+    with os.fdopen(writing, "w") as pipe:
+        ended = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 0 and ended.stderr == ""
+
+
+def test_a_table_in_a_pipe_is_no_wider_than_a_page(capsys):
+    assert main(["parameters"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 100
