@@ -73,7 +73,7 @@ _STD = {
 
 def believed() -> Parameters:
     """Parameters of the lab, with their uncertainties."""
-    return Parameters.defaults().replace(
+    return Parameters.of_paper().replace(
         {
             "bench.channels": CHANNELS,
             "bench.channel_sides": ("front", "back"),

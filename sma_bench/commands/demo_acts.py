@@ -124,6 +124,13 @@ _DRAWING = 3.0
 _HEADER = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
 
 
+# What the lab of Table I knows of its wire without a volt: by a scale and a ruler.
+_WEIGHED = {
+    name: Parameters.of_paper()[name]
+    for name in ("wire.mass", "wire.surface_area", "wire.diameter")
+}
+
+
 def planned(fitted: tuple[str, ...], speed: float) -> tuple[float, float]:
     """Seconds that both acts take, about: by what the first fits, and how fast time goes."""
     wire, lab = Parameters.defaults(), read_parameters(lab_file())
@@ -224,7 +231,7 @@ def _identified(
     protocols = (*fitted, VALIDATION)
     with DemoStage(out, WIRE_NAMESPACE, report, plan) as stage:
         stage.start_bench(truth_file, protocols[0], {"speed": speed})
-        stage.start_service("identification", {"output_directory": "."})
+        stage.start_service("identification", {"output_directory": ".", **_WEIGHED})
         bags = {protocol: stage.record(protocol) for protocol in protocols}
         stage.end_bench()
         stage.wait_for_compiler(compiler)
@@ -258,7 +265,7 @@ def _report(
     from sma_bench.report.page import Made, Section, Table, write_report
 
     records = [read_record(out / "bags" / name) for name in fitted]
-    result = identify(records, Parameters.defaults())
+    result = identify(records, Parameters(_WEIGHED))
     picture, _ = validation_picture(read_record(out / "bags" / VALIDATION), result.parameters)
     table = Table(_HEADER, _rows(estimates, truth), frozenset(range(2, 7)))
     sections = [
@@ -308,7 +315,7 @@ def hardware_act(
     ):
         # Not beside the results: a service writes into no folder with links out of it.
         found = stage.start_hardware(truth_file, out / "logs" / "uno", QUICK[0])
-        stage.start_service("identification", {"output_directory": "."})
+        stage.start_service("identification", {"output_directory": ".", **_WEIGHED})
         bags = [str(stage.record(protocol)) for protocol in QUICK]
         answer = stage.ask("identification", "identify", {"record": bags})
     console.print(f"self test: {escape(found)}")

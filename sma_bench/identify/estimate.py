@@ -160,27 +160,22 @@ def _beside(part: float, whole: float) -> float:
     return math.sqrt(max(whole - part, 0.0)) * math.sqrt(whole + part)
 
 
-def with_prior(measured: Estimate, prior: Estimate, stated: bool) -> tuple[Estimate, str]:
-    """A measurement beside what was known, and a remark if they contradict each other.
+def with_prior(measured: Estimate, prior: Estimate) -> tuple[Estimate, str]:
+    """A measurement beside what was stated, and a remark if they contradict each other.
 
-    A measurement that is surer counts alone: it was made to replace what was known. One that is
-    less sure is joined with it, unless they contradict each other and nobody stated the number.
-    What nobody stated is no match for a measurement that only the sensors' scales make unsure.
+    A measurement that is surer counts alone: it was made to replace what was stated. One that is
+    less sure is joined with it.
     """
     if prior.std <= 0.0:
         return measured, ""
-    sure = measured.std if stated else measured.statistical
-    if sure <= prior.std:
-        narrowed = measured.capped(prior.std)
-        return replace(narrowed, informed=1.0 - (sure / prior.std) ** 2), ""
+    ratio = measured.std / prior.std
+    if ratio <= 1.0:
+        return replace(measured, informed=1.0 - ratio**2), ""
     apart = (measured.value - prior.value) / math.hypot(measured.std, prior.std)
     remark = "" if abs(apart) < _CONTRADICTS else (
         f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit} is {apart:+.1f} "
-        f"standard errors from {prior.value:.6g} +- {prior.std:.2g}, "
-    ) + ("which was stated to be surer" if stated else "a default that nobody measured: left out")
-    if remark and not stated:
-        return replace(measured, informed=1.0), remark
-    ratio = measured.std / prior.std
+        f"standard errors from {prior.value:.6g} +- {prior.std:.2g}, which was stated to be surer"
+    )
     weight = 1.0 / (1.0 + ratio * ratio)
     std = prior.std * math.sqrt(1.0 - weight)
     return replace(

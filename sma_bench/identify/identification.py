@@ -412,6 +412,10 @@ def _thermal_expansion(run: IdentificationRun, bags: Sequence[Record]) -> None:
     clamped = [record for record in bags if load_frame.is_clamped_wire(record)]
     if clamped and not run.of(load_frame.NAME):
         channel = clamped[0].channels[0]
+        start = "wire.austenite_start_temperature"
+        if run.another_alloy() and start not in run.estimates.keys() | run.given.given:
+            run.fail("E8", "A_s is not stated, and the alloy is another than the paper's")
+            return
         _try(
             run, "E8", lambda: identify_thermal_expansion(
                 clamped, run.improved(), temperature=f"{channel}.temperature"

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.unknowns import MATERIAL
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Estimate, Experiment, combine, with_prior
 from sma_bench.identify.signals import (
@@ -25,6 +26,7 @@ from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.records import Record
 
 
@@ -111,19 +113,42 @@ class IdentificationRun:
         return found
 
     def weigh_priors(self, whole: Experiment | None) -> None:
-        """Nothing is less sure than it was before: where an experiment of its own says less of a
-        number than was known, both count. The whole model has weighed the priors already."""
-        for name, estimate in self.estimates.items():
-            if whole is not None and estimate is whole.estimates.get(name):
-                continue
+        """Join what was measured with what was stated of the same number: nothing is less sure than
+        it was before. A default that nobody stated is no match for a measurement; one that says
+        less than is known of every such wire is none. The whole model has weighed the priors."""
+        told = whole.estimates if whole else {}
+        for name, estimate in list(self.estimates.items()):
             prior = Estimate(self.given[name], self.given.std(name), estimate.unit, "given", 0)
-            stated = name in self.given.given_uncertainty
-            self.estimates[name], remark = with_prior(estimate, prior, stated)
-            if remark:
-                self.notes.append(Finding("warning", name, remark))
-            elif stated and name != AMBIENT:
-                self._surprised(name, estimate, prior)
-            self._wonder(name, estimate)
+            if name not in self.given.given:
+                alike = estimate is told.get(name) or BY_NAME[name].spread is None
+                if estimate.std > prior.std and not alike:
+                    del self.estimates[name]
+                    self.notes.append(_says_little(name, estimate, prior))
+                continue
+            if estimate is not told.get(name):
+                self.estimates[name], remark = with_prior(estimate, prior)
+                if remark:
+                    self.notes.append(Finding("warning", name, remark))
+                elif name in self.given.given_uncertainty and name != AMBIENT:
+                    self._surprised(name, estimate, prior)
+                self._wonder(name, estimate)
+        if others := self.another_alloy():
+            shown = ", ".join(
+                f"{n} {self.estimates[n].value:.4g} +- {self.estimates[n].std:.2g} for "
+                f"{self.given[n]:.4g} {BY_NAME[n].unit}" for n in others
+            )
+            text = f"another alloy than the paper's: {shown}; its defaults are not this wire's"
+            self.notes.append(Finding("info", "alloy", text, {"contradicted": float(len(others))}))
+
+    def another_alloy(self) -> list[str]:
+        """Numbers of the alloy that nobody stated and whose default the records contradict."""
+        found = []
+        for name in MATERIAL:
+            e, default = self.estimates.get(name), BY_NAME[name]
+            if e is not None and name not in self.given.given:
+                error = math.hypot(e.std, default.uncertainty or 0.0)
+                found += [name] if abs(e.value - self.given[name]) > _SIGNIFICANT * error else []
+        return found
 
     def _surprised(self, name: str, found: Estimate, prior: Estimate) -> None:
         """A surer measurement replaces what was stated, but not without a word."""
@@ -142,16 +167,23 @@ class IdentificationRun:
         if 1.0 / _WRONG < ratio < _WRONG:
             return
         text = (
-            f"{estimate.value:.4g} {estimate.unit} is {ratio:.2g} times the "
-            f"{self.given[name]:.4g} that were {'stated' if name in self.given.given else 'taken'}"
-            ": another wire or air, or a camera whose spot or emissivity is off by as much "
-            "(sensor.temperature.spot_share)"
+            f"{estimate.value:.4g} {estimate.unit} is {ratio:.2g} times the stated "
+            f"{self.given[name]:.4g}: another wire or air, or a camera whose spot or emissivity is "
+            "off by as much (sensor.temperature.spot_share)"
         )
         self.notes.append(Finding("warning", name, text, {"ratio": ratio}))
 
     def missing(self, names: Sequence[str]) -> list[str]:
         """The wanted ones of `names` without a result."""
         return [name for name in names if name in self.wanted and not self.of(name)]
+
+
+def _says_little(name: str, measured: Estimate, prior: Estimate) -> Finding:
+    text = (
+        f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit}, no surer than what "
+        f"is known of every such wire (+- {prior.std:.2g}): not identified"
+    )
+    return Finding("warning", name, text, {"value": measured.value, "std": measured.std})
 
 
 # --- What is stated of the wire, against itself.

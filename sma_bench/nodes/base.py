@@ -32,7 +32,7 @@ from sma_bench.nodes.arguments import check_arguments, node_help
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
-from sma_bench.parameters.yaml_file import split_names
+from sma_bench.parameters.yaml_file import split_names, stated_names
 from sma_bench.ros.node import OneThreadExecutor, OverridableNode, start_ros
 from sma_bench.ros.processes import claimed
 
@@ -85,6 +85,8 @@ class BenchNode(OverridableNode):
                 ),
             )  # fmt: skip
         self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
+        overrides = {name: p.value for name, p in self._parameter_overrides.items()}
+        self._stated = stated_names(overrides).keys()
         self._contract = {parameter.name: parameter for parameter in self._contract_table()}
         for parameter in (*self._contract.values(), *self._own.values()):
             self._declare(parameter)
@@ -162,7 +164,10 @@ class BenchNode(OverridableNode):
     def _contract_table(self) -> list[Parameter]:
         table = list(TABLE)
         if self.with_uncertainty:
-            table += [_uncertainty_of(p) for p in TABLE if p.uncertainty is not None]
+            table += [
+                _uncertainty_of(p, p.name in self._stated)
+                for p in TABLE if p.uncertainty is not None
+            ]
         return table
 
     def _declare(self, parameter: Parameter) -> None:
@@ -194,11 +199,11 @@ class BenchNode(OverridableNode):
             for name, parameter in self._own.items()
         }
         contract = {name: self._current(name, changed) for name in self._contract}
-        # Names left at their default stay "not given", as when read from a file.
+        # Names left at their default stay unstated, as when read from a file.
         given = {
             name: value
             for name, value in contract.items()
-            if _plain(value) != _plain(self._contract[name].default)
+            if name in self._stated or _plain(value) != _plain(self._contract[name].default)
         }
         return settings, Parameters(*split_names(given))
 
@@ -330,11 +335,12 @@ def _refuse(name: str, error: Exception) -> int:
     return 2
 
 
-def _uncertainty_of(parameter: Parameter) -> Parameter:
+def _uncertainty_of(parameter: Parameter, stated: bool) -> Parameter:
+    std = parameter.uncertainty if stated else parameter.default_std
     return Parameter(
         UNCERTAINTY_PREFIX + parameter.name,
         parameter.unit,
-        parameter.uncertainty or 0.0,
+        std or 0.0,
         f"Standard deviation of {parameter.name}.",
         "table",
         0.0,

@@ -43,7 +43,11 @@ class Parameter:
         description: one sentence for people.
         provenance: paper table or equation, or "assumed: why".
         low, high: inclusive range of a number, in its unit.
-        uncertainty: default standard deviation, absolute, in its unit (priors of fits).
+        uncertainty: standard deviation, absolute, in its unit, of a value that a file states
+            without one: what a careful lab knows such a number to.
+        spread: of a value that nobody stated: how far such numbers lie apart between the wires and
+            benches of the field, by spread_source. None: as uncertainty (a sensor's data sheet, an
+            effect's number).
         kind: type of the value.
         read_only: a running node cannot change it.
     """
@@ -56,8 +60,15 @@ class Parameter:
     low: float | None = None
     high: float | None = None
     uncertainty: float | None = None
+    spread: float | None = None
+    spread_source: str = ""
     kind: Kind = "double"
     read_only: bool = False
+
+    @property
+    def default_std(self) -> float | None:
+        """Standard deviation of the default, where nobody stated the number."""
+        return self.uncertainty if self.spread is None else self.spread
 
     def validated(self, value: Any, where: str = "") -> Value:
         """The value in its own type.

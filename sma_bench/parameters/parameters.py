@@ -34,7 +34,8 @@ def load_kind(parameters: Mapping[str, Any]) -> str:
 class Parameters(Mapping[str, Value]):
     """Values of all contract parameters in SI units, each with a standard deviation.
 
-    `given` holds the names that were set by someone, as opposed to left at the table's default.
+    `given` holds the names whose value or uncertainty someone stated: what is not in it is a
+    default, which fills gaps and is no knowledge of this bench.
     """
 
     def __init__(
@@ -62,13 +63,18 @@ class Parameters(Mapping[str, Value]):
             self._require_known(name)
             self._values[name] = BY_NAME[name].validated(value, where)
         self._std |= self._validated_uncertainty(uncertainty)
-        self.given |= frozenset(values)
+        self.given |= frozenset(values) | frozenset(uncertainty)
         self._check_consistency()
 
     @classmethod
     def defaults(cls) -> "Parameters":
-        """The table as it stands."""
+        """The table as it stands, nothing of it stated."""
         return cls()
+
+    @classmethod
+    def of_paper(cls) -> "Parameters":
+        """The paper's own wire and specimen: the table's numbers, stated."""
+        return cls({p.name: p.default for p in TABLE if p.spread is not None and p.default})
 
     def __getitem__(self, name: str) -> Any:
         try:
@@ -88,16 +94,18 @@ class Parameters(Mapping[str, Value]):
         return f"<Parameters: {len(self.given)} stated: {stated[:_LONGEST_LIST]}{end}>"
 
     def std(self, name: str) -> float:
-        """One standard deviation of `name`, absolute, in its unit; the table's when none given.
+        """One standard deviation of `name`, absolute, in its unit: the stated one, else the table's
+        uncertainty of a stated value, else the table's spread.
 
         Raises:
             InputError: the parameter is unknown or has no uncertainty (a name, a limit).
         """
         self[name]
-        std = self._std.get(name, BY_NAME[name].uncertainty)
+        parameter = BY_NAME[name]
+        std = parameter.uncertainty if name in self.given else parameter.default_std
         if std is None:
             raise InputError(f"{name} has no uncertainty")
-        return std
+        return self._std.get(name, std)
 
     @property
     def given_uncertainty(self) -> dict[str, float]:

@@ -3,37 +3,48 @@
 from sma_bench.parameters.parameter import EFFECT_TABLE, Parameter
 
 # R, h, c_p and the room of Table I are known as far as the sensors of the data sheets tell them.
+_ACTUATOR_WIRES = (
+    "actuator wires are sold as 70 and 90 degC grades, others from below the room up; composition, "
+    "cold work and ageing move one grade by 10 K and more"
+)
 WIRE = (
     Parameter(
         "wire.resistance", "ohm", 2.6987,
         "Electrical resistance of one wire (eq. 3).",
-        "Table I", 0.01, 1000.0, uncertainty=0.05,
+        "Table I", 0.01, 1000.0, uncertainty=0.05, spread=4.0,
+        spread_source="wires of 0.05 to 0.5 mm, some centimetres to 2 m, have 0.3 to 40 ohm",
     ),
     Parameter(
         "wire.heat_transfer_coefficient", "W/(m2 K)", 403.26,
         "Heat loss per area and kelvin, referred to wire.surface_area (eq. 4).",
         "Table I; suspect, see the audit", 1.0, 5000.0,
-        uncertainty=15.0,
+        uncertainty=15.0, spread=500.0,
+        spread_source="free convection and radiation give 50 to 60 at 0.5 mm and 150 to 250 at "
+        "0.1 mm (Churchill-Chu), moving air or a matrix several times that",
     ),
     Parameter(
         "wire.specific_heat", "J/(kg K)", 343.2,
         "Specific heat of the alloy (eq. 5).",
-        "Table I", 50.0, 2000.0, uncertainty=13.0,
+        "Table I", 50.0, 2000.0, uncertainty=13.0, spread=120.0,
+        spread_source="data sheets and calorimetry of NiTi print 322 to 550",
     ),
     Parameter(
         "wire.mass", "kg", 0.091e-3,
         "Mass of the heated wire.",
-        "Table I", 1e-7, 1e-2, uncertainty=0.5e-6,
+        "Table I", 1e-7, 1e-2, uncertainty=0.5e-6, spread=0.15e-3,
+        spread_source="wires of 0.1 to 0.5 mm and 0.1 to 1 m weigh 0.005 to 1.3 g",
     ),
     Parameter(
         "wire.surface_area", "m2", 395.84e-6,
         "Area of the wire that loses heat.",
-        "Table I; suspect, see the audit", 1e-7, 1e-1, uncertainty=4e-6,
+        "Table I; suspect, see the audit", 1e-7, 1e-1, uncertainty=4e-6, spread=400e-6,
+        spread_source="wires of 0.1 to 0.5 mm and 0.1 to 1 m have 30 to 1600 mm2",
     ),
     Parameter(
         "wire.diameter", "m", 0.3e-3,
         "Diameter of the wire.",
-        "section II.B", 1e-5, 5e-3, uncertainty=3e-6,
+        "section II.B", 1e-5, 5e-3, uncertainty=3e-6, spread=0.15e-3,
+        spread_source="actuator wires are sold from 0.025 to 0.5 mm",
     ),
     Parameter(
         "wire.length", "m", 0.0,
@@ -48,22 +59,26 @@ WIRE = (
     Parameter(
         "wire.austenite_start_temperature", "K", 331.81,
         "A_s, stress free.",
-        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.1,
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.1, spread=25.0,
+        spread_source=_ACTUATOR_WIRES,
     ),
     Parameter(
         "wire.austenite_finish_temperature", "K", 353.61,
         "A_f, stress free.",
-        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5, spread=25.0,
+        spread_source=_ACTUATOR_WIRES,
     ),
     Parameter(
         "wire.martensite_start_temperature", "K", 353.39,
         "M_s, stress free (above A_s in the paper's own data).",
-        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5, spread=25.0,
+        spread_source=_ACTUATOR_WIRES,
     ),
     Parameter(
         "wire.martensite_finish_temperature", "K", 325.09,
         "M_f, stress free.",
-        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5,
+        "Table II, cycle 2", 150.0, 900.0, uncertainty=1.5, spread=25.0,
+        spread_source=_ACTUATOR_WIRES,
     ),
     Parameter(
         "wire.transition_spread", "K", 0.0,
@@ -82,36 +97,42 @@ WIRE = (
     Parameter(
         "wire.martensite_modulus", "Pa", 22.8e9,
         "E_M, Young's modulus of martensite at 293.15 K (eq. 7).",
-        "Table III", 1e9, 200e9, uncertainty=1.2e9,
+        "Table III", 1e9, 200e9, uncertainty=1.2e9, spread=10e9,
+        spread_source="data sheets of NiTi print 20 to 41 GPa",
     ),
     Parameter(
         "wire.austenite_modulus", "Pa", 55.4e9,
         "E_A, Young's modulus of austenite at 403.15 K (eq. 7).",
-        "Table III", 1e9, 200e9, uncertainty=2.5e9,
+        "Table III", 1e9, 200e9, uncertainty=2.5e9, spread=15e9,
+        spread_source="data sheets of NiTi print 40 to 83 GPa",
     ),
     Parameter(
         "wire.maximum_recoverable_strain", "1", 0.044,
         "eps_L, strain recovered on heating (eq. 9).",
-        "section III.B.1, Fig. 8", 1e-4, 0.15, uncertainty=0.002,
+        "section III.B.1, Fig. 8", 1e-4, 0.15, uncertainty=0.002, spread=0.012,
+        spread_source="trained actuator wires recover 3 to 5 %, NiTi at most 8 %",
     ),
     Parameter(
         "wire.thermal_expansion_factor", "Pa/K", -0.15e6,
         "Theta_T, stress per kelvin of a clamped wire below A_s (eq. 8).",
         "assumed: -alpha E_M with alpha = 6.6e-6 1/K of martensite; the printed 23.91 MPa lacks "
         "1/K and is two orders above alpha E",
-        -50e6, 50e6, uncertainty=0.05e6,
+        -50e6, 50e6, uncertainty=0.05e6, spread=0.15e6,
+        spread_source="alpha of 6.6e-6 to 11e-6 1/K and E_M of 20 to 41 GPa",
     ),
     Parameter(
         "wire.stress_influence_austenite", "Pa/K", 7.0e6,
         "C_A, shift of A_s and A_f with stress (eq. 10).",
         "assumed: middle of 5 to 8 MPa/K measured on NiTi; the paper gives none",
-        0.5e6, 50e6, uncertainty=1.0e6,
+        0.5e6, 50e6, uncertainty=1.0e6, spread=1.5e6,
+        spread_source="5 to 10 MPa/K on NiTi wires",
     ),
     Parameter(
         "wire.stress_influence_martensite", "Pa/K", 7.0e6,
         "C_M, shift of M_s and M_f with stress (eq. 11).",
         "assumed: equal to C_A; the paper gives none",
-        0.5e6, 50e6, uncertainty=1.0e6,
+        0.5e6, 50e6, uncertainty=1.0e6, spread=1.5e6,
+        spread_source="5 to 10 MPa/K on NiTi wires",
     ),
 )
 
@@ -119,7 +140,8 @@ ENVIRONMENT = (
     Parameter(
         "environment.ambient_temperature", "K", 296.15,
         "T_inf, temperature of the surrounding air.",
-        "Table I", 230.0, 373.0, uncertainty=1.2,
+        "Table I", 230.0, 373.0, uncertainty=1.2, spread=4.0,
+        spread_source="rooms of 16 to 30 degC",
     ),
 )
 
@@ -128,32 +150,39 @@ COMPOSITE = (
         "composite.length", "m", 0.12,
         "l, distance from the clamping to the point where the deflection is measured.",
         "assumed: a hand-sized specimen; the paper gives no geometry",
-        1e-3, 2.0, uncertainty=0.001,
+        1e-3, 2.0, uncertainty=0.001, spread=0.06,
+        spread_source="hand-sized specimens",
     ),
     Parameter(
         "composite.thickness", "m", 6e-3,
         "h_c, thickness of the elastomer matrix.",
-        "assumed: the paper gives no geometry", 1e-4, 0.1, uncertainty=0.2e-3,
+        "assumed: the paper gives no geometry", 1e-4, 0.1, uncertainty=0.2e-3, spread=3e-3,
+        spread_source="hand-sized specimens",
     ),
     Parameter(
         "composite.width", "m", 0.03,
         "w_c, width of the beam.",
-        "assumed: the paper gives no geometry", 1e-3, 0.5, uncertainty=0.5e-3,
+        "assumed: the paper gives no geometry", 1e-3, 0.5, uncertainty=0.5e-3, spread=0.015,
+        spread_source="hand-sized specimens",
     ),
     Parameter(
         "composite.modulus", "Pa", 1.0e6,
         "E_c, Young's modulus of the elastomer matrix.",
-        "assumed: silicone of Shore A 25 to 35", 1e4, 1e9, uncertainty=0.2e6,
+        "assumed: silicone of Shore A 25 to 35", 1e4, 1e9, uncertainty=0.2e6, spread=1.0e6,
+        spread_source="silicones of Shore A 10 to 60",
     ),
     Parameter(
         "composite.wire_offset", "m", 3e-3,
         "a, distance of the wires from the centre line (eq. 12).",
-        "assumed: the wires lie at the faces of the matrix", 1e-4, 0.05, uncertainty=0.2e-3,
+        "assumed: the wires lie at the faces of the matrix", 1e-4, 0.05,
+        uncertainty=0.2e-3, spread=1.5e-3,
+        spread_source="half the thickness of hand-sized specimens",
     ),
     Parameter(
         "composite.wire_layer_thickness", "m", 0.3e-3,
         "h, thickness of the active layer (eqs. 14, 16).",
-        "assumed: one wire diameter", 1e-6, 0.01, uncertainty=0.03e-3,
+        "assumed: one wire diameter", 1e-6, 0.01, uncertainty=0.03e-3, spread=0.15e-3,
+        spread_source="as the wire's diameter",
     ),
     Parameter(
         "composite.wire_layer_width", "m", 0.0,
@@ -190,17 +219,20 @@ LOAD = (
     Parameter(
         "load.force", "N", 0.0,
         "Held force; beside a spring or on an antagonists' slider (to the back) a weight.",
-        "none; the paper's E6 holds 1 N", -1e4, 1e4, uncertainty=0.02,
+        "none; the paper's E6 holds 1 N", -1e4, 1e4, uncertainty=0.02, spread=2.0,
+        spread_source="weights of 0 to 400 g",
     ),
     Parameter(
         "load.stiffness", "N/m", 0.0,
         "Of the spring, or of the slider's own.",
-        "assumed: none", 0.0, 1e8, uncertainty=20.0,
+        "assumed: none", 0.0, 1e8, uncertainty=20.0, spread=200.0,
+        spread_source="springs beside an actuator wire have 50 to 1000 N/m",
     ),
     Parameter(
         "load.preload", "N", 0.0,
         "Of the spring at the reference position, or of each side of an antagonist at rest.",
-        "assumed: none", -1e4, 1e4, uncertainty=0.2,
+        "assumed: none", -1e4, 1e4, uncertainty=0.2, spread=2.0,
+        spread_source="what keeps a wire of 0.1 to 0.5 mm straight",
     ),
     Parameter(
         "load.lever", "m/rad", 0.0,
@@ -230,12 +262,14 @@ BENCH = (
     Parameter(
         "bench.supply_voltage", "V", 10.0,
         "What a duty switches.",
-        "section IV: 0 to 10 V", 0.1, 60.0, uncertainty=0.1,
+        "section IV: 0 to 10 V", 0.1, 60.0, uncertainty=0.1, spread=6.0,
+        spread_source="supplies of 5, 6, 12 and 24 V",
     ),
     Parameter(
         "bench.lead_resistance", "ohm", 0.0,
         "Known resistance of leads between the voltmeter and the wires of a channel.",
-        "assumed: measured at the wire", 0.0, 100.0, uncertainty=0.01,
+        "assumed: measured at the wire", 0.0, 100.0, uncertainty=0.01, spread=0.05,
+        spread_source="0.3 m of copper leads and their clips",
     ),
     Parameter(
         "bench.maximum_voltage", "V", 10.0,

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,21 @@ def read_parameters(path: str | Path, ignore: Iterable[str] = ()) -> Parameters:
         for name, value in read_parameter_names(path).items()
         if name.split(".")[0] not in skipped
     }
-    return Parameters(*split_names(named), str(path))
+    return Parameters(*split_names(stated_names(named)), str(path))
+
+
+def stated_names(named: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What of dotted names someone stated: all of them, but of a node's dump, which has every
+    parameter, only what is not as the node would declare it."""
+    if not named.keys() >= BY_NAME.keys():
+        return named
+
+    def is_left(p: Parameter) -> bool:
+        std = named.get(UNCERTAINTY_PREFIX + p.name, p.default_std)
+        return _plain(named[p.name]) == _plain(p.default) and std == p.default_std
+
+    left = {p.name for p in TABLE if is_left(p)}
+    return {n: v for n, v in named.items() if n.removeprefix(UNCERTAINTY_PREFIX) not in left}
 
 
 def split_names(named: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -89,13 +104,14 @@ def write_parameters(
 ) -> None:
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
-    The file appears whole or not at all.
+    The file appears whole or not at all. What nobody stated stands in it as a comment, but the
+    channels, without which no rig is one.
 
     Args:
         path: file to write.
         parameters: values and uncertainties.
         comment: lines for the head of the file.
-        names: parameters to write, in any order; when None all but effects that nobody gave.
+        names: parameters to write, in any order; when None all but effects that nobody stated.
         sources: where values are from, by name; these and their standard deviations are rounded to
             what the error deserves.
         template: a file whose comments a person wrote and that are kept.
@@ -106,6 +122,7 @@ def write_parameters(
     """
     chosen = set(_worth_writing(parameters) if names is None else names)
     named_sources, stds = sources or {}, parameters.given_uncertainty
+    stated = parameters.given | {"bench.channels", "bench.channel_sides"}
     body: dict[str, Any] = {}
     notes: dict[str, str] = {}
     for parameter in TABLE:
@@ -124,7 +141,7 @@ def write_parameters(
             _insert(body, UNCERTAINTY_PREFIX + name, std)
             notes[UNCERTAINTY_PREFIX + name] = f"[{BY_NAME[name].unit or '1'}]"
     above = {p.name: p.description for p in TABLE} if explain else {}
-    _write_body(path, body, comment, notes, above, comments_of(template))
+    _write_body(path, body, comment, notes, above, comments_of(template), chosen - stated)
 
 
 def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str = "") -> None:
@@ -154,6 +171,12 @@ def _note(parameter: Parameter, source: str) -> str:
     return f"{unit}{between}{source}"
 
 
+_UNSTATED = "Behind a # stands what nobody stated: uncomment, with its group, what you know."
+_NOTES_OF_DEFAULTS = {_note(p, p.provenance) for p in TABLE}
+_DESCRIPTIONS = {p.description for p in TABLE}
+_GROUPS = {f"{p.name.split('.')[0]}:" for p in TABLE}
+
+
 # --- Comments: those that this module writes, and those that a person wrote and that it keeps.
 
 _KEY = re.compile(r"( *)([\w.]+|/\*\*):(?: |$)")
@@ -180,13 +203,13 @@ def comments_of(path: str | Path | None) -> Comments:
     waiting: list[str] = []
     for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines():
         if line.lstrip().startswith("#"):
-            waiting.append(line.strip().lstrip("#").strip())
+            text = line.strip().lstrip("#").strip()
+            if not _is_default(text):
+                waiting.append(text)
         elif key := _KEY.match(line):
             depth = len(key[1])
             groups = [group for group in groups if group[0] < depth] + [(depth, key[2])]
             name = ".".join(g for _, g in groups if g not in (WILDCARD, "ros__parameters"))
-            written = BY_NAME[name].description if name in BY_NAME else ""
-            waiting = [text for text in waiting if text != written]
             if not name and not head:
                 head = tuple(waiting)
             elif waiting:
@@ -199,6 +222,12 @@ def comments_of(path: str | Path | None) -> Comments:
     return Comments(head, above, beside)
 
 
+def _is_default(text: str) -> bool:
+    """Whether a comment is a default that this module wrote, or what it writes above one."""
+    own = text.rpartition("  # ")[2]
+    return text in _DESCRIPTIONS | _GROUPS | {_UNSTATED} or own in _NOTES_OF_DEFAULTS
+
+
 def _is_note(name: str, text: str) -> bool:
     bare = name.removeprefix(UNCERTAINTY_PREFIX)
     known = BY_NAME.get(bare)
@@ -209,11 +238,13 @@ def _is_note(name: str, text: str) -> bool:
 
 def _write_body(
     path: str | Path, body: dict[str, Any], comment: str, notes: Mapping[str, str],
-    explained: Mapping[str, str], theirs: Comments,
+    explained: Mapping[str, str], theirs: Comments, unstated: AbstractSet[str] = frozenset(),
 ) -> None:
-    """One value a line; what a person wrote stands first, above and beside it."""
+    """One value a line, those of `unstated` behind a #; what a person wrote stands first, above
+    and beside it."""
     own = [printable(line) for line in comment.splitlines()]
     lines = [f"# {line}" for line in [*own, *(t for t in theirs.head if t not in own)]]
+    lines += [f"# {_UNSTATED}"] if unstated else []
     lines += [f"{WILDCARD}:", "  ros__parameters:"]
 
     def write(values: Mapping[str, Any], prefix: str, indent: str) -> None:
@@ -221,7 +252,8 @@ def _write_body(
             name = f"{prefix}{key}"
             lines.extend(f"{indent}# {line}" for line in theirs.above.get(name, ()))
             if isinstance(value, Mapping):
-                lines.append(f"{indent}{key}:")
+                names = {f"{name}.{leaf}" for leaf in flatten(value)}
+                lines.append(f"{indent}{'# ' if names <= unstated else ''}{key}:")
                 write(value, f"{name}.", indent + "  ")
                 continue
             if name in explained:
@@ -229,7 +261,8 @@ def _write_body(
             text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
             remarks = [text for text in (theirs.beside.get(name), notes.get(name)) if text]
             remark = f"  # {_OWN.join(remarks)}" if remarks else ""
-            lines.append(f"{indent}{key}: {text.removesuffix('...' + chr(10)).strip()}{remark}")
+            text = f"{key}: {text.removesuffix('...' + chr(10)).strip()}{remark}"
+            lines.append(f"{indent}{'# ' if name in unstated else ''}{text}")
 
     write(body, "", "    ")
     write_text_atomically(path, "".join(f"{line}\n" for line in lines))

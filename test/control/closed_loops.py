@@ -25,7 +25,7 @@ _AFTER_IDENTIFICATION = {
 
 def identified(values: Mapping[str, Any] | None = None) -> Parameters:
     """The table's bench, changed by `values`, as a lab has identified it."""
-    return Parameters.defaults().replace(values or {}, _AFTER_IDENTIFICATION)
+    return Parameters.of_paper().replace(values or {}, _AFTER_IDENTIFICATION)
 
 
 def rmse(reference: ArrayLike, actual: ArrayLike) -> float:

@@ -169,7 +169,7 @@ def test_without_a_reading_the_feedforward_goes_on() -> None:
 @pytest.mark.parametrize(
     ("build", "quoted"),
     [
-        (lambda: DeflectionController(Parameters.defaults(), 0.05), "clamped"),
+        (lambda: DeflectionController(Parameters.of_paper(), 0.05), "clamped"),
         (lambda: DeflectionController(COMPOSITE, -1.0), "period is -1.0 s"),
         (lambda: DeflectionController(COMPOSITE, 0.05).step(np.nan, 0.0, 0.05), "nan m"),
         (lambda: DeflectionController(COMPOSITE, 0.05).step(0.01, 0.0, 0.0), "dt is 0.0 s"),
@@ -192,7 +192,7 @@ LOADS = {
 
 @pytest.mark.parametrize("load", LOADS)
 def test_wires_with_a_load_follow_a_wave_of_their_position(load: str) -> None:
-    rig = Parameters.defaults().replace(LOADS[load])
+    rig = Parameters.of_paper().replace(LOADS[load])
     largest = maximum_deflection(rig)
     part = np.array([0.0, 1.0, 0.4, 0.9, 0.0, -1.0 if load == "antagonist" else 0.8, 0.0])
     sign = 1.0 if load == "antagonist" else -1.0
@@ -215,7 +215,7 @@ def test_wires_with_a_load_follow_a_wave_of_their_position(load: str) -> None:
 
 def test_a_bench_as_identified_with_its_effects_is_followed_too() -> None:
     found = {"effect.latent_heat.heat": 6e3, "wire.transition_spread": 1.0}
-    rig = Parameters.defaults().replace({**LOADS["spring"], **found})
+    rig = Parameters.of_paper().replace({**LOADS["spring"], **found})
 
     def wave(t: float) -> float:
         return -3e-3 * (1.0 - np.cos(0.8 * t)) / 2.0
@@ -225,7 +225,7 @@ def test_a_bench_as_identified_with_its_effects_is_followed_too() -> None:
 
 
 def test_a_wire_with_a_load_is_not_asked_to_become_longer() -> None:
-    rig = Parameters.defaults().replace(LOADS["spring"])
+    rig = Parameters.of_paper().replace(LOADS["spring"])
     assert "a wire with a load only shortens" in deflection_reference_fault([1e-3], rig)
     assert deflection_reference_fault([-1e-3], rig) == ""
     assert "expected at most" in deflection_reference_fault([-0.05], rig)

@@ -8,7 +8,7 @@ from sma_bench.control.deflection import deflection_reference_fault
 from sma_bench.control.temperature import temperature_reference_fault
 from sma_bench.parameters import Parameters
 
-WIRE = Parameters.defaults()
+WIRE = Parameters.of_paper()
 COMPOSITE = WIRE.replace(
     {"bench.channels": ["a", "b"], "bench.channel_sides": ["front", "back"]}
 )

@@ -27,6 +27,7 @@ LOADS = {
 }  # fmt: skip
 LAB = {"wire.length": 0.2, "wire.stress_influence_austenite": 8e6,
        "wire.stress_influence_martensite": 8e6}  # fmt: skip
+PAPER = Parameters.of_paper()
 FEW = ("latent_heat", "residual_strain", "deflection_drift")
 MOVED = ("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
          "wire.austenite_start_temperature", "wire.martensite_finish_temperature",
@@ -63,7 +64,7 @@ def recorded(bench, shape, seed):
 
 
 def diagnosed(load, effect, seed, drive=()):
-    believed = Parameters({**LAB, **LOADS[load], **dict(drive)}, {"load.preload": 0.5})
+    believed = PAPER.replace({**LAB, **LOADS[load], **dict(drive)}, {"load.preload": 0.5})
     random = np.random.default_rng(seed)
     off = {n: believed[n] + believed.std(n) * random.standard_normal() for n in MOVED}
     bench = believed.replace({**off, **effect})
@@ -104,24 +105,24 @@ def test_a_drive_of_its_one_wire_is_proposed_where_parameters_may_hide_an_effect
     proposed = found.to_json()["next_experiment"]
     assert found.decision.verdict != "effect" and "latent_heat" in proposed["separates"]
     assert proposed["kind"] == "protocol" and "side" not in proposed["why"].split(" with ")[0]
-    protocol = parse_protocol(proposed["protocol"], Parameters({**LAB, **LOADS["spring"]}))
+    protocol = parse_protocol(proposed["protocol"], PAPER.replace({**LAB, **LOADS["spring"]}))
     assert protocol.duration == pytest.approx(60.0 * proposed["minutes"], rel=0.01)
 
 
 def test_what_was_identified_beside_the_model_is_moved_and_no_candidate():
     name = "effect.latent_heat.heat"
-    rig = Parameters({**LAB, **LOADS["spring"], name: 6e3}, {name: 400.0})
+    rig = PAPER.replace({**LAB, **LOADS["spring"], name: 6e3}, {name: 400.0})
     unknowns = unknowns_of_records(rig, ("deflection",))
     (heat,) = [item for item in unknowns.items if item.name == name]
     assert (heat.mean, heat.std) == (6e3, 400.0)
     assert "latent_heat" not in search._possible(rig, ("deflection",))
-    plain = unknowns_of_records(Parameters({**LAB, **LOADS["spring"]}), ("deflection",))
+    plain = unknowns_of_records(PAPER.replace({**LAB, **LOADS["spring"]}), ("deflection",))
     assert name not in plain.names
 
 
 @pytest.mark.parametrize("load", LOADS)
 def test_candidates_are_what_the_load_can_have(load):
-    rig = Parameters({**LAB, **LOADS[load]})
+    rig = PAPER.replace({**LAB, **LOADS[load]})
     names = set(search._possible(rig, ("current", "temperature", "deflection")))
     assert names >= OF_WIRES | {"temperature_underfill", "temperature_lag"}
     assert names & OF_BEAMS == (OF_BEAMS if load == "beam" else set())

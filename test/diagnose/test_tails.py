@@ -20,7 +20,7 @@ def fitted(*readings, names=tuple("abcdef"), base=None):
     x = np.array([value / (1.0 + error**2) for value, error in readings])
     covariance = np.diag([error**2 / (1.0 + error**2) for _, error in readings])
     unknowns = SimpleNamespace(
-        bench=len(readings), names=names[: len(readings)], base=base or Parameters.defaults()
+        bench=len(readings), names=names[: len(readings)], base=base or Parameters.of_paper()
     )
     return SimpleNamespace(x=x, covariance=covariance, unknowns=unknowns)
 
@@ -43,16 +43,16 @@ def test_what_tails_add_is_what_integration_says():
 
 
 def test_what_a_test_of_the_paper_has_measured_is_less_far_off():
-    ohms = Parameters.defaults()["wire.resistance"]
+    ohms = Parameters.of_paper()["wire.resistance"]
     for share, wide in ((0.003, MEASURED), (0.01, WIDE)):
-        lab = Parameters.defaults().replace(uncertainty={"wire.resistance": share * ohms})
+        lab = Parameters.of_paper().replace(uncertainty={"wire.resistance": share * ohms})
         gain, off = gain_of_tails(fitted((8.0, 0.3), names=("wire.resistance",), base=lab))
         assert off == ("wire.resistance",)
         assert gain == pytest.approx(by_integration(8.0, 0.3, wide), rel=1e-3)
 
 
 def test_a_parameter_is_measured_that_is_stated_as_well_as_the_best_test_leaves_it():
-    lab = Parameters.defaults()
+    lab = Parameters.of_paper()
     heat = lab["wire.specific_heat"]  # a DSC run leaves 3 % of it, ramps 1.5 %
     stated = {"wire.specific_heat": 0.03 * heat}
     assert measured(lab) == measured(lab.replace(uncertainty=stated)) == frozenset()

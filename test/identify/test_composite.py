@@ -152,7 +152,7 @@ def bench(**changes):
         BACK: 4e9,
     }
     exact = dict.fromkeys(("wire.mass", "wire.surface_area"), 0.0)
-    return Parameters({**values, **changes}, exact)
+    return Parameters.of_paper().replace({**values, **changes}, exact)
 
 
 def record_of(truth, noise=2e-5, rho=0.0, seed=0, drift=0.0):

@@ -72,7 +72,7 @@ def draw(seed: int) -> Parameters:
     values["wire.maximum_recoverable_strain"] = float(rng.uniform(0.02, 0.05))
     values["wire.thermal_expansion_factor"] = float(rng.uniform(-0.5e6, -0.1e6))
     moduli = {"wire.martensite_modulus": 0.0, "wire.austenite_modulus": 0.0}
-    return Parameters.defaults().replace(values, moduli)
+    return Parameters.of_paper().replace(values, moduli)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from sma_bench.parameters.table import EXACT_SENSORS
 
 TRIALS = 60
 GAIN_STD = 3e-4  # of the voltmeter; that of a calibrated one
-KNOWN = Parameters.defaults().replace(
+KNOWN = Parameters.of_paper().replace(
     uncertainty={**EXACT_SENSORS, "sensor.voltage.gain": GAIN_STD, "sensor.temperature.lag": 0.0}
 )
 NAMES = ("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat")

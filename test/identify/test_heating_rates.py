@@ -115,7 +115,7 @@ def test_rates_and_cycles_that_changed_together_are_said(measured_data: Path) ->
 
 
 def test_identify_gives_table_two_and_the_prestrain_shift_for_cycles_at_one_rate():
-    parameters = Parameters.defaults()
+    parameters = Parameters.of_paper()
     result = identify([dsc_record(parameters)], parameters)
     a_s = result.estimates["wire.austenite_start_temperature"]
     assert a_s.value == pytest.approx(331.81, abs=0.5)
@@ -126,6 +126,6 @@ def test_identify_gives_table_two_and_the_prestrain_shift_for_cycles_at_one_rate
 
 def test_identify_takes_no_law_of_the_rate_from_a_run_whose_cycles_differ_in_rate(measured_data):
     record = read_dsc(measured_data / "sma_react/input/preprocessor_samples/DSC.txt")
-    result = identify([record], Parameters.defaults())
+    result = identify([record], Parameters.of_paper())
     assert "segment_8/start" in result.experiments[0].details
     assert not any("zero rate" in name for name in result.experiments[0].details)

@@ -18,7 +18,10 @@ from sma_bench.records import Record, Signal, open_record
 from sma_bench.tasks import work
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
-DEFAULTS = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+DEFAULTS = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
+WEIGHED = Parameters(
+    {name: DEFAULTS[name] for name in ("wire.mass", "wire.surface_area")}, EXACT_SENSORS
+)
 
 
 def steady_record(voltage, n=2000):
@@ -78,11 +81,11 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
 
 
 def test_default_resistance_that_nobody_measured_is_a_warning(ramp):
-    found = identify([ramp()], DEFAULTS)
+    found = identify([ramp()], WEIGHED)
     assert any(R in w and "nobody measured it" in w for w in found.warnings)
     # A ramp is not meant for a staircase's experiment: that it gives none is no warning.
     assert any("not identified" in note.text for note in found.notes if note.subject == "E1")
-    assert not any("not identified" in warning for warning in found.warnings)
+    assert not any("E1: not identified" in warning for warning in found.warnings)
 
 
 def test_unmeasured_samples_are_left_out_and_counted(staircase):

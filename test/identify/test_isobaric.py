@@ -16,7 +16,7 @@ from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
 from sma_bench.synthetic.paper_specimens import isobaric_test, wire_rig
 
-TRUTH = Parameters.defaults().replace(
+TRUTH = Parameters.of_paper().replace(
     {
         "wire.austenite_start_temperature": 350.65,
         "wire.austenite_finish_temperature": 361.35,
@@ -142,7 +142,7 @@ def test_twenty_four_transition_temperatures_of_the_simulated_wire_lie_within_th
     }
     off, tangents_off = [], []
     for k, wire in enumerate(wires):
-        truth = wire_rig(Parameters.defaults()).replace({names[n]: v for n, v in wire.items()})
+        truth = wire_rig(Parameters.of_paper()).replace({names[n]: v for n, v in wire.items()})
         for repeat in range(2):
             seeds = (100 * k + 10 * repeat + i for i in range(5))
             tests = [
@@ -225,7 +225,7 @@ Alloy = Callable[[int], list[IsobaricRecord]]
 @pytest.fixture(scope="module")
 def measured(alloy: Alloy) -> Callable[[int], Experiment]:
     """What E6 finds in a measured alloy, by its number; found once."""
-    return cache(lambda number: identify_isobaric(alloy(number)))
+    return cache(lambda number: identify_isobaric(alloy(number), Parameters.of_paper()))
 
 
 def left_over(test: IsobaricRecord, experiment: Experiment, convention: str) -> float:

@@ -90,7 +90,9 @@ def unseen_error(truth, found, shape):
 
 @pytest.mark.parametrize("kind", RIGS)
 def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
-    believed = Parameters({**BELIEVED, **RIGS[kind]}, {"load.stiffness": 40.0, "load.preload": 0.5})
+    believed = Parameters.of_paper().replace(
+        {**BELIEVED, **RIGS[kind]}, {"load.stiffness": 40.0, "load.preload": 0.5}
+    )
     truth = drawn(believed, seed=4)
     seen = [recorded(truth, shape, k) for k, shape in enumerate(("triangle", "step"))]
     found = identify(seen, believed)
@@ -104,7 +106,7 @@ def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
 
 
 def test_a_weight_is_unknown_where_only_some_records_show_its_force():
-    believed = Parameters({**BELIEVED, **RIGS["force"]})
+    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["force"]})
     bare = recorded(believed, "triangle", 1)
     measured = recorded(believed, "step", 2, keep=("voltage", "elongation", "force"))
     for records, expected in (([bare, measured], True), ([bare], True), ([measured], False)):
@@ -115,7 +117,7 @@ def test_a_weight_is_unknown_where_only_some_records_show_its_force():
 
 def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     duty = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
-    believed = Parameters({**BELIEVED, **RIGS["spring"]})
+    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["spring"]})
     switched = believed.replace(duty)
     time, volts = drives("triangle", 1)
     direct = signals_of(simulate_finely(believed, time, np.sqrt(12.0 * volts)))
@@ -132,7 +134,7 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
 
 
 def test_a_latent_heat_is_known_no_better_than_the_mass():
-    believed = Parameters.defaults().replace(uncertainty={"wire.mass": 2e-6})
+    believed = Parameters.of_paper().replace(uncertainty={"wire.mass": 2e-6})
     name, heat = "effect.latent_heat.heat", 12e3
     number = Number(name, heat, 9.0, 0.0, 1e4, 1.2, 0.99, False, {})
     estimate = _estimate(number, "a fit", 100, believed)
@@ -142,7 +144,7 @@ def test_a_latent_heat_is_known_no_better_than_the_mass():
 
 
 def test_a_fit_on_both_cores_is_that_on_one(both_cores, monkeypatch):
-    believed = Parameters({**BELIEVED, **RIGS["spring"]})
+    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["spring"]})
     record = recorded(drawn(believed, seed=4), "triangle", 1)
     found = []
     for ways in ({"_has_one_core": True}, {"_may_fork": False}, {"_may_fork": True}):
@@ -156,7 +158,9 @@ def test_a_fit_on_both_cores_is_that_on_one(both_cores, monkeypatch):
 
 def test_a_current_source_needs_no_voltmeter():
     rises = {"effect.phase_dependent_resistance.austenite_change": -0.1}
-    believed = Parameters({**BELIEVED, **RIGS["spring"], "bench.drive": "current"})
+    believed = Parameters.of_paper().replace(
+        {**BELIEVED, **RIGS["spring"], "bench.drive": "current"}
+    )
     truth = drawn(believed, seed=6).replace(rises)
     seen, unseen = (recorded(truth, s, 1, ("current", "elongation")) for s in ("triangle", "sine"))
     assert "wire.voltage" not in seen.signals
@@ -170,7 +174,7 @@ def test_a_current_source_needs_no_voltmeter():
 
 
 def test_a_spring_bench_without_its_motion_says_what_is_missing():
-    believed = Parameters({**BELIEVED, **RIGS["spring"]})
+    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["spring"]})
     record = recorded(believed, "triangle", 1, ("voltage",))
     with pytest.raises(InputError, match="expected currents, temperatures or a deflection"):
         identify_moving_bench([record], believed)

@@ -42,11 +42,11 @@ def records(staircase, ramp, seed=3):
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_scale_that_no_record_shows_is_in_the_errors_of_the_data_sheets(staircase, ramp, fault):
     read = [read_by(FAULTS[fault], one) for one in records(staircase, ramp)]
-    found = identify(read, Parameters.defaults())
+    found = identify(read, Parameters.of_paper())
     for name, truth in TRUTH.items():
         estimate = found.estimates[name]
         assert abs(estimate.value - truth) < 3.0 * estimate.std, name
-        assert estimate.std <= Parameters.defaults().std(name) * (1.0 + 1e-9)
+        assert estimate.std <= Parameters.of_paper().std(name) * (1.0 + 1e-9)
         assert estimate.std**2 == pytest.approx(estimate.statistical**2 + estimate.systematic**2)
     # A wire at rest reads off by as much as its camera's zero.
     room = found.experiments[1].estimates["environment.ambient_temperature"]
@@ -54,7 +54,7 @@ def test_a_scale_that_no_record_shows_is_in_the_errors_of_the_data_sheets(stairc
 
 
 def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
-    known = Parameters.defaults().replace(
+    known = Parameters.of_paper().replace(
         uncertainty={**EXACT_SENSORS, AMPERES: 5e-3, "sensor.temperature.spot_share": 4e-3}
     )
     found = identify(records(staircase, ramp), known)
@@ -72,7 +72,7 @@ def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
 
 
 def test_the_slope_of_every_scale_is_what_a_scaled_record_gives(staircase, ramp):
-    known = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+    known = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
     plain = identify(records(staircase, ramp), known).estimates
     for gain, fault in ((AMPERES, {"current": lambda x: x * 0.99}),
                         (VOLTS, {"voltage": lambda x: x * 0.99})):  # fmt: skip
@@ -89,7 +89,7 @@ def test_a_calibration_puts_the_readings_right(staircase, ramp):
         "current": lambda x: (x - 0.02) / 1.05, "voltage": lambda x: x / 0.97,
         "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT),
     }
-    known = Parameters.defaults().replace({
+    known = Parameters.of_paper().replace({
         AMPERES: 1.05, "sensor.current.offset": 0.02, VOLTS: 0.97,
         "sensor.temperature.spot_share": 0.8, "environment.ambient_temperature": AMBIENT,
     }, EXACT_SENSORS)  # fmt: skip
@@ -99,16 +99,16 @@ def test_a_calibration_puts_the_readings_right(staircase, ramp):
 
 
 def test_what_nobody_stated_is_no_match_for_a_measurement_of_unsure_scale(staircase):
-    found = identify([staircase(seed=4)], Parameters.defaults(), ["E1"]).estimates[R]
+    found = identify([staircase(seed=4)], Parameters.of_paper(), ["E1"]).estimates[R]
     assert found.value == pytest.approx(2.75, abs=0.003)
-    stated = Parameters.defaults().replace({R: 2.70}, {R: 0.01})
+    stated = Parameters.of_paper().replace({R: 2.70}, {R: 0.01})
     joined = identify([staircase(seed=4)], stated, ["E1"]).estimates[R]
     assert 2.70 < joined.value < 2.71
     assert joined.std < 0.01
 
 
 def test_the_whole_model_has_the_errors_of_scales_that_scaled_records_give(ramp):
-    known = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+    known = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
     stated = known.replace(uncertainty={AMPERES: 0.01, VOLTS: 0.01})
 
     def numbers(record, parameters):
@@ -125,7 +125,7 @@ def test_the_whole_model_has_the_errors_of_scales_that_scaled_records_give(ramp)
 
 # --- What the record can show, it says.
 
-KNOWN = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+KNOWN = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
 ROOM = "environment.ambient_temperature"
 
 
@@ -202,7 +202,7 @@ def test_a_lag_of_a_second_is_found_or_doubted(ramp):
 
 def test_clean_ramps_raise_no_warning(staircase, ramp):
     for seed in range(5):
-        found = identify([staircase(seed=seed, dwell=12.0), ramp(seed=seed)], Parameters.defaults())
+        found = identify([staircase(seed=seed, dwell=12.0), ramp(seed=seed)], Parameters.of_paper())
         assert found.warnings == ()
 
 
@@ -233,7 +233,7 @@ def test_what_the_cameras_messages_state_takes_the_data_sheets_place(staircase, 
         wire = record["wire.temperature"]
         std = np.hypot(0.3, 0.01 * (wire.values - AMBIENT))
         read.append(replace(record, signals={**record.signals, wire.name: replace(wire, std=std)}))
-    known = Parameters.defaults().replace(uncertainty={AMPERES: 0.0, VOLTS: 0.0})
+    known = Parameters.of_paper().replace(uncertainty={AMPERES: 0.0, VOLTS: 0.0})
     found = identify(read, known).estimates
     for name in (H, CP):
         assert found[name].systematic == pytest.approx(0.01 * found[name].value, rel=0.1)

@@ -11,7 +11,10 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
-KNOWN = Parameters.defaults().replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4, **EXACT_SENSORS})
+WEIGHED = Parameters(
+    {n: Parameters.defaults()[n] for n in ("wire.mass", "wire.surface_area")}, EXACT_SENSORS
+)
+KNOWN = Parameters.of_paper().replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4, **EXACT_SENSORS})
 
 
 def found_cp(*records, parameters=KNOWN):
@@ -114,8 +117,7 @@ def test_second_thermal_mass_is_noticed_in_the_residuals(ramp):
 
 
 def test_ramps_alone_give_specific_heat_and_coefficient_together(ramp):
-    found, cp = found_cp(ramp(), parameters=Parameters.defaults().replace(
-        {R: 2.75}, {R: 0.001, **EXACT_SENSORS}))
+    found, cp = found_cp(ramp(), parameters=WEIGHED.replace({R: 2.75}, {R: 0.001}))
     h = found.estimates[H]
     assert abs(h.value - 410.0) < 2.5 * h.std < 8.0
     assert abs(cp.value - 350.0) < 2.5 * cp.std < 8.0

@@ -12,7 +12,7 @@ from sma_bench.parameters.table import EXACT_SENSORS
 
 R, H, T0 = "wire.resistance", "wire.heat_transfer_coefficient", "environment.ambient_temperature"
 CP = "wire.specific_heat"
-PARAMETERS = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+PARAMETERS = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
 
 
 def result(*records, experiments=("E1", "E2")):

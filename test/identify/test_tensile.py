@@ -15,7 +15,7 @@ from sma_bench.records.tensile import TensileRecord
 
 E_M, E_A = 22.8e9, 55.4e9
 # The wire's own transition temperatures, as E5 or E6 give them.
-OWN = Parameters.defaults().replace({
+OWN = Parameters.of_paper().replace({
     "wire.martensite_finish_temperature": 325.09, "wire.austenite_finish_temperature": 353.61,
 })
 COLD, HOT = 293.15, 403.15

@@ -18,6 +18,7 @@ from sma_bench.parameters.table import EXACT_SENSORS
 from sma_bench.records.record import Record, Signal
 
 NAME = "wire.thermal_expansion_factor"
+PAPER = Parameters.of_paper()
 THETA = -0.18e6
 DIAMETER = 0.3e-3
 AREA = math.pi * DIAMETER**2 / 4.0
@@ -60,7 +61,7 @@ def record(
 
 
 def test_factor_comes_back_and_is_judged_plausible() -> None:
-    experiment = identify_thermal_expansion(record())
+    experiment = identify_thermal_expansion(record(), PAPER)
     estimate = experiment.estimates[NAME]
     assert estimate.value == pytest.approx(THETA, rel=0.03)
     assert estimate.std < 0.1 * abs(THETA)
@@ -69,7 +70,7 @@ def test_factor_comes_back_and_is_judged_plausible() -> None:
 
 
 def test_intervals_cover_the_truth() -> None:
-    exact = Parameters.defaults().replace(uncertainty={**EXACT_SENSORS, "wire.diameter": 0.0})
+    exact = Parameters.of_paper().replace(uncertainty={**EXACT_SENSORS, "wire.diameter": 0.0})
     scores = []
     for seed in range(60):
         theta = float(np.random.default_rng(seed).uniform(-0.6e6, -0.1e6))
@@ -80,8 +81,8 @@ def test_intervals_cover_the_truth() -> None:
 
 
 def test_uncertain_diameter_enters_the_error() -> None:
-    sure = Parameters.defaults().replace(uncertainty={"wire.diameter": 0.0})
-    unsure = Parameters.defaults().replace(uncertainty={"wire.diameter": 15e-6})
+    sure = Parameters.of_paper().replace(uncertainty={"wire.diameter": 0.0})
+    unsure = Parameters.of_paper().replace(uncertainty={"wire.diameter": 15e-6})
     stds = [identify_thermal_expansion(record(), p).estimates[NAME].std for p in (sure, unsure)]
     assert stds[1] == pytest.approx(math.hypot(stds[0], 0.1 * abs(THETA)), rel=0.05)
 
@@ -89,32 +90,32 @@ def test_uncertain_diameter_enters_the_error() -> None:
 def test_plateaus_above_the_austenite_start_are_left_out_and_said() -> None:
     levels = list(np.arange(298.15, 365.0, 5.0))
     hot = record(levels=levels, preload=30e6, transform_above=336.1)
-    experiment = identify_thermal_expansion(hot)
+    experiment = identify_thermal_expansion(hot, PAPER)
     assert experiment.estimates[NAME].value == pytest.approx(THETA, rel=0.1)
     assert any("left out: the wire transforms" in f.text for f in experiment.findings)
     assert experiment.curves["used"].sum() < len(levels)
 
 
 def test_slack_wire_is_left_out_and_said() -> None:
-    experiment = identify_thermal_expansion(record(theta=-0.6e6, preload=10e6))
+    experiment = identify_thermal_expansion(record(theta=-0.6e6, preload=10e6), PAPER)
     assert any("slack" in f.text for f in experiment.findings)
     assert experiment.estimates[NAME].value == pytest.approx(-0.6e6, rel=0.05)
 
 
 def test_other_sign_is_remarked() -> None:
-    findings = identify_thermal_expansion(record(theta=+0.18e6)).findings
+    findings = identify_thermal_expansion(record(theta=+0.18e6), PAPER).findings
     assert any(f.severity == "warning" and "other sign" in f.text for f in findings)
 
 
 def test_paper_value_is_two_orders_too_large_and_of_the_other_sign() -> None:
-    (finding,) = check_size(23.91e6, 0.1e6, Parameters.defaults())
+    (finding,) = check_size(23.91e6, 0.1e6, Parameters.of_paper())
     assert finding.severity == "warning"
     assert "other sign" in finding.text
     assert "39 times the largest" in finding.text
 
 
 def test_soft_clamps_give_a_value_that_is_remarked_as_too_small() -> None:
-    findings = identify_thermal_expansion(record(theta=-0.03e6, force_noise=0.002)).findings
+    findings = identify_thermal_expansion(record(theta=-0.03e6, force_noise=0.002), PAPER).findings
     assert any("too small" in f.text for f in findings)
 
 

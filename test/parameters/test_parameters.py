@@ -86,9 +86,11 @@ def test_channels_and_sides_must_pair_up():
     assert "bench.channel_sides has 1 entries, expected 2" in message
 
 
-def test_uncertainty_falls_back_to_the_table_and_can_be_given():
-    p = Parameters.defaults()
+def test_a_deviation_is_the_stated_one_else_the_tables_of_a_stated_value_else_that_of_the_field():
+    p = Parameters({"wire.resistance": 2.7})
     assert p.std("wire.resistance") == 0.05
+    assert Parameters.defaults().std("wire.resistance") > 1.0
+    assert Parameters.of_paper().std("wire.resistance") == 0.05
     assert p.replace(uncertainty={"wire.resistance": 0.001}).std("wire.resistance") == 0.001
     assert "expected a standard deviation" in complaint(
         p.replace, uncertainty={"wire.resistance": -1.0}
@@ -120,6 +122,25 @@ def test_a_written_file_reads_back_the_same(tmp_path_factory, data):
     again = read_parameters(path)
     assert dict(again) == dict(original)
     assert again.given_uncertainty == original.given_uncertainty
+    assert again.given - original.given <= {"bench.channels", "bench.channel_sides"}
+
+
+def test_a_default_that_nobody_stated_is_written_as_a_comment(tmp_path):
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    write_parameters(first, Parameters({"wire.mass": 1e-4}), explain=True)
+    again = read_parameters(first)
+    assert "wire.mass" in again.given and "wire.resistance" not in again.given
+    assert "      # resistance: 2.6987" in first.read_text()
+    write_parameters(second, again, template=first, explain=True)
+    assert second.read_text() == first.read_text()
+
+
+def test_of_a_nodes_dump_defaults_count_as_unstated(tmp_path):
+    dump = {p.name: list(p.default) if isinstance(p.default, tuple) else p.default for p in TABLE}
+    dump |= {"wire.mass": 1e-4, "wire.specific_heat": 343.2, "uncertainty.wire.specific_heat": 9.0}
+    path = tmp_path / "dump.yaml"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": dump}}))
+    assert read_parameters(path).given == {"wire.mass", "wire.specific_heat"}
 
 
 def test_numbers_are_written_as_ros_reads_doubles(tmp_path):
@@ -206,14 +227,14 @@ def test_a_written_file_says_unit_range_and_source_and_keeps_what_a_person_wrote
     text = first.read_text()
     assert "      # Electrical resistance of one wire (eq. 3).\n" in text
     assert "      resistance: 2.8  # [ohm] 0.01 to 1000; given\n" in text
-    assert "      specific_heat: 343.2  # [J/(kg K)] 50 to 2000; Table I\n" in text
+    assert "      # specific_heat: 343.2  # [J/(kg K)] 50 to 2000; Table I\n" in text
     text = text.replace("[ohm] 0.01 to 1000; given", "by Ann, 4 wires")
     limit = "    # no more than the supply gives\n    bench:\n"
     text = "# Bench 2\n" + text.replace("    bench:\n", limit)
     first.write_text(text)
     write_parameters(second, read_parameters(first), template=first, explain=True)
     again = second.read_text()
-    assert again.startswith("# Bench 2\n# Our lab.\n/**:\n")
+    assert again.startswith("# Bench 2\n# Our lab.\n")
     assert "resistance: 2.8  # by Ann, 4 wires | [ohm] 0.01 to 1000; given\n" in again
     assert limit in again
     write_parameters(first, read_parameters(second), template=second, explain=True)

@@ -13,13 +13,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture
 def wire_rig() -> Parameters:
     """One clamped wire with the paper's numbers."""
-    return Parameters.defaults()
+    return Parameters.of_paper()
 
 
 @pytest.fixture(scope="session")
 def composite_rig() -> Parameters:
     """Two wires a side that bend a composite by a few centimetres."""
-    return Parameters.defaults().replace(
+    return Parameters.of_paper().replace(
         {
             "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
             "bench.channel_sides": ("front", "front", "back", "back"),

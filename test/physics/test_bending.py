@@ -107,8 +107,8 @@ def test_thin_active_layer_bends_nothing():
 
 
 def test_coefficients_carry_force_to_curvature():
-    alpha, front, back = bending.bending_coefficients(Parameters.defaults())
-    beam = Beam.of(Parameters.defaults())
+    alpha, front, back = bending.bending_coefficients(Parameters.of_paper())
+    beam = Beam.of(Parameters.of_paper())
     deflection, force = 0.01, 0.01 * front * beam.wire_section
     kappa = bending.moment(force, beam) / bending.bending_stiffness(beam)
     assert 0.5 * beam.length**2 * kappa == pytest.approx(deflection)
@@ -117,17 +117,17 @@ def test_coefficients_carry_force_to_curvature():
 
 
 def test_given_coefficients_override_the_geometry():
-    given = Parameters.defaults().replace(
+    given = Parameters.of_paper().replace(
         {"composite.deflection_per_strain": 0.7, "composite.stress_per_deflection_back": 3e9}
     )
     alpha, front, back = bending.bending_coefficients(given)
     assert (alpha, back) == (0.7, 3e9)
-    assert front == bending.bending_coefficients(Parameters.defaults())[1]
+    assert front == bending.bending_coefficients(Parameters.of_paper())[1]
 
 
 def test_the_active_layer_is_as_wide_as_its_wires_and_not_as_the_beam():
     """Four wires, two a side: alpha 1.714 m; the printed single width makes them a 30 mm sheet."""
-    rig = Parameters.defaults().replace({
+    rig = Parameters.of_paper().replace({
         "bench.channels": ("a", "b", "c", "d"),
         "bench.channel_sides": ("front", "front", "back", "back"),
     })

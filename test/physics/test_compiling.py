@@ -110,9 +110,9 @@ def test_plain_python_and_machine_code_give_the_same_numbers(monkeypatch):
 
     time = 0.05 * np.arange(400)
     volts = 8.0 * np.abs(np.sin(0.3 * time))
-    fast = simulate(Parameters.defaults(), time, volts)
+    fast = simulate(Parameters.of_paper(), time, volts)
     monkeypatch.setattr(kernel, "RUN", compiled.plain(core.run))
-    slow = simulate(Parameters.defaults(), time, volts)
+    slow = simulate(Parameters.of_paper(), time, volts)
     assert np.ptp(fast.martensite_fraction) > 0.3  # the wire transforms
     for name in ("temperature", "martensite_fraction", "stress"):
         np.testing.assert_allclose(getattr(slow, name), getattr(fast, name), rtol=1e-9, atol=1e-12)

@@ -197,7 +197,7 @@ sys.path.insert(0, sys.argv[2])
 from effect_references import all_on, pulses
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
-rig = all_on(Parameters.defaults().replace({
+rig = all_on(Parameters.of_paper().replace({
     "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")}))
 time, voltage = pulses(0.1, 20.0)
 run = simulate(rig, time, 1.25 * voltage[:, :3])
@@ -210,7 +210,7 @@ def test_without_numba_every_effect_gives_the_same(tmp_path, pytestconfig):
     file, here = tmp_path / "plain.npy", pytestconfig.rootpath / "test" / "physics"
     subprocess.run([sys.executable, "-c", WITHOUT_NUMBA, str(file), str(here)], check=True,
                    cwd=pytestconfig.rootpath, timeout=300)
-    rig = all_on(Parameters.defaults().replace({
+    rig = all_on(Parameters.of_paper().replace({
         "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")}))
     time, voltage = pulses(0.1, 20.0)
     run = simulate(rig, time, 1.25 * voltage[:, :3])
@@ -293,7 +293,7 @@ from sma_bench.physics import material, simulate
 time = np.arange(101) * 0.1
 run = simulate(rig, time, np.zeros(101))
 assert abs(run.stress[-1, 0] - 22.8e9 * 1e-3 * time[-2]) < 1.0, run.stress[-1]
-assert not simulate(Parameters.defaults(), time, np.zeros(101)).stress.any()
+assert not simulate(Parameters.of_paper(), time, np.zeros(101)).stress.any()
 """
 
 

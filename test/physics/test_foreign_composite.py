@@ -29,7 +29,7 @@ TRIANGLES = {  # start, peak, end, volts
 @pytest.fixture
 def truth(shared_data):
     numbers = json.loads((shared_data / "foreign" / "composite" / "truth.json").read_text())
-    return Parameters.defaults().replace({
+    return Parameters.of_paper().replace({
         **numbers,
         "bench.channels": CHANNELS,
         "bench.channel_sides": ("front", "front", "back", "back"),

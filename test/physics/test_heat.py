@@ -92,7 +92,7 @@ def test_energy_balance_notices_a_wrong_temperature(wire_rig):
 
 
 def test_latent_heat_delays_the_transformation_both_ways():
-    free = Parameters.defaults().replace({"wire.maximum_recoverable_strain": 1e-4})
+    free = Parameters.of_paper().replace({"wire.maximum_recoverable_strain": 1e-4})
     time = np.arange(0.0, 8.0, 0.001)
     voltage = np.where(time < 4.0, 6.25, 0.0)[:, np.newaxis]
     plain = simulate(free, time, voltage)

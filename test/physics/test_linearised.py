@@ -14,7 +14,7 @@ from sma_bench.physics.heat import temperature_rate, time_constant
 from sma_bench.physics.linearised import SMOOTHER, coefficient_table, linearise
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
 
-WIRE = Parameters.defaults()
+WIRE = Parameters.of_paper()
 COMPOSITE = WIRE.replace(
     {
         "bench.channels": ["front_1", "front_2", "back_1", "back_2"],

@@ -15,7 +15,7 @@ from sma_bench.physics.bending import channel_section
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.heat import direct_reading
 
-WIRE = Parameters.defaults()
+WIRE = Parameters.of_paper()
 PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
 RIGS = {
     "force": WIRE.replace({"load.kind": "force", "load.force": 12.0}),

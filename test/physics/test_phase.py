@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sma_bench.parameters import Parameters
 from sma_bench.physics import material
 
-DEFAULTS = Parameters.defaults()
+DEFAULTS = Parameters.of_paper()
 
 # Start, width and influence of either range: overlapping, nested and swapped ranges among them.
 alloys = st.builds(

@@ -40,7 +40,7 @@ STEPS = (1e-4, 1e-5)  # near a kink, or a snap, only the second is small enough
 def random_bench(kind, seed, composite_rig):
     """Within a third of what is believed; steps up and down, so that inner loops are among it."""
     rng = np.random.default_rng(seed)
-    rig = {"clamped": Parameters.defaults(), "composite": composite_rig, **RIGS}[kind]
+    rig = {"clamped": Parameters.of_paper(), "composite": composite_rig, **RIGS}[kind]
     names = [*WIRE, *LOADS[kind], *EFFECT_NUMBERS]
     if kind != "composite":
         names.remove("effect.side_asymmetry.ratio")
@@ -87,7 +87,7 @@ def test_derivatives_are_those_that_differences_tend_to(kind, seed, composite_ri
 
 @pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.not_carried])
 def test_other_effects_are_not_carried_unless_behind_the_core(effect):
-    bench = Parameters.defaults()
+    bench = Parameters.of_paper()
     switched = [n for n in effect.not_carried if BY_NAME[n].default == 0.0]
     for name in switched:
         assert carries(bench.replace({name: BY_NAME[name].uncertainty})) == (

@@ -20,7 +20,7 @@ from sma_bench.physics import (
     simulate,
 )
 
-COMPOSITE = Parameters.defaults().replace({
+COMPOSITE = Parameters.of_paper().replace({
     "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
     "bench.channel_sides": ("front", "front", "back", "back"),
     "composite.deflection_per_strain": 1.0,
@@ -95,7 +95,7 @@ def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, p
 @given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
        st.floats(0.0, 400e6), st.sampled_from([0.005, 0.05, 0.5]))
 def test_at_held_stress_the_fraction_is_monotone_between_reversals(numbers, seed, sigma, period):
-    rig = Parameters.defaults().replace(numbers)
+    rig = Parameters.of_paper().replace(numbers)
     time, voltage = random_voltage(seed, 150, 1, period)
     run = simulate(rig, time, voltage, boundary=Boundary.held_stress(sigma))
     assert run.stress == pytest.approx(np.full_like(run.stress, sigma), abs=1.0)
@@ -325,7 +325,7 @@ import sys, warnings
 import numpy as np
 sys.modules["numba"] = None
 from sma_bench.parameters import Parameters
-rig = Parameters.defaults().replace({
+rig = Parameters.of_paper().replace({
     "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")})
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
@@ -345,7 +345,7 @@ def test_without_numba_the_same_code_gives_the_same_and_says_so_once(tmp_path):
     plain = subprocess.run([sys.executable, "-c", WITHOUT_NUMBA, str(file)], check=True,
                            capture_output=True, text=True, timeout=300)
     assert plain.stdout.strip() == "1"
-    rig = Parameters.defaults().replace({
+    rig = Parameters.of_paper().replace({
         "bench.channels": ("a", "b", "c"), "bench.channel_sides": ("front", "back", "front")})
     time = np.arange(400) * 0.05
     waves = 7.0 * np.abs(np.sin(np.outer(time, [0.5, 0.7, 1.1])))

@@ -28,6 +28,7 @@ from sma_bench.identify.instruments.stress_temperature import (
 )
 from sma_bench.identify.instruments.tangents import StrainTangents, strain_tangents
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.records.isobaric import STRONGEST, Branch, IsobaricRecord
 
 # --- Readings of isobaric tests, grouped by stress.
@@ -139,6 +140,7 @@ NAME = "E6"
 TITLE = "UPFR and isobaric tests (Fig. 8)"
 RECOVERABLE_STRAIN = "wire.maximum_recoverable_strain"
 _MODULI = ("wire.martensite_modulus", "wire.austenite_modulus")
+_ELASTIC = "elastic part"
 _EXPANSION = "wire.thermal_expansion_factor"
 
 
@@ -199,7 +201,7 @@ def with_scales(
 ) -> dict[str, Estimate]:
     """The same with what thermometer, gauge length and section are off by."""
     shares: dict[str, dict[str, float]] = {}
-    section = 2.0 * parameters.std("wire.diameter") / parameters["wire.diameter"]
+    section = 2.0 * diameter_error(parameters)
     for sign, phase in zip((1.0, -1.0), PHASES.values(), strict=True):
         for _, name in phase[:2]:
             shares[name] = {"thermometer": THERMOMETER_STD, "lag": -sign * LAG_STD}
@@ -208,7 +210,16 @@ def with_scales(
     if RECOVERABLE_STRAIN in estimates:
         strain = estimates[RECOVERABLE_STRAIN].value
         shares[RECOVERABLE_STRAIN] = {GAUGE: parameters.std(GAUGE) * strain}
-    return {n: e.with_shares(shares[n]) if n in shares else e for n, e in estimates.items()}
+    return {n: e.with_shares({**e.shares, **shares.get(n, {})}) for n, e in estimates.items()}
+
+
+def diameter_error(parameters: Parameters) -> float:
+    """Relative, of the diameter by which a testing machine told stress: the stated one's, else what
+    a careful lab knows it to."""
+    name = "wire.diameter"
+    if name in parameters.given:
+        return parameters.std(name) / parameters[name]
+    return (BY_NAME[name].uncertainty or 0.0) / parameters[name]
 
 
 _TEMPERATURES = {name: parameter for phase in PHASES.values() for name, parameter in phase[:2]}
@@ -302,9 +313,9 @@ def _one_stress(
     findings.append(referred_to_zero(label, stress, shift, influence))
     return {
         name: Estimate(
-            float(p.value.mean()) - shift, math.hypot(float(p.std.mean()), shift_std), "K",
+            float(p.value.mean()) - shift, float(p.std.mean()), "K",
             f"cosine at {stress / 1e6:.3g} MPa, referred to zero stress with {label}", n,
-        )
+        ).with_shares({parameter: shift_std})
         for (_, name), p in zip(phase[:2], ends, strict=True)
     }
 
@@ -329,10 +340,10 @@ def _strains(
         middle = float(np.mean([r.cosine.start[0] + r.cosine.finish[0] for r in readings])) / 2
         elastic, elastic_std = _elastic_step(level.stress, middle, parameters)
         estimate = Estimate(
-            value - elastic, math.hypot(std, elastic_std), "1",
+            value - elastic, std, "1",
             f"recovered strain at {level.stress / 1e6:.3g} MPa less "
             "[sigma - Theta_T (T - T_inf)] (1/E_M - 1/E_A)", n,
-        )
+        ).with_shares({_ELASTIC: elastic_std})
         transformed.append((level.stress, estimate))
         details[f"eps_L at {level.stress / 1e6:.0f} MPa"] = estimate
     if not transformed:
@@ -539,7 +550,10 @@ def about_strains(
     """Whether one eps_L describes all stresses, and whose moduli the elastic part rests on."""
     findings = []
     (_, least), (high, most) = transformed[0], transformed[-1]
-    if most.value - least.value > _SIGNIFICANT * (most.std**2 + least.std**2) ** 0.5:
+    # The same moduli stand behind both.
+    moduli = most.shares[_ELASTIC] - least.shares[_ELASTIC]
+    error = math.hypot(most.statistical, least.statistical, moduli)
+    if most.value - least.value > _SIGNIFICANT * error:
         table = ", ".join(f"{e.value:.2%} at {s / 1e6:.0f} MPa" for s, e in transformed)
         text = (
             f"the transformation strain grows with stress ({table}), as in material that is not "

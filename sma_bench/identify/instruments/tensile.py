@@ -20,7 +20,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import Array, Estimate, Experiment
-from sma_bench.identify.instruments.isobaric import GAUGE, mean_and_deviation
+from sma_bench.identify.instruments.isobaric import GAUGE, diameter_error, mean_and_deviation
 from sma_bench.identify.signals import Piece, fit_piece, straight_pieces
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY, wire_length
@@ -280,7 +280,7 @@ def identify_tensile(
         )
         details.update(_details(phase, [reading for _, reading in group]))
         findings.extend(_remarks(phase, value))
-    section = -2.0 * parameters.std("wire.diameter") / parameters["wire.diameter"]
+    section = -2.0 * diameter_error(parameters)
     estimates = {
         n: e.with_shares({
             GAUGE: -parameters.std(GAUGE) * e.value, "wire.diameter": section * e.value,

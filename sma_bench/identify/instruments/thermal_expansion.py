@@ -16,10 +16,12 @@ from sma_bench.identify.estimate import Array, Estimate, Experiment, fit_linear
 from sma_bench.identify.signals import CAMERA, means
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.records.record import Record, samples
 
 NAME = "E8"
 TITLE = "Thermal expansion factor (eq. 8, Fig. 10)"
+_START = "wire.austenite_start_temperature"
 PARAMETER = "wire.thermal_expansion_factor"
 SHORTEST_PLATEAU = 5.0  # s
 STEADY = 0.3  # K over a window
@@ -185,12 +187,20 @@ def _usable(
     record: Record, points: _Plateaus, parameters: Parameters, findings: list[Finding]
 ) -> Array:
     """Which plateaus lie below A_s (with the stress's shift) with the wire tight."""
-    start = parameters["wire.austenite_start_temperature"]
+    start = parameters[_START]
     # A transforming wire pulls itself up: only the stress before A_s may shift the limit.
     cold = points.stress[points.temperature < start]
     shift = max(float(cold.min()), 0.0) if len(cold) else 0.0
     limit = start + shift / parameters["wire.stress_influence_austenite"]
-    limit -= 2.0 * parameters.std("wire.austenite_start_temperature")
+    if _START in parameters.given:
+        limit -= 2.0 * parameters.std(_START)
+    else:
+        limit -= 2.0 * (BY_NAME[_START].uncertainty or 0.0)
+        text = (
+            f"{start:.1f} K is nobody's statement of this wire: where it transforms below "
+            f"{limit:.1f} K, Theta_T is that of its transformation"
+        )
+        findings.append(Finding("warning", "A_s", text))
     below = points.temperature < limit
     if not below.all():
         hot = points.temperature[~below]
