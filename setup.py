@@ -42,7 +42,6 @@ REQUIRED = [
     "numba",
     "numpy>=1.26",
     "openpyxl>=3.1",
-    "pillow",
     "pint>=0.23",
     "pyserial>=3.5",
     "pyyaml>=6",

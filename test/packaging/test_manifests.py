@@ -24,7 +24,6 @@ THIRD_PARTY = {
     "joblib": ("joblib", "python3-joblib"),
     "lz4": ("lz4", None),  # comes with rosbags
     "matplotlib": ("matplotlib", "python3-matplotlib"),
-    "PIL": ("pillow", "python3-pil"),
     "mcap": ("mcap", None),
     "msgspec": ("msgspec", None),
     "numba": ("numba", "python3-numba"),
