@@ -8,10 +8,10 @@ from sma_bench.border import OverBudget, reading_budget
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records import contract
-from sma_bench.records.bag_files import find_bag_files, scan_files
-from sma_bench.records.harvest import Harvest
+from sma_bench.records.bag_files import find_bag_files, read_files
 from sma_bench.records.record import FloatArray, IntArray, Record, Signal, Topic
 from sma_bench.records.samples import Samples, read_samples, sort_by_stamp
+from sma_bench.records.storage import RawTopics
 
 # Further apart than this, receive times and stamps come from two clocks, not from a slow network.
 _TWO_CLOCKS_NS = 10**9
@@ -40,69 +40,48 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
             bench with another type than the contract's.
     """
     path = Path(path)
-    harvest = Harvest(lambda n, t: contract.inside(n, namespace) and contract.is_decoded(n, t))
-    bag = find_bag_files(path, harvest)
-    harvest.budget = reading_budget(sum(file.stat().st_size for file in bag.files))
-    scan_files(bag.files, harvest)
-    if not harvest.count:
-        raise InputError(f"{path}: {_nothing(harvest)}")
-    _compare_counts(harvest, bag.promised)
-    counts = {
-        (topic.name, topic.type): topic.count
-        for topic in harvest.topics.values()
-        if contract.inside(topic.name, namespace)
-    }
-    chosen, remarks = contract.choose_topics(str(path), counts)
-    decoded = {}
-    for meaning, name in chosen.items():
-        raw = harvest.topics[name, _type_at(meaning)]
-        if raw.wanted:
-            try:
-                decoded[meaning] = read_samples(raw, harvest.budget)
-            except OverBudget as error:
-                harvest.lost(name, f"{error}; this topic is left out")
-    return _build(path, harvest, decoded, remarks)
+    topics = RawTopics(lambda n, t: contract.inside(n, namespace) and contract.is_decoded(n, t))
+    files, promised = find_bag_files(path, topics)
+    topics.budget = reading_budget(sum(file.stat().st_size for file in files))
+    read_files(files, topics)
+    found = list(topics.topics.values())
+    if not any(topic.count for topic in found):
+        why = "the bag holds no messages (did its recorder die?)"
+        for finding in topics.findings[:1]:
+            why = f"nothing can be read: {finding.subject}: {finding.text}"
+        raise InputError(f"{path}: {why}")
 
-
-def _type_at(meaning: str) -> str:
-    place = contract.place_of(meaning)
-    assert place is not None
-    return place.type
-
-
-def _nothing(harvest: Harvest) -> str:
-    if harvest.findings:
-        first = harvest.findings[0]
-        return f"nothing can be read: {first.subject}: {first.text}"
-    return "the bag holds no messages (did its recorder die?)"
-
-
-def _compare_counts(harvest: Harvest, promised: dict[str, int]) -> None:
-    """The metadata of a finished bag says how many messages there should be."""
-    found: dict[str, int] = {}
-    for topic in harvest.topics.values():
-        found[topic.name] = found.get(topic.name, 0) + topic.count
+    # The metadata of a finished bag says how many messages there should be.
     for name, count in promised.items():
-        if found.get(name, 0) < count:
-            missing = count - found.get(name, 0)
+        missing = count - sum(topic.count for topic in found if topic.name == name)
+        if missing > 0:
             text = f"{missing} of {count} messages ({missing / count:.1%}) announced by "
             text += "metadata.yaml cannot be read"
-            harvest.lost(name, text, missing=missing, announced=count)
+            topics.lost(name, text, missing=missing, announced=count)
 
+    # Topics that carry a meaning of the contract become columns, each on its own stamps.
+    counts = {(t.name, t.type): t.count for t in found if contract.inside(t.name, namespace)}
+    chosen, remarks = contract.choose_topics(str(path), counts)
+    decoded: dict[str, Samples] = {}
+    for meaning, name in chosen.items():
+        for raw in (raw for raw in found if raw.name == name and raw.wanted):
+            try:
+                decoded[meaning] = read_samples(raw, topics.budget)
+            except OverBudget as error:
+                topics.lost(name, f"{error}; this topic is left out")
+    findings = [*topics.findings, *remarks]
 
-def _build(
-    path: Path, harvest: Harvest, decoded: dict[str, Samples], remarks: list[Finding]
-) -> Record:
-    findings = [*harvest.findings, *remarks]
+    # All stamps on one clock, in order.
     decoded = _with_messages(decoded, findings)
-    stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
-    findings += _align_headerless(decoded, stamped)
+    findings += _align_headerless(decoded)
     for samples in decoded.values():
         sort_by_stamp(samples)
     findings += _leave_out_other_times(decoded)
     decoded = _with_messages(decoded, findings)
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
+
+    # Columns become signals in SI units.
     signals: dict[str, Signal] = {}
     markers: tuple[tuple[float, str], ...] = ()
     made: dict[str, list[str]] = {}
@@ -118,13 +97,21 @@ def _build(
             signals[signal.name] = signal
             made.setdefault(samples.topic, []).append(signal.name)
         findings += samples.findings
-    findings += _absent(harvest, signals, markers)
-    topics: dict[str, Topic] = {}
-    for raw in sorted(harvest.topics.values(), key=lambda raw: raw.name):
-        # One name with two types: the one that was decoded is shown.
-        if raw.name not in topics or raw.wanted:
-            topics[raw.name] = Topic(raw.type, raw.count, tuple(made.get(raw.name, ())))
-    return Record(path, start, signals, markers, topics, tuple(findings))
+
+    # What is absent is said; of one name with two types the one that was decoded is shown.
+    for raw in found:
+        if raw.wanted and not raw.count:
+            text = "declared, but without a message; absent"
+            findings.append(Finding("info", raw.name, text))
+    if not signals and not markers:
+        names = ", ".join(sorted(raw.name for raw in found)) or "no topics"
+        text = f"no signal of the bench contract; the bag has {names}"
+        findings.append(Finding("error", "record", text))
+    listed: dict[str, Topic] = {}
+    for raw in sorted(found, key=lambda raw: raw.name):
+        if raw.name not in listed or raw.wanted:
+            listed[raw.name] = Topic(raw.type, raw.count, tuple(made.get(raw.name, ())))
+    return Record(path, start, signals, markers, listed, tuple(findings))
 
 
 def _with_messages(decoded: dict[str, Samples], findings: list[Finding]) -> dict[str, Samples]:
@@ -135,26 +122,12 @@ def _with_messages(decoded: dict[str, Samples], findings: list[Finding]) -> dict
     return {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
 
 
-def _absent(
-    harvest: Harvest, signals: dict[str, Signal], markers: tuple[tuple[float, str], ...]
-) -> list[Finding]:
-    findings = [
-        Finding("info", topic.name, "declared, but without a message; absent")
-        for topic in harvest.topics.values()
-        if topic.wanted and not topic.count
-    ]
-    if not signals and not markers:
-        names = ", ".join(sorted(topic.name for topic in harvest.topics.values())) or "no topics"
-        text = f"no signal of the bench contract; the bag has {names}"
-        findings.append(Finding("error", "record", text))
-    return findings
-
-
-def _align_headerless(decoded: dict[str, Samples], stamped: list[Samples]) -> list[Finding]:
+def _align_headerless(decoded: dict[str, Samples]) -> list[Finding]:
     """Bring receive times onto the stamps' clock where the two differ by more than a delay.
 
     A bench on simulated time, recorded with the wall's clock, has nothing else in common.
     """
+    stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     if not stamped:
         return []
     reference = max(stamped, key=lambda samples: len(samples.stamp))

@@ -1,9 +1,7 @@
-"""Which storage files make up a bag, and what its metadata.yaml says about them."""
+"""Which storage files make up a bag, what its metadata.yaml says about them, and their messages."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+import re
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -18,8 +16,15 @@ from sma_bench.border import (
 )
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records import mcap_scan, sqlite_scan
-from sma_bench.records.harvest import ZSTD_MAGIC, Harvest, decompress_file
+from sma_bench.records.storage import (
+    MCAP_MAGIC,
+    SQLITE_MAGIC,
+    ZSTD_MAGIC,
+    RawTopics,
+    decompress_file,
+    read_mcap,
+    read_sqlite,
+)
 
 T = TypeVar("T")
 
@@ -29,19 +34,6 @@ _LONGEST_NAME = 255  # bytes, on every file system
 _LONGEST_TOLD, _MOST_SENTENCES = 2000, 50  # of a provenance: characters, signals
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
-_SCANNERS = {
-    mcap_scan.MAGIC: mcap_scan.scan_mcap,
-    sqlite_scan.MAGIC: sqlite_scan.scan_sqlite,
-}
-_SCANNERS_BY_SUFFIX = {".mcap": mcap_scan.scan_mcap, ".db3": sqlite_scan.scan_sqlite}
-
-
-@dataclass
-class BagFiles:
-    """Storage files in order, and the message counts promised by the metadata."""
-
-    files: list[Path]
-    promised: dict[str, int] = field(default_factory=dict)
 
 
 def is_bag(path: Path) -> bool:
@@ -53,90 +45,91 @@ def is_bag(path: Path) -> bool:
     require_there(path)
     if path.is_dir():
         return True
-    head = first_bytes(path)
-    return path.name.endswith(_SUFFIXES) or head.startswith((*_SCANNERS, ZSTD_MAGIC))
-
-
-def first_bytes(path: Path) -> bytes:
-    """The first 16 bytes of a file.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
     try:
         with path.open("rb") as file:
-            return file.read(16)
+            head = file.read(len(SQLITE_MAGIC))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    magic = (MCAP_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
+    return path.name.endswith(_SUFFIXES) or head.startswith(magic)
 
 
-def find_bag_files(path: Path, harvest: Harvest) -> BagFiles:
-    """The storage files of a bag folder or of a bare storage file.
+def find_bag_files(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]]:
+    """The storage files of a bag's folder, or of a storage file by itself, in order.
+
+    Returns:
+        The files, and the number of messages by topic that the metadata promises.
 
     Raises:
-        InputError: nothing there, not a bag, or no metadata.yaml in the folder.
+        InputError: nothing there, not a bag, or a folder of several bags.
     """
-    is_one = is_bag(path)
+    if not is_bag(path):
+        how = ""
+        if path.suffix.lower() in _TABLES:
+            how = f"; make a record of a table: sma-bench import {path.name} --out {path.stem}"
+        raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}")
     if not path.is_dir():
-        if not is_one:
-            how = ""
-            if path.suffix.lower() in _TABLES:
-                how = f"; make a record of a table: sma-bench import {path.name} --out {path.stem}"
-            raise InputError(
-                f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}"
-            )
-        return BagFiles([path])
+        return [path], {}
+
+    # Storage files of the folder in order of their numbers; links out of it are not followed.
     try:
-        names = {p.name for p in path.iterdir() if p.is_file()}
-        exists = METADATA in names
+        names = {file.name for file in path.iterdir() if file.is_file()}
         own = {name for name in names if is_inside(path / name, path)}
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    present = sorted(path / name for name in own if name.endswith(_SUFFIXES))
     for name in sorted(names - own):
         if name == METADATA or name.endswith(_SUFFIXES):
-            harvest.lost(name, "a link out of the bag's folder; not followed")
-    if not exists:
-        raise InputError(f"{path}: {_without_metadata(present)}")
-    return _from_metadata(path, present, harvest)
+            topics.lost(name, "a link out of the bag's folder; not followed")
+    numbered = {re.sub(r"\d+", lambda m: m[0].zfill(9), n): n for n in own if n.endswith(_SUFFIXES)}
+    present = [path / numbered[key] for key in sorted(numbered)]
+    if METADATA not in names:
+        return _without_metadata(path, present, topics), {}
 
-
-def _without_metadata(present: list[Path]) -> str:
-    if not present:
-        return f"not a bag: the folder holds no {METADATA} and no .mcap or .db3 file"
-    return f"no {METADATA} in the folder; its storage file can be opened by itself: {present[0]}"
-
-
-def _from_metadata(path: Path, present: list[Path], harvest: Harvest) -> BagFiles:
+    # What the metadata says, from a file that may be anybody's.
     try:
-        if not is_inside(path / METADATA, path):
+        if METADATA not in own:
             raise ValueError("a link")
         information = read_yaml(path / METADATA, aliases=True)["rosbag2_bagfile_information"]
-        names = [PurePath(_of(str, name)).name for name in information["relative_file_paths"]]
+        listed = [PurePath(_of(str, name)).name for name in information["relative_file_paths"]]
         promised: dict[str, int] = {}
         for entry in information.get("topics_with_message_count") or ():
             topic = _of(str, entry["topic_metadata"]["name"])
             promised[topic] = promised.get(topic, 0) + _of(int, entry["message_count"])
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
-        text = "cannot be understood; the storage files found beside it are read"
-        harvest.lost(METADATA, text)
-        return BagFiles(present)
-    _tell_provenance(information.get("custom_data"), harvest)
-    names = [name for name in dict.fromkeys(names) if len(os.fsencode(name)) <= _LONGEST_NAME]
-    files = [path / name for name in names if is_inside(path / name, path)]
+        topics.lost(METADATA, "cannot be understood; the storage files found beside it are read")
+        return present, {}
+    _tell_provenance(information.get("custom_data"), topics)
+    listed = [name for name in dict.fromkeys(listed) if len(os.fsencode(name)) <= _LONGEST_NAME]
+    files = [path / name for name in listed if is_inside(path / name, path)]
     for missing in (file for file in files if not file.is_file()):
         text = f"the storage file {missing.name} is missing; the others are read"
-        harvest.lost(missing.name, text)
-    for extra in present:
-        if extra not in files:
-            # A recorder that died right after a split has not listed its newest file.
-            text = f"not listed in {METADATA}; read all the same"
-            harvest.lost(extra.name, text)
-            files.append(extra)
-    return BagFiles([file for file in files if file.is_file()], promised)
+        topics.lost(missing.name, text)
+    for extra in (file for file in present if file not in files):
+        # A recorder that died right after a split has not listed its newest file.
+        topics.lost(extra.name, f"not listed in {METADATA}; read all the same")
+        files.append(extra)
+    return [file for file in files if file.is_file()], promised
 
 
-def _tell_provenance(custom: Any, harvest: Harvest) -> None:
+def _without_metadata(path: Path, present: list[Path], topics: RawTopics) -> list[Path]:
+    """All files of one bag: a single one, or those that a recorder has numbered."""
+    if not present:
+        raise InputError(
+            f"{path}: not a bag: the folder holds no {METADATA} and no .mcap or .db3 file"
+        )
+    stems = {re.sub(r"_\d+$", "", file.name.partition(".")[0]) for file in present}
+    if len(stems) > 1:
+        some = ", ".join(file.name for file in present[:3])
+        raise InputError(
+            f"{path}: no {METADATA} in the folder, and files of several bags: {some}; expected one "
+            "bag, or the path of a file"
+        )
+    text = f"is missing; {len(present)} storage file{'s' * (len(present) > 1)} beside it read"
+    topics.findings.append(Finding("info", METADATA, text))
+    return present
+
+
+def _tell_provenance(custom: Any, topics: RawTopics) -> None:
     """A finding of where an imported bag comes from."""
     text = custom.get(PROVENANCE) if isinstance(custom, dict) else None
     if not isinstance(text, str):
@@ -144,12 +137,12 @@ def _tell_provenance(custom: Any, harvest: Harvest) -> None:
     try:
         said = read_json_object(text, PROVENANCE)
     except InputError as error:
-        harvest.findings.append(Finding("warning", METADATA, str(error)))
+        topics.findings.append(Finding("warning", METADATA, str(error)))
         return
     how = said.get("how")
     parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
     parts += [str(part) for part in how[:_MOST_SENTENCES]] if isinstance(how, list) else []
-    harvest.findings.append(Finding("info", "record", shown("; ".join(parts), _LONGEST_TOLD)))
+    topics.findings.append(Finding("info", "record", shown("; ".join(parts), _LONGEST_TOLD)))
 
 
 def _of(kind: type[T], value: Any) -> T:
@@ -159,39 +152,29 @@ def _of(kind: type[T], value: Any) -> T:
     return value
 
 
-def scan_files(files: list[Path], harvest: Harvest) -> None:
-    """Gather the messages of all storage files; what cannot be read becomes a finding."""
+def read_files(files: list[Path], topics: RawTopics) -> None:
+    """Take the messages of all storage files; what cannot be read becomes a finding.
+
+    Raises:
+        InputError: an sqlite3 file is damaged.
+    """
     for file in files:
         try:
-            with _plain(file, harvest) as plain:
-                _scanner(file, plain)(plain, harvest)
-        except OSError as error:
-            harvest.lost(file.name, f"cannot be read: {error.strerror or error}")
+            with TemporaryDirectory() as folder, file.open("rb") as opened:
+                plain = file
+                if opened.read(4) == ZSTD_MAGIC or file.name.endswith(".zstd"):
+                    plain = Path(folder, file.name.removesuffix(".zstd"))
+                    if ended := decompress_file(file, plain, topics.budget):
+                        topics.lost(file.name, f"{ended}; read up to there")
+                # By content; by name where the beginning is damaged.
+                with plain.open("rb") as unpacked:
+                    head = unpacked.read(len(SQLITE_MAGIC))
+                is_mcap = head.startswith(MCAP_MAGIC)
+                if head == SQLITE_MAGIC or (plain.suffix == ".db3" and not is_mcap):
+                    read_sqlite(plain, topics, file)
+                else:
+                    read_mcap(plain, topics, file.name)
         except OverBudget as error:
-            harvest.lost(file.name, f"{error}; read up to there")
-
-
-@contextmanager
-def _plain(file: Path, harvest: Harvest) -> Iterator[Path]:
-    """The file itself, or a temporary copy without its file compression."""
-    with file.open("rb") as opened:
-        compressed = opened.read(4) == ZSTD_MAGIC or file.name.endswith(".zstd")
-    if not compressed:
-        yield file
-        return
-    with TemporaryDirectory() as folder:
-        plain = Path(folder, file.name.removesuffix(".zstd"))
-        if ended := decompress_file(file, plain, harvest.budget):
-            harvest.lost(file.name, f"{ended}; read up to there")
-        yield plain
-
-
-def _scanner(file: Path, plain: Path) -> Any:
-    """By content; by name where the content's beginning is damaged."""
-    with plain.open("rb") as opened:
-        head = opened.read(16)
-    for magic, scanner in _SCANNERS.items():
-        if head.startswith(magic):
-            return scanner
-    suffix = Path(file.name.removesuffix(".zstd")).suffix
-    return _SCANNERS_BY_SUFFIX.get(suffix, mcap_scan.scan_mcap)
+            topics.lost(file.name, f"{error}; read up to there")
+        except OSError as error:
+            topics.lost(file.name, f"cannot be read: {error.strerror or error}")

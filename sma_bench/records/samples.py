@@ -1,6 +1,6 @@
-"""Serialised messages of one topic to stamped columns of numbers."""
+"""Serialised messages of one topic to stamped columns of numbers, and what a record's drive was."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded
 from sma_bench.records import cdr, contract
-from sma_bench.records.harvest import ZSTD_MAGIC, RawTopic, decompress_messages
 from sma_bench.records.record import FloatArray, IntArray, Record, has_samples
+from sma_bench.records.storage import ZSTD_MAGIC, RawTopic, decompress_messages
 
 # A clock that shows less than a day since 1970 is a simulation's.
 _DAY_NS = 86_400 * 10**9
@@ -23,6 +23,11 @@ _LOOK_AT = 10  # messages, to see whether they are compressed one by one
 JOINT_SIGNALS: dict[str, dict[str, str]] = {
     "tip": {"deflection": "position"},
     "wire": {"elongation": "position", "force": "effort"},
+}
+_NUMBERS = {
+    contract.BATTERY_STATE: ("voltage", "current"),
+    contract.TEMPERATURE: ("temperature", "variance"),
+    contract.RANGE: ("range", "min_range", "max_range"),
 }
 
 
@@ -63,60 +68,77 @@ def read_samples(raw: RawTopic, budget: Budget) -> Samples:
     Raises:
         OverBudget: they ask for more than such a topic may.
     """
-    received, lengths, joined = raw.taken()
-    n = len(lengths)
-    begins = np.cumsum(lengths[:_LOOK_AT]) - lengths[:_LOOK_AT]
-    if any(joined.startswith(ZSTD_MAGIC, begin) for begin in begins.tolist()):
-        blobs, _ = decompress_messages(cdr.split(joined, lengths), budget)
-        lengths, joined = cdr.lengths_of(blobs), b"".join(blobs)
+    n, begin = len(raw.times), 0
+    for length in raw.lengths[:_LOOK_AT]:
+        if raw.data.startswith(ZSTD_MAGIC, begin):
+            decompress_messages(raw, budget)
+            break
+        begin += length
+    received = np.array(raw.times, dtype=np.int64)
     samples = Samples(raw.name, raw.type, received.copy(), received)
-    batches = list(cdr.decode_joined(joined, lengths, raw.type, budget))
+    lengths = np.array(raw.lengths, dtype=np.int64)
+    batches = list(cdr.decode(raw.data, lengths, raw.type, budget))
+    _take_columns(samples, batches, budget)
+
+    # What was decoded, has a possible stamp, and is whole where it is a command.
     valid = np.zeros(n, dtype=bool)
     for batch in batches:
         valid[batch.rows] = True
-    _COLUMNS[raw.type](samples, batches, n, budget)
-    if raw.type not in contract.HEADERLESS:
-        valid &= _take_stamps(samples, batches)
+        if raw.type not in contract.HEADERLESS:
+            seconds, nanoseconds = (
+                batch.columns[f"stamp.{part}"][:, 0].astype(np.int64) for part in ("sec", "nanosec")
+            )
+            samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
+            valid[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
     _drop(samples, valid, "cannot be decoded and are left out")
-    if raw.type in contract.HEADERLESS:
-        _drop(samples, _usable_commands(samples), "have the wrong length, NaN or Inf; left out")
-    else:
+    if raw.type not in contract.HEADERLESS:
         _mend_stamps(samples)
+    for values in samples.columns.values() if raw.type in contract.HEADERLESS else ():
+        unusable = np.count_nonzero(~np.isfinite(values), axis=1)
+        _drop(samples, unusable == 0, "have the wrong length, NaN or Inf; left out")
     return samples
 
 
-def sort_by_stamp(samples: Samples) -> None:
-    """Put the messages in order of their stamps, each stamp once, and say what was wrong."""
-    backward = int(np.count_nonzero(np.diff(samples.stamp) < 0))
-    if backward:
-        text = f"{backward} stamps lie before the stamp received earlier; sorted"
-        samples.remark("warning", text, backward=backward)
-        samples.keep(np.argsort(samples.stamp, kind="stable"))
-    repeated = np.diff(samples.stamp) == 0
-    if samples.texts is None and repeated.any():
-        count = int(np.count_nonzero(repeated))
-        text = f"{count} messages repeat the stamp of another; the first one received is kept"
-        samples.remark("warning", text, duplicates=count)
-        samples.keep(np.concatenate(([True], ~repeated)))
+def _take_columns(samples: Samples, batches: list[cdr.Batch], budget: Budget) -> None:
+    """The numbers or texts of a topic's messages, NaN or empty where one has none."""
+    n = len(samples.stamp)
 
+    def column(name: str, joint: str = "") -> FloatArray:
+        budget.take(8 * n)
+        values = np.full(n, np.nan)
+        for batch in batches:
+            names, found = batch.texts["name"] if joint else ("",), batch.columns[name]
+            if joint in names and names.index(joint) < found.shape[1]:
+                values[batch.rows] = found[:, names.index(joint)]
+        return values
 
-def _drop(samples: Samples, keep: NDArray[np.bool_], what: str) -> None:
-    dropped = int(np.count_nonzero(~keep))
-    if dropped:
-        text = f"{dropped} of {len(keep)} messages {what}"
-        samples.remark("warning", text, messages=dropped)
-        samples.keep(keep)
-
-
-def _take_stamps(samples: Samples, batches: list[cdr.Batch]) -> NDArray[np.bool_]:
-    """Fill the stamps; which rows have a possible one."""
-    possible = np.zeros(len(samples.stamp), dtype=bool)
-    for batch in batches:
-        seconds = batch.columns["stamp.sec"][:, 0].astype(np.int64)
-        nanoseconds = batch.columns["stamp.nanosec"][:, 0].astype(np.int64)
-        samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
-        possible[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
-    return possible
+    if samples.type == contract.STRING:
+        budget.take(_TEXT_BYTES * n)
+        samples.texts = np.full(n, "", dtype=object)
+        for batch in batches:
+            samples.texts[batch.rows] = batch.texts["data"][0]
+    elif samples.type == contract.MULTI_ARRAY:
+        # Rows of the most common length; the others stay NaN.
+        rows: dict[int, int] = {}
+        for batch in batches:
+            width = batch.columns["data"].shape[1]
+            rows[width] = rows.get(width, 0) + len(batch.rows)
+        width = max(rows, key=lambda w: (w > 0, rows[w]), default=0)
+        budget.take(8 * n * max(width, 1))
+        values = np.full((n, max(width, 1)), np.nan)
+        for batch in batches:
+            if batch.columns["data"].shape[1] == width > 0:
+                values[batch.rows] = batch.columns["data"]
+        samples.columns["data"] = values
+    elif samples.type == contract.JOINT_STATE:
+        # Joints by name: their order may change from one message to the next.
+        for joint, fields in JOINT_SIGNALS.items():
+            if any(joint in batch.texts["name"] for batch in batches):
+                for signal, source in fields.items():
+                    samples.columns[signal] = column(source, joint)
+    else:
+        for name in _NUMBERS[samples.type]:
+            samples.columns[name] = column(name)
 
 
 def _mend_stamps(samples: Samples) -> None:
@@ -133,79 +155,27 @@ def _mend_stamps(samples: Samples) -> None:
         _drop(samples, ~unset, "have no header.stamp and are left out")
 
 
-def _usable_commands(samples: Samples) -> NDArray[np.bool_]:
-    """Commands are taken whole or not at all."""
-    usable = np.ones(len(samples.stamp), dtype=bool)
-    for values in samples.columns.values():
-        usable &= np.isfinite(values).all(axis=1)
-    return usable
+def _drop(samples: Samples, keep: NDArray[np.bool_], what: str) -> None:
+    dropped = int(np.count_nonzero(~keep))
+    if dropped:
+        text = f"{dropped} of {len(keep)} messages {what}"
+        samples.remark("warning", text, messages=dropped)
+        samples.keep(keep)
 
 
-_Take = Callable[[Samples, list[cdr.Batch], int, Budget], None]
-
-
-def _scalars(*names: str) -> _Take:
-    def take(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
-        budget.take(8 * n * len(names))
-        for name in names:
-            values = np.full(n, np.nan)
-            for batch in batches:
-                values[batch.rows] = batch.columns[name][:, 0]
-            samples.columns[name] = values
-
-    return take
-
-
-def _joints(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
-    """Named joints; the order of the names may change from one message to the next."""
-    budget.take(8 * n * sum(map(len, JOINT_SIGNALS.values())))
-    for joint, fields in JOINT_SIGNALS.items():
-        if not any(joint in batch.texts["name"] for batch in batches):
-            continue
-        for signal, source in fields.items():
-            values = np.full(n, np.nan)
-            for batch in batches:
-                index = _index(batch.texts["name"], joint)
-                if index is not None and index < batch.columns[source].shape[1]:
-                    values[batch.rows] = batch.columns[source][:, index]
-            samples.columns[signal] = values
-
-
-def _index(names: tuple[str, ...], name: str) -> int | None:
-    return names.index(name) if name in names else None
-
-
-def _array(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
-    """Rows of the most common length; the others stay NaN."""
-    rows_by_width: dict[int, int] = {}
-    for batch in batches:
-        width = batch.columns["data"].shape[1]
-        rows_by_width[width] = rows_by_width.get(width, 0) + len(batch.rows)
-    width = max(rows_by_width, key=lambda w: (w > 0, rows_by_width[w]), default=0)
-    budget.take(8 * n * max(width, 1))
-    values = np.full((n, max(width, 1)), np.nan)
-    for batch in batches:
-        if batch.columns["data"].shape[1] == width > 0:
-            values[batch.rows] = batch.columns["data"]
-    samples.columns["data"] = values
-
-
-def _texts(samples: Samples, batches: list[cdr.Batch], n: int, budget: Budget) -> None:
-    budget.take(_TEXT_BYTES * n)
-    texts = np.full(n, "", dtype=object)
-    for batch in batches:
-        texts[batch.rows] = batch.texts["data"][0]
-    samples.texts = texts
-
-
-_COLUMNS: dict[str, _Take] = {
-    contract.BATTERY_STATE: _scalars("voltage", "current"),
-    contract.TEMPERATURE: _scalars("temperature", "variance"),
-    contract.RANGE: _scalars("range", "min_range", "max_range"),
-    contract.JOINT_STATE: _joints,
-    contract.MULTI_ARRAY: _array,
-    contract.STRING: _texts,
-}
+def sort_by_stamp(samples: Samples) -> None:
+    """Put the messages in order of their stamps, each stamp once, and say what was wrong."""
+    backward = int(np.count_nonzero(np.diff(samples.stamp) < 0))
+    if backward:
+        text = f"{backward} stamps lie before the stamp received earlier; sorted"
+        samples.remark("warning", text, backward=backward)
+        samples.keep(np.argsort(samples.stamp, kind="stable"))
+    repeated = np.diff(samples.stamp) == 0
+    if samples.texts is None and repeated.any():
+        count = int(np.count_nonzero(repeated))
+        text = f"{count} messages repeat the stamp of another; the first one received is kept"
+        samples.remark("warning", text, duplicates=count)
+        samples.keep(np.concatenate(([True], ~repeated)))
 
 
 def require_channels(record: Record, channels: Sequence[str], driven: Sequence[str]) -> None:

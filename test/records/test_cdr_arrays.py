@@ -15,7 +15,8 @@ headers = st.tuples(st.integers(0, 2**31 - 1), st.integers(0, 10**9 - 1), short_
 
 
 def decoded(blobs, kind):
-    return cdr.decode_joined(b"".join(blobs), cdr.lengths_of(blobs), kind, reading_budget(0))
+    lengths = np.array([len(blob) for blob in blobs], dtype=np.int64)
+    return cdr.decode(b"".join(blobs), lengths, kind, reading_budget(0))
 
 
 def make_header(messages, fields):

@@ -106,6 +106,25 @@ def test_split_bag_is_read_whole(split_bag):
     np.testing.assert_allclose(record["wire.voltage"].values, np.arange(200) * 1e-3, atol=1e-8)
 
 
+def test_numbered_files_without_metadata_are_one_bag(split_bag):
+    whole = read_record(split_bag)
+    (split_bag / "metadata.yaml").unlink()
+    first = next(p for p in split_bag.glob("*.mcap") if p.name != "second.mcap")
+    first.rename(split_bag / "run_2.mcap")
+    (split_bag / "second.mcap").rename(split_bag / "run_10.mcap")
+    record = read_record(split_bag)
+    assert [f.severity for f in record.findings] == ["info"]  # and nothing of disorder
+    for name, signal in whole.signals.items():
+        np.testing.assert_array_equal(record[name].values, signal.values)
+
+
+def test_a_folder_of_several_bags_is_refused(split_bag):
+    (split_bag / "metadata.yaml").unlink()
+    with pytest.raises(InputError, match="bag.mcap, second.mcap") as refused:
+        read_record(split_bag)
+    assert str(split_bag) in str(refused.value) and "\n" not in str(refused.value)
+
+
 def test_missing_file_of_a_split_bag_is_reported_and_the_other_read(split_bag):
     (split_bag / "second.mcap").unlink()
     record = read_record(split_bag)
