@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from examination.bags import in_sqlite3
 from examination.blind.case_files import CASES, LABELS, MANIFEST, STAGE_OF, seal
 from examination.blind.cases import (
     NONE,
@@ -299,7 +300,9 @@ def _write_bag(case: Case, stage: Stage, sized: Sized, record: str, path: Path) 
     signals = measure(
         outcome, world, case.sensors, stage.channels, case.stream(record), quantities
     )
-    write_record(path, signals, case.namespace, case.storage, case.starts[record])
+    write_record(path, signals, case.namespace, case.starts[record])
+    if case.storage == "sqlite3":
+        in_sqlite3(path)
 
 
 def digest(folder: str | Path) -> str:

@@ -1,4 +1,5 @@
-"""Bags damaged at random places: never a crash, all before the damage read, the loss stated."""
+"""Bags damaged at random places: never a crash, the loss stated; of an mcap all before the damage
+is read, a damaged sqlite3 file is refused."""
 
 import contextlib
 import io
@@ -36,7 +37,7 @@ SECONDS = 20.0
 # A drive takes this many as long as a bag of numbers, and its diagnosis its time.
 _NUMBERED_A_DRIVE = 90
 _DIAGNOSIS_SECONDS = 180.0
-_RIG = Path(__file__).resolve().parents[3] / "config" / "wire_rig.yaml"
+_RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 
 Damage = Callable[[random.Random, bytes, int, int], bytes]
 
@@ -153,7 +154,9 @@ def judge(bag: NumberedBag, copy: Path, whole: set[int]) -> Verdict:
     except InputError as error:
         if "\n" in str(error):
             return Verdict(f"more than one line: {error!s:.80}")
-        missed = f"{len(whole)} messages before the damage not read: {error}" if whole else ""
+        missed = ""
+        if whole and not bag.format.startswith("sqlite3"):
+            missed = f"{len(whole)} messages before the damage not read: {error}"
         return Verdict(missed, refused=True, lost=MESSAGES)
     except Exception as error:  # that is what is looked for
         return Verdict(f"{type(error).__name__}: {error!s:.80}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
+from examination.bags import in_sqlite3
 from sma_bench.records import Signal, contract
 from sma_bench.records.bag_writer import write_record
 
@@ -27,7 +28,9 @@ _PAGE, _SECTOR = 4096, 512
 def small_bag(path: Path, storage: str) -> Path:
     """Twenty readings of a voltage."""
     time = np.arange(20) * 0.1
-    write_record(path, [Signal("wire.voltage", "V", time, np.ones(20))], storage=storage)
+    write_record(path, [Signal("wire.voltage", "V", time, np.ones(20))])
+    if storage == "sqlite3":
+        in_sqlite3(path)
     return path
 
 

@@ -27,6 +27,7 @@ from unittest import mock
 import numpy as np
 import yaml
 
+from examination.bags import in_sqlite3
 from examination.campaign.allowance import allowance
 from examination.campaign.hostile_bags import (
     TOPICS,
@@ -134,7 +135,7 @@ _DRIVE = """name: drive
 steps:
   - {kind: staircase, start: 0.0, stop: 4.0, increment: 1.0, dwell: 2.2}
 """
-_RIG = Path(__file__).resolve().parents[3] / "config" / "wire_rig.yaml"
+_RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 
 
 @cache
@@ -157,7 +158,9 @@ def _good_bag(rng: random.Random, path: Path) -> Path:
     storage = rng.choice(("mcap", "sqlite3"))
     if rng.random() < 0.8:
         return small_bag(path, storage)
-    write_record(path, list(drive().signals.values()), storage=storage)
+    write_record(path, list(drive().signals.values()))
+    if storage == "sqlite3":
+        in_sqlite3(path)
     return path
 
 
@@ -191,7 +194,9 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
     bag = folder / "bag"
     with np.errstate(over="ignore", invalid="ignore"):
         try:
-            write_record(bag, signals, storage=rng.choice(("mcap", "sqlite3")))
+            write_record(bag, signals)
+            if rng.random() < 0.5:
+                in_sqlite3(bag)
         except (ValueError, OverflowError, InputError):  # not to be written: the drive as it was
             shutil.rmtree(bag, ignore_errors=True)
             write_record(bag, list(drive().signals.values()))

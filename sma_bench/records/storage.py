@@ -84,6 +84,7 @@ class RawTopics:
 # --- mcap (https://mcap.dev/spec) ---------------------------------------------------------------
 
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
+_DATA_END_SIZE = 4
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _CHECK_TIME_EVERY = 1 << 17  # bytes
@@ -184,6 +185,8 @@ class _McapWalk:
             elif opcode == _CHANNEL:
                 self._channel(buffer[start:stop])
             elif opcode == _DATA_END and not inside_chunk:
+                if length != _DATA_END_SIZE:
+                    raise _Damage("the bytes make no sense")
                 self.ended = True
             position = stop
             if not inside_chunk:
@@ -323,7 +326,7 @@ def _take_rows(database: sqlite3.Connection, topics: RawTopics) -> None:
     last, take = -1, topics.budget.take
     rows = database.execute(_MESSAGES.format(",".join("?" * len(wanted))), wanted)
     for row, number, time, data in rows:
-        if row <= last:
+        if not isinstance(row, int) or row <= last:
             raise sqlite3.DatabaseError("rows lead back into the table")
         last = row
         take(len(data) + 1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from planted import believed, drive, few_effects, planted_record
 
+from examination.bags import in_sqlite3
 from examination.blind.case_files import checked_answer
 from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
@@ -129,7 +130,8 @@ def test_a_hold_out_that_is_fitted_too_is_refused(tmp_path):
     with pytest.raises(InputError, match="bag: is fitted too; a hold-out must be of a run"):
         diagnose([record], believed(), [record])
     # The same samples under another name, in another storage.
-    write_record(tmp_path / "copy", record, storage="sqlite3")
+    write_record(tmp_path / "copy", record)
+    in_sqlite3(tmp_path / "copy")
     copy = read_record(tmp_path / "copy")
     with pytest.raises(InputError, match=r"copy: holds the samples of .*bag, which is fitted too"):
         diagnose([record], believed(), [copy])
