@@ -23,7 +23,6 @@ SECTIONS = {
     "diagnosis": ("diagnosing", "by stage, its derivatives, records of minutes to hours"),
     "identification": ("identifying", "E10 over minutes to hours, memory; the coverage check"),
     "nodes": ("node_rates", "rates, jitter, latency, share of a core; the camera"),
-    "first-start": ("first_start", "nodes on a fresh install: first word, first topic"),
     "twin": ("twin_pace", "whether the twin keeps 500 Hz, and what it takes of a core"),
     "growth": ("growth", "with length, wires, effects, parameter sets"),
     "batch": ("batches", "identified, diagnosed; processes, a dask cluster; a thousand"),

@@ -253,7 +253,7 @@ def run_node(
             return _refuse(name, error)
         node: BenchNode | None = None
         try:
-            _compute_at_once(name)
+            _say_when_compiling(name)
             node = kind()
             _spin(node, kind.executor_type(), signals)
         except InputError as error:
@@ -281,10 +281,11 @@ def be_punctual(priority: int) -> str:
     return "as any program: see docs/hardware.md, a computer in time"
 
 
-def _compute_at_once(name: str) -> None:
-    """No node waits for the compiler. Those that compute nothing have not loaded it."""
+def _say_when_compiling(name: str) -> None:
+    """A node that simulates waits once after an installation; others have no compiler loaded."""
     if compiled := sys.modules.get("sma_bench.compiled"):
-        compiled.run_plain_meanwhile(get_logger(name).info)
+        logger = get_logger(name)
+        compiled.when_compiling(lambda: logger.info("waits for the compiler, once, some 20 s"))
 
 
 class _Signals:

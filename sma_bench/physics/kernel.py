@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sma_bench.compiled import Meanwhile, warn_if_plain
+from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECT_PREFIX, EFFECTS, Effect
@@ -261,7 +261,6 @@ def _wire(parameters: Parameters) -> Mapping[int, float]:
 
 # --- The compiled core as Python sees it: parameters converted once, its rows filled and read.
 
-RUN = Meanwhile(core.run)
 _LAST = threading.local()
 
 
@@ -342,7 +341,7 @@ class Kernel:
         """Advance `memory` in place; history (4, n, w) and strain (2, n, s) as of core.run."""
         history = np.empty((4, time.size, self.wires))
         strain = np.empty((2, time.size, len(memory[1])))
-        RUN(time, heating_voltage(voltage, self.parameters), *memory, history, strain)
+        core.run(time, heating_voltage(voltage, self.parameters), *memory, history, strain)
         return history, strain
 
     def state(self, memory: tuple[Array, Array]) -> State:

@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.compiled import Meanwhile, borrowing, inlined
+from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.parameters.table import BY_NAME
@@ -74,7 +74,7 @@ class Sensitivities:
         wires, samples, count = len(rows[0]), len(simulation.time), len(moved)
         of_wires = np.empty((2, wires, samples, count))
         of_sides = np.empty((len(rows[1]), samples, count))
-        _RUN(
+        run_derivatives(
             simulation.time, simulation.voltage, *rows, simulation.temperature,
             simulation.martensite_fraction, simulation.stress, simulation.contraction,
             by_wires, by_sides, np.empty((wires, WORK, count)), of_wires, of_sides,
@@ -318,5 +318,3 @@ def run_derivatives(
             balance(wires, sides, side, by_wires, by_sides, work)
         note(by_wires, by_sides, of_wires, of_sides, k)
 
-
-_RUN = Meanwhile(run_derivatives)

@@ -109,18 +109,6 @@ def test_nodes_and_the_twin_are_measured(tmp_path, ros_domain):
     assert measures(document, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
 
 
-@pytest.mark.slow
-def test_a_node_of_a_fresh_install_speaks_and_publishes_in_seconds_of_the_processor(
-    tmp_path, ros_domain
-):
-    pytest.importorskip("rclpy")
-    document = run_apart(tmp_path, "first-start")
-    assert document["sections"]["first-start"]["skipped"] == []
-    found = measures(document, "first-start")["simulator"]
-    assert 0.0 < found["fresh install: first word"] <= 1.0
-    assert found["fresh install: first front_1/power"] <= 10.0
-
-
 def test_an_unknown_section_is_one_line(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["speed"])
