@@ -18,6 +18,7 @@ from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.node_tables import node_groups
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
@@ -295,8 +296,9 @@ def _recorded(simulation: Simulation, signals: Sequence[Signal], name: str) -> R
 
 def _named(given: Any, kind: str) -> dict[str, Any]:
     """Things by name: their own, that of their file, or a number."""
-    if isinstance(given, Mapping) and all(isinstance(v, str | Path | Record) for v in
-                                          given.values()):
+    if isinstance(given, Mapping) and not set(given) & set(BY_NAME) and all(
+        isinstance(v, str | Path | Record | Parameters | Simulation) for v in given.values()
+    ):
         return dict(given)
     found: dict[str, Any] = {}
     for k, thing in enumerate(given if isinstance(given, list | tuple) else [given], 1):

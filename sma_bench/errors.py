@@ -1,4 +1,4 @@
-"""The one exception a user can cause, and what it may add."""
+"""The one exception a user can cause, what it may add, and the one that nobody should see."""
 
 import difflib
 from collections.abc import Iterable
@@ -6,6 +6,10 @@ from collections.abc import Iterable
 
 class InputError(ValueError):
     """Bad input: one line that says what, where, which value and what was expected."""
+
+
+class FitError(RuntimeError):
+    """A fit has left the numbers of a bench: a fault of this package, whatever the records hold."""
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:

@@ -57,10 +57,14 @@ def cell_in_words(cell: Cell) -> str:
 def surprising(model: Fit) -> list[tuple[str, float, float]]:
     """Parameters of the bench beyond SURPRISING prior deviations, the farthest first: name,
     change in its unit, change in prior deviations."""
+    unknowns = model.unknowns
+    values, deviations = unknowns.values(model.x), unknowns.deviations(model.x)
     moved = [
-        (item.name, item.value(at) - item.mean, at)
-        for item, at in zip(model.unknowns.items, model.x.tolist(), strict=True)
-    ][: model.unknowns.bench]
+        (item.name, value - item.mean, deviation)
+        for item, value, deviation in zip(
+            unknowns.items[: unknowns.bench], values.tolist(), deviations.tolist(), strict=False
+        )
+    ]
     return sorted((m for m in moved if abs(m[2]) > SURPRISING), key=lambda m: -abs(m[2]))
 
 

@@ -14,10 +14,15 @@ from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.side_by_side import in_processes
 from sma_bench.estimation.solver import Fit, fit, fits_in_processes, recalibrate
-from sma_bench.estimation.unknowns import Unknowns, unknowns_of, unknowns_of_records
+from sma_bench.estimation.unknowns import (
+    Unknowns,
+    stated_effects,
+    unknowns_of,
+    unknowns_of_records,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.physics.effects import EFFECTS, active_effects
+from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
@@ -233,7 +238,8 @@ def _from_belief(
 
 def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
     """Effects that this load can have, that show in these signals and are not believed in yet."""
-    known, load = active_effects(parameters), load_kind(parameters)
+    stated, load = stated_effects(parameters), load_kind(parameters)
+    known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
     return [
         name for name, effect in EFFECTS.items()
         if name not in known and load in effect.loads and set(effect.acts_on) & set(quantities)

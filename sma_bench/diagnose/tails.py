@@ -41,7 +41,7 @@ def gain_of_tails(fitted: Fit) -> tuple[float, tuple[str, ...]]:
         gains = 0.5 * moved * x[:count] ** 2 / left - 0.5 * np.log(left) - np.log(wide)
         gains[off] = -np.inf
         k = int(np.argmax(gains))
-        gain = float(np.log1p(RARE * np.expm1(gains[k])))
+        gain = float(np.logaddexp(np.log1p(-RARE), np.log(RARE) + gains[k]))
         column = covariance[:, k] * moved[k] / left[k]
         there = x + x[k] * column
         if gain < _LEAST or np.max(np.abs(there[:count])) > _FARTHEST:
@@ -69,11 +69,7 @@ def widened(unknowns: Unknowns, off: Collection[str]) -> tuple[Unknowns, Array]:
     """The same with wide priors of those that are `off`, and how much wider each is (k,)."""
     names = unknowns.names
     far = np.where([name in off for name in names], _widths(unknowns), 1.0)
-    items = tuple(
-        replace(item, std=item.std * factor, own_std=item.own_std * factor)
-        for item, factor in zip(unknowns.items, far.tolist(), strict=True)
-    )
-    return replace(unknowns, items=items), far
+    return unknowns.widened(far), far
 
 
 def _widths(unknowns: Unknowns) -> Array:

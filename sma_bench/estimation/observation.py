@@ -24,6 +24,7 @@ from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics import simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.heat import time_constant
+from sma_bench.physics.kernel import Kernel
 from sma_bench.physics.material import current
 from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import Record, has_samples, samples
@@ -186,7 +187,8 @@ class Observation:
         volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
         if self.holds:
             return self._under_loads(parameters, volts, loads)
-        return simulate(parameters, self.grid, volts)
+        # Wherever a fit goes: a bench that is too warm for martensite leaves it at once.
+        return simulate(parameters, self.grid, volts, initial=Kernel.of(parameters, None).rest)
 
     def own_bench(self, parameters: Parameters) -> Parameters:
         """The bench with this record's channels, as records show it."""
@@ -211,7 +213,9 @@ class Observation:
             if end <= span.start + bool(parts):
                 continue
             if bench is None:
-                bench = Bench(parameters, boundary=hold.boundary(error, parameters))
+                load = hold.boundary(error, parameters)
+                rest = Kernel(parameters, load).rest
+                bench = Bench(parameters, initial=rest, boundary=load)
             else:
                 bench.pull_against(hold.boundary(error, parameters))
             parts.append(bench.follow(self.grid[span], volts[span]))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
 from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
@@ -173,10 +174,17 @@ class Problem:
         return values + self.nuisance_rows @ about if about.any() else values
 
     def predict(self, parameters: Parameters) -> Array:
-        """(n,) readings."""
-        return np.concatenate(
-            [part for o in self.observations for part in o.readings(o.simulate(parameters))]
-        )
+        """(n,) readings.
+
+        Raises:
+            FitError: these are no numbers of a bench, where unknowns should never go.
+        """
+        try:
+            return np.concatenate(
+                [part for o in self.observations for part in o.readings(o.simulate(parameters))]
+            )
+        except InputError as error:
+            raise FitError(f"within a fit: {error}") from error
 
     def derivatives(
         self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int]

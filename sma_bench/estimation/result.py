@@ -102,12 +102,14 @@ def result_of(
     `scales`: of `scale_errors`, where the errors are to hold those of the sensors' scales.
     """
     apart = _factors(fitted)
-    covariance = apart.turn @ block_diag(fitted.covariance, np.eye(apart.open)) @ apart.turn.T
+    turn = fitted.unknowns.turn(fitted.x)
+    of_numbers = turn @ fitted.covariance @ turn.T
+    covariance = apart.turn @ block_diag(of_numbers, np.eye(apart.open)) @ apart.turn.T
     sigma = np.sqrt(np.diag(covariance))
-    moved = apart.turn[:, : len(fitted.x)] @ fitted.x
+    moved = apart.turn[:, : len(fitted.x)] @ fitted.unknowns.deviations(fitted.x)
     low, high = fitted.unknowns.bounds()
     at_end = (fitted.x - low < _AT_END) | (high - fitted.x < _AT_END)
-    shifts = {name: apart.turn[:, : len(x)] @ x for name, x in (scales or {}).items()}
+    shifts = {name: apart.turn[:, : len(x)] @ turn @ x for name, x in (scales or {}).items()}
     numbers = tuple(
         _number(item, at, error, bool(at_end[k]), {n: float(x[i]) for n, x in shifts.items()})
         for i, (item, at, error, k) in enumerate(zip(

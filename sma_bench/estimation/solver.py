@@ -81,7 +81,8 @@ class Fit:
     @property
     def std(self) -> Array:
         """(k,) standard errors in the parameters' units, what the model leaves taken for noise."""
-        return self.unknowns.slopes(self.x) * np.sqrt(np.diag(self.covariance))
+        turn = self.unknowns.turn(self.x)
+        return self.unknowns.slopes(self.x) * np.sqrt(np.diag(turn @ self.covariance @ turn.T))
 
     @property
     def errors(self) -> Array:
@@ -106,7 +107,9 @@ class Fit:
         of which a stretch is no sample, is taken off before.
         """
         rows = np.hstack([self.problem.whiten(self.derivatives), self.problem.white_nuisances])
-        information, known = rows.T @ rows + np.eye(rows.shape[1]), np.diag(self.joint)
+        information, k = rows.T @ rows + np.eye(rows.shape[1]), len(self.x)
+        turn = self.unknowns.turn(self.x)
+        known = np.diag(turn @ self.covariance @ turn.T)
         pulled = rows @ (self.joint @ np.concatenate([self.x, self.z]))
         white = self.problem.whiten(self.left) - pulled
         moved, expected = np.zeros(len(known)), np.zeros(len(known))
@@ -116,10 +119,10 @@ class Fit:
                 without = np.linalg.inv(information - own.T @ own)
             except np.linalg.LinAlgError:  # readings beyond all measure: nothing else tells them
                 return self.unknowns.slopes(self.x)
-            moved += (without @ (own.T @ white[index])) ** 2
-            expected += np.diag(without) - known
+            moved += (turn @ (without @ (own.T @ white[index]))[:k]) ** 2
+            expected += np.diag(turn @ without[:k, :k] @ turn.T) - known
         excess = moved / np.maximum(expected, _TINY)
-        variance = np.minimum(known * np.maximum(excess, 1.0), 1.0)[: len(self.x)]
+        variance = np.minimum(known * np.maximum(excess, 1.0), 1.0)
         return self.unknowns.slopes(self.x) * np.sqrt(variance)
 
 

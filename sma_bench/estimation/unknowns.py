@@ -6,15 +6,16 @@ One list of everything that records can depend on. A record knows some factors o
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.estimation.transitions import TEMPERATURES, Transitions
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECT_PREFIX, Parameter
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameter import EFFECT_PREFIX, EFFECT_TABLE, Parameter
+from sma_bench.parameters.parameters import LOAD_NEEDS, load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
@@ -28,10 +29,7 @@ HEAT = (
     "environment.ambient_temperature",
 )
 MATERIAL = (
-    "wire.austenite_start_temperature",
-    "wire.austenite_finish_temperature",
-    "wire.martensite_start_temperature",
-    "wire.martensite_finish_temperature",
+    *TEMPERATURES,
     "wire.martensite_modulus",
     "wire.austenite_modulus",
     "wire.maximum_recoverable_strain",
@@ -79,24 +77,18 @@ _TIMES = {
     for number, other in (effect.times or {}).items()
 }
 _STRAIGHT = {
+    *TEMPERATURES,
     "environment.ambient_temperature",
-    "wire.austenite_start_temperature",
-    "wire.austenite_finish_temperature",
-    "wire.martensite_start_temperature",
-    "wire.martensite_finish_temperature",
     "wire.thermal_expansion_factor",
     "load.force",
-    "load.stiffness",
     "load.preload",
 }
 _NOT_CARRIED = {name for effect in EFFECTS.values() for name in effect.not_carried}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
-_NARROWEST_RANGE = 0.2
-_ORDERED = (
-    ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
-    ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
-)
+_ABOVE_NOTHING = 1e-3  # of what is believed: the least of a number that cannot be 0
+_SMALLEST = 1e-300
+_MOST_LOG = 50.0  # of a number's logarithm, beyond which it says nothing any more
 
 
 @dataclass(frozen=True)
@@ -125,7 +117,8 @@ class Unknown:
     def value(self, x: float) -> float:
         """In its unit, `x` prior deviations from the mean, within its range."""
         if self.log:
-            moved = self.mean * math.exp(self.std / self.mean * x)
+            exponent = self.std / self.mean * x
+            moved = self.mean * math.exp(min(max(exponent, -_MOST_LOG), _MOST_LOG))
         else:
             moved = self.mean + self.std * x
         return float(min(max(moved, self.low), self.high))
@@ -157,6 +150,8 @@ class Unknowns:
         base: all the other parameters.
         items: in this order; bench: how many are the bench's own; baseline: with the shapes, how
             many every candidate has; effects: names, in the order of the numbers.
+        transitions: of the temperatures among the items, which are moved together: each has the
+            deviation of its own in its item, but is no function of its own x.
     """
 
     base: Parameters
@@ -164,6 +159,7 @@ class Unknowns:
     bench: int
     baseline: int
     effects: tuple[str, ...] = ()
+    transitions: Transitions | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -185,9 +181,18 @@ class Unknowns:
         return self.items[i].name not in _NOT_CARRIED
 
     @cached_property
+    def _together(self) -> slice:
+        """Where the temperatures that are moved together stand."""
+        if self.transitions is None:
+            return slice(0, 0)
+        first = self.names.index(TEMPERATURES[self.transitions.moving[0]])
+        return slice(first, first + len(self.transitions.moving))
+
+    @cached_property
     def _bounds(self) -> tuple[Array, Array]:
         ends = [(item.x_of(item.low), item.x_of(item.high)) for item in self.items]
         low, high = np.array(ends, dtype=np.float64).reshape(-1, 2).T
+        low[self._together], high[self._together] = -_REACH, _REACH
         return np.maximum(low, -_REACH), np.minimum(high, _REACH)
 
     def bounds(self) -> tuple[Array, Array]:
@@ -200,50 +205,85 @@ class Unknowns:
         return np.array([parameters[name] for name in self.names])
 
     def slopes(self, x: Array) -> Array:
-        """(k,) units a prior deviation."""
+        """(k,) units a deviation of each number; `turn` says how x moves these."""
         return np.array([item.slope(at) for item, at in zip(self.items, x, strict=True)])
+
+    def turn(self, x: Array) -> Array:
+        """(k, k) d(deviations of the numbers)/dx: 1 but for temperatures, which move together."""
+        turn = np.eye(len(self.items))
+        if self.transitions is not None:
+            own = self.transitions.slopes(x[self._together])
+            turn[self._together, self._together] = own / self.transitions.std[:, np.newaxis]
+        return turn
+
+    def deviations(self, x: Array) -> Array:
+        """(k,) of the numbers from what is believed, each in its own prior deviations."""
+        found = x.copy()
+        if self.transitions is not None:
+            moving, values = self.transitions.moving, self.transitions.values(x[self._together])
+            moved = (values - self.transitions.mean)[moving]
+            found[self._together] = moved / self.transitions.std
+        return found
 
     def x_of(self, values: Iterable[float]) -> Array:
         """(k,) of values in their units."""
-        return np.array([item.x_of(v) for item, v in zip(self.items, values, strict=True)])
+        given = list(values)
+        x = np.array([item.x_of(v) for item, v in zip(self.items, given, strict=True)])
+        if self.transitions is not None:
+            four = self.transitions.mean.copy()
+            four[self.transitions.moving] = given[self._together]
+            x[self._together] = self.transitions.x_of(four)
+        return x
 
     def parameters(self, x: Array) -> Parameters:
-        """The bench at x; a start temperature that has passed its finish is held below it."""
+        """The bench at x."""
         values = {
             item.name: item.value(at) for item, at in zip(self.items, x.tolist(), strict=True)
         }
-        for lower, upper in _ORDERED:
-            start, finish = (values.get(n, self.base[n]) for n in (lower, upper))
-            if finish - start < _NARROWEST_RANGE:
-                middle = 0.5 * (start + finish)
-                values[lower] = middle - 0.5 * _NARROWEST_RANGE
-                values[upper] = middle + 0.5 * _NARROWEST_RANGE
+        if self.transitions is not None:
+            found = self.transitions.values(x[self._together]).tolist()
+            values |= zip(TEMPERATURES, found, strict=True)
         values |= {other: values[name] for other, name in self.tied.items()}
         return self.base.replace(values)
 
     def nudged(self, bench: Parameters, x: Array, i: int, step: float) -> Parameters:
         """The bench at x, one of its unknowns moved."""
         item = self.items[i]
-        if any(item.name in pair for pair in _ORDERED):
+        if item.name in TEMPERATURES:
             there = x.copy()
             there[i] += step
             return self.parameters(there)
         return bench.replace(dict.fromkeys((item.name, *item.tied), item.value(x[i] + step)))
 
+    def widened(self, factors: Array) -> "Unknowns":
+        """The same with wider priors, by factors (k,)."""
+        items = tuple(
+            replace(item, std=item.std * factor, own_std=item.own_std * factor)
+            for item, factor in zip(self.items, factors.tolist(), strict=True)
+        )
+        if self.transitions is None:
+            return replace(self, items=items)
+        wider = self.transitions.widened(factors[self._together])
+        together = tuple(
+            replace(item, std=std)
+            for item, std in zip(items[self._together], wider.std.tolist(), strict=True)
+        )
+        items = (*items[: self._together.start], *together, *items[self._together.stop :])
+        return replace(self, items=items, transitions=wider)
+
     def start(self, spread: float = 0.3) -> Array:
         """What is believed, effects off; `spread` in its prior's deviations, at 0 of which its
         slope vanishes."""
         x = np.zeros(len(self.items))
-        if self.baseline > self.bench:
-            x[self.bench] = spread
+        if "wire.transition_spread" in self.names:
+            x[self.names.index("wire.transition_spread")] = spread
         return x
 
     def with_effects(self, names: Iterable[str]) -> "Unknowns":
         """The same baseline with the numbers of these effects."""
         effects = tuple(names)
         numbers = (number_of_effect(p) for name in effects for p in EFFECTS[name].parameters)
-        items = (*self.items[: self.baseline], *numbers)
-        return Unknowns(self.base, items, self.bench, self.baseline, effects)
+        return replace(self, items=(*self.items[: self.baseline], *numbers), effects=effects)
 
 
 def unknowns_of_records(
@@ -265,13 +305,13 @@ def unknowns_of_records(
         unmodelled: of wires with a load, what the paper's model leaves out of every one; what of
             it is believed in is unknown in any case.
     """
-    names, shapes = [*HEAT], SHAPES
+    names, shapes = [*HEAT], {**SHAPES, **_of_table(parameters, stated_effects(parameters))}
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:
             found = [n for n in UNMODELLED if unmodelled or parameters[n] != 0.0]
-            shapes = SHAPES | (LOADED_SHAPES if unmodelled else {}) | _of_table(found)
+            shapes |= (LOADED_SHAPES if unmodelled else {}) | _of_table(parameters, found)
             names += [*own, "wire.diameter"]
             names += [] if parameters["wire.length"] else ["wire.mass"]
         elif "deflection" in quantities:
@@ -282,6 +322,19 @@ def unknowns_of_records(
     return unknowns_of(parameters, names, shapes=shapes, sides_apart=sides_apart)
 
 
+def stated_effects(parameters: Parameters) -> list[str]:
+    """Numbers of effects that somebody believes in, or of which he states what is unknown; and of
+    these effects those that have a value where nobody gives one."""
+    stated = {
+        p.name for p in EFFECT_TABLE
+        if parameters[p.name] != p.default or p.name in parameters.given_uncertainty
+    }
+    on = [e for e in EFFECTS.values() if stated & {p.name for p in e.parameters}]
+    return [
+        p.name for e in on for p in e.parameters if p.name in stated or p not in e.switches
+    ]
+
+
 def unknowns_of(
     parameters: Parameters, names: Sequence[str], *,
     shapes: Mapping[str, tuple[float, float, float]] = SHAPES, sides_apart: bool = False,
@@ -289,31 +342,34 @@ def unknowns_of(
     """Unknowns from the values and the `uncertainty.` of a parameter set.
 
     A parameter with uncertainty 0 is exact and not among the names. Bending coefficients which are
-    derived from the geometry start there, with 30 % unless their uncertainty is given.
+    derived from the geometry start there, with 30 % unless their uncertainty is given. All four
+    transition temperatures or none of them are among the names.
     """
     derived = dict(zip(BENDING, bending_coefficients(parameters), strict=True))
+    together = Transitions.of(parameters) if TEMPERATURES[0] in names else None
+    stds = together.stds if together else {}
     found = {}
     for name in names:
-        item = _of_bench(name, parameters, derived, names)
+        item = _of_bench(name, parameters, derived, names, stds)
         if item.std > 0.0:
             found[name] = item
     if not sides_apart and _alike(found):
-        front = found[FRONT]
-        found[FRONT] = Unknown(
-            FRONT, front.mean, front.std, front.low, front.high, front.log, (BACK,)
-        )
+        found[FRONT] = replace(found[FRONT], tied=(BACK,))
         del found[BACK]
     fixed = {n: v for n, v in derived.items() if n not in found and parameters[n] != v}
     base = parameters.replace(fixed)
     extra = [_shape(name, base, row) for name, row in shapes.items()]
-    items = (*found.values(), *extra)
-    return Unknowns(base, items, len(found), len(items))
+    items = (*found.values(), *(item for item in extra if item.std > 0.0))
+    moving = together if stds else None
+    return Unknowns(base, items, len(found), len(items), transitions=moving)
 
 
 def _of_bench(
-    name: str, parameters: Parameters, derived: dict[str, float], names: Sequence[str]
+    name: str, parameters: Parameters, derived: Mapping[str, float], names: Sequence[str],
+    stds: Mapping[str, float],
 ) -> Unknown:
-    mean, std = derived.get(name, parameters[name]), parameters.std(name)
+    mean = derived.get(name, parameters[name])
+    std = stds.get(name, 0.0) if name in TEMPERATURES else parameters.std(name)
     if name in derived and name not in parameters.given_uncertainty and not parameters[name]:
         std = max(std, _DERIVED_STD * mean)
     own, partner = std, PRODUCTS.get(name, "")
@@ -322,8 +378,13 @@ def _of_bench(
     else:
         partner = ""
     low, high = _range(name)
-    low = 1e-3 * mean if name in BENDING else low
-    return Unknown(name, mean, std, low, high, name not in _STRAIGHT, (), partner, own)
+    above = name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ())
+    low = _ABOVE_NOTHING * mean if above else low
+    log = name not in _STRAIGHT and low > 0.0
+    # A prior that is wider than the range is as wide as that.
+    widest = (mean * math.log(high / low) if log else high - low) / max(std, _SMALLEST)
+    std, own = (min(1.0, widest) * one for one in (std, own))
+    return Unknown(name, mean, std, low, high, log, (), partner, own)
 
 
 def _range(name: str) -> tuple[float, float]:
@@ -339,17 +400,20 @@ def _alike(found: dict[str, Unknown]) -> bool:
     return (front.mean, front.std) == (back.mean, back.std)
 
 
-def _of_table(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+def _of_table(
+    parameters: Parameters, names: Iterable[str]
+) -> dict[str, tuple[float, float, float]]:
     """Standard deviation, lowest and highest value."""
-    return {name: (float(BY_NAME[name].uncertainty or 0.0), *_range(name)) for name in names}
+    return {name: (parameters.std(name), *_range(name)) for name in names}
 
 
 def _shape(name: str, believed: Parameters, row: tuple[float, float, float]) -> Unknown:
     """What is believed is within its range."""
     std, low, high = row
-    std = believed.given_uncertainty.get(name, std)
     mean = float(believed[name])
-    return Unknown(name, mean, std, min(low, mean), max(high, mean))
+    low, high = min(low, mean), max(high, mean)
+    std = min(believed.given_uncertainty.get(name, std), high - low)
+    return Unknown(name, mean, std, low, high, log=bool(BY_NAME[name].default))
 
 
 def number_of_effect(number: Parameter) -> Unknown:

@@ -14,10 +14,13 @@ SIDES = ("front", "back")
 DRIVES = ("voltage", "duty", "current")
 _LONGEST_LIST = 800  # characters of what stands for a set of parameters
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-_ORDERED_TEMPERATURES = (
+# What must hold between numbers, beside the range of each in the table: the first below the second,
+# and what a load cannot be without, above 0.
+ORDERED = (
     ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
     ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
 )
+LOAD_NEEDS = {"spring": ("load.stiffness",)}
 
 
 def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
@@ -146,7 +149,7 @@ class Parameters(Mapping[str, Value]):
         return checked
 
     def _check_consistency(self) -> None:
-        for lower, upper in _ORDERED_TEMPERATURES:
+        for lower, upper in ORDERED:
             if self[lower] >= self[upper]:
                 raise InputError(
                     f"{self._where}{lower} {self[lower]:g} K must lie below "
@@ -176,10 +179,12 @@ class Parameters(Mapping[str, Value]):
         self._check_choice("load.kind", ("", *LOAD_KINDS))
         self._check_choice("bench.drive", DRIVES)
         kind, used = load_kind(self), len(set(sides))
-        if kind == "spring" and self["load.stiffness"] == 0.0:
-            raise InputError(
-                f"{self._where}load.stiffness is 0 N/m, expected that of the spring (load.kind)"
-            )
+        for name in LOAD_NEEDS.get(kind, ()):
+            if self[name] <= 0.0:
+                raise InputError(
+                    f"{self._where}{name} is {self[name]:g} {BY_NAME[name].unit}, expected above 0 "
+                    f"with load.kind {kind}"
+                )
         wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
         if used != wanted:
             expected = "front and back" if wanted == 2 else "one side"

@@ -90,11 +90,15 @@ def initial_state(
         raise InputError(f"initial state: temperature is {kelvin.min():g} K, expected above 0 K")
     if np.any((xi < 0.0) | (xi > 1.0)):
         raise InputError(f"initial state: martensite_fraction is {xi}, expected 0 to 1")
+    state = _balanced(kelvin, xi, parameters, boundary)
+    require_possible(state, parameters)
+    return state
+
+
+def _balanced(kelvin: Array, xi: Array, parameters: Parameters, boundary: Boundary) -> State:
     contraction = _contraction(kelvin, xi, parameters, boundary)
     stretch = boundary.stretch_of_wires(parameters) - contraction[side_of_channels(parameters)]
-    sigma = material.stress(kelvin, xi, -stretch, parameters)
-    _require_possible(kelvin, xi, sigma, parameters)
-    return State(kelvin, xi, sigma, contraction)
+    return State(kelvin, xi, material.stress(kelvin, xi, -stretch, parameters), contraction)
 
 
 def _per_wire(name: str, value: ArrayLike, parameters: Parameters) -> Array:
@@ -124,7 +128,9 @@ def _contraction(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bou
     return np.asarray((pull - load) / (modulus + own))
 
 
-def _require_possible(kelvin: Array, xi: Array, sigma: Array, parameters: Parameters) -> None:
+def require_possible(state: State, parameters: Parameters) -> None:
+    """Raises InputError where a fraction cannot be at its temperature and stress."""
+    kelvin, xi, sigma = state.temperature, state.martensite_fraction, state.stress
     finish = parameters["wire.austenite_finish_temperature"]
     if np.all((xi == 1.0) & (kelvin < finish) & (sigma >= 0.0)):
         return  # cold martensite, where most benches begin
@@ -286,21 +292,20 @@ class Kernel:
         return last
 
     @cached_property
-    def _rest(self) -> State:
-        ambient = self.parameters["environment.ambient_temperature"]
-        if self.boundary.idle and ambient < self.parameters["wire.austenite_finish_temperature"]:
-            # What `initial_state` finds as well; a fit begins each of its simulations so.
-            return State(
-                np.full(self.wires, ambient), np.ones(self.wires), np.zeros(self.wires),
-                np.zeros(len(self.rows[1])),
-            )
-        return initial_state(self.parameters, boundary=self.boundary)
+    def rest(self) -> State:
+        """Martensite at ambient temperature, possible or not: if not, it ends with the first step.
+        A fit begins each of its simulations so."""
+        kelvin = np.full(self.wires, self.parameters["environment.ambient_temperature"])
+        if self.boundary.idle:
+            none = np.zeros(self.wires), np.zeros(len(self.rows[1]))
+            return State(kelvin, np.ones(self.wires), *none)
+        return _balanced(kelvin, np.ones(self.wires), self.parameters, self.boundary)
 
     def against(self, boundary: Boundary) -> "Kernel":
         """The same wires pulling against something else."""
         other = copy(self)
         other.boundary = boundary
-        other.__dict__.pop("_rest", None)
+        other.__dict__.pop("rest", None)
         wires = self.rows[0].copy()
         wires[:, at.PRESTRETCH] = boundary.stretch_of_wires(self.parameters)
         other.rows = wires, side_rows(self.parameters, boundary)
@@ -308,7 +313,7 @@ class Kernel:
 
     def memory(self, initial: State | None) -> tuple[Array, Array]:
         """Fresh rows of the kernel: constants of this bench, state of `initial`."""
-        state = initial or self._rest
+        state = initial or self.rest
         wires, sides = self.rows[0].copy(), self.rows[1].copy()
         if state.temperature.shape != (len(wires),) or state.contraction.shape != (len(sides),):
             raise InputError(

@@ -18,7 +18,7 @@ from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.physics.effects.ambient_drift import air as air_temperature
 from sma_bench.physics.effects.deflection_drift import zero as zero_drift
 from sma_bench.physics.heat import EnergyBalance, energy_balance
-from sma_bench.physics.kernel import Kernel, State
+from sma_bench.physics.kernel import Kernel, State, require_possible
 from sma_bench.physics.material import current
 
 Array = NDArray[np.float64]
@@ -137,9 +137,12 @@ def simulate(
         boundary: the rig's own load when not given.
 
     Raises:
-        InputError: wrong shape, time that does not increase, a number that is not finite.
+        InputError: wrong shape, time that does not increase, a number that is not finite, or, with
+            no `initial`, a bench that is too warm at rest for martensite.
     """
     kernel = Kernel.of(parameters, boundary)
+    if initial is None:
+        require_possible(kernel.rest, parameters)
     seconds, volts = _checked_input(time, voltage, kernel.wires)
     memory = kernel.memory(initial)
     history, strain = kernel.run(seconds, volts, memory)
@@ -164,6 +167,8 @@ class Bench:
         """A bench at rest, or in the state `initial`; arguments as for `simulate`."""
         self.parameters = parameters
         self._kernel = Kernel(parameters, boundary)
+        if initial is None:
+            require_possible(self._kernel.rest, parameters)
         self._memory = self._kernel.memory(initial)
         self._state = self._kernel.state(self._memory)
         self._levers = _levers(parameters, self._kernel.boundary)

@@ -170,8 +170,9 @@ def _candidates(result: Diagnosis) -> Table:
 def _improved(result: Diagnosis) -> Table:
     unknowns = result.model.unknowns
     values, stds = unknowns.values(result.model.x), result.model.errors
+    deviations = unknowns.deviations(result.model.x)
     rows = []
-    for item, x, value, std in zip(unknowns.items, result.model.x, values, stds, strict=True):
+    for item, x, value, std in zip(unknowns.items, deviations, values, stds, strict=True):
         name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
         effect = name.startswith("effect.") or not item.std
         moved = "" if effect else signed(float(x), ".1f")

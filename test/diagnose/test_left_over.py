@@ -77,7 +77,9 @@ def fitted_height(random, uneven):
         white_nuisances=np.zeros((len(true), 0)),
     )
     stub.stretches = lambda parts: Problem.stretches(stub, parts)
-    unknowns = SimpleNamespace(slopes=lambda x: np.ones(len(x)))
+    unknowns = SimpleNamespace(
+        slopes=lambda x: np.ones(len(x)), turn=lambda x: np.eye(len(x))
+    )
     return Fit(
         stub, unknowns, x, np.zeros(0), np.array([[1.0 / information]]), 0.0,
         HEIGHT * x[0], HEIGHT[:, None], measured - HEIGHT * x[0],

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from planted import believed
 
+from sma_bench.errors import InputError
+from sma_bench.estimation.transitions import TEMPERATURES
 from sma_bench.estimation.unknowns import (
     BACK,
     FRONT,
@@ -11,7 +15,12 @@ from sma_bench.estimation.unknowns import (
     number_of_effect,
     unknowns_of_records,
 )
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import LOAD_KINDS
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.kernel import Kernel
 
 QUANTITIES = ("current", "temperature", "deflection")
 NUMBERS = [number for effect in EFFECTS.values() for number in effect.parameters]
@@ -72,3 +81,110 @@ def test_what_is_known_of_both_factors_of_a_product_is_carried_by_one():
     assert heat.partner == "wire.mass" and heat.own_std == own
     assert heat.std == pytest.approx(np.hypot(own, 0.1 * heat.mean))
     assert "wire.mass" not in unknowns.names
+
+
+# --- a fit stays among the numbers of a bench ---------------------------------------------------
+
+SIDES = {"antagonist": ("front", "back"), "beam": ("front", "back")}
+STATED = ("load.stiffness", "load.preload", "load.force", "wire.diameter", *TEMPERATURES,
+          "wire.specific_heat", "wire.thermal_expansion_factor", FRONT)  # fmt: skip
+
+
+def rig(load, values=None, stds=None):
+    sides = SIDES.get(load, ("front",))
+    own = {"load.kind": load, "bench.channel_sides": sides, "bench.channels": [*"ab"[: len(sides)]],
+           "load.stiffness": 65.0, "load.preload": 1.0, "wire.length": 0.2}  # fmt: skip
+    return Parameters(own | (values or {}), stds)
+
+
+@st.composite
+def statements(draw):
+    """Numbers and deviations that a file can state, exact to absurd, some at an end."""
+    values, stds = {}, {}
+    for name in draw(st.sets(st.sampled_from(STATED), max_size=6)):
+        low, high = BY_NAME[name].low, BY_NAME[name].high
+        values[name] = draw(st.sampled_from([low, high, None]))
+        stds[name] = draw(st.sampled_from([0.0, 1e-6, 1.0, 1e3, 1e12, 1e300]))
+    return {name: value for name, value in values.items() if value is not None}, stds
+
+
+@settings(max_examples=150)
+@given(
+    load=st.sampled_from(LOAD_KINDS), stated=statements(),
+    reach=st.sampled_from([1.0, 5.0, np.inf]), seed=st.integers(0, 2**32 - 1),
+)
+def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated, reach, seed):
+    try:
+        bench = rig(load, *stated)
+    except InputError:  # as the file would be refused
+        return
+    unknowns = unknowns_of_records(bench, QUANTITIES, load_frame=True, unmodelled=True)
+    low, high = unknowns.bounds()
+    assert np.all((low <= 0.0) & (high >= 0.0))
+    ends = np.random.default_rng(seed).choice([-1.0, 1.0], len(low)) * reach
+    x = np.clip(ends, low, high)
+    there = unknowns.parameters(x)
+    a_s, a_f, m_s, m_f = (there[name] for name in TEMPERATURES)
+    assert a_s < a_f and m_f < m_s
+    drive = np.full((40, len(there["bench.channels"])), 2.0)
+    run = simulate(
+        there, np.arange(40) * 0.25, drive, initial=Kernel.of(there, None).rest
+    )
+    assert np.all(np.isfinite([run.temperature, run.stress, run.martensite_fraction]))
+    assert np.all(np.isfinite(unknowns.turn(x))) and np.all(np.isfinite(unknowns.slopes(x)))
+
+
+def test_temperatures_are_as_well_known_as_they_are_stated():
+    """Each by itself, whatever the coordinates in which they are moved; the rest of the prior is
+    that of wires of the field, given these."""
+    stds = dict(zip(TEMPERATURES, (1.1, 0.4, 2.0, 1.5), strict=True))
+    unknowns = unknowns_of_records(rig("beam", {}, stds), QUANTITIES)
+    items = {item.name: item.std for item in unknowns.items}
+    assert {name: items[name] for name in TEMPERATURES} == pytest.approx(stds)
+    for k, item in enumerate(unknowns.items):
+        if item.name in TEMPERATURES:
+            x = np.zeros(len(unknowns.items))
+            x[k] = 1e-3
+            moved = (unknowns.values(x) - unknowns.values(0.0 * x)) / 1e-3
+            assert moved[k] == pytest.approx(item.std, rel=1e-3)
+            assert np.max(np.abs(np.delete(moved[4:8], k - 4))) < 1e-3 * item.std
+    wide = unknowns_of_records(rig("beam", {}, {TEMPERATURES[0]: 1.1}), QUANTITIES)
+    found = {item.name: item.std for item in wide.items}
+    assert found[TEMPERATURES[0]] == pytest.approx(1.1)
+    assert all(3.0 < found[name] < 20.0 for name in TEMPERATURES[1:])
+
+
+def test_what_nobody_states_of_temperatures_keeps_a_hysteresis_in_every_draw():
+    unknowns = unknowns_of_records(rig("spring"), QUANTITIES)
+    at = [unknowns.names.index(name) for name in TEMPERATURES]
+    random = np.random.default_rng(3)
+    drawn = np.array([
+        unknowns.values(np.clip(random.standard_normal(len(unknowns.items)), *unknowns.bounds()))
+        for _ in range(2000)
+    ])[:, at]  # fmt: skip
+    a_s, a_f, m_s, m_f = drawn.T
+    half = (a_s + a_f - m_s - m_f) / 4.0
+    assert np.all(half > 0.0) and np.all(a_s < a_f) and np.all(m_f < m_s)
+    assert np.std(drawn.mean(axis=1)) == pytest.approx(25.0, rel=0.1)
+    assert np.std(np.log(half)) == pytest.approx(0.3, rel=0.1)
+    for width in (a_f - a_s, m_s - m_f):
+        assert np.std(np.log(width)) == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize("exact", [TEMPERATURES[:1], TEMPERATURES[1:3], TEMPERATURES[:3]])
+def test_exact_temperatures_stay_where_they_are(exact):
+    unknowns = unknowns_of_records(rig("beam", {}, dict.fromkeys(exact, 0.0)), QUANTITIES)
+    assert not set(exact) & set(unknowns.names)
+    for seed in range(20):
+        x = np.random.default_rng(seed).standard_normal(len(unknowns.items))
+        there = unknowns.parameters(np.clip(x, *unknowns.bounds()))
+        assert [there[name] for name in exact] == pytest.approx([BY_NAME[n].default for n in exact])
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "wire.resistance", FRONT, "load.stiffness"])
+def test_a_deviation_of_0_is_exact(name):
+    unknowns = unknowns_of_records(rig("spring", {}, {name: 0.0}), QUANTITIES, unmodelled=True)
+    assert name not in unknowns.names
+    x = unknowns.start(1.0)
+    assert unknowns.parameters(x)[name] == unknowns.base[name]
+    assert ("wire.transition_spread" in unknowns.names) == (np.count_nonzero(x) == 1)

@@ -1,0 +1,213 @@
+"""Does a fit stay among the numbers of a bench, whatever is stated of it?
+
+Rigs of every load are drawn, with statements from exact to absurdly wide, some at an end of their
+range, some a long way off, and effects that the file states. A short record of each is simulated
+(synthetic data), identified and diagnosed. Either has a finite result, or one line that says what
+cannot be; no exception, no warning of a library, and no "nothing to identify".
+
+    ./bench check rigs --draws 200 --seed 0 --json result.json
+
+A piece is `--draws 50 --seed 100`: draw k is the same whatever it is drawn beside.
+"""
+
+import argparse
+import json
+import math
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sma_bench
+from sma_bench.errors import InputError
+from sma_bench.estimation.unknowns import BENDING, HEAT, LOADS, MATERIAL, TEMPERATURES
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import LOAD_KINDS
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.records import Record
+
+RATE, STROKE = 10.0, 6.0  # Hz, s
+DENSITY, RESISTIVITY = 6450.0, 85e-8
+WIDE = {"wire.mass", "wire.surface_area", "wire.diameter"}
+WORK = ("identify", "diagnose")
+FINE, REFUSED, HIDDEN, RAISED = "finite", "refused", "nothing to identify", "exception"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Draw and try; 0 if nothing failed, 1 if something did."""
+    parser = argparse.ArgumentParser(prog="bench check rigs", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--draws", type=int, default=20, help="how many rigs (default 20)")
+    parser.add_argument("--seed", type=int, default=0, help="of the first rig (default 0)")
+    parser.add_argument("--json", metavar="FILE", help="write every outcome")
+    options = parser.parse_args(argv)
+    found = []
+    for seed in range(options.seed, options.seed + options.draws):
+        found.append(try_rig(seed))
+        said = ", ".join(f"{work} {found[-1][work]}" for work in WORK)
+        print(f"{seed}: {found[-1]['load']}: {said} ({found[-1]['seconds']:.0f} s)", flush=True)
+        for work in WORK:
+            if found[-1][work] != FINE:
+                print(f"    {work}: {found[-1][f'{work} said']}", flush=True)
+    if options.json:
+        Path(options.json).write_text(json.dumps(found, indent=1))
+    print(table(found))
+    return 0 if all(one[work] in (FINE, REFUSED) for one in found for work in WORK) else 1
+
+
+def table(found: Sequence[dict[str, Any]]) -> str:
+    """Outcomes by load and work."""
+    lines = [f"{'load':12}{'work':12}" + "".join(f"{end:>22}" for end in _ENDS)]
+    for load in LOAD_KINDS:
+        for work in WORK:
+            count = Counter(one[work] for one in found if one["load"] == load)
+            lines.append(f"{load:12}{work:12}" + "".join(f"{count[end]:22}" for end in _ENDS))
+    return "\n".join(lines)
+
+
+_ENDS = (FINE, REFUSED, HIDDEN, RAISED)
+
+
+def try_rig(seed: int) -> dict[str, Any]:
+    """One rig: what came of each work, and in words where it is not finite."""
+    started = time.monotonic()
+    rng = np.random.default_rng([38, seed])
+    load = LOAD_KINDS[seed % len(LOAD_KINDS)]
+    truth = draw_rig(load, rng)
+    record = draw_record(truth, rng)
+    stated = draw_statements(truth, rng)
+    found: dict[str, Any] = {"load": load, "seed": seed, "stated": {
+        name: (stated[name], stated.given_uncertainty.get(name)) for name in sorted(stated.given)
+        if isinstance(stated[name], float)
+    }}  # fmt: skip
+    for work in WORK:
+        found[work], found[f"{work} said"] = _outcome(work, record, stated)
+    return found | {"seconds": time.monotonic() - started}
+
+
+def _outcome(work: str, record: Record, stated: Parameters) -> tuple[str, str]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            if work == "identify":
+                result = sma_bench.identify(record, stated)
+                numbers = [n for e in result.estimates.values() for n in (e.value, e.std)]
+                improved = result.parameters
+            else:
+                diagnosis = sma_bench.diagnose(record, stated)
+                json.dumps(diagnosis.to_json(), allow_nan=False)
+                numbers = [c.probability for c in diagnosis.decision.candidates]
+                numbers += [*diagnosis.model.x.tolist(), *diagnosis.model.errors.tolist()]
+                improved = diagnosis.improved
+    except InputError as error:
+        line = str(error)
+        hidden = FINE in line or "nothing to identify" in line or "\n" in line
+        return HIDDEN if hidden else REFUSED, line
+    except Exception:
+        return RAISED, traceback.format_exc()
+    a_s, a_f, m_s, m_f = (improved[name] for name in TEMPERATURES)
+    if not all(map(math.isfinite, numbers)) or a_s >= a_f or m_f >= m_s:
+        return RAISED, f"not finite, or out of order: {numbers}, {a_s, a_f, m_s, m_f}"
+    return FINE, ""
+
+
+def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
+    """A bench that could be built: its wires' sizes agree with each other."""
+    sides = {"antagonist": ("front", "back"), "beam": ("front", "back")}.get(load, ("front",))
+    diameter, length = rng.uniform(1e-4, 4e-4), rng.uniform(0.08, 0.4)
+    section = math.pi * diameter**2 / 4.0
+    centre, half = rng.uniform(325.0, 365.0), rng.uniform(1.0, 12.0)
+    up, down = rng.uniform(6.0, 25.0, 2)
+    pull = section * rng.uniform(40e6, 150e6)
+    given = {
+        "bench.channels": tuple(f"{side}_wire" for side in sides), "bench.channel_sides": sides,
+        "bench.maximum_voltage": 60.0,
+        "load.kind": load, "wire.length": length, "wire.diameter": diameter,
+        "wire.mass": DENSITY * section * length, "wire.surface_area": math.pi * diameter * length,
+        "wire.resistance": RESISTIVITY * length / section,
+        "wire.heat_transfer_coefficient": rng.uniform(60.0, 250.0),
+        "wire.specific_heat": rng.uniform(320.0, 550.0),
+        **dict(zip(TEMPERATURES, (centre + half - up / 2, centre + half + up / 2,
+                                  centre - half + down / 2, centre - half - down / 2), strict=True)),
+    }  # fmt: skip
+    if load in ("force", "antagonist"):
+        given["load.force"] = pull if load == "force" else 0.0
+    if load in ("spring", "antagonist"):
+        given |= {"load.preload": pull, "load.stiffness": pull / (0.04 * length)}
+    return Parameters(given)
+
+
+def draw_record(truth: Parameters, rng: np.random.Generator) -> Record:
+    """Three strokes, sides in turn, that heat to about A_f and back, a staircase between clamps;
+    some sensors are not there."""
+    rise = truth[TEMPERATURES[1]] + 15.0 - truth["environment.ambient_temperature"]
+    loss = truth["wire.heat_transfer_coefficient"] * truth["wire.surface_area"]
+    volts = math.sqrt(rise * loss * truth["wire.resistance"])
+    clock = np.arange(0.0, 3.0 * STROKE, 1.0 / RATE)
+    wires = len(truth["bench.channels"])
+    drive = np.zeros((len(clock), wires))
+    for k, share in enumerate((1.0, rng.uniform(0.8, 1.1), rng.uniform(0.9, 1.2))):
+        inside = (clock >= k * STROKE + 0.5) & (clock < (k + 0.6) * STROKE)
+        drive[inside, k % wires] = share * volts
+    if truth["load.kind"] == "clamped":
+        levels = np.array([0.4, 0.55, 0.7, 0.85, 1.0, 0.7, 0.4, 0.0])
+        clock = np.arange(0.0, 1.5 * STROKE * len(levels), 1.0 / RATE)
+        drive = volts * levels[(clock / (1.5 * STROKE)).astype(int), np.newaxis]
+    record = sma_bench.measure(sma_bench.simulate((clock, drive), truth), int(rng.integers(1e6)))
+    quantities = {name.rpartition(".")[2] for name in record.signals} - {"voltage"}
+    motion = quantities & {"deflection", "elongation"}
+    gone = {q for q in sorted(quantities - motion) if rng.random() < 0.25}
+    kept = {n: s for n, s in record.signals.items() if n.rpartition(".")[2] not in gone}
+    return replace(record, signals=kept)
+
+
+def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
+    """What its lab states: some numbers not at all, others exactly, tightly or absurdly widely,
+    some of them at an end of what they may be."""
+    load = truth["load.kind"]
+    rig = {n: truth[n] for n in truth.given if n not in BY_NAME or not _uncertain(n)}
+    names = [*HEAT, *MATERIAL, *sorted(WIDE), *LOADS.get(load, ())]
+    names += BENDING if load == "beam" else ()
+    while True:
+        values, stds = {}, {}
+        for name in names:
+            low, high = float(BY_NAME[name].low or 0.0), float(BY_NAME[name].high or 0.0)
+            kind = rng.choice(["no", "exact", "tight", "usual", "wide", "absurd"],
+                              p=[0.25, 0.05, 0.15, 0.3, 0.15, 0.1])
+            size = max(abs(truth[name]), 1e-2 * float(BY_NAME[name].uncertainty or 0.0))
+            factor = {"no": 0.0, "exact": 0.0, "tight": 1e-4, "usual": 0.05, "wide": 1.0,
+                      "absurd": 10.0 ** rng.uniform(1.0, 12.0)}[kind]
+            if kind == "no" and name not in LOADS.get(load, ()):
+                continue
+            off = truth[name] + 0.05 * size * min(factor, 1.0) * rng.standard_normal()
+            off = rng.choice([low, high]) if rng.random() < 0.04 else off
+            values[name], stds[name] = float(np.clip(off, low, high)), factor * size
+            if kind in ("no", "usual") and rng.random() < 0.3:
+                del stds[name]
+        effect = EFFECTS[rng.choice(sorted(n for n, e in EFFECTS.items() if load in e.loads))]
+        if rng.random() < 0.4:
+            number = effect.size
+            sign = -1.0 if number.low < 0.0 and rng.random() < 0.5 else 1.0
+            values[number.name] = float(
+                np.clip(sign * number.uncertainty * rng.uniform(), number.low, number.high)
+            )
+            stds[number.name] = float(number.uncertainty * 10.0 ** rng.uniform(-2.0, 4.0))
+        try:
+            return Parameters(rig | values, stds)
+        except InputError:  # the file itself would be refused
+            continue
+
+
+def _uncertain(name: str) -> bool:
+    return BY_NAME[name].uncertainty is not None and name != "wire.length"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,145 @@
+"""The four transition temperatures, moved so that their order holds wherever a fit goes.
+
+    A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
+
+of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A and
+w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the four is
+the prior of these; of the others it is that of wires of the field, given what is stated.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import BY_NAME
+
+Array = NDArray[np.float64]
+
+TEMPERATURES = (
+    "wire.austenite_start_temperature",
+    "wire.austenite_finish_temperature",
+    "wire.martensite_start_temperature",
+    "wire.martensite_finish_temperature",
+)
+# Of c in K and of the logarithms of h, w_A and w_M where nobody states anything.
+_SPREADS = np.array([25.0, 0.3, 0.5, 0.5])
+_COORDINATES = np.array(
+    [[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25], [-1.0, 1.0, 0.0, 0.0],
+     [0.0, 0.0, 1.0, -1.0]]
+)  # fmt: skip
+_TEMPERATURES = np.linalg.inv(_COORDINATES)
+_LOWEST, _HIGHEST = (float(getattr(BY_NAME[TEMPERATURES[0]], end) or 0.0) for end in ("low", "high"))
+_NARROWEST = 0.2  # K, of a range: the core divides by its width
+_FARTHEST = 5.0  # of a logarithm
+_TINY = 1e-4  # prior deviations, of a difference
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """Those of the four that are not exact, as functions of x (m,) of unit normal prior.
+
+    Attributes:
+        mean: (4,) K, as believed; moving: (m,) which of them; turn: (m, m) K, the root of the
+            prior's covariance, symmetric but for units: x[k] is mostly the k-th one's deviation.
+    """
+
+    mean: Array
+    moving: NDArray[np.intp]
+    turn: Array
+
+    @classmethod
+    def of(cls, parameters: Parameters) -> Self:
+        """As believed; a temperature whose deviation is 0 is exact."""
+        mean = np.array([parameters[name] for name in TEMPERATURES])
+        known = parameters.given | set(parameters.given_uncertainty)
+        stated = np.array([name in known for name in TEMPERATURES])
+        coordinates = _COORDINATES @ mean
+        scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
+        scale[0] = _SPREADS[0]
+        root = _TEMPERATURES * scale
+        covariance = root @ root.T
+        if stated.any():
+            std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
+            own = np.diag(np.minimum(std, _HIGHEST - _LOWEST) ** 2)
+            within = covariance[np.ix_(stated, stated)]
+            follows = np.linalg.solve(within, covariance[stated]).T
+            covariance += follows @ (own - within) @ follows.T
+        moving = np.flatnonzero(~stated | (np.diag(covariance) > 1e-12))
+        kept = covariance[np.ix_(moving, moving)]
+        deviation = np.sqrt(np.diag(kept))
+        values, vectors = np.linalg.eigh(kept / np.outer(deviation, deviation))
+        half = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        return cls(mean, moving, deviation[:, np.newaxis] * half)
+
+    @property
+    def std(self) -> Array:
+        """(m,) K, of each by itself."""
+        return np.asarray(np.sqrt(np.sum(self.turn**2, axis=1)))
+
+    @property
+    def stds(self) -> dict[str, float]:
+        """By name, of those that are not exact."""
+        names = [TEMPERATURES[k] for k in self.moving]
+        return dict(zip(names, self.std.tolist(), strict=True))
+
+    def widened(self, factors: Array) -> Self:
+        """The same with wider priors of x (m,)."""
+        return replace(self, turn=self.turn * factors)
+
+    def values(self, x: Array) -> Array:
+        """(4,) K, A_s below A_f and M_f below M_s."""
+        straight = self.mean.copy()
+        straight[self.moving] += self.turn @ x
+        centre, *widths = (_COORDINATES @ straight).tolist()
+        half, austenite, martensite = (
+            width if known <= 0.0  # a hysteresis that nobody can have is left as it is
+            else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), _FARTHEST))
+            for width, known in zip(widths, self._believed, strict=True)
+        )
+        branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
+        for number in self._exact:
+            # An exact one takes its range along, and the other range if none of that is exact.
+            branch, sign = number // 2, (-1.0, 1.0, 1.0, -1.0)[number]
+            middle, reach = branches[branch]
+            off = float(self.mean[number]) - middle - sign * reach
+            for other in {branch, branch if self._exact[0] // 2 < branch else 1 - branch}:
+                branches[other][0] += off
+        found = []
+        for middle, reach in branches:
+            lower = min(max(middle - reach, _LOWEST), _HIGHEST - _NARROWEST)
+            found.append((lower, min(max(middle + reach, lower + _NARROWEST), _HIGHEST)))
+        return np.array([*found[0], *found[1][::-1]])
+
+    @cached_property
+    def _believed(self) -> list[float]:
+        """Half width and widths, K."""
+        return list((_COORDINATES[1:] @ self.mean).tolist())
+
+    @cached_property
+    def _exact(self) -> list[int]:
+        return [k for k in range(4) if k not in self.moving]
+
+    def slopes(self, x: Array) -> Array:
+        """(m, m) d(moving ones)/dx, K."""
+        steps = _TINY * np.eye(len(x))
+        columns = [self.values(x + step) - self.values(x - step) for step in steps]
+        return np.asarray(np.column_stack(columns)[self.moving] / (2.0 * _TINY))
+
+    def x_of(self, values: Sequence[float] | Array) -> Array:
+        """Inverse of `values`."""
+        believed, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
+        logs = (believed > 0.0) & (found > 0.0)
+        logs[0] = False
+        found[logs] = believed[logs] * (1.0 + np.log(found[logs] / believed[logs]))
+        exact = len(self.moving) < 4  # which place the centre
+        rows = slice(1 if exact else 0, None)
+        straight = np.linalg.lstsq(
+            _COORDINATES[rows, self.moving], (found - believed)[rows], rcond=None
+        )[0]
+        return np.linalg.solve(self.turn, straight)
