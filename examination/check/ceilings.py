@@ -261,14 +261,14 @@ def simpler_and_whole(found: Search, effects: Sequence[str]) -> tuple[float, Fit
 
 def _true_x(fitted: Fit, label: Label, believed: Parameters) -> np.ndarray:
     """The bench's true parameters, a product's as a whole."""
-    x = fitted.x[: fitted.unknowns.bench].copy()
-    for k, item in enumerate(fitted.unknowns.items[: fitted.unknowns.bench]):
+    unknowns = fitted.unknowns
+    values = dict(zip(unknowns.names, unknowns.values(fitted.x).tolist(), strict=True))
+    for item in unknowns.items[: unknowns.bench]:
         if item.name in label["truth"]:
-            value = label["truth"][item.name]
+            values[item.name] = label["truth"][item.name]
             if item.partner:
-                value *= label["truth"][item.partner] / believed[item.partner]
-            x[k] = item.x_of(value)
-    return x
+                values[item.name] *= label["truth"][item.partner] / believed[item.partner]
+    return unknowns.x_of(values.values())[: unknowns.bench]
 
 
 if __name__ == "__main__":

@@ -134,9 +134,10 @@ def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
         "wire.resistance": RESISTIVITY * length / section,
         "wire.heat_transfer_coefficient": rng.uniform(60.0, 250.0),
         "wire.specific_heat": rng.uniform(320.0, 550.0),
-        **dict(zip(TEMPERATURES, (centre + half - up / 2, centre + half + up / 2,
-                                  centre - half + down / 2, centre - half - down / 2), strict=True)),
-    }  # fmt: skip
+    }
+    austenite, martensite = centre + half, centre - half
+    ends = (austenite - up / 2, austenite + up / 2, martensite + down / 2, martensite - down / 2)
+    given |= zip(TEMPERATURES, ends, strict=True)
     if load in ("force", "antagonist"):
         given["load.force"] = pull if load == "force" else 0.0
     if load in ("spring", "antagonist"):

@@ -34,7 +34,8 @@ _COORDINATES = np.array(
      [0.0, 0.0, 1.0, -1.0]]
 )  # fmt: skip
 _TEMPERATURES = np.linalg.inv(_COORDINATES)
-_LOWEST, _HIGHEST = (float(getattr(BY_NAME[TEMPERATURES[0]], end) or 0.0) for end in ("low", "high"))
+_LOWEST = float(BY_NAME[TEMPERATURES[0]].low or 0.0)
+_HIGHEST = float(BY_NAME[TEMPERATURES[0]].high or 0.0)
 _NARROWEST = 0.2  # K, of a range: the core divides by its width
 _FARTHEST = 5.0  # of a logarithm
 _TINY = 1e-4  # prior deviations, of a difference
@@ -57,8 +58,7 @@ class Transitions:
     def of(cls, parameters: Parameters) -> Self:
         """As believed; a temperature whose deviation is 0 is exact."""
         mean = np.array([parameters[name] for name in TEMPERATURES])
-        known = parameters.given | set(parameters.given_uncertainty)
-        stated = np.array([name in known for name in TEMPERATURES])
+        stated = np.array([name in parameters.given for name in TEMPERATURES])
         coordinates = _COORDINATES @ mean
         scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
         scale[0] = _SPREADS[0]
@@ -142,4 +142,4 @@ class Transitions:
         straight = np.linalg.lstsq(
             _COORDINATES[rows, self.moving], (found - believed)[rows], rcond=None
         )[0]
-        return np.linalg.solve(self.turn, straight)
+        return np.asarray(np.linalg.solve(self.turn, straight))

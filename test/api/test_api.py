@@ -250,3 +250,12 @@ def test_an_instruments_file_cannot_be_diagnosed(tmp_path):
     file.write_text("strain [%],stress [MPa]\n" + "".join(f"{k / 50},{k}\n" for k in range(60)))
     with pytest.raises(InputError, match="an instrument's file"):
         sma_bench.diagnose(str(file))
+
+
+def test_models_are_compared_under_the_names_that_they_are_given(staircase):
+    softer = sma_bench.load_parameters({"wire.resistance": 3.0})
+    shown = sma_bench.compare(staircase, models={"as built": "config/wire_rig.yaml",
+                                                 "softer": softer})  # fmt: skip
+    assert {d.record for d in shown.differences} == {"as built", "softer"}
+    one = sma_bench.compare(staircase, models={"wire.resistance": 3.0})
+    assert len(one.differences) < len(shown.differences)

@@ -42,6 +42,11 @@ def test_what_tails_add_is_what_integration_says():
         assert off == ("a",) and gain == pytest.approx(by_integration(value, error), rel=1e-3)
 
 
+def test_what_lies_beyond_all_belief_overflows_nothing():
+    with np.errstate(over="raise"):
+        assert gain_of_tails(fitted((1000.0, 0.3))) == (0.0, ())
+
+
 def test_what_a_test_of_the_paper_has_measured_is_less_far_off():
     ohms = Parameters.of_paper()["wire.resistance"]
     for share, wide in ((0.003, MEASURED), (0.01, WIDE)):
