@@ -158,13 +158,14 @@ def draw_record(truth: Parameters, rng: np.random.Generator) -> Record:
         inside = (clock >= k * STROKE + 0.5) & (clock < (k + 0.6) * STROKE)
         drive[inside, k % wires] = share * volts
     if truth["load.kind"] == "clamped":
-        levels = np.array([0.4, 0.55, 0.7, 0.85, 1.0, 0.7, 0.4, 0.0])
+        levels = np.array([0.0, 0.4, 0.55, 0.7, 0.85, 1.0, 0.7, 0.4, 0.0])
         clock = np.arange(0.0, 1.5 * STROKE * len(levels), 1.0 / RATE)
-        drive = volts * levels[(clock / (1.5 * STROKE)).astype(int), np.newaxis]
+        drive = volts * levels[(clock / (1.5 * STROKE)).astype(int)][:, np.newaxis]
     record = sma_bench.measure(sma_bench.simulate((clock, drive), truth), int(rng.integers(1e6)))
     quantities = {name.rpartition(".")[2] for name in record.signals} - {"voltage"}
     motion = quantities & {"deflection", "elongation"}
     gone = {q for q in sorted(quantities - motion) if rng.random() < 0.25}
+    gone -= {"temperature"} if not quantities - gone - {"force"} else set()  # all there is to tell
     kept = {n: s for n, s in record.signals.items() if n.rpartition(".")[2] not in gone}
     return replace(record, signals=kept)
 

@@ -369,6 +369,12 @@ def observe(
     rig = find_rig(record, parameters)
     grid = _grid(rig, time_constant(parameters) / _CELLS)
     known = [m for m in _known_history(rig, parameters) if m.quantity in quantities]
+    if not known and any(m.quantity in quantities for m in rig.measured):
+        wait = _FORGOTTEN * time_constant(parameters)
+        raise InputError(
+            f"{record.path}: begins under voltage, expected 0 V at first, or more than the "
+            f"{wait:.3g} s in which a wire of the stated time constant forgets what was before"
+        )
     if not known:
         held = ", ".join(m.name for m in rig.measured)
         raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
