@@ -26,14 +26,12 @@ LARGEST_YAML = MEGABYTE
 LARGEST_TOPIC = MEGABYTE  # of JSON in one message
 LONGEST_SHOWN = 500  # characters of a topic's text, where people see it
 DEEPEST = 64
-YAML_SECONDS = 5.0
 # What a bag or table may unfold to, and how long that may take: more than any recorder's asks for.
 _BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
 _SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
 _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
-_SURROGATE = re.compile(r"[\ud800-\udfff]")
+_LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-_MERGE, _VALUE = "tag:yaml.org,2002:merge", "tag:yaml.org,2002:value"
 
 
 class OverBudget(InputError):
@@ -160,12 +158,16 @@ def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> An
         document = json.loads(
             text, parse_int=_integer, parse_float=_finite, parse_constant=_no_constant
         )
-        if "\\" in (text if isinstance(text, str) else text.decode(errors="replace")):
-            _no_surrogates(json.dumps(document, ensure_ascii=False))
+        json.dumps(document, ensure_ascii=False).encode()  # half characters cannot be
     except (ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
+        reason = printable(" ".join(str(error).split()))[:_LONGEST_REASON]
         raise InputError(f"{where}: not JSON: {reason}") from None
-    _require_shallow(document, where)
+    level = [[document]]
+    for _ in range(DEEPEST + 1):
+        found = [child for node in level for child in node if isinstance(child, (dict, list))]
+        level = [list(child.values()) if isinstance(child, dict) else child for child in found]
+    if level:
+        raise InputError(f"{where}: nested deeper than {DEEPEST} levels")
     return document
 
 
@@ -179,6 +181,9 @@ def read_json_object(text: str | bytes, where: str, largest: int = LARGEST_TOPIC
 
 # What a field of a JSON object on a topic may be; a number is a float then.
 TEXT, NUMBER, NUMBER_OR_NULL, COUNTS = "a text", "a number", "a number or null", "counts by name"
+_KINDS = {
+    dict: "an object", list: "a list", str: "a text", bool: "true or false", type(None): "null",
+}  # fmt: skip
 
 
 def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, Any]:
@@ -191,126 +196,62 @@ def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, A
     for name, kind in fields.items():
         if name not in document:
             raise InputError(f"{where}: {name} is missing")
-        if not _IS[kind](document[name]):
-            raise InputError(f"{where}: {name} is {_kind(document[name])}, expected {kind}")
+        value = document[name]
+        found = _kind(value)
+        counts = isinstance(value, dict) and all(type(count) is int for count in value.values())
+        if found not in kind and not (kind == COUNTS and counts):
+            raise InputError(f"{where}: {name} is {found}, expected {kind}")
     return {name: document[name] for name in fields}
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _are_counts(value: Any) -> bool:
-    return isinstance(value, dict) and all(
-        isinstance(count, int) and not isinstance(count, bool) for count in value.values()
-    )
-
-
-_IS = {
-    TEXT: lambda value: isinstance(value, str),
-    NUMBER: _is_number,
-    NUMBER_OR_NULL: lambda value: value is None or _is_number(value),
-    COUNTS: _are_counts,
-}
-
-
-def _kind(document: Any) -> str:
-    return _KINDS.get(type(document), "a number")
-
-
-_KINDS = {
-    dict: "an object", list: "a list", str: "a text", bool: "true or false", type(None): "null",
-}  # fmt: skip
+def _kind(value: Any) -> str:
+    return _KINDS.get(type(value), NUMBER)
 
 
 def _integer(text: str) -> int:
-    if len(text) > 20 or not -_LARGEST_INTEGER <= int(text) < _LARGEST_INTEGER:
+    if not -_LARGEST_INTEGER <= int(text) < _LARGEST_INTEGER:
         raise ValueError(f"an integer of {len(text)} digits, expected one of 64 bits")
     return int(text)
 
 
 def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
+    if not math.isfinite(float(text)):
         raise ValueError(f"the number {text:.20} is beyond all measure")
-    return number
+    return float(text)
 
 
 def _no_constant(text: str) -> float:
     raise ValueError(f"{text} is no number, expected a finite one or null")
 
 
-def _no_surrogates(text: str) -> None:
-    if _SURROGATE.search(text):
-        raise ValueError("half a character, a surrogate without its other one")
-
-
-def _require_shallow(document: Any, where: str) -> None:
-    level = [document]
-    for _ in range(DEEPEST):
-        level = [child for node in level for child in _children(node)]
-        if not level:
-            return
-    raise InputError(f"{where}: nested deeper than {DEEPEST} levels")
-
-
-def _children(node: Any) -> list[Any]:
-    found = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
-    return [child for child in found if isinstance(child, (dict, list))]
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML as ROS reads it, within a Budget: 1e-4 is a number (YAML 1.1 wants 1.0e-4), aliases are
-    not taken unless asked for (a kilobyte of them can stand for gigabytes), merge keys never."""
-
-    def __init__(self, text: str, aliases: bool) -> None:
-        self._budget = Budget(LARGEST_YAML, YAML_SECONDS)
-        self._aliases, self._depth = aliases, 0
-        super().__init__(text)
-
-    def fetch_more_tokens(self) -> Any:
-        self._budget.check()
-        return super().fetch_more_tokens()
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        mark = self.peek_event().start_mark
-        if not self._aliases and self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not taken", mark)
-        if self._depth >= DEEPEST:
-            text = f"nested deeper than {DEEPEST} levels"
-            raise yaml.composer.ComposerError(None, None, text, mark)
-        self._depth += 1
-        node = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
+class _Loader(yaml.CSafeLoader):
+    """YAML as ROS reads it: 1e-4 is a number (YAML 1.1 wants 1.0e-4), a type's name that launch_ros
+    writes is passed over, merge keys are not taken."""
 
     def flatten_mapping(self, node: Any) -> None:
-        self._budget.check()
         for key, _ in node.value:
-            if key.tag == _MERGE:
-                raise self._refusal("merge keys (<<) are not taken", key)
-            if key.tag == _VALUE:
-                key.tag = self.DEFAULT_SCALAR_TAG
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise _refusal("merge keys (<<) are not taken", key)
 
     def integer(self, node: Any) -> int:
         """An integer of 64 bits, as ROS has them."""
-        if len(node.value) > 80:
-            raise self._refusal(f"an integer of {len(node.value)} digits", node)
-        number = int(super().construct_yaml_int(node))
+        if len(node.value) > _LONGEST_INTEGER:
+            raise _refusal(f"an integer of {len(node.value)} digits", node)
+        number = int(self.construct_yaml_int(node))
         if not -_LARGEST_INTEGER <= number < _LARGEST_INTEGER:
-            raise self._refusal("an integer of more than 64 bits", node)
+            raise _refusal("an integer of more than 64 bits", node)
         return number
 
     def text(self, node: Any) -> str:
         """A text that can be written again."""
-        found = str(super().construct_yaml_str(node))
-        if _SURROGATE.search(found):
-            raise self._refusal("half a character, a surrogate without its other one", node)
+        found = str(self.construct_scalar(node))
+        if any("\ud800" <= letter <= "\udfff" for letter in found):
+            raise _refusal("half a character, a surrogate without its other one", node)
         return found
 
-    @staticmethod
-    def _refusal(problem: str, node: Any) -> Exception:
-        return yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+
+def _refusal(problem: str, node: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, node.start_mark)
 
 
 _Loader.add_implicit_resolver(
@@ -320,10 +261,8 @@ _Loader.add_implicit_resolver(
 )
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.integer)
 _Loader.add_constructor("tag:yaml.org,2002:str", _Loader.text)
-# launch_ros writes every list under this name; ROS's own reader passes over names of types.
+_Loader.add_constructor("tag:yaml.org,2002:value", _Loader.text)  # a plain =
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_yaml_seq)
-_Loader.DEFAULT_SCALAR_TAG = "tag:yaml.org,2002:str"
-
 
 # Constructors of dates, sets and bases stumble over what they do not expect.
 _WRONG_YAML = (
@@ -334,27 +273,29 @@ _WRONG_YAML = (
 def load_yaml(text: str, aliases: bool = False) -> Any:
     """Parse YAML as ROS does.
 
-    With `aliases`, what is loaded may hold one thing many times: ask for types before anything
-    walks through it.
+    Aliases are not taken unless asked for (a kilobyte of them can stand for gigabytes): what is
+    loaded may then hold one thing many times, so ask for types before anything walks through it.
 
     Raises:
-        InputError: not YAML, too long, too deep or too slow to read; in one line, without a name.
+        InputError: not YAML, too long or too deep; in one line, without a name.
     """
     if len(text) > LARGEST_YAML:
         raise InputError(f"{len(text)} characters, expected at most {LARGEST_YAML}")
     try:
-        loader = _Loader(text, aliases)
-        try:
-            return loader.get_single_data()
-        finally:
-            loader.dispose()
-    except InputError:
-        raise
+        depth = 0  # the C parser goes down by its stack, and ends the process where that is over
+        for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+            if isinstance(event, yaml.AliasEvent) and not aliases:
+                raise _refusal("aliases (*name) are not taken", event)
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise _refusal(f"nested deeper than {DEEPEST} levels", event)
+        return yaml.load(text, Loader=_Loader)
     except _WRONG_YAML as error:
         mark = getattr(error, "problem_mark", None)
         line = f"line {mark.line + 1} " if mark else ""
         problem = getattr(error, "problem", None) or (str(error).splitlines() or ["?"])[0]
-        raise InputError(f"{line}not YAML: {printable(problem)}") from None
+        raise InputError(f"{line}not YAML: {printable(problem)[:_LONGEST_REASON]}") from None
 
 
 def read_yaml(path: str | Path, aliases: bool = False) -> Any:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -11,40 +12,35 @@ from sma_bench.records import contract
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
-from sma_bench.records.record import (
-    FloatArray,
-    Record,
-    Signal,
-    first_order_lag,
-    has_samples,
-    samples,
-)
+from sma_bench.records.record import Record, Signal, first_order_lag, has_samples, samples
 from sma_bench.records.tensile import TensileRecord
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
 _GAP_PERIODS = 10
-_LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2
-_CLOCK_TOLERANCE = 0.1
-_DRIFT_TOLERANCE = 0.05
-_FUTURE_TOLERANCE = 0.01
+_LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2  # shares of the samples
+_CLOCK_TOLERANCE, _DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
 # s; a step of a protocol is longer, a delay that grows at once shrinks with every message.
 _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 _FLAT_SAMPLES = 20
-_ENTRY_SAMPLES = 3
-_ENTRY_FRACTION = 0.01
+_ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
-# Signal -> (lowest, highest believable magnitude in SI, what a value beyond it suggests).
-_BELIEVABLE: dict[str, tuple[float, float, str]] = {
-    "voltage": (-60.0, 60.0, "millivolts?"),
-    "voltage_command": (-60.0, 60.0, "millivolts?"),
-    "current": (-30.0, 30.0, "milliamperes?"),
-    "range": (0.0, 5.0, "millimetres?"),
-    "deflection": (-1.0, 1.0, "millimetres?"),
-    "elongation": (-1.0, 1.0, "millimetres?"),
-    "force": (-5000.0, 5000.0, "millinewtons?"),
-}
-# A wire at rest is at room temperature; 296 on a Celsius topic reads as 569 K.
-_COLDEST_REST_TOO_WARM = 473.15
+# Kind of signal, between what its lowest and its highest value lie in SI units, and what is the
+# matter where one does not. A wire at rest is at room temperature: 296 on a Celsius topic is 569 K.
+_ANY = (-inf, inf)
+_SENSE: tuple[tuple[str, tuple[float, float], tuple[float, float], Severity, str], ...] = (
+    ("voltage", (-60.0, inf), (-inf, 60.0), "warning", "millivolts?"),
+    ("voltage_command", (-60.0, inf), (-inf, 60.0), "warning", "millivolts?"),
+    ("current", (-30.0, inf), (-inf, 30.0), "warning", "milliamperes?"),
+    ("range", (0.0, inf), (-inf, 5.0), "warning", "millimetres?"),
+    ("deflection", (-1.0, inf), (-inf, 1.0), "warning", "millimetres?"),
+    ("elongation", (-1.0, inf), (-inf, 1.0), "warning", "millimetres?"),
+    ("force", (-5000.0, inf), (-inf, 5000.0), "warning", "millinewtons?"),
+    ("temperature", (-inf, 473.15), _ANY, "error", "the topic seems to carry kelvin, the contract "
+     "(and sensor_msgs/Temperature) says Celsius"),
+    ("temperature", (0.0, inf), _ANY, "error", "below absolute zero"),
+    ("temperature", _ANY, (contract.COLDEST_BENCH, inf), "error", "colder than any bench; Celsius "
+     "taken for kelvin, or converted twice?"),
+)  # fmt: skip
 _MECHANICS = ("deflection", "elongation", "force", "front.range", "back.range")
 _EVENTS = ("voltage_command",)
 
@@ -52,11 +48,7 @@ _EVENTS = ("voltage_command",)
 def check_record(record: Record) -> list[Finding]:
     """Everything to know before using a record, what the reader noticed included."""
     found = list(record.findings)
-    checks = (
-        _absent, _order, _missing_values, _rate, _clocks, _two_times, _units, _saturation,
-        check_response,
-    )
-    for check in checks:
+    for check in (_absent, _values, _rate, _clocks, _two_times, _saturation, check_response):
         found += check(record)
     return found
 
@@ -78,23 +70,29 @@ def _absent(record: Record) -> Iterator[Finding]:
         yield Finding("info", "record", f"no mechanical signal ({', '.join(_MECHANICS)})")
 
 
-def _order(record: Record) -> Iterator[Finding]:
-    """For records made in memory; a bag's signals are in order when they get here."""
-    for signal in record.signals.values():
+def _values(record: Record) -> Iterator[Finding]:
+    """Order and missing values, of records made in memory (a bag's are sorted out when they get
+    here), and values that no bench has."""
+    for name, signal in record.signals.items():
         steps = np.diff(signal.time)
         backward, repeated = int(np.sum(steps < 0)), int(np.sum(steps == 0))
         if backward or repeated:
             text = f"{backward} stamps go backward, {repeated} repeat the one before"
             numbers = {"backward": float(backward), "duplicates": float(repeated)}
-            yield Finding("warning", signal.name, text, numbers)
-
-
-def _missing_values(record: Record) -> Iterator[Finding]:
-    for signal in record.signals.values():
-        count = int(np.count_nonzero(~np.isfinite(signal.values)))
-        if count:
-            text = f"{count} of {signal.values.size} values are NaN or Inf"
-            yield Finding("warning", signal.name, text, {"count": count})
+            yield Finding("warning", name, text, numbers)
+        finite = signal.values[np.isfinite(signal.values)]
+        if missing := signal.values.size - len(finite):
+            text = f"{missing} of {signal.values.size} values are NaN or Inf"
+            yield Finding("warning", name, text, {"count": missing})
+        if not len(finite):
+            continue
+        low, high = float(finite.min()), float(finite.max())
+        for kind, (low_from, low_to), (high_from, high_to), severity, hint in _SENSE:
+            sensible = low_from <= low <= low_to and high_from <= high <= high_to
+            if kind == _kind(name) and not sensible:
+                text = f"{low:.4g} to {high:.4g} {signal.unit} is beyond belief: {hint}"
+                yield Finding(severity, name, text, {"low": low, "high": high})
+                break
 
 
 def _rate(record: Record) -> Iterator[Finding]:
@@ -120,37 +118,29 @@ def _rate(record: Record) -> Iterator[Finding]:
             yield Finding(severity, signal.name, text, {"fraction": fraction})
 
 
-def _delays(record: Record) -> dict[str, tuple[float, float, float]]:
-    """Receive time minus stamp by topic: median, in the first tenth, in the last tenth."""
-    delays = {}
-    for signal in record.signals.values():
-        if signal.received is None or signal.name in _EVENTS or not len(signal):
-            continue
-        delay = signal.received - signal.time
-        tenth = max(1, len(delay) // 10)
-        parts = (delay, delay[:tenth], delay[-tenth:])
-        median, first, last = (float(np.median(part)) for part in parts)
-        delays[signal.topic or signal.name] = median, first, last
-    return delays
-
-
 def _clocks(record: Record) -> Iterator[Finding]:
-    delays = _delays(record)
+    """Topics whose receive times minus stamps differ from the others', or drift against them."""
+    delays: dict[str, tuple[float, float]] = {}  # median, growth from first to last tenth
+    for signal in record.signals.values():
+        if signal.received is not None and signal.name not in _EVENTS and len(signal):
+            delay = signal.received - signal.time
+            tenth = max(1, len(delay) // 10)
+            growth = float(np.median(delay[-tenth:]) - np.median(delay[:tenth]))
+            delays[signal.topic or signal.name] = float(np.median(delay)), growth
     if not delays:
         return
-    medians, firsts, lasts = (np.array(column) for column in zip(*delays.values(), strict=True))
-    common, common_drift = float(np.median(medians)), float(np.median(lasts - firsts))
+    common, common_drift = (float(np.median(c)) for c in zip(*delays.values(), strict=True))
     if abs(common_drift) > _DRIFT_TOLERANCE:
         text = f"stamps and receive times drift apart by {common_drift:.3f} s over the record"
         yield Finding("info", "record", text, {"drift": common_drift})
-    for topic, (median, first, last) in delays.items():
-        drift = last - first - common_drift
-        if abs(median - common) > _CLOCK_TOLERANCE:
+    for topic, (median, growth) in delays.items():
+        offset, drift = median - common, growth - common_drift
+        if abs(offset) > _CLOCK_TOLERANCE:
             text = (
-                f"its clock is {median - common:+.3f} s off the other topics' (receive time "
-                f"minus stamp is {median:.3f} s, elsewhere {common:.3f} s)"
+                f"its clock is {offset:+.3f} s off the other topics' (receive time minus stamp is "
+                f"{median:.3f} s, elsewhere {common:.3f} s)"
             )
-            yield Finding("warning", topic, text, {"offset": median - common})
+            yield Finding("warning", topic, text, {"offset": offset})
         elif abs(drift) > _DRIFT_TOLERANCE:
             text = f"its clock drifts by {drift:+.3f} s against the other topics' over the record"
             yield Finding("warning", topic, text, {"drift": drift})
@@ -183,109 +173,59 @@ def _two_times(record: Record) -> Iterator[Finding]:
         yield Finding("warning", "experiment/marker", text, {"turns": float(turns)})
 
 
-def _units(record: Record) -> Iterator[Finding]:
-    for signal in record.signals.values():
-        kind, finite = _kind(signal.name), signal.values[np.isfinite(signal.values)]
-        if not len(finite):
-            continue
-        low, high = float(finite.min()), float(finite.max())
-        if kind == "temperature":
-            yield from _temperature_sense(signal.name, low, high)
-        elif kind in _BELIEVABLE:
-            least, most, guess = _BELIEVABLE[kind]
-            if low < least or high > most:
-                text = f"{low:.4g} to {high:.4g} {signal.unit} is beyond belief; in {guess}"
-                yield Finding("warning", signal.name, text, {"low": low, "high": high})
-
-
-def _temperature_sense(name: str, low: float, high: float) -> Iterator[Finding]:
-    numbers = {"low": low, "high": high}
-    if low > _COLDEST_REST_TOO_WARM:
-        text = (
-            f"never below {low - contract.CELSIUS_ZERO:.1f} degC; the topic seems to carry kelvin, "
-            "the contract (and sensor_msgs/Temperature) says Celsius"
-        )
-        yield Finding("error", name, text, numbers)
-    elif low < 0:
-        text = f"{low - contract.CELSIUS_ZERO:.1f} degC lies below absolute zero"
-        yield Finding("error", name, text, numbers)
-    elif high < contract.COLDEST_BENCH:
-        text = (
-            f"{low:.4g} to {high:.4g} K, colder than any bench; Celsius taken for kelvin, or "
-            "converted twice?"
-        )
-        yield Finding("error", name, text, numbers)
-
-
 def _saturation(record: Record) -> Iterator[Finding]:
-    driven = any(np.ptp(s.values) > 0.1 for n, s in record.signals.items() if _is_voltage(n, s))
-    still = {"ambient.temperature", *(["elongation"] if _is_clamped(record) else [])}
+    """Sensors that are dead while something happens, or clipped at their highest or lowest."""
+    voltages = [s.values for n, s in record.signals.items() if _kind(n) == "voltage" and len(s)]
+    driven = any(np.ptp(values) > 0.1 for values in voltages)
+    still = {"ambient.temperature"}
+    force = record.get("force")
+    if force is not None and len(force) and np.ptp(force.values) > 0:
+        still.add("elongation")  # clamped
     for signal in record.signals.values():
-        values = signal.values
-        if _kind(signal.name) in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
+        values, kind = signal.values, _kind(signal.name)
+        if kind in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
             continue
         if not np.isfinite(values).all():
             continue
         if np.ptp(values) == 0:
-            if driven and _kind(signal.name) != "current" and signal.name not in still:
+            if driven and kind != "current" and signal.name not in still:
                 text = f"stays at {values[0]:.6g} {signal.unit} while the voltage changes"
                 yield Finding("warning", signal.name, text, {"value": float(values[0])})
             continue
-        for extreme, word in ((values.max(), "highest"), (values.min(), "lowest")):
-            clipped = _clipped_samples(record, signal, float(extreme))
-            if clipped:
-                text = f"{clipped} samples are clipped at the {word} value {extreme:.6g}"
-                text += f" {signal.unit}"
-                numbers = {"samples": float(clipped), "value": float(extreme)}
+        for extreme, word in ((float(values.max()), "highest"), (float(values.min()), "lowest")):
+            if clipped := _clipped_samples(record, signal, extreme):
+                text = (
+                    f"{clipped} samples are clipped at the {word} value {extreme:.6g} {signal.unit}"
+                )
+                numbers = {"samples": float(clipped), "value": extreme}
                 yield Finding("warning", signal.name, text, numbers)
-
-
-def _is_clamped(record: Record) -> bool:
-    """Whether a force changes: then an elongation that does not is no dead sensor."""
-    force = record.signals.get("force")
-    return force is not None and len(force) > 0 and bool(np.ptp(force.values) > 0)
-
-
-def _is_voltage(name: str, signal: Signal) -> bool:
-    return _kind(name) == "voltage" and len(signal) > 0
 
 
 def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
     """Samples in flat stretches at an extreme that the signal ran into at speed.
 
-    A signal that settles slows down before; one that is clipped does not. A current jumps with
-    its voltage, so for it flat means flat while the voltage moves.
+    A signal that settles slows down before; one that is clipped does not. Leaving it at speed is
+    what a plateau without noise does when the drive ends. A current jumps with its voltage, so for
+    it flat means flat while the voltage moves.
     """
-    values = signal.values
+    values, total = signal.values, 0
     edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False]))))
-    span = float(np.ptp(values))
-    total = 0
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if stop - start < _FLAT_SAMPLES:
             continue
         if _kind(signal.name) == "current":
-            clipped = _voltage_moves(record, signal, start, stop)
+            voltage = record.get(signal.name.removesuffix("current") + "voltage")
+            if voltage is None or extreme == 0.0:
+                continue
+            first, last = signal.time[start], signal.time[stop - 1]
+            inside = voltage.values[(voltage.time >= first) & (voltage.time <= last)]
+            clipped = len(inside) > 1 and np.ptp(inside) > 0.05 * np.ptp(voltage.values)
         else:
-            # Leaving it at speed is what a plateau without noise does when the drive ends.
-            clipped = _approach(values[max(0, start - _ENTRY_SAMPLES) : start], extreme, span)
-        total += (stop - start) * clipped
+            before = np.abs(values[max(0, start - _ENTRY_SAMPLES) : start] - extreme)
+            fast = _ENTRY_FRACTION * np.ptp(values)
+            clipped = len(before) == _ENTRY_SAMPLES and before.max() > fast
+        total += (stop - start) * bool(clipped)
     return total
-
-
-def _approach(before: FloatArray, extreme: float, span: float) -> bool:
-    """Whether the signal moves fast just before a flat stretch."""
-    if len(before) < _ENTRY_SAMPLES:
-        return False
-    return bool(np.abs(before - extreme).max() > _ENTRY_FRACTION * span)
-
-
-def _voltage_moves(record: Record, current: Signal, start: int, stop: int) -> bool:
-    voltage = record.get(current.name.removesuffix("current") + "voltage")
-    if voltage is None or not np.any(current.values[start:stop]):
-        return False
-    first, last = current.time[start], current.time[stop - 1]
-    inside = voltage.values[(voltage.time >= first) & (voltage.time <= last)]
-    return len(inside) > 1 and bool(np.ptp(inside) > 0.05 * np.ptp(voltage.values))
 
 
 # --- Do command and response belong together?
@@ -308,14 +248,32 @@ def check_response(record: Record) -> Iterator[Finding]:
     """Readings that do not follow the voltages beside them: stored runs swapped, channels swapped,
     or clocks apart by more than the wire takes to warm; or that go on when the voltages have
     ended."""
-    driven = [c for c in record.channels if _is_driven(record, f"{c}.voltage")]
+    driven = [
+        channel
+        for channel in record.channels
+        if has_samples(record, f"{channel}.voltage")
+        and np.ptp(samples(record, f"{channel}.voltage")[1]) > _LEAST_DRIVE
+    ]
     if not driven:
         return
-    yield from _early_ends(record, driven)
-    for name in record.signals:
-        kind = _kind(name)
-        channel = name.removesuffix(".temperature")
-        if kind not in _EXPLAINED or (kind == "temperature" and channel not in driven):
+
+    # Voltages that end before the readings.
+    responses = [n for n in record.signals if _kind(n) in _EXPLAINED and has_samples(record, n)]
+    last = max((float(samples(record, name)[0][-1]) for name in responses), default=-inf)
+    for name in (f"{channel}.voltage" for channel in driven):
+        time, volts = samples(record, name)
+        missing = last - float(time[-1])
+        if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
+            text = (
+                f"ends {missing:.3g} s before the last temperature or deflection, at "
+                f"{volts[-1]:.3g} V: was its sensor or the recording ended early?"
+            )
+            yield Finding("warning", name, text, {"missing": missing, "volts": float(volts[-1])})
+
+    # Readings that do not follow.
+    for name in responses:
+        kind, channel = _kind(name), name.removesuffix(".temperature")
+        if kind == "temperature" and channel not in driven:
             continue
         causes = [channel] if kind == "temperature" else driven
         share = _explained(record, [f"{cause}.voltage" for cause in causes], name)
@@ -328,30 +286,9 @@ def check_response(record: Record) -> Iterator[Finding]:
             yield Finding("warning", name, text, {"explained": share})
 
 
-def _early_ends(record: Record, driven: list[str]) -> Iterator[Finding]:
-    responses = [name for name in record.signals if _kind(name) in _EXPLAINED]
-    last = max((float(samples(record, name)[0][-1]) for name in responses
-                if has_samples(record, name)), default=-np.inf)  # fmt: skip
-    for name in (f"{channel}.voltage" for channel in driven):
-        time, volts = samples(record, name)
-        missing = last - float(time[-1])
-        if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
-            text = (
-                f"ends {missing:.3g} s before the last temperature or deflection, at "
-                f"{volts[-1]:.3g} V: was its sensor or the recording ended early?"
-            )
-            yield Finding("warning", name, text, {"missing": missing, "volts": float(volts[-1])})
-
-
-def _is_driven(record: Record, name: str) -> bool:
-    return has_samples(record, name) and bool(np.ptp(samples(record, name)[1]) > _LEAST_DRIVE)
-
-
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
     """Share of a response's variance, its noise apart, that lagged heat explains; None where there
     is too little of it to tell."""
-    if not has_samples(record, response):
-        return None
     time, values = samples(record, response)
     start = max(float(samples(record, name)[0][0]) for name in voltages)
     time, values = time[time >= start], values[time >= start]
@@ -377,39 +314,81 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
     return 1.0 - unexplained / (float(np.var(wanted)) - noise)
 
 
+# --- Everything `sma-bench info` shows
+
+
 def describe(record: AnyRecord) -> dict[str, Any]:
-    """Everything `sma-bench info` shows, as JSON-able data in SI units."""
+    """What a record holds, as JSON-able data in SI units."""
+    found = check_record(record) if isinstance(record, Record) else record.findings
+    about: dict[str, Any] = {"kind": "bag", "path": str(record.path)}
     if isinstance(record, DscRecord):
-        return _describe_dsc(record)
-    if isinstance(record, IsobaricRecord):
-        return _describe_isobaric(record)
-    if isinstance(record, TensileRecord):
-        return _describe_tensile(record)
-    seconds = record.start_ns / 1e9
-    return {
-        "kind": "bag",
-        "path": str(record.path),
-        "start": datetime.fromtimestamp(seconds, UTC).isoformat(),
-        "start_ns": record.start_ns,
-        "duration": record.duration,
-        "channels": list(record.channels),
-        "topics": [
-            {"name": name, "type": t.type, "count": t.count, "signals": list(t.signals)}
-            for name, t in record.topics.items()
-        ],
-        "signals": [_describe_signal(signal) for signal in record.signals.values()],
-        "markers": [{"time": time, "text": text} for time, text in record.markers],
-        "findings": [finding.to_json() for finding in check_record(record)],
-    }
+        about |= {
+            "kind": "dsc",
+            "instrument": record.instrument,
+            "sample": record.sample,
+            "mass": record.mass,
+            "endothermic_up": record.endothermic_up,
+            "segments": [
+                {
+                    "number": segment.number,
+                    "kind": segment.kind,
+                    "rate": segment.rate,
+                    "samples": len(segment.time),
+                    "start": float(segment.time[0]),
+                    "end": float(segment.time[-1]),
+                    "from": float(segment.temperature[0]),
+                    "to": float(segment.temperature[-1]),
+                }
+                for segment in record.segments
+            ],
+        }
+    elif isinstance(record, IsobaricRecord):
+        about |= {
+            "kind": "isobaric",
+            "stress": record.stress,
+            "strain_unit": record.strain_unit,
+            "branches": [
+                {
+                    "cycle": cycle.number,
+                    "kind": branch.direction,
+                    "samples": len(branch.temperature),
+                    "from": float(branch.temperature[0]),
+                    "to": float(branch.temperature[-1]),
+                    "strain_from": float(branch.strain[0]),
+                    "strain_to": float(branch.strain[-1]),
+                }
+                for cycle in record.cycles
+                for branch in cycle.branches
+            ],
+        }
+    elif isinstance(record, TensileRecord):
+        about |= {
+            "kind": "tensile",
+            "temperature": record.temperature,
+            "samples": len(record.strain),
+            "largest_strain": float(record.strain.max()),
+            "largest_stress": float(record.stress.max()),
+        }
+    else:
+        about |= {
+            "start": datetime.fromtimestamp(record.start_ns / 1e9, UTC).isoformat(),
+            "start_ns": record.start_ns,
+            "duration": record.duration,
+            "channels": list(record.channels),
+            "topics": [
+                {"name": name, "type": t.type, "count": t.count, "signals": list(t.signals)}
+                for name, t in record.topics.items()
+            ],
+            "signals": [_describe_signal(signal) for signal in record.signals.values()],
+            "markers": [{"time": time, "text": text} for time, text in record.markers],
+        }
+    return about | {"findings": [finding.to_json() for finding in found]}
 
 
 def _describe_signal(signal: Signal) -> dict[str, Any]:
-    steps = np.diff(signal.time)
-    finite = signal.values[np.isfinite(signal.values)]
-    period = signal.period
-    received = signal.received
-    delay = None if received is None else float(np.median(received - signal.time))
-    return {
+    steps, finite = np.diff(signal.time), signal.values[np.isfinite(signal.values)]
+    period, received = signal.period, signal.received
+    about: dict[str, Any] = {
         "name": signal.name,
         "unit": signal.unit,
         "topic": signal.topic,
@@ -417,70 +396,10 @@ def _describe_signal(signal: Signal) -> dict[str, Any]:
         "rate": 1 / period if period > 0 else None,
         "jitter": float(np.subtract(*np.percentile(steps, [95, 5]))) if len(steps) else None,
         "longest_gap": float(steps.max()) if len(steps) else None,
-        "delay": delay,
+        "delay": None if received is None else float(np.median(received - signal.time)),
         "start": float(signal.time[0]) if len(signal) else None,
         "end": float(signal.time[-1]) if len(signal) else None,
-        "min": float(finite.min()) if len(finite) else None,
-        "max": float(finite.max()) if len(finite) else None,
-        "mean": float(finite.mean()) if len(finite) else None,
     }
-
-
-def _describe_dsc(record: DscRecord) -> dict[str, Any]:
-    return {
-        "kind": "dsc",
-        "path": str(record.path),
-        "instrument": record.instrument,
-        "sample": record.sample,
-        "mass": record.mass,
-        "endothermic_up": record.endothermic_up,
-        "segments": [
-            {
-                "number": segment.number,
-                "kind": segment.kind,
-                "rate": segment.rate,
-                "samples": len(segment.time),
-                "start": float(segment.time[0]),
-                "end": float(segment.time[-1]),
-                "from": float(segment.temperature[0]),
-                "to": float(segment.temperature[-1]),
-            }
-            for segment in record.segments
-        ],
-        "findings": [finding.to_json() for finding in record.findings],
-    }
-
-
-def _describe_isobaric(record: IsobaricRecord) -> dict[str, Any]:
-    branches = [(cycle, branch) for cycle in record.cycles for branch in cycle.branches]
-    return {
-        "kind": "isobaric",
-        "path": str(record.path),
-        "stress": record.stress,
-        "strain_unit": record.strain_unit,
-        "branches": [
-            {
-                "cycle": cycle.number,
-                "kind": branch.direction,
-                "samples": len(branch.temperature),
-                "from": float(branch.temperature[0]),
-                "to": float(branch.temperature[-1]),
-                "strain_from": float(branch.strain[0]),
-                "strain_to": float(branch.strain[-1]),
-            }
-            for cycle, branch in branches
-        ],
-        "findings": [finding.to_json() for finding in record.findings],
-    }
-
-
-def _describe_tensile(record: TensileRecord) -> dict[str, Any]:
-    return {
-        "kind": "tensile",
-        "path": str(record.path),
-        "temperature": record.temperature,
-        "samples": len(record.strain),
-        "largest_strain": float(record.strain.max()),
-        "largest_stress": float(record.stress.max()),
-        "findings": [finding.to_json() for finding in record.findings],
-    }
+    for name in ("min", "max", "mean"):
+        about[name] = float(getattr(finite, name)()) if len(finite) else None
+    return about

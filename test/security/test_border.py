@@ -1,12 +1,12 @@
 """What comes from outside is bounded in bytes, depth and time where it enters."""
 
+import contextlib
 import os
 import stat
 import time
 
 import pytest
 
-from sma_bench import border
 from sma_bench.border import (
     Budget,
     OverBudget,
@@ -42,8 +42,7 @@ def test_json_that_nothing_can_use_is_one_line(text):
 def test_json_of_a_usual_kind_is_read():
     content = {"messages": 3, "share": 0.5, "none": None, "text": "\u00b0\U0001f600", "deep": [[1]]}
     text = (
-        '{"messages": 3, "share": 0.5, "none": null, "text": "\u00b0\\ud83d\\ude00", '
-        '"deep": [[1]]}'
+        '{"messages": 3, "share": 0.5, "none": null, "text": "\u00b0\\ud83d\\ude00", "deep": [[1]]}'
     )
     assert read_json(text, "state") == content
     assert read_json_object(text.encode(), "state") == content
@@ -79,12 +78,17 @@ def test_merge_keys_are_not_taken_even_where_aliases_are():
     assert time.thread_time() - started < 1.0
 
 
-def test_yaml_ends_when_its_time_is_over(monkeypatch):
-    monkeypatch.setattr(border, "YAML_SECONDS", 0.2)
-    started = time.thread_time()
-    with pytest.raises(InputError, match="takes more than 0.2 s to read"):
-        load_yaml("[" + "a," * 500_000 + "]")
-    assert time.thread_time() - started < 2.0
+def test_a_megabyte_of_yaml_is_read_or_refused_in_a_moment():
+    for text in (
+        "[" + "a," * 500_000 + "]",
+        "- " * 60 + "{a: b}",
+        "? a\n" * 200_000,
+        "a:\n" * 250_000,
+    ):
+        started = time.thread_time()
+        with contextlib.suppress(InputError):
+            load_yaml(text)
+        assert time.thread_time() - started < 10.0
 
 
 def test_a_pipe_or_a_device_is_not_read(tmp_path):
