@@ -23,7 +23,6 @@ from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
 from sma_bench.protocols import Protocol, load_protocol, parse_protocol, protocol_names
-from sma_bench.protocols.reading import is_spoken
 from sma_bench.records import Record, Signal, open_record
 from sma_bench.records.arrays import (
     frame_from_record,
@@ -137,8 +136,7 @@ def simulate(
     """The paper's model, and what effects are switched on, under given voltages (`physics/`).
 
     Args:
-        drive: name of a protocol, path of its file or its steps in words ("ramp to 2.7 V in 7 s;
-            hold until settled, 60 s at most"); the mapping of such a file (`steps`);
+        drive: name of a protocol or path of its file; the mapping of such a file (`steps`);
             a pair of time (n,) s and voltage (n, w) V, one column a channel, each held to the next
             sample; or anything that `load` takes, whose measured voltages then drive the model.
         parameters: as for `load_parameters`; `bench.channels` says which rig it is.
@@ -320,8 +318,8 @@ def _bags(records: Sequence[AnyRecord]) -> list[Record]:
 
 
 def _protocol(drive: Any, bench: Parameters) -> Protocol | None:
-    named = isinstance(drive, str) and (drive in protocol_names() or is_spoken(drive))
-    if named or (isinstance(drive, str | Path) and Path(drive).suffix in (".yaml", ".txt")):
+    named = isinstance(drive, str) and drive in protocol_names()
+    if named or (isinstance(drive, str | Path) and Path(drive).suffix == ".yaml"):
         return load_protocol(drive, bench)
     if isinstance(drive, Mapping) and "steps" in drive:
         return parse_protocol(drive, bench)

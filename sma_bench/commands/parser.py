@@ -98,7 +98,6 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "simulate": (
         "simulate --protocol composite_triangle --params config/composite_rig.yaml --out made",
         "simulate --input my_bag --out again --effect latent_heat=12e3 --noise 1",
-        'simulate --protocol "hold at 2.7 V until settled, 60 s at most" --out held',
     ),
     "paper": (
         "paper --out paper",

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
-        "--protocol", metavar="NAME", help="a protocol's name or file, or its steps in words"
+        "--protocol", metavar="NAME", help="a protocol's name or file"
     )
     source.add_argument("--input", metavar="BAG", help="use the voltages measured in a bag")
     add_output(

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sma_bench.border import read_bytes, read_yaml
+from sma_bench.border import read_yaml, shown
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
-from sma_bench.protocols.protocol import Protocol, Segment, Until, spoken_steps
+from sma_bench.protocols.protocol import Protocol, Segment, Until
 
 # --- The kinds of step a protocol is written with, each expanded into straight segments.
 #
@@ -108,13 +108,10 @@ KINDS: dict[str, StepKind] = {
 #
 # `force` is the N that the frame of a protocol with `load: force` has come to, evenly, by the end
 # of a step; `simulate` pulls so, at a real frame it is the frame's own program.
-#
-# `steps` may be a text, and a whole file or a protocol's name too: the words of `spoken`.
 
-SUFFIX, SPOKEN_SUFFIX = ".yaml", ".txt"
+SUFFIX = ".yaml"
 PROTOCOL_KEYS = ("name", "description", "repeat", "steps")
 STEP_KEYS = ("kind", "name", "drive", "repeat", "until", "force")
-_LONGEST_TEXT = 100_000
 _LARGEST_FORCE = 1e4  # N
 _THRESHOLDS = {
     f"{quantity}_{side}": (quantity, side, unit)
@@ -161,22 +158,15 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters) -> Protocol:
     """Read a protocol by its name (in the share folder's config/protocols) or by its path.
 
     Args:
-        name_or_path: `staircase`, `some/folder/mine.yaml`, or the steps themselves in words.
+        name_or_path: `staircase` or `some/folder/mine.yaml`.
         parameters: channels, sides and limits of the bench.
 
     Raises:
         InputError: no such file, not YAML, or a step that is wrong or above the bench's limits;
             the line names file and step.
     """
-    text = str(name_or_path)
-    if is_spoken(text):
-        return parse_protocol({"steps": text}, parameters, name="spoken")
     path = locate(name_or_path, VOLTAGE)
-    document = (
-        {"steps": read_bytes(path, _LONGEST_TEXT).decode(errors="replace")}
-        if path.suffix == SPOKEN_SUFFIX else read_yaml(path)
-    )
-    return parse_protocol(document, parameters, where=str(path), name=path.stem)
+    return parse_protocol(read_yaml(path), parameters, where=str(path), name=path.stem)
 
 
 def parse_protocol(
@@ -202,14 +192,6 @@ def parse_levels(
     """A Protocol whose levels are those of a quantity; arguments as for parse_protocol."""
     _require_keys(document, quantity.keys, ("steps",), where)
     steps, times = document["steps"], _repeat(document, where)
-    if isinstance(steps, str):
-        try:
-            channels = quantity.targets(parameters)[0]
-            rest = quantity.rest(parameters)
-            steps, often = spoken_steps(steps, quantity.unit, rest, channels)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
-        times *= often
     if not isinstance(steps, list) or not steps:
         raise InputError(f"{where}: steps: expected a list of one step or more")
     once: list[Segment] = []
@@ -244,15 +226,10 @@ def _folder(quantity: Quantity) -> Path:
     return share_directory() / "config" / quantity.folder
 
 
-def is_spoken(text: str) -> bool:
-    """Whether a text is steps in words, rather than a name or a file."""
-    return " " in text and not is_path(text) and not Path(text).exists()
-
-
 def is_path(name_or_path: str) -> bool:
     """Whether a text is the path of a file rather than the name of one of the package's."""
     path = Path(name_or_path)
-    return path.suffix in (SUFFIX, ".yml", SPOKEN_SUFFIX) or path.parent != Path(".")
+    return path.suffix in (SUFFIX, ".yml") or path.parent != Path(".")
 
 
 def locate(name_or_path: str | Path, quantity: Quantity) -> Path:
@@ -266,9 +243,11 @@ def locate(name_or_path: str | Path, quantity: Quantity) -> Path:
         return Path(text)
     path = _folder(quantity) / f"{text}{SUFFIX}"
     if not path.is_file():
+        hint = did_you_mean(text, shipped)
+        if " " in text:
+            hint = "; steps in words are not taken, a file has them: docs/how_to/own_protocol.md"
         raise InputError(
-            f"{quantity.what} {text}: not one of {names} nor a {SUFFIX} file"
-            f"{did_you_mean(text, shipped)}"
+            f"{quantity.what} {shown(text)}: not one of {names} nor a {SUFFIX} file{hint}"
         )
     return path
 

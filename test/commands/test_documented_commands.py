@@ -17,7 +17,6 @@ from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
-from sma_bench.protocols.reading import is_spoken
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -97,8 +96,8 @@ def check_files(words: list[str]) -> str:
 
 
 def is_protocol(name: str) -> bool:
-    """Whether it names a shipped protocol, a file of the reader's own, or is in words."""
-    return name in protocol_names() or name.endswith(".yaml") or is_spoken(name)
+    """Whether it names a shipped protocol or a file of the reader's own."""
+    return name in protocol_names() or name.endswith(".yaml")
 
 
 def check_ros(words: list[str]) -> str:

@@ -12,7 +12,6 @@ from sma_bench.cli import COMMANDS, main
 from sma_bench.commands.parser import EXAMPLES, command_parser
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
-from sma_bench.protocols.reading import is_spoken
 
 ESCAPE = "\x1b"
 ALL = list(COMMANDS)
@@ -49,7 +48,7 @@ def objection(words):
     except ValueError as error:
         return str(error)
     protocol = getattr(options, "protocol", None)
-    known = protocol in [None, *protocol_names()] or is_spoken(protocol)
+    known = protocol in [None, *protocol_names()]
     return "" if known else f"no protocol {protocol}"
 
 

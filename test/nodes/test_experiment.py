@@ -120,13 +120,16 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert node.end() == 0
 
 
-def test_steps_said_in_words_end_when_the_bench_gets_there(bench):
+def test_steps_end_when_the_bench_gets_there(bench, protocol):
     states = bench.latched("experiment/state", String)
     commands = bench.listen("voltage_command", Float64MultiArray)
     bench.start("simulator", speed=50.0)
-    words = "hold at 2.7 V until above 35 degC, 900 s at most; rest until settled, 900 s at most"
-    bench.start("experiment", protocol=words, use_sim_time=True, autostart=True)
-    bench.until(lambda: states and states[-1].data == "done: spoken")
+    path = protocol({"name": "waits", "steps": [
+        {"kind": "hold", "level": 2.7, "duration": 900.0, "until": {"temperature_above": 308.15}},
+        {"kind": "rest", "duration": 900.0, "until": "settled"},
+    ]})  # fmt: skip
+    bench.start("experiment", protocol=path, use_sim_time=True, autostart=True)
+    bench.until(lambda: states and states[-1].data == "done: waits")
     assert 0 < [m.data[0] for m in commands].count(2.7) < 100
     assert len(commands) < 2000  # of 36000 that the limits allow
     assert list(commands[-1].data) == [0.0]
