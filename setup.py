@@ -15,7 +15,6 @@ MAINTAINER = MANIFEST.find("maintainer")
 NODES = [
     "simulator",
     "serial_bridge",
-    "emulated_bench",
     "ir_camera",
     "synthetic_camera",
     "experiment",
@@ -120,7 +119,7 @@ setup(
     license=MANIFEST.findtext("license"),
     python_requires=">=3.11",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.js", "**/*.j2", "**/*.c"]},
+    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.js", "**/*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -203,7 +203,7 @@ def papers_experiments_once() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image that is flashed into the Uno."""
-    from sma_bench.emulation.emulated_uno import build_firmware
+    from uno.emulated_uno import build_firmware
 
     if shutil.which("avr-gcc") is None:
         pytest.skip("no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
@@ -213,7 +213,7 @@ def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def emulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The emulated Uno, built."""
-    from sma_bench.emulation.emulated_uno import build_emulator, missing_tools
+    from uno.emulated_uno import build_emulator, missing_tools
 
     if missing := missing_tools():
         pytest.skip(missing)
@@ -223,7 +223,7 @@ def emulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def uno(emulator: Path, firmware_image: Path) -> Any:
     """An Uno with the real image, just powered up."""
-    from sma_bench.emulation.emulated_uno import EmulatedUno
+    from uno.emulated_uno import EmulatedUno
 
     return EmulatedUno(emulator, firmware_image)
 

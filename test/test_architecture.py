@@ -42,7 +42,6 @@ ARROWS = {
     "identify": LEAVES | {"estimation", "records", "physics", "parameters", "results", "cards"},
     "control": LEAVES | {"parameters", "physics"},
     "hardware": LEAVES | {"parameters"},
-    "emulation": LEAVES | {"parameters", "physics"},
     "synthetic": LEAVES
     | {"records", "physics", "parameters", "protocols", "control", "hardware"},
     "diagnose": LEAVES

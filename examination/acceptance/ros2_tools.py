@@ -209,6 +209,18 @@ class Stage:
             *(f"{name}:={value}" for name, value in given.items()),
         )
 
+    def launch_on_uno(self, namespace: str, protocol: object) -> Program:
+        """The wire's bench on the emulated Uno, temperatures from there."""
+        port = self.folder / f"uno_{namespace}"
+        uno = self.start(
+            sys.executable, str(self.source / "test" / "tools" / "uno" / "node.py"),
+            "--namespace", f"/{namespace}", "--port", str(port),
+        )  # fmt: skip
+        uno.says("port:", 120.0)
+        return self.launch(
+            namespace=namespace, mode="hardware", camera="false", port=port, protocol=protocol
+        )
+
     def node(self, name: str, namespace: str, **parameters: object) -> Program:
         """`ros2 run` of a node."""
         given = [word for k, v in parameters.items() for word in ("-p", f"{k}:={v}")]
@@ -365,18 +377,11 @@ def every_mode(stage: Stage) -> str:
     played = []
     for file, mode, camera in [
         ("wire_bench", "simulated", "false"), ("composite_bench", "simulated", "true"),
-        ("wire_bench", "emulated", "false"), ("wire_bench", "hardware", "false"),
+        ("wire_bench", "hardware", "false"),
     ]:  # fmt: skip
-        if mode == "emulated" and shutil.which("avr-gcc") is None:
-            played.append(f"{file} {mode} not played: no avr-gcc")
-            continue
         namespace = f"{file}_{mode}"
         bench = stage.launch(file, namespace=namespace, mode=mode, camera=camera)
-        ready = {
-            "simulated": "simulating", "hardware": "not connected",
-            "emulated": "serial_bridge]: idle",
-        }[mode]  # fmt: skip
-        bench.says(ready, 120.0)
+        bench.says({"simulated": "simulating", "hardware": "not connected"}[mode], 120.0)
         bench.says("identification")
         bench.says("experiment]: idle")
         bench.ctrl_c()
@@ -563,7 +568,7 @@ def bridge(stage: Stage) -> str:
         raise Skipped("no avr-gcc")
     states = stage.ears.hear("/uno/experiment/state", "std_msgs/msg/String", latched=True)
     power = stage.ears.hear("/uno/wire/power", "sensor_msgs/msg/BatteryState")
-    bench = stage.launch(namespace="uno", mode="emulated", protocol=warm(stage))
+    bench = stage.launch_on_uno("uno", warm(stage))
     until(lambda: len(power) > 50, "no readings", 240.0, bench)
     success, refused = stage.call("/uno/experiment/start")
     need(not success and "serial_bridge is not enabled" in refused, refused)
@@ -705,52 +710,6 @@ def cancelled(stage: Stage) -> str:
     return f"busy, then {said}, and idle again"
 
 
-@row("11", "ros2 lifecycle set: bridge, recorder, cameras")
-def lifecycle(stage: Stage) -> str:
-    if shutil.which("avr-gcc") is None:
-        raise Skipped("no avr-gcc")
-    power = stage.ears.hear("/states/wire/power", "sensor_msgs/msg/BatteryState")
-    states = stage.ears.hear("/states/experiment/state", "std_msgs/msg/String", latched=True)
-    bag = stage.folder / "states"
-    bench = stage.launch(namespace="states", mode="emulated", record="true", output=bag,
-                         protocol=warm(stage))
-    until(lambda: len(power) > 50, "no readings", 240.0, bench)
-
-    def get(node: str) -> str:
-        return stage.run("ros2", "lifecycle", "get", f"/states/{node}").split()[0]
-
-    def move(node: str, *transitions: str) -> None:
-        for transition in transitions:
-            said = stage.run("ros2", "lifecycle", "set", f"/states/{node}", transition)
-            need("Transitioning successful" in said, f"{node} {transition}: {said.strip()}")
-
-    need(get("serial_bridge") == "inactive", get("serial_bridge"))
-    move("serial_bridge", "activate")
-    success, said = stage.call("/states/experiment/start")
-    need(success, said)
-    until(lambda: power[-1][1].voltage > 1.0 or states[-1][1].data.startswith("aborted"),
-          "nothing is driven", PATIENCE, bench)
-    need(power[-1][1].voltage > 1.0, states[-1][1].data)
-    move("serial_bridge", "deactivate")
-    until(lambda: abs(power[-1][1].voltage) < 0.1, "not at 0 V", PATIENCE, bench)
-    move("recorder", "deactivate", "cleanup", "configure", "activate")
-    until(lambda: (stage.folder / "states_2").is_dir(), "no second bag", PATIENCE, bench)
-    bench.ctrl_c()
-    clean_end(bench)
-    heard = stage.ears.hear("/states/wire/temperature", "sensor_msgs/msg/Temperature")
-    stage.launch(namespace="states", camera="true")
-    until(lambda: len(heard) > 5, "no temperatures", 240.0)
-    for node in ("ir_camera", "synthetic_camera"):
-        move(node, "deactivate")
-        time.sleep(1.0)
-        count = len(heard)
-        time.sleep(1.0)
-        need(len(heard) == count, f"temperatures while {node} is inactive")
-        move(node, "cleanup", "configure", "activate")
-        until(lambda count=count: len(heard) > count, f"none after {node} is active", PATIENCE)
-    return "activate drives, deactivate is 0 V; recorder and both cameras through all four"
-
-
 @row("12", "a QoS override by parameter")
 def qos(stage: Stage) -> str:
     node = stage.start(
@@ -770,7 +729,7 @@ def loaded_host(stage: Stage) -> str:
         raise Skipped("no avr-gcc")
     states = stage.ears.hear("/loaded/experiment/state", "std_msgs/msg/String", latched=True)
     power = stage.ears.hear("/loaded/wire/power", "sensor_msgs/msg/BatteryState")
-    bench = stage.launch(namespace="loaded", mode="emulated", protocol="quick_ramp")
+    bench = stage.launch_on_uno("loaded", "quick_ramp")
     until(lambda: len(power) > 50, "no readings", 240.0, bench)
     for _ in range(4):
         stage.start(sys.executable, "-c", "while True: pass")

@@ -29,8 +29,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
-from sma_bench.emulation.emulated_bench import emulated_bench
-from sma_bench.emulation.emulated_uno import START_UP, missing_tools
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
+
+from uno.emulated_bench import emulated_bench
+from uno.emulated_uno import START_UP, missing_tools
+
 from sma_bench.hardware.serial_messages import Splitter, Telemetry, decode
 from sma_bench.parameters import Parameters
 from sma_bench.ros.node import MEASURED

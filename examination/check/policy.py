@@ -18,7 +18,6 @@ from xml.etree import ElementTree
 import rclpy
 from rclpy.node import Node
 
-from sma_bench.emulation.emulated_uno import missing_tools
 from sma_bench.hardware.thermal_settings import regions_side_by_side
 from sma_bench.nodes.base import ManagedNode
 from sma_bench.nodes.start import node_class
@@ -59,15 +58,11 @@ _PICTURE = (382, 288)
 Rules = dict[str, dict[str, set[str]]]
 
 
-def nodes_rules() -> tuple[Rules, list[str]]:
-    """What the nodes of this package have, and the nodes that cannot be made on this machine."""
+def nodes_rules() -> Rules:
+    """What the nodes of this package have."""
     private_ros_environment()
     rules: Rules = {}
-    left_out = []
     for name in NODE_TABLES:
-        if name == "emulated_bench" and missing_tools():
-            left_out.append(name)
-            continue
         for rig in RIGS:
             if name == "deflection_controller" and rig == RIGS[0]:
                 continue  # a straight wire bends nothing
@@ -81,7 +76,7 @@ def nodes_rules() -> tuple[Rules, list[str]]:
     rules[DASHBOARD]["subscribe"] |= set(_STATES)
     rules[DASHBOARD]["publish"] |= {"voltage_command", "/rosout", "/parameter_events"}
     rules[DASHBOARD]["request"] |= {*_STOPS, *_WORK}
-    return rules, left_out
+    return rules
 
 
 def _channels(rig: str) -> tuple[str, ...]:
@@ -222,14 +217,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="./bench check policy")
     parser.add_argument("--write", action="store_true", help="write the policy from the nodes")
     options = parser.parse_args(argv)
-    found, left_out = nodes_rules()
-    if left_out:
-        print(f"not made here: {', '.join(left_out)}: {missing_tools()}", file=sys.stderr)
+    found = nodes_rules()
     if options.write:
-        if left_out:
-            return 2
         write_policy(found)
-    policy = {n: kinds for n, kinds in read_policy().items() if n not in left_out}
+    policy = read_policy()
     absent, unused = missing_rules(found, policy), missing_rules(policy, found)
     for title, rules in (("had, but not allowed", absent), ("allowed, but not had", unused)):
         for node, kinds in rules.items():

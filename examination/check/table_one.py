@@ -1,8 +1,8 @@
 """Are the stated errors of R, h and c_p true on hardware? E1 to E3, again and again, virtual time.
 
 The real firmware on an emulated Uno, the real serial link and sensors' arithmetic, pictures of a
-synthetic camera read as `ir_camera` reads them, a bag, and the identification: what `./bench demo
---hardware` does through nodes in real time, for several wires drawn at random, each with its own
+synthetic camera read as `ir_camera` reads them, a bag, and the identification: what `./bench check
+hardware` does through nodes in real time, for several wires drawn at random, each with its own
 noise. The bench is no ideal one: the supply has 0.1 ohm, and USB gives one wire 4.75 V, the next
 5 V, the third 5.1 V. z is the estimate less the truth in stated statistical errors (the scales of
 this bench's sensors are right, which the systematic part does not know): it should scatter by about
@@ -23,18 +23,14 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
+sys.path.insert(1, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
+sys.path.insert(1, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 
+from uno.emulated_bench import Plant
+from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware, missing_tools
 from virtual_port import VirtualPort
 
-from sma_bench.commands.demo_acts import EMULATED, QUICK, TABLE_ONE, simulated_truth
-from sma_bench.emulation.emulated_bench import Plant
-from sma_bench.emulation.emulated_uno import (
-    EmulatedUno,
-    build_emulator,
-    build_firmware,
-    missing_tools,
-)
+from examination.check.hardware import PROTOCOLS, SIGMAS, TABLE_ONE
 from sma_bench.hardware.bench_sensors import BenchSensors
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device import Reading
@@ -163,9 +159,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     rms = float(np.sqrt(np.mean(z**2)))
     for k, symbol in enumerate(TABLE_ONE.values()):
         print(f"{symbol:4} mean z {z[:, k].mean():+.2f}, rms {np.sqrt(np.mean(z[:, k]**2)):.2f}")
-    passed = bool(np.abs(z).max() <= EMULATED.sigmas) and rms <= LARGEST_RMS
+    passed = bool(np.abs(z).max() <= SIGMAS) and rms <= LARGEST_RMS
     print(
-        f"largest |z| {np.abs(z).max():.2f} (limit {EMULATED.sigmas:g}), rms {rms:.2f} (limit "
+        f"largest |z| {np.abs(z).max():.2f} (limit {SIGMAS:g}), rms {rms:.2f} (limit "
         f"{LARGEST_RMS:g}): {'passed' if passed else 'FAILED'}"
     )
     if options.json:
@@ -175,9 +171,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[str, Any]:
     """Estimates, truth and z of a wire drawn by `seed`."""
-    truth = simulated_truth(seed)
+    table, rng = Parameters.defaults(), np.random.default_rng(seed)
+    truth = table.replace({name: float(table[name] * rng.uniform(0.9, 1.1)) for name in TABLE_ONE})
     bags = []
-    for k, name in enumerate(QUICK):
+    for k, name in enumerate(PROTOCOLS):
         uno = EmulatedUno(emulator, firmware, seed=2 * seed + k + 1)
         uno.electrics.reference = USB_VOLTS[(seed - 1) % len(USB_VOLTS)]
         uno.electrics.supply_resistance = SOURCE_RESISTANCE

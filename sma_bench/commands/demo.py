@@ -38,11 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_json_option(parser, "truth, estimates, diagnosis and the reports' paths")
     parser.add_argument(
-        "--hardware", action="store_true",
-        help="instead of both acts, the nodes of a real bench on the real firmware in an emulated "
-        "Uno, in real time (four minutes)",
-    )
-    parser.add_argument(
         "--investigate", action="store_true",
         help="instead of both acts, a bench in software, without ROS, whose first record leaves "
         "two causes: followed up until one is named (half a minute)",
@@ -56,7 +51,6 @@ def run(args: argparse.Namespace) -> int:
         FITTED,
         QUICK,
         gap_act,
-        hardware_act,
         investigation_act,
         planned,
         simulated_truth,
@@ -77,21 +71,15 @@ def run(args: argparse.Namespace) -> int:
     truth = simulated_truth(args.draw)
     fitted = FITTED if args.paper else QUICK
     first, second = planned(fitted, args.speed)
-    state = WorkState() if args.hardware else WorkState(expected=first + second)
+    state = WorkState(expected=first + second)
     share = first / (first + second)
-    if args.hardware:
-        console.print("[bold]Table I over a serial port: emulated Uno, real firmware[/]")
-        acts = {"table_one": hardware_act(console, out, truth, state)}
-    else:
-        console.print("[bold]1. From a commanded volt to Table I[/]")
-        seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
-        with compiling_beside() as compiler:
-            first_act = table_act(
-                console, out, fitted, args.speed, truth, share, state, compiler
-            )
-            console.print("\n[bold]2. The gap between simulation and bench[/]")
-            second_act = gap_act(console, out / "simulated_gap", args.speed, seed, share, state)
-        acts = {"table_one": first_act, "gap": second_act}
+    console.print("[bold]1. From a commanded volt to Table I[/]")
+    seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
+    with compiling_beside() as compiler:
+        first_act = table_act(console, out, fitted, args.speed, truth, share, state, compiler)
+        console.print("\n[bold]2. The gap between simulation and bench[/]")
+        second_act = gap_act(console, out / "simulated_gap", args.speed, seed, share, state)
+    acts = {"table_one": first_act, "gap": second_act}
     console.print(f"{state.gone:.0f} s")
     if args.json:
         write_json(args.json, _document(out, acts))
@@ -106,5 +94,5 @@ def _document(out: Path, acts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any
         "holds": {name: act["holds"] for name, act in acts.items()},
         **{kind: {act: acts[act][kind] for act in given} for kind, given in kinds.items()},
         "estimates": acts["table_one"]["estimates"],
-        **{key: acts["gap"][key] for key in ("diagnosis", "draw") if "gap" in acts},
+        **{key: acts["gap"][key] for key in ("diagnosis", "draw")},
     }

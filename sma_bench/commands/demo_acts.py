@@ -1,4 +1,4 @@
-"""The demo's acts: Table I of a simulated or emulated wire, a hidden effect to be named."""
+"""The demo's acts: Table I of a simulated wire, a hidden effect to be named."""
 
 import argparse
 import json
@@ -14,13 +14,11 @@ from rich.markup import escape
 
 from sma_bench.cards import card_text
 from sma_bench.commands import investigate
-from sma_bench.commands.demo_stage import COMPILED_AFTER, DemoStage, HardwareStage, recording_time
+from sma_bench.commands.demo_stage import COMPILED_AFTER, DemoStage, recording_time
 from sma_bench.commands.diagnose import print_tables
 from sma_bench.commands.terminal import WorkState, print_table, progress, write_json
 from sma_bench.compiled import is_compiled
 from sma_bench.diagnose.drives import Drive
-from sma_bench.emulation.emulated_uno import missing_tools
-from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BACK, FRONT
 from sma_bench.installation import share_directory
 from sma_bench.live.simulated_run import SimulatedRun
@@ -113,9 +111,6 @@ class Promise(NamedTuple):
 
 
 SIMULATED = Promise(2.0, 0.01)
-# Three true numbers are all within three errors but once in 120 times; an error above a tenth would
-# not be worth stating.
-EMULATED = Promise(3.0, 0.1)
 
 _PATIENCE = 600.0  # s: a service may have to wait for the compiler
 # Quiet seconds of two cores.
@@ -280,74 +275,6 @@ def _report(
     )
     title = "From a commanded volt to Table I"
     return write_report(out / "report", title, summary, sections, report=report)
-
-
-# --- Table I over a serial port: the nodes of a real bench, on the real firmware in an emulated
-# Uno.
-#
-# Only the silicon and the wire are emulated: volts go over a serial port to the firmware, which
-# switches its pins; a camera takes pictures of the wire.
-
-HARDWARE_NAMESPACE = "/demo_hardware"
-_HARDWARE_HEADER = ("", "unit", "truth", "identified", "std error", "off by", "deviation")
-
-
-def hardware_act(
-    console: Console, out: Path, truth: Parameters, state: WorkState
-) -> dict[str, Any]:
-    """Identify an emulated bench that is made of `truth`.
-
-    Returns:
-        For the demo's JSON; `holds`, whether the numbers are right.
-
-    Raises:
-        InputError: the emulator cannot be built here, a node ended, or the experiment aborted.
-    """
-    if missing := missing_tools():
-        raise InputError(f"demo --hardware: {missing}")
-    truth_file = out / "truth.yaml"
-    write_parameters(truth_file, truth, "What the emulated bench is made of.")
-    plan = {protocol: recording_time(protocol, truth) for protocol in QUICK}
-    plan["identify"] = _IDENTIFYING
-    with (
-        progress("demo", state) as report,
-        HardwareStage(out, HARDWARE_NAMESPACE, report, plan) as stage,
-    ):
-        # Not beside the results: a service writes into no folder with links out of it.
-        found = stage.start_hardware(truth_file, out / "logs" / "uno", QUICK[0])
-        stage.start_service("identification", {"output_directory": ".", **_WEIGHED})
-        bags = [str(stage.record(protocol)) for protocol in QUICK]
-        answer = stage.ask("identification", "identify", {"record": bags})
-    console.print(f"self test: {escape(found)}")
-    estimates = answer["parameters"]
-    _print_hardware_table(console, estimates, truth)
-    for warning in answer["warnings"]:
-        console.print(f"[yellow]note[/] {escape(warning)}")
-    holds = _print_promise(console, EMULATED, estimates, truth)
-    console.print(f"bags       {escape(str(out / 'bags'))}", soft_wrap=True)
-    return {
-        "holds": holds, "truth": {name: truth[name] for name in TABLE_ONE},
-        "estimates": estimates,
-        "deviation": {
-            name: deviation(estimates[name], truth[name]) for name in TABLE_ONE if name in estimates
-        },
-    }
-
-
-def _print_hardware_table(
-    console: Console, estimates: Mapping[str, Any], truth: Parameters
-) -> None:
-    rows = []
-    for name, symbol in TABLE_ONE.items():
-        true, found = truth[name], estimates.get(name)
-        cells = ("not found", "", "", "")
-        if found is not None:
-            off = f"{found['value'] / true - 1.0:+.2%}"
-            std, z = f"{found['std']:.2g}", f"{deviation(found, true):+.2f}"
-            cells = (f"{found['value']:.5g}", std, off, z)
-        rows.append((symbol, BY_NAME[name].unit, f"{true:.5g}", *cells))
-    title = "Table I, over a serial port"
-    print_table(console, _HARDWARE_HEADER, rows, range(2, len(_HARDWARE_HEADER)), title=title)
 
 
 # --- End of the demo's second act: what the bench had hidden, and whether the diagnosis was

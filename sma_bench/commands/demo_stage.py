@@ -1,4 +1,4 @@
-"""The stages of the demo: a simulated or an emulated bench on real nodes, bags, a service."""
+"""The stages of the demo: a simulated bench on real nodes, bags, a service."""
 
 import json
 import os
@@ -38,8 +38,7 @@ COMPILER_PATIENCE = 600.0
 READING_RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
 _READINGS = ("power", "temperature")
 _COMMANDS = ("voltage_command", "experiment/marker")
-_CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
-_PICTURE_RATE = 15.0
+
 
 
 class DemoStage:
@@ -47,9 +46,6 @@ class DemoStage:
 
     In the folder: `bags`, one of each protocol, and `logs`, one of each node.
     """
-
-    simulated = True
-    """Whether time is the simulator's, on /clock."""
 
     def __init__(
         self, folder: Path, namespace: str, report: Report, plan: Mapping[str, float]
@@ -104,7 +100,7 @@ class DemoStage:
         """The experiment node at its protocol."""
         self._bench = read_parameters(bench_file)
         self._nodes.start(
-            "experiment", {"protocol": protocol, "use_sim_time": self.simulated}, (bench_file,)
+            "experiment", {"protocol": protocol, "use_sim_time": True}, (bench_file,)
         )
         self._client.follow("experiment")
         self._client.follow("recorder")
@@ -126,7 +122,7 @@ class DemoStage:
         own(0.0, protocol)
         report = part(own, STARTING / self._plan[protocol], 1.0)
         bag = self.bags / protocol
-        self._nodes.start("recorder", {"output": str(bag), "use_sim_time": self.simulated})
+        self._nodes.start("recorder", {"output": str(bag), "use_sim_time": True})
         needed = self._topics()
         self._client.wait(
             "recorder", lambda: needed <= set(self._client.recorded(str(bag))), PATIENCE
@@ -135,11 +131,11 @@ class DemoStage:
         # Just begun, the node may not have heard the simulator's clock yet.
         retried(lambda: self._client.trigger("experiment/start", PATIENCE), _BEGINNING)
         report(0.0, "")
-        begin, kind = self._seconds(), "simulated s" if self.simulated else "s"
+        begin = self._seconds()
 
         def finished() -> bool:
             elapsed = self._seconds() - begin
-            report(elapsed / duration, f"{protocol}, {elapsed:.0f} of {duration:.0f} {kind}")
+            report(elapsed / duration, f"{protocol}, {elapsed:.0f} of {duration:.0f} simulated s")
             state = self._client.state("experiment")
             if state.startswith("aborted"):
                 raise InputError(f"experiment {state}")
@@ -196,47 +192,11 @@ class DemoStage:
             self._reported(found[0], f"{self._service}: {found[1]}")
 
     def _seconds(self) -> float:
-        return self._client.simulated_seconds if self.simulated else time.monotonic()
+        return self._client.simulated_seconds
 
     def _topics(self) -> set[str]:
         channels = self._bench["bench.channels"]
         return {*_COMMANDS, *(f"{channel}/{what}" for channel in channels for what in _READINGS)}
-
-
-class HardwareStage(DemoStage):
-    """Emulated Uno, camera, bridge, experiment: real time, the wire and the silicon emulated."""
-
-    simulated = False
-
-    def start_hardware(self, bench_file: Path, port: Path, protocol: str) -> str:
-        """Every node of the bench; enables the bridge. What its self test found.
-
-        Raises:
-            InputError: a node ended, or the self test failed.
-        """
-        files = (bench_file,)
-        hidden = {"wire/temperature": "wire/true_temperature"}
-        self._nodes.start("emulated_bench", {"port": str(port)}, files, hidden)
-        self._nodes.start("synthetic_camera", {**_CAMERA, "rate": _PICTURE_RATE}, files)
-        self._nodes.start("ir_camera", {**_CAMERA, "read_cold_wires": True}, files)
-        self._nodes.start("serial_bridge", {"port": str(port)}, files)
-        self.start_experiment(bench_file, protocol)
-        self._client.follow("serial_bridge")
-        found = self._insist("serial_bridge/self_test")
-        self._insist("serial_bridge/enable")
-        return found
-
-    def record(self, protocol: str) -> Path:
-        """As Stage; the InputError of a failure quotes what the bridge says."""
-        try:
-            return super().record(protocol)
-        except InputError as error:
-            state = self._client.state("serial_bridge")
-            raise InputError(f"{error} (serial_bridge: {state})") from None
-
-    def _insist(self, service: str) -> str:
-        """A service's success; just begun, the bench may not have said everything yet."""
-        return retried(lambda: self._client.trigger(service, PATIENCE), PATIENCE)
 
 
 def retried(call: Callable[[], str], patience: float, pause: float = 0.5) -> str:

@@ -4,8 +4,6 @@ The launch files turn a plan into launch_ros actions (`bench_launch`); a test re
 it without `launch`.
 """
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,11 +22,12 @@ from sma_bench.records import read_record
 from sma_bench.records.contract import choose_topics
 
 PACKAGE = "sma_bench"
-MODES = ("simulated", "hardware", "emulated")
+MODES = ("simulated", "hardware")
+EMULATED = "emulated"
 SWITCH = ("true", "false", "True", "False")
 # These hold the outputs, or are what the outputs are judged by: without one the bench stops.
 VITAL = frozenset({
-    "simulator", "serial_bridge", "emulated_bench", "experiment", "ir_camera", "synthetic_camera",
+    "simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_camera",
 })  # fmt: skip
 
 # Work on records when asked to, and drive nothing.
@@ -90,8 +89,7 @@ class LaunchedRig:
         """Arguments of its launch file, by name."""
         found = {
             "mode": Argument(
-                "simulated", "simulated, hardware (an Uno), or emulated (its firmware on an "
-                "emulated Uno).", MODES,
+                "simulated", f"{MODES[0]}, or {MODES[1]} (an Uno)."
             ),
             "namespace": Argument("bench", "Namespace of all topics and nodes."),
             "params": Argument(
@@ -148,6 +146,11 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
     Raises:
         InputError: arguments that exclude each other, or a bad parameter file; one line.
     """
+    if values["mode"] == EMULATED:
+        raise InputError(
+            "mode is 'emulated', which is gone: in a checkout ./bench check hardware plays the "
+            "firmware on an emulated Uno (test/tools/uno)"
+        )
     mode = chosen(values, "mode", MODES)
     speed = number(values, "speed")
     if chosen(values, "camera", ("auto", *SWITCH)) == "auto":
@@ -156,8 +159,8 @@ def plan_bench(values: Mapping[str, str]) -> list[PlannedNode]:
         with_camera = switch(values, "camera")
     if speed > 1.0 and (mode != "simulated" or with_camera):
         raise InputError(f"speed is {speed:g}, expected 1.0 on hardware or with a camera")
-    if mode != "simulated" and switch(values, "autostart"):
-        raise InputError(f"autostart: expected false, a bench that is {mode} is enabled by hand")
+    if mode == "hardware" and switch(values, "autostart"):
+        raise InputError("autostart: expected false, hardware is enabled by hand")
     clock = {"use_sim_time": speed > 1.0}
     nodes = _bench(values, mode, speed, with_camera)
     nodes.append(PlannedNode("experiment", {
@@ -218,14 +221,7 @@ def _bench(
     rig = read_parameters(params, ignore=node_groups())
     aside = {f"{c}/temperature": f"{c}/true_temperature" for c in rig["bench.channels"]}
     exact, moved = (_EXACT, aside) if with_camera else ({}, {})
-    if mode == "simulated":
-        nodes = [PlannedNode("simulator", {"speed": speed, **exact}, moved)]
-    else:
-        port = values["port"] or _link()
-        nodes = [
-            PlannedNode("emulated_bench", {"port": port, **exact}, moved),
-            PlannedNode("serial_bridge", {"port": port}),
-        ]
+    nodes = [PlannedNode("simulator", {"speed": speed, **exact}, moved)]
     return nodes + (_synthetic_pictures(rig, params) if with_camera else [])
 
 
@@ -245,11 +241,6 @@ def _synthetic_pictures(rig: Parameters, params: str) -> list[PlannedNode]:
         PlannedNode("synthetic_camera", {**picture, "rate": _PICTURE_RATE}),
         PlannedNode("ir_camera", {k: v for k, v in reader.items() if k not in given}),
     ]
-
-
-def _link() -> str:
-    """Where the emulator links its port for the bridge."""
-    return str(Path(tempfile.gettempdir()) / f"sma_bench_uno_{os.getpid()}")
 
 
 def chosen(values: Mapping[str, str], name: str, choices: tuple[str, ...]) -> str:

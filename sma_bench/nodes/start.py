@@ -18,7 +18,6 @@ from sma_bench.lifeline import ending_signals
 NODES = {  # by the executable's name: module and class
     "simulator": "simulator.Simulator",
     "serial_bridge": "serial_bridge.SerialBridge",
-    "emulated_bench": "emulated_bench.EmulatedBenchNode",
     "ir_camera": "cameras.IrCamera",
     "synthetic_camera": "cameras.SyntheticCameraNode",
     "experiment": "experiment.ExperimentNode",

@@ -380,19 +380,6 @@ SIMULATOR = fixed(
     ),
 )
 
-EMULATED_BENCH = (
-    Parameter(
-        "port", "", "",
-        "Path of a link to make to the emulated port, for a bridge to open; empty for none.",
-        "choice", kind="string", read_only=True,
-    ),
-    *(
-        p for p in SIMULATOR
-        if p.name in ("seed", "rate.temperature")
-        or p.name.startswith("sensor.temperature")
-    ),
-)
-
 EXPERIMENT = (
     Parameter(
         "protocol", "", "staircase",
@@ -570,7 +557,6 @@ DEFLECTION_CONTROLLER = (
 NODE_TABLES: dict[str, tuple[Parameter, ...]] = {
     "simulator": SIMULATOR,
     "serial_bridge": SERIAL_BRIDGE,
-    "emulated_bench": EMULATED_BENCH,
     "ir_camera": IR_CAMERA,
     "synthetic_camera": SYNTHETIC_CAMERA,
     "experiment": EXPERIMENT,

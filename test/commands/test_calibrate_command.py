@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 import pytest
+from uno.emulated_bench import on_a_port
 
 from sma_bench.cli import main
-from sma_bench.emulation.emulated_bench import on_a_port
 from sma_bench.hardware.calibration import RangeCalibration
 from sma_bench.parameters.yaml_file import read_parameter_names
 

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 from host_firmware import HostFirmware, build_host_firmware, build_program
+from uno.emulated_uno import EmulatedUno
 from virtual_host import VirtualHost
-
-from sma_bench.emulation.emulated_uno import EmulatedUno
 
 
 @pytest.fixture(scope="session")

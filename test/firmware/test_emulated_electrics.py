@@ -5,10 +5,10 @@ import os
 import time
 
 import pytest
+from uno.emulated_bench import on_a_port
+from uno.emulated_uno import EmulatedUno, Relay, Reset, Switch
 from virtual_host import VirtualHost
 
-from sma_bench.emulation.emulated_bench import on_a_port
-from sma_bench.emulation.emulated_uno import EmulatedUno, Relay, Reset, Switch
 from sma_bench.hardware.serial_messages import Named
 
 PATIENCE = 20.0

@@ -8,15 +8,15 @@ import statistics
 from pathlib import Path
 
 import pytest
-from virtual_host import VirtualHost
-
-from sma_bench.emulation.emulated_uno import (
+from uno.emulated_uno import (
     EmulatedUno,
     Relay,
     Reset,
     Switch,
     build_emulator,
 )
+from virtual_host import VirtualHost
+
 from sma_bench.hardware.bench_sensors import PowerCalibration, channel_powers
 from sma_bench.hardware.device import DeviceIdentity
 from sma_bench.hardware.expectation import SharedWatch, WireModel

@@ -4,9 +4,67 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from uno import emulated_uno
 
-from examination.check import fuzz, table_one
-from sma_bench.commands.demo_acts import EMULATED, TABLE_ONE
+from examination.check import fuzz, hardware, table_one
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+
+TRUTH = Parameters.defaults()
+
+
+def estimates(relative_std=0.01, **factors):
+    """Table I, but for factors of its symbols; a factor of 0 leaves it out."""
+    return {
+        name: {"value": TRUTH[name] * factors.get(symbol, 1.0), "std": relative_std * TRUTH[name],
+               "statistical": relative_std * TRUTH[name]}
+        for name, symbol in hardware.TABLE_ONE.items()
+        if factors.get(symbol, 1.0)
+    }
+
+
+def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there() -> None:
+    assert hardware.right(estimates(), TRUTH)
+    assert hardware.right(estimates(R=1.029, h=0.971), TRUTH)
+    assert not hardware.right(estimates(c_p=1.031), TRUTH)
+    assert not hardware.right(estimates(0.001, R=1.004), TRUTH)
+    assert not hardware.right(estimates(c_p=0.0), TRUTH)
+    # A large stated error excuses nothing.
+    assert hardware.right(estimates(0.099), TRUTH)
+    assert not hardware.right(estimates(0.101), TRUTH)
+
+
+def test_the_table_shows_the_deviation_in_stated_errors() -> None:
+    rows = hardware.table(estimates(0.01, R=1.025), TRUTH).splitlines()
+    row = next(line for line in rows if line.startswith("R "))
+    assert row.split()[-2:] == ["+2.50%", "+2.50"]
+
+
+def test_without_the_tools_it_says_which_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(emulated_uno.shutil, "which", lambda name: None)
+    assert hardware.main([]) == 2
+    error = capsys.readouterr().err
+    assert "gcc-avr" in error and error.count("\n") == 1
+    with pytest.raises(InputError, match="gcc-avr"):
+        emulated_uno.build_uno(tmp_path)
+
+
+def test_firmware_that_does_not_compile_is_one_line(firmware_image: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="^make: [^\n]+$"):
+        emulated_uno.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
+
+
+@pytest.mark.acceptance
+def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(
+    emulator: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    status = hardware.main(["--out", str(tmp_path / "bench")])
+    said = capfd.readouterr()
+    assert status == 0, said.out + said.err
+    assert (tmp_path / "bench" / "identified.yaml").is_file()
 
 
 def program(folder: Path, text: str) -> Path:
@@ -43,7 +101,7 @@ def test_stated_errors_hold_behind_firmware_and_camera(
     emulator: Path, firmware_image: Path, tmp_path: Path
 ) -> None:
     row = table_one.one_wire(emulator, firmware_image, 11, tmp_path)
-    assert set(row) == set(TABLE_ONE)
+    assert set(row) == set(hardware.TABLE_ONE)
     z = np.array([found["z"] for found in row.values()])
-    assert (np.abs(z) <= EMULATED.sigmas).all()
-    assert all(found["std"] < EMULATED.relative_std * found["value"] for found in row.values())
+    assert (np.abs(z) <= hardware.SIGMAS).all()
+    assert all(found["std"] < hardware.LARGEST_ERROR * found["value"] for found in row.values())

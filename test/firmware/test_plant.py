@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from uno.emulated_bench import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
 from virtual_host import VirtualHost
 
-from sma_bench.emulation.emulated_bench import OFFSET, SHIFT, SLOPE, STANDOFF, Plant
 from sma_bench.hardware.bench_sensors import PowerCalibration, channel_powers
 from sma_bench.hardware.calibration import fit_range_calibration
 from sma_bench.parameters import Parameters

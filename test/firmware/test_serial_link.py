@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 from host_firmware import HostFirmware
+from uno.emulated_bench import PtyBench, on_a_port
 
-from sma_bench.emulation.emulated_bench import PtyBench, on_a_port
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError, find_port, open_port
 from sma_bench.hardware.device import Reading

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from uno.emulated_uno import START_UP, EmulatedUno
 from virtual_port import VirtualPort
 
-from sma_bench.emulation.emulated_uno import START_UP, EmulatedUno
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_messages import DeviceState, Telemetry

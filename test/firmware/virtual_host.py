@@ -1,6 +1,7 @@
 """A host in virtual time: no threads, no waiting, every run the same."""
 
-from sma_bench.emulation.emulated_uno import EmulatedUno
+from uno.emulated_uno import EmulatedUno
+
 from sma_bench.hardware.serial_messages import (
     Accepted,
     Message,

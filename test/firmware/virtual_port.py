@@ -1,6 +1,6 @@
 """A serial port in virtual time: the real link runs on it as fast as the machine can."""
 
-from sma_bench.emulation.emulated_uno import EmulatedUno
+from uno.emulated_uno import EmulatedUno
 
 USB_FRAME = 1e-3
 

@@ -13,8 +13,8 @@ from types import SimpleNamespace
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
+from uno.emulated_bench import EmulatedBench, emulated_bench
 
-from sma_bench.emulation.emulated_bench import EmulatedBench, emulated_bench
 from sma_bench.parameters import Parameters
 
 COMMAND_PERIOD = 0.05

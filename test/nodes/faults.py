@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from emulated_rig import BridgedRig
+from uno.emulated_uno import Relay, Switch
 
-from sma_bench.emulation.emulated_uno import Relay, Switch
 from sma_bench.hardware.serial_messages import line
 
 STOP = ord("!")

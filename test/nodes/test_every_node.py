@@ -27,7 +27,6 @@ from sma_bench.ros.node import (  # noqa: E402
 # Made by rclpy before a node's parameters can be.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")
 COMPOSITE = Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml"
-NEEDS_FIRMWARE = "emulated_bench"
 
 
 @pytest.fixture
@@ -58,10 +57,7 @@ def assert_overridable(node):
 
 
 @pytest.mark.parametrize("name", NODE_TABLES)
-def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(make, name, request):
-    if name == NEEDS_FIRMWARE:
-        request.getfixturevalue("emulator")
-        request.getfixturevalue("firmware_image")
+def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(make, name):
     rig = ["--params-file", str(COMPOSITE)] if name == "deflection_controller" else []
     node = make(name, *rig)
     assert_overridable(node)

@@ -14,9 +14,9 @@ import pytest
 import yaml
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
+from uno.emulated_bench import EmulatedBench, emulated_bench
 
 from sma_bench.cli import main
-from sma_bench.emulation.emulated_bench import EmulatedBench, emulated_bench
 from sma_bench.parameters import Parameters
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -28,7 +28,6 @@ LOADS = {"weight_bench": WEIGHT, "spring_bench": SPRING, "antagonist_bench": ANT
 BENCHES = {name: ROOT / "launch" / f"{name}.launch.py" for name in RIGS}
 REST = ["experiment", "recorder", "identification"]
 CAMERA = ["synthetic_camera", "ir_camera"]
-FRONT_UNIT = ["emulated_bench", "serial_bridge"]
 PATIENCE = 60.0
 
 
@@ -85,8 +84,6 @@ def test_a_rig_names_an_existing_file_and_a_protocol_that_fits_it(rig):
         ({"nodes": "investigation"}, ["simulator", "experiment", "investigation"]),
         ({"mode": "hardware"}, ["serial_bridge", "ir_camera", *REST]),
         ({"mode": "hardware", "camera": "false"}, ["serial_bridge", *REST]),
-        ({"mode": "emulated"}, [*FRONT_UNIT, *REST]),
-        ({"mode": "emulated", "camera": "true"}, [*FRONT_UNIT, *CAMERA, *REST]),
     ],
 )
 def test_a_launch_file_starts_what_its_arguments_say(name, arguments, expected, monkeypatch):
@@ -100,9 +97,11 @@ def test_a_launch_file_starts_what_its_arguments_say(name, arguments, expected, 
 
 
 def test_the_end_of_a_node_that_holds_the_outputs_ends_the_bench(monkeypatch):
-    actions = built(BENCHES["composite_bench"], monkeypatch, mode="emulated", camera="true")
+    actions = built(BENCHES["composite_bench"], monkeypatch, camera="true")
     ending = {a.given.executable for a in actions if isinstance(a.given.on_exit, Shutdown)}
-    assert ending == {*FRONT_UNIT, *CAMERA, "experiment"}
+    assert ending == {"simulator", *CAMERA, "experiment"}
+    hardware = built(BENCHES["wire_bench"], monkeypatch, mode="hardware")
+    assert isinstance(node(hardware, "serial_bridge").on_exit, Shutdown)
     simulated = built(BENCHES["wire_bench"], monkeypatch)
     assert isinstance(node(simulated, "simulator").on_exit, Shutdown)
     assert node(simulated, "recorder").on_exit is None
@@ -138,15 +137,13 @@ def test_nodes_are_bound_to_this_machine_unless_the_network_is_asked_for(name, m
         assert {PROFILE in variables for variables in given} == {network == "false"}
 
 
-@pytest.mark.parametrize("mode", ["simulated", "emulated"])
-def test_a_synthetic_camera_takes_the_place_of_the_true_temperatures(mode, monkeypatch):
-    actions = built(BENCHES["composite_bench"], monkeypatch, mode=mode, camera="true")
-    front = "simulator" if mode == "simulated" else "emulated_bench"
-    moved = dict(node(actions, front).remappings)
+def test_a_synthetic_camera_takes_the_place_of_the_true_temperatures(monkeypatch):
+    actions = built(BENCHES["composite_bench"], monkeypatch, camera="true")
+    moved = dict(node(actions, "simulator").remappings)
     channels = read_parameters(ROOT / "config" / COMPOSITE.file)["bench.channels"]
     assert moved == {f"{c}/temperature": f"{c}/true_temperature" for c in channels}
     exact = {"sensor.temperature_noise": 0.0, "sensor.temperature_resolution": 0.0}
-    assert exact.items() <= own(actions, front).items()
+    assert exact.items() <= own(actions, "simulator").items()
     reader, pictures = own(actions, "ir_camera"), own(actions, "synthetic_camera")
     assert reader["read_cold_wires"] is True and len(reader["regions"]) == len(channels)
     alike = ("image_width", "image_height", "pixel_size")
@@ -164,14 +161,8 @@ def test_what_the_rig_file_says_of_its_camera_stays(tmp_path):
     assert not {"image_width", "regions", "read_cold_wires"} & set(nodes["ir_camera"].parameters)
 
 
-def test_bridge_and_emulator_meet_at_one_port():
-    nodes = {n.executable: n for n in plan_bench(values(WIRE, mode="emulated"))}
-    ports = {nodes[name].parameters["port"] for name in FRONT_UNIT}
-    assert len(ports) == 1 and Path(ports.pop()).parent.is_dir()
-
-
 @pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
-@pytest.mark.parametrize("mode", ["simulated", "hardware", "emulated"])
+@pytest.mark.parametrize("mode", ["simulated", "hardware"])
 @pytest.mark.parametrize("camera", ["true", "false"])
 def test_every_node_knows_its_parameters(rig, mode, camera):
     for planned in plan_bench(values(rig, mode=mode, camera=camera)):
@@ -186,9 +177,10 @@ def test_every_node_knows_its_parameters(rig, mode, camera):
         ({"speed": "fast"}, "speed is 'fast'"),
         ({"speed": "0"}, "above 0"),
         ({"speed": "10", "camera": "true"}, "expected 1.0"),
-        ({"speed": "10", "mode": "emulated"}, "expected 1.0"),
+        ({"speed": "10", "mode": "hardware"}, "expected 1.0"),
         ({"mode": "hardware", "autostart": "true"}, "enabled by hand"),
         ({"mode": "real"}, "mode is 'real'"),
+        ({"mode": "emulated"}, "./bench check hardware"),
         ({"record": "yes"}, "record is 'yes'"),
         ({"nodes": "twin"}, "nodes: 'twin'"),
         ({"camera": "true", "params": "none.yaml"}, "none.yaml"),
@@ -198,11 +190,6 @@ def test_arguments_that_cannot_be_are_one_line(changed, said):
     with pytest.raises(InputError) as refused:
         plan_bench(values(WIRE, **changed))
     assert said in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_launch_itself_refuses_an_unknown_mode(monkeypatch):
-    with pytest.raises(RuntimeError, match="real"):
-        built(BENCHES["wire_bench"], monkeypatch, mode="real")
 
 
 def test_the_planned_nodes_work_together(bench):

@@ -11,8 +11,8 @@ from emulated_rig import bridged_rig
 from lifecycle_msgs.msg import TransitionEvent
 from sensor_msgs.msg import BatteryState, JointState, Range
 from std_msgs.msg import Float64MultiArray, String
+from uno.emulated_bench import emulated_bench
 
-from sma_bench.emulation.emulated_bench import emulated_bench
 from sma_bench.hardware.conversation import open_port
 from sma_bench.parameters import Parameters
 

@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from sma_bench.emulation.emulated_uno import CHANNELS, EmulatedUno, build_uno
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
+from uno.emulated_uno import CHANNELS, EmulatedUno, build_uno
 
 # --- Wires behind the pins: the heat of what the outputs did, the voltages of the sensors.
 
