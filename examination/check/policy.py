@@ -19,7 +19,6 @@ import rclpy
 from rclpy.node import Node
 
 from sma_bench.hardware.thermal_settings import regions_side_by_side
-from sma_bench.nodes.base import ManagedNode
 from sma_bench.nodes.start import node_class
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -117,11 +116,8 @@ def _names(node: Node) -> dict[str, set[str]]:
     def resolved(things: Iterable[Any], attribute: str) -> set[str]:
         return {getattr(thing, attribute) for thing in things}
 
-    # The lifecycle's own publisher is none of the node's list.
-    moves = isinstance(node, ManagedNode)
-    events = {f"{node.get_fully_qualified_name()}/transition_event"} if moves else set()
     return {
-        "publish": resolved(node.publishers, "topic_name") | events,
+        "publish": resolved(node.publishers, "topic_name"),
         "subscribe": resolved(node.subscriptions, "topic_name") | {_CLOCK},
         "reply": resolved(node.services, "service_name"),
         "request": resolved(node.clients, "service_name"),

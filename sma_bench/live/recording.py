@@ -69,6 +69,11 @@ class Recording:
         self.messages: dict[str, int] = {}
 
     @property
+    def open(self) -> bool:
+        """Whether a bag is being written."""
+        return self._bag is not None
+
+    @property
     def total(self) -> int:
         """Messages in the bag of the moment, or the last one."""
         return sum(self.messages.values())

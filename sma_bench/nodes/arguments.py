@@ -18,6 +18,7 @@ from sma_bench.parameters.yaml_file import flatten, read_parameter_names, split_
 
 _CONTRACT_GROUPS = frozenset(name.split(".")[0] for name in BY_NAME) | {"uncertainty"}
 _ROS_GROUPS = frozenset({"use_sim_time", "qos_overrides", "start_type_description_service"})
+_GONE = {"managed": "nodes are no lifecycle nodes any more: they start active, and end by a signal"}
 _FILE_OPTIONS = ("--params-file",)
 _VALUE_OPTIONS = ("-p", "--param")
 _REMAP_OPTIONS = ("-r", "--remap")
@@ -136,6 +137,8 @@ def require_ros_type(parameter: Parameter | None, name: str, value: Any, where: 
 
 
 def _require_foreign(node: str, name: str, where: str) -> None:
+    if name in _GONE:
+        raise InputError(f"{where}: {name}: {_GONE[name]}")
     known_elsewhere = {p.name for table in NODE_TABLES.values() for p in table}
     group = name.split(".")[0]
     if name in known_elsewhere or group in _ROS_GROUPS:

@@ -27,7 +27,7 @@ from sma_bench.hardware.thermal_settings import (
     wire_gauges,
 )
 from sma_bench.hardware.thermal_wire import WireReading
-from sma_bench.nodes.base import ACTIVE, CAMERA, ManagedNode, be_punctual
+from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
 from sma_bench.ros.node import MEASURED
 
 # A late picture is worth less than the next one.
@@ -40,7 +40,7 @@ _LEVELS = {
 _FLAG_OPEN = 0
 
 
-class IrCamera(ManagedNode):
+class IrCamera(BenchNode):
     """Thermal pictures to wire temperatures: `thermal_image` in, `<channel>/temperature` out. One
     region of the picture a wire; what cannot be trusted is not published."""
 
@@ -66,12 +66,6 @@ class IrCamera(ManagedNode):
                 )
         self._listen_to_flag()
         self.create_service(Trigger, "~/reset", self._reset)
-        self.start_by_itself()
-
-    def cleanup(self) -> None:
-        """As `~/reset`."""
-        for gauge in self._gauges:
-            gauge.reset()
 
     def _output(self, channel: str) -> tuple[Any, Temperature]:
         message = Temperature()
@@ -90,8 +84,6 @@ class IrCamera(ManagedNode):
         )
 
     def _image(self, message: Image) -> None:
-        if self.stage != ACTIVE:
-            return
         self._report.arrived(time.monotonic())
         stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         try:
@@ -133,7 +125,8 @@ class IrCamera(ManagedNode):
         self._warmth[channel].voltage(float(message.voltage), time.monotonic())
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.cleanup()
+        for gauge in self._gauges:
+            gauge.reset()
         response.success = True
         response.message = "wires that were lost may be read as their background again"
         return response
@@ -156,7 +149,7 @@ _TIP = "tip"
 _IMAGE_QOS = QoSProfile(depth=1)
 
 
-class SyntheticCameraNode(ManagedNode):
+class SyntheticCameraNode(BenchNode):
     """Stands in for an infrared camera: synthetic pictures of wires of a given true temperature.
 
     Takes `<channel>/true_temperature`, to which a simulated bench's `<channel>/temperature` is
@@ -183,7 +176,6 @@ class SyntheticCameraNode(ManagedNode):
         self.create_subscription(JointState, "joint_states", self._joints, 10)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / self.settings["rate"], self._take, clock=steady)
-        self.start_by_itself()
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Refuse an unknown fault."""
@@ -206,7 +198,7 @@ class SyntheticCameraNode(ManagedNode):
     def _take(self) -> None:
         fault = self.settings["fault"]
         waiting = any(math.isnan(kelvin) for kelvin in self._kelvin)
-        if self.stage != ACTIVE or fault == "silent" or waiting:
+        if fault == "silent" or waiting:
             return
         self._message.header.stamp = self.get_clock().now().to_msg()
         if fault == "shutter":

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.live.recording import FAILED, RECORDING, Recording, recorded_type
-from sma_bench.nodes.base import ACTIVE, ManagedNode
+from sma_bench.nodes.base import BenchNode
 from sma_bench.records.bag_writer import BagWriter
 from sma_bench.records.contract import IMAGE
 from sma_bench.ros.node import LATCHED
@@ -37,12 +37,9 @@ _LAST_WORD = 1.0
 _LITTLE = 1 << 30  # bytes
 
 
-class Recorder(ManagedNode):
-    """Subscribes to what it finds in the graph and writes the bytes as they came.
-
-    `active` records: `~/start` and `~/stop` are the same as a lifecycle manager's way there and
-    back. Every recording is a bag of its own.
-    """
+class Recorder(BenchNode):
+    """Subscribes to what it finds in the graph and writes the bytes as they came; records from its
+    start, or `~/start`, to `~/stop` or its end, each time into a bag of its own."""
 
     frozen = True
 
@@ -61,17 +58,7 @@ class Recorder(ManagedNode):
             "start": self._start, "stop": self._stop, "split": self._split,
         }.items():
             self.create_service(Trigger, f"~/{name}", partial(self._answer, act))
-        self._publish_state("idle")
-        self.start_by_itself()
-
-    def activate(self) -> None:
-        """Begin a bag."""
         self._begin(self._recording.next_output())
-
-    def deactivate(self) -> None:
-        """Finish the bag with its index."""
-        self._finish()
-        self._publish_state(FAILED if self.failure else "idle")
 
     def health(self) -> list[DiagnosticStatus]:
         """What is written, and how much room the disk has."""
@@ -126,22 +113,27 @@ class Recorder(ManagedNode):
             self.get_logger().info(f"closed {recording.output}: {recording.total} messages")
 
     def _start(self) -> str:
-        self.require(self.trigger_activate)
+        if self._recording.open:
+            raise InputError("is recording already")
+        self._begin(self._recording.next_output())
         return f"recording {self._recording.output}"
 
     def _stop(self) -> str:
-        self.require(self.trigger_deactivate)
+        if not self._recording.open:
+            raise InputError("is not recording")
+        self._finish()
+        self._publish_state(FAILED if self.failure else "idle")
         return f"closed {self._recording.output}"
 
     def _split(self) -> str:
-        if self.stage != ACTIVE:
+        if not self._recording.open:
             raise InputError("is not recording")
         closed, output = self._recording.output, self._recording.next_output()
         self._finish()
         try:
             self._begin(output)
         except InputError:
-            self.trigger_deactivate()
+            self._publish_state(FAILED if self.failure else "idle")
             raise
         return f"closed {closed}, recording {output}"
 

@@ -24,7 +24,7 @@ from sma_bench.hardware.device import Reading
 from sma_bench.hardware.node_reports import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.nodes.base import ACTIVE, BRIDGE, INACTIVE, ManagedNode, be_punctual
+from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics, follow_recorder
 from sma_bench.ros.node import COMMAND, COMMANDED, LATCHED, Commanders, layout_fault
 
@@ -38,11 +38,8 @@ _CLOCK_STEP = 1000
 """Hz: telemetry windows are whole milliseconds"""
 
 
-class SerialBridge(ManagedNode):
-    """The link has its own thread; all else happens in the node's.
-
-    Of the lifecycle, `inactive` is a connected port at 0 V, `active` an enabled device.
-    """
+class SerialBridge(BenchNode):
+    """The link has its own thread; all else happens in the node's."""
 
     frozen = True
 
@@ -62,7 +59,6 @@ class SerialBridge(ManagedNode):
         self._events: deque[str] = deque()
         self._tally = Tally()
         self._last_state = ""
-        self._let_go = False
         # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
         self._to_ros = 0
         if self.parameters["bench.drive"] == "current":
@@ -72,12 +68,6 @@ class SerialBridge(ManagedNode):
             )
         self._channels = self.parameters["bench.channels"]
         self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
-        self._build()
-        self._make_topics()
-        self.start_by_itself(until=INACTIVE)
-
-    def _build(self) -> None:
-        """A link that has not begun to connect, and what drives through it."""
         self._link = SerialLink(
             self._open, LinkOptions(rate=self._rate), self._arrived.append, self._events.append
         )
@@ -89,33 +79,8 @@ class SerialBridge(ManagedNode):
             self._link, self._sensors, guard, self._channels, limits,
             self.settings["self_test_waived"],
         )  # fmt: skip
-
-    def configure(self) -> None:
-        """Connect, again and again if need be."""
-        self._link.start()
-
-    def activate(self) -> None:
-        """As `~/enable`."""
-        try:
-            if self._let_go:  # a manager's own word is no fault
-                self._driver.reset()
-            self._driver.enable(time.monotonic())
-        except LinkError as error:
-            raise InputError(str(error)) from None
-        self._let_go = False
-
-    def deactivate(self) -> None:
-        """0 V; whatever has stopped the device already keeps its reason."""
-        if self._driver.enabled:
-            self._let_go = True
-            self._driver.stop("deactivated on request")
-
-    def cleanup(self) -> None:
-        """0 V, port closed; what stopped the device is forgotten with it."""
-        self._link.close()
-        self._let_go = False
-        self._arrived.clear()
-        self._build()
+        self._make_topics()
+        self._link.start()  # connects, again and again if need be
 
     def close(self) -> None:
         """Outputs off, port closed."""
@@ -156,8 +121,6 @@ class SerialBridge(ManagedNode):
             self._publish(self._driver.take(reading, time.monotonic()))
         if reason := self._driver.tick(time.monotonic()):
             self.get_logger().error(f"0 V: {reason}")
-        if self.stage == ACTIVE and not self._driver.enabled:
-            self.trigger_deactivate()
         self._tell_state()
         while self._events:
             if (event := self._events.popleft()) != self._last_state:
@@ -206,26 +169,21 @@ class SerialBridge(ManagedNode):
     ) -> Trigger.Response:
         try:
             response.message, response.success = act(), True
-        except (LinkError, InputError) as error:
+        except LinkError as error:
             response.message, response.success = str(error), False
         self._tell_state()
         return response
 
     def _enable(self) -> str:
-        if self.stage == ACTIVE:
-            raise LinkError("enabled already")
-        self.require(self.trigger_activate)
+        self._driver.enable(time.monotonic())
         return self._driver.state
 
     def _stop(self) -> str:
         self._driver.stop("stopped on request")
-        if self.stage == ACTIVE:
-            self.trigger_deactivate()
         return self._driver.state
 
     def _reset(self) -> str:
         self._driver.reset()
-        self._let_go = False
         return self._driver.state
 
     def _self_test(self) -> str:

@@ -1,6 +1,6 @@
 """Each node's own parameters, beside the contract's (table.py)."""
 
-from sma_bench.parameters.parameter import MANAGED, Parameter, fixed
+from sma_bench.parameters.parameter import Parameter, fixed
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.table import BY_NAME
 
@@ -54,7 +54,6 @@ def _range(side: str) -> tuple[Parameter, ...]:
 
 
 SERIAL_BRIDGE = (
-    MANAGED,
     Parameter(
         "port", "", "",
         "Serial port of the Uno, by its stable name; empty for the only one in "
@@ -122,7 +121,6 @@ _SCENE = fixed(
 
 IR_CAMERA = fixed(
     *_SCENE,
-    MANAGED,
     Parameter(
         "regions", "", ("",),
         "One a channel: 'X Y WIDTH HEIGHT', upper left corner and size in pixels of the part of "
@@ -196,7 +194,6 @@ IR_CAMERA = fixed(
 
 SYNTHETIC_CAMERA = (
     *_SCENE,
-    MANAGED,
     *fixed(
         Parameter(
             "rate", "Hz", 80.0, "Rate of thermal_image.", "Optris Xi 400, 80 Hz", 1.0, 200.0,
@@ -424,7 +421,6 @@ RECORDER = fixed(
         "idle_margin", "s", 10.0, "What is kept before and after a run all the same.",
         "choice: a wire in silicone cools within it", 0.0, 600.0,
     ),
-    MANAGED,
 )
 
 # Any program that finds the node may set its parameters and call its service.

@@ -131,13 +131,6 @@ def fixed(*parameters: Parameter) -> tuple[Parameter, ...]:
     return tuple(replace(parameter, read_only=True) for parameter in parameters)
 
 
-MANAGED = Parameter(
-    "managed", "", False,
-    "Wait for a lifecycle manager's configure and activate, instead of going there at once.",
-    "choice", kind="bool", read_only=True,
-)
-
-
 # --- effects
 
 EFFECT_PREFIX = "effect."

@@ -13,7 +13,6 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from forked_nodes import ForkedNode  # noqa: E402
-from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
@@ -132,12 +131,6 @@ class TestBench:
         message = RosParameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
         return self._call(SetParameters, f"{node}/set_parameters", request).results[0]
-
-    def change_state(self, node: str, transition: str) -> bool:
-        """As `ros2 lifecycle set`; whether it was done."""
-        request = ChangeState.Request()
-        request.transition.label = transition
-        return self._call(ChangeState, f"{node}/change_state", request).success
 
     def _call(self, kind: type, service: str, request: Any) -> Any:
         client = self._client(kind, service)

@@ -32,6 +32,7 @@ BAD = {
     "bench.channels: [a, b]": "bench.channel_sides has 1 entries, expected 2",
     "speed: 0.1": "speed is 0.1",
     "seed: 1.5": "seed is 1.5, expected a whole number",
+    "managed: true": "managed: nodes are no lifecycle nodes any more: they start active",
 }
 
 

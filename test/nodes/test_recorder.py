@@ -151,7 +151,7 @@ def test_an_output_that_cannot_be_written_is_refused(bench):
     assert "/proc/bag" in node.output and "Traceback" not in node.output
 
 
-def test_start_stop_and_split_give_a_bag_each_by_service_or_by_the_lifecycle(bench, tmp_path):
+def test_start_stop_and_split_give_a_bag_each(bench, tmp_path):
     publisher = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
     node, counts = recording(bench, tmp_path / "bag", "/bench/wire/temperature")
     topic = "/bench/wire/temperature"
@@ -167,26 +167,18 @@ def test_start_stop_and_split_give_a_bag_each_by_service_or_by_the_lifecycle(ben
     assert split.success and split.message.endswith(f"recording {tmp_path / 'bag_2'}")
     publish(4)
     assert bench.trigger("recorder/stop").success
-    assert bench.trigger("recorder/stop").message == "is inactive"
+    assert not bench.trigger("recorder/stop").success
     assert not bench.trigger("recorder/split").success
     publisher.publish(temperature(0))  # nobody writes it
-    assert bench.change_state("recorder", "activate")
+    assert bench.trigger("recorder/start").success
+    assert not bench.trigger("recorder/start").success
     publish(5)
-    assert bench.change_state("recorder", "deactivate")
+    assert bench.trigger("recorder/stop").success
     assert bench.trigger("recorder/start").success
     assert node.end() == 0
     for name, count in (("bag", 3), ("bag_2", 4), ("bag_3", 5)):
         assert len(read_record(tmp_path / name)["wire.temperature"]) == count
     assert (tmp_path / "bag_4").is_dir()
-
-
-def test_a_recorder_left_to_a_manager_writes_nothing_before_it_is_active(bench, tmp_path):
-    bench.start("recorder", output=tmp_path / "bag", managed=True)
-    assert bench.trigger("recorder/start").message == "is unconfigured"
-    assert bench.change_state("recorder", "configure")
-    assert not (tmp_path / "bag").exists()
-    assert bench.change_state("recorder", "activate")
-    assert (tmp_path / "bag").is_dir()
 
 
 def test_idle_time_is_left_out_where_asked_but_for_a_margin(bench, tmp_path):

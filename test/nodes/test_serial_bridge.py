@@ -8,7 +8,6 @@ import time
 
 import pytest
 from emulated_rig import bridged_rig
-from lifecycle_msgs.msg import TransitionEvent
 from sensor_msgs.msg import BatteryState, JointState, Range
 from std_msgs.msg import Float64MultiArray, String
 from uno.emulated_bench import emulated_bench
@@ -198,53 +197,36 @@ def test_settings_that_cannot_be_end_the_node_with_one_line(bench, parameters, r
     assert reason in node.output and "Traceback" not in node.output
 
 
-def test_a_lifecycle_manager_enables_and_stops_and_losing_active_is_zero_volts(bench, uno):
+def test_a_bridge_that_stops_by_itself_is_at_zero_volts_until_it_is_reset(bench, uno):
     with emulated_bench(Parameters.defaults(), uno) as hardware:
         states = bench.latched("serial_bridge/state", String)
-        moves = bench.listen("serial_bridge/transition_event", TransitionEvent)
         power = bench.listen("wire/power", BatteryState)
-        bench.start("serial_bridge", port=hardware.path, feedback="[power]", managed=True)
-        bench.until(lambda: states, 120.0)
+        bench.start("serial_bridge", port=hardware.path, feedback="[power]")
         command = bench.talk("voltage_command", Float64MultiArray)
+        bench.until(lambda: power and states[-1].data == "idle", 120.0)
 
         def driven():
             command.publish(Float64MultiArray(data=[2.0]))
             return abs(power[-1].voltage - 2.0) < 0.1
 
-        def move(transition):
-            return bench.change_state("serial_bridge", transition)
-
-        assert bench.trigger("serial_bridge/enable").message == "is unconfigured"
-        assert not power  # the port is not even open
-        assert move("configure")
-        bench.until(lambda: power and states[-1].data == "idle")
-        bench.until(lambda: move("activate"))
-        bench.until(driven)
-        assert move("deactivate")
-        bench.until(lambda: power[-1].voltage < 0.1)
-        bench.until(lambda: states[-1].data == "stopped: deactivated on request")
-        bench.until(lambda: move("activate"))  # its own word is no fault to be reset
-        bench.until(driven)
+        def stopped():
+            driven()
+            return states[-1].data.startswith("stopped: ") and power[-1].voltage < 0.1
 
         def connect(ohm):
             hardware.do(lambda: hardware.uno.electrics.resistance.__setitem__(0, ohm))
 
-        connect(math.inf)  # a wire that breaks: the bridge stops by itself, and is active no longer
-
-        def stopped():
-            driven()
-            return moves[-1].goal_state.label == "inactive" and power[-1].voltage < 0.1
-
+        bench.until(lambda: bench.trigger("serial_bridge/enable").success)
+        assert not bench.trigger("serial_bridge/enable").success  # it is enabled
+        bench.until(driven)
+        connect(math.inf)  # a wire that breaks
         bench.until(stopped)
         bench.until(lambda: states[-1].data.startswith("stopped: disagreement: wire carries "))
-        assert not move("activate")
+        assert not bench.trigger("serial_bridge/enable").success
         connect(2.6987)
         assert bench.trigger("serial_bridge/reset").success
         bench.until(lambda: bench.trigger("serial_bridge/enable").success)
-        bench.until(lambda: moves[-1].goal_state.label == "active")
         bench.until(driven)
         assert bench.trigger("serial_bridge/stop").success
-        bench.until(lambda: moves[-1].goal_state.label == "inactive")
-        assert move("cleanup")
-        bench.until(lambda: states[-1].data.startswith("not connected"))
+        bench.until(stopped)
         assert float(hardware.pins.off_for) > 0.0
