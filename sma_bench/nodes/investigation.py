@@ -4,7 +4,8 @@
 import json
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import SetParameters
@@ -13,9 +14,10 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import BenchNode
+from sma_bench.parameters import Parameters
 from sma_bench.ros.bench_client import NodeCalls
 from sma_bench.ros.node import LATCHED
-from sma_bench.tasks.jobs import InvestigationJob, JobProcess, output_inside
+from sma_bench.tasks.jobs import Worker, investigate, investigation_folder, output_inside
 
 _WAITING, _RUNNING, _STOPPED, _FAILED = "waiting for confirmation", "running", "stopped", "failed"
 _LOOK_EVERY = 0.05
@@ -42,7 +44,7 @@ class InvestigationNode(BenchNode):
         self.check_settings(self.settings)
         self._stopping, self._confirmed = threading.Event(), threading.Event()
         self._work: threading.Thread | None = None
-        self._process = JobProcess("investigation")
+        self._worker = Worker("investigation")
         self._calls = NodeCalls(self, lambda: time.sleep(_LOOK_EVERY))
         for service in ("experiment/start", "experiment/stop"):
             self._calls.know(service)
@@ -56,9 +58,9 @@ class InvestigationNode(BenchNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         self._tell("idle")
 
-    def check_settings(self, settings: dict[str, object]) -> None:
+    def check_settings(self, settings: dict[str, Any]) -> None:
         """Nothing may be written outside output_root."""
-        output_inside(str(settings["output_root"]), str(settings["folder"]), "folder")
+        output_inside(settings, "folder")
 
     def health(self) -> list[DiagnosticStatus]:
         """What the node is at."""
@@ -76,7 +78,7 @@ class InvestigationNode(BenchNode):
     def close(self) -> None:
         """Nobody waits for the diagnosis any more."""
         self._stopping.set()
-        self._process.kill()
+        self._worker.kill()
 
     # --- services -----------------------------------------------------------------------------
 
@@ -85,14 +87,15 @@ class InvestigationNode(BenchNode):
             response.success, response.message = False, f"busy: {self._text}"
             return response
         try:
-            job = InvestigationJob.from_settings(self.settings, self.parameters)
+            folder = investigation_folder(self.settings)
         except InputError as error:
             response.success, response.message = False, str(error)
             return response
         self._stopping.clear()
-        self._work = threading.Thread(target=self._investigate, args=(job,), daemon=True)
+        given = self.settings, self.parameters  # what is set from here on is for the next one
+        self._work = threading.Thread(target=self._investigate, args=given, daemon=True)
         self._work.start()
-        response.success, response.message = True, f"in {job.folder}"
+        response.success, response.message = True, f"in {folder}"
         return response
 
     def _on_confirm(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -117,11 +120,11 @@ class InvestigationNode(BenchNode):
         self._stopping.set()
         if self._text.startswith(_RUNNING):  # at once; the thread then waits for the answer
             self._calls.know("experiment/stop").call_async(Trigger.Request())
-        self._process.cancel()
+        self._worker.cancel()
 
-    def _investigate(self, job: InvestigationJob) -> None:
+    def _investigate(self, *given: Any) -> None:
         try:
-            self._tell(self._until_settled(job))
+            self._tell(self._until_settled(*given))
         except InputError as error:
             if self._stopping.is_set():
                 self._tell(_STOPPED)
@@ -129,12 +132,12 @@ class InvestigationNode(BenchNode):
             self._tell(f"{_FAILED}: {error}")
             self.get_logger().error(str(error))
 
-    def _until_settled(self, job: InvestigationJob) -> str:
+    def _until_settled(self, settings: Mapping[str, Any], parameters: Parameters) -> str:
         """How it ended."""
         while True:
             self._tell("diagnosing")
             self._heed()
-            result = self._process.run(job, self._diagnosing)
+            result = self._worker.run(investigate, settings, parameters, self._diagnosing)
             self._result.publish(String(data=result))
             story = json.loads(result)
             if (following := story["next"]) is None:
@@ -148,7 +151,7 @@ class InvestigationNode(BenchNode):
 
     def _diagnosing(self, share: float, what: str) -> None:
         if self._stopping.is_set():  # it came before the process had begun
-            self._process.cancel()
+            self._worker.cancel()
         self._tell(f"diagnosing: {100.0 * share:.0f} %, {what}")
 
     def _wait_for_confirmation(self, protocol: str) -> None:

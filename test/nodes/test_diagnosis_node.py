@@ -8,11 +8,8 @@ from planted import supply_drop_lab
 from std_msgs.msg import String
 
 from examination.blind.case_files import checked_answer
-from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters import read_parameters
 from sma_bench.results import gap_states
-from sma_bench.tasks.jobs import DiagnosisJob
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -88,17 +85,6 @@ def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
     bench.until(lambda: states and states[-1].data.startswith("busy"))
     assert node.end() == 0
     assert "Traceback" not in node.output
-
-
-def test_a_job_carries_what_was_given_and_not_the_defaults():
-    settings = {p.name: p.default for p in NODE_TABLES["diagnosis"]}
-    settings |= {"record": ("a",), "record_root": "/bags"}
-    believed = Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
-    job = DiagnosisJob.from_settings(settings, believed)
-    assert (job.records, job.hold_out, job.improved) == (["/bags/a"], [], "")
-    assert (job.values, job.uncertainty) == ({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
-    with pytest.raises(InputError, match="hold_out.*outside record_root"):
-        DiagnosisJob.from_settings(settings | {"hold_out": ("/etc",)}, Parameters.defaults())
 
 
 def test_the_gap_warns_where_it_is_and_only_there():

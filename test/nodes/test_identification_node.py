@@ -1,6 +1,8 @@
 """The identification service as a process: an answer, files, and a node that stays responsive."""
 
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +11,10 @@ from std_msgs.msg import String
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
 from sma_bench.protocols import parse_protocol
 from sma_bench.records.bag_writer import write_record
-from sma_bench.tasks.jobs import (
-    IdentificationJob,
-    output_inside,
-    records_inside,
-    require_own,
-)
+from sma_bench.tasks.jobs import Worker, output_inside, records_inside, require_own
 
 RATE = 50.0
 
@@ -125,58 +121,85 @@ def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
     assert "Traceback" not in node.output
 
 
+def records(root, *names):
+    return records_inside({"record_root": str(root), "record": names})
+
+
+def output(root, path, suffix=""):
+    return output_inside({"output_root": str(root), "report": path}, "report", suffix)
+
+
 def test_records_are_found_below_the_root_and_links_out_of_it_are_refused(tmp_path):
     root, outside = tmp_path / "root", tmp_path / "outside"
     root.mkdir()
     outside.mkdir()
     (root / "link").symlink_to(outside)
-    assert records_inside(str(root), ["a"]) == [str(root / "a")]
-    assert records_inside("", ["a"]) == ["a"]
-    assert records_inside("/", [str(outside)]) == [str(outside)]
+    assert records(root, "a", "") == [str(root / "a")]
+    assert records("", "a") == ["a"]
+    assert records("/", str(outside)) == [str(outside)]
     for record in ("link", "../outside", str(outside)):
         with pytest.raises(InputError, match="lies outside record_root"):
-            records_inside(str(root), [record])
+            records(root, record)
     with pytest.raises(InputError, match="outside record_root .*where the node was started"):
-        records_inside("", [str(outside)])
+        records("", str(outside))
 
 
 def test_links_inside_a_bag_and_results_outside_the_root_are_refused(tmp_path):
     root = tmp_path / "root"
     (root / "bag").mkdir(parents=True)
-    assert records_inside(str(root), ["bag"]) == [str(root / "bag")]
+    assert records(root, "bag") == [str(root / "bag")]
     (root / "bag" / "bag.mcap").symlink_to("/etc/passwd")
     with pytest.raises(InputError, match="record: .*bag lies outside record_root"):
-        records_inside(str(root), ["bag"])
-    assert output_inside(str(root), "out/deep", "report") == str(root / "out" / "deep")
-    assert output_inside(str(root), "", "report") == ""
+        records(root, "bag")
+    assert output(root, "out/deep") == str(root / "out" / "deep")
+    assert output(root, "") == ""
     for path in ("../out", "/etc/cron.d", "a\0b"):
         with pytest.raises(InputError, match="report: .*lies outside output_root"):
-            output_inside(str(root), path, "report")
+            output(root, path)
 
 
 def test_results_have_a_folder_of_their_own_and_replace_nothing_foreign(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert output_inside("", "a.yaml", "improved", ".yaml") == "sma_bench_results/a.yaml"
+    assert output("", "a.yaml", ".yaml") == "sma_bench_results/a.yaml"
     with pytest.raises(InputError, match="lies outside output_root .*sma_bench_results"):
-        output_inside("", "../a.yaml", "improved", ".yaml")
+        output("", "../a.yaml", ".yaml")
     for hidden in (".bashrc", ".config/a.yaml", "a/.git/hooks"):
         with pytest.raises(InputError, match="is hidden"):
-            output_inside(str(tmp_path), hidden, "report")
+            output(tmp_path, hidden)
     with pytest.raises(InputError, match="ends in .yaml"):
-        output_inside(str(tmp_path), "Makefile", "improved", ".yaml")
-    for name, content in (("mine.yaml", "# Improved by x\n"), ("theirs.yaml", "a: 1\n")):
+        output(tmp_path, "Makefile", ".yaml")
+    for name, content in (("mine.yaml", "# Misfit.\n# Improved by x\n"), ("theirs.yaml", "a: 1\n")):
         (tmp_path / name).write_text(content)
-    assert output_inside(str(tmp_path), "mine.yaml", "improved", ".yaml")
+    assert output(tmp_path, "mine.yaml", ".yaml")
     with pytest.raises(InputError, match="not a file that sma-bench has written"):
-        output_inside(str(tmp_path), "theirs.yaml", "improved", ".yaml")
+        output(tmp_path, "theirs.yaml", ".yaml")
     with pytest.raises(InputError, match="not a file that sma-bench has written"):
         require_own(tmp_path / "mine.yaml", tmp_path / "theirs.yaml", parameter="output_directory")
 
 
-def test_a_job_carries_what_was_given_and_not_the_defaults():
-    settings = {p.name: p.default for p in NODE_TABLES["identification"]}
-    settings["record"] = ("a", "")
-    parameters = Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
-    job = IdentificationJob.from_settings(settings, parameters)
-    assert (job.records, job.experiments) == (["a"], [])
-    assert (job.values, job.uncertainty) == ({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
+def too_large(settings, parameters, tell):
+    return str(len(bytearray(1 << 46)))
+
+
+def breaks(settings, parameters, tell):
+    return f"{1 / 0}"
+
+
+def vanishes(settings, parameters, tell):
+    tell(0.5, "half")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def told(settings, parameters, tell):
+    return f"{settings['record']} {sorted(parameters.given)} {parameters.given_uncertainty}"
+
+
+def test_a_task_has_what_was_given_and_its_failures_are_one_line():
+    worker, heard = Worker("identification"), []
+    settings, given = {"record": ("a",)}, Parameters({"wire.mass": 0.09e-3}, {"wire.mass": 1e-6})
+    assert worker.run(told, settings, given) == "('a',) ['wire.mass'] {'wire.mass': 1e-06}"
+    for task, why in ((too_large, "MemoryError"), (breaks, "ZeroDivision"), (vanishes, "SIGKILL")):
+        with pytest.raises(InputError, match=f"failed: .*{why}") as failed:
+            worker.run(task, settings, given, lambda *said: heard.append(said))
+        assert "\n" not in str(failed.value)
+    assert heard == [(0.5, "half")]

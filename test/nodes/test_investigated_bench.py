@@ -12,11 +12,12 @@ from sma_bench.commands.investigate import _bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.progress import silent
 from sma_bench.protocols import load_protocol
 from sma_bench.records import read_record
 from sma_bench.ros.processes import NodeProcesses
 from sma_bench.tasks.investigation import Investigation, NextRun
-from sma_bench.tasks.jobs import InvestigationJob
+from sma_bench.tasks.jobs import investigate, investigation_folder
 
 SPACE = "/investigated"
 # Messages take most of the processor's time.
@@ -108,14 +109,14 @@ def test_the_work_of_the_node_needs_no_ros(tmp_path):
         "record": ("bag",), "record_root": str(tmp_path), "output_root": str(tmp_path),
     }
     with pytest.raises(InputError, match="folder.*outside output_root"):
-        InvestigationJob.from_settings(settings | {"folder": "/etc"}, believed())
+        investigation_folder(settings | {"folder": "/etc"})
     with pytest.raises(InputError, match="folder: is empty"):
-        InvestigationJob.from_settings(settings | {"folder": ""}, believed())
+        investigation_folder(settings | {"folder": ""})
     with few_effects((*FEW, "supply_drop")):
-        job = InvestigationJob.from_settings(settings, believed())
-        found = json.loads(job.run())
+        found = json.loads(investigate(settings, believed(), silent))
         (chapter,) = found["chapters"]
         assert found["outcome"].startswith(found["state"]) and chapter["records"] == 1
         assert (found["next"] is None) == (found["state"] != "open")
-        assert len(json.loads(job.run())["chapters"]) == 1  # nothing is done again
+        again = json.loads(investigate(settings, believed(), silent))
+        assert len(again["chapters"]) == 1  # nothing is done again
     assert Investigation(tmp_path / "investigation", 30.0).chapters[0].verdict == chapter["verdict"]

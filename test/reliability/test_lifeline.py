@@ -63,12 +63,16 @@ sys.exit(start(sys.argv[1], []))
 """
 _RUNS_A_JOB = """
 import sys, threading, time
-from sma_bench.tasks.jobs import IdentificationJob, JobProcess
-job, process = IdentificationJob(sys.argv[1:], ["E9"], "", {}, {}), JobProcess("identification")
-threading.Thread(target=process.run, args=(job,), daemon=True).start()
-while process._running is None:
+from sma_bench.parameters import Parameters
+from sma_bench.tasks.jobs import Worker, identify
+settings = {"record": sys.argv[1:], "record_root": "/", "experiments": ["E9"],
+            "output_root": "", "output_directory": ""}
+worker = Worker("identification")
+given = identify, settings, Parameters.defaults()
+threading.Thread(target=worker.run, args=given, daemon=True).start()
+while worker.process is None:
     time.sleep(0.01)
-print(process._running.pid, flush=True)
+print(worker.process.pid, flush=True)
 time.sleep(600)
 """
 
