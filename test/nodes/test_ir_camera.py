@@ -101,17 +101,6 @@ def test_a_simulated_wire_seen_by_the_camera_reads_its_true_temperature(bench):
     assert (np.abs(off) < 2 * deviation).all()
     assert np.abs(off).mean() < 0.5 < deviation.mean() < 4.0
 
-    for node in ("ir_camera", "synthetic_camera"):
-        assert bench.change_state(node, "deactivate")
-        before = len(truth)
-        bench.until(lambda before=before: len(truth) > before + 20)  # what is on its way
-        count, before = len(read), len(truth)
-        bench.until(lambda before=before: len(truth) > before + 40)
-        assert len(read) == count
-        for transition in ("cleanup", "configure", "activate"):
-            assert bench.change_state(node, transition)
-        bench.until(lambda count=count: len(read) > count)
-
 
 def test_an_experiment_stops_when_the_camera_freezes(bench, tmp_path):
     protocol = tmp_path / "long.yaml"

@@ -203,7 +203,7 @@ def test_a_bridge_that_stops_by_itself_is_at_zero_volts_until_it_is_reset(bench,
         power = bench.listen("wire/power", BatteryState)
         bench.start("serial_bridge", port=hardware.path, feedback="[power]")
         command = bench.talk("voltage_command", Float64MultiArray)
-        bench.until(lambda: power and states[-1].data == "idle", 120.0)
+        bench.until(lambda: power and states and states[-1].data == "idle", 120.0)
 
         def driven():
             command.publish(Float64MultiArray(data=[2.0]))
