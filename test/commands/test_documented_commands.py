@@ -69,6 +69,8 @@ def check_command(words: list[str]) -> str:
         return "" if name == "test" or script.is_file() else f"no {script}"
     if len(words) == 1 and name in NAMED_ONLY:
         return ""
+    if name == "python":
+        return "" if (ROOT / rest[0]).is_file() else f"no {rest[0]}"
     if name not in COMMANDS:
         return f"no command {name}"
     if name == "run":

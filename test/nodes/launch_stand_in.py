@@ -1,7 +1,7 @@
 """What a launch file builds, with ROS's `launch` where it is installed.
 
-Where it is not, a stand-in of its few classes takes its place. It keeps what it is given and checks
-`choices` as the real one does; it starts nothing.
+Where it is not, a stand-in of its few classes takes its place. It keeps what it is given; it starts
+nothing.
 """
 
 import importlib.util
@@ -49,15 +49,11 @@ class Context:
 class DeclareLaunchArgument:
     """launch.actions.DeclareLaunchArgument"""
 
-    def __init__(
-        self, name: str, *, default_value: str, description: str, choices: Any = None
-    ) -> None:
-        self.name, self.default, self.choices = name, default_value, choices
+    def __init__(self, name: str, *, default_value: str, description: str) -> None:
+        self.name, self.default = name, default_value
 
     def visit(self, context: Context) -> None:
-        value = context.launch_configurations.setdefault(self.name, self.default)
-        if self.choices is not None and value not in self.choices:
-            raise RuntimeError(f"{self.name}: {value} is not one of {self.choices}")
+        context.launch_configurations.setdefault(self.name, self.default)
 
 
 class OpaqueFunction:
@@ -68,16 +64,6 @@ class OpaqueFunction:
 
     def visit(self, context: Context) -> list[Any]:
         return self._function(context)
-
-
-class LaunchConfiguration:
-    """launch.substitutions.LaunchConfiguration"""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def perform(self, context: Context) -> str:
-        return context.launch_configurations[self._name]
 
 
 class LaunchDescription:
@@ -93,7 +79,6 @@ _STAND_IN = {
         "DeclareLaunchArgument": DeclareLaunchArgument, "OpaqueFunction": OpaqueFunction,
         "ExecuteProcess": ExecuteProcess, "Shutdown": Shutdown,
     },
-    "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
     "launch_ros": {},
     "launch_ros.actions": {"Node": Node},
     "launch_ros.parameter_descriptions": {"ParameterValue": Text},

@@ -5,6 +5,7 @@
 
 import os
 import signal
+import sys
 import threading
 from pathlib import Path
 
@@ -43,10 +44,6 @@ def own(actions, executable):
     """Parameters over the rig's file, with texts unpacked."""
     found = node(actions, executable).parameters[-1]
     return {k: v.args[0] if isinstance(v, Text) else v for k, v in found.items()}
-
-
-def values(rig, **changed):
-    return {name: a.default for name, a in rig.arguments.items()} | changed
 
 
 def test_every_rig_and_the_replay_have_a_launch_file():
@@ -156,7 +153,7 @@ def test_what_the_rig_file_says_of_its_camera_stays(tmp_path):
         "/**:\n  ros__parameters:\n    image_width: 200\n    regions: ['5 5 100 50 x']\n"
         "    read_cold_wires: false\n"
     )
-    nodes = {n.executable: n for n in plan_bench(values(WIRE, params=str(rig), camera="true"))}
+    nodes = {n.executable: n for n in plan_bench(WIRE, {"params": str(rig), "camera": "true"})}
     assert nodes["synthetic_camera"].parameters["image_width"] == 200
     assert not {"image_width", "regions", "read_cold_wires"} & set(nodes["ir_camera"].parameters)
 
@@ -165,7 +162,7 @@ def test_what_the_rig_file_says_of_its_camera_stays(tmp_path):
 @pytest.mark.parametrize("mode", ["simulated", "hardware"])
 @pytest.mark.parametrize("camera", ["true", "false"])
 def test_every_node_knows_its_parameters(rig, mode, camera):
-    for planned in plan_bench(values(rig, mode=mode, camera=camera)):
+    for planned in plan_bench(rig, {"mode": mode, "camera": camera}):
         known = {p.name for p in NODE_TABLES[planned.executable]} | {"use_sim_time"}
         assert set(planned.parameters) <= known
         check_arguments(planned.executable, ["--ros-args", "--params-file", planned.file])
@@ -184,21 +181,35 @@ def test_every_node_knows_its_parameters(rig, mode, camera):
         ({"record": "yes"}, "record is 'yes'"),
         ({"nodes": "twin"}, "nodes: 'twin'"),
         ({"camera": "true", "params": "none.yaml"}, "none.yaml"),
+        ({"protocol": "stairs"}, "protocol stairs: not one of"),
+        ({"protocl": "ramp"}, "unknown argument protocl, did you mean protocol?"),
+        ({"managed": "true"}, "they start active"),
     ],
 )
 def test_arguments_that_cannot_be_are_one_line(changed, said):
     with pytest.raises(InputError) as refused:
-        plan_bench(values(WIRE, **changed))
+        plan_bench(WIRE, changed)
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_the_planned_nodes_work_together(bench):
+def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_file(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "my_lab", "lab.launch.py"])
+    assert executables(built(BENCHES["wire_bench"], monkeypatch, lamp="on"))
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "sma_bench", "wire_bench.launch.py"])
+    assert executables(built(BENCHES["wire_bench"], monkeypatch, speed="2"))
+    with pytest.raises(InputError, match="unknown argument lamp"):
+        built(BENCHES["wire_bench"], monkeypatch, lamp="on")
+
+
+def test_the_planned_nodes_work_together(bench, tmp_path):
     """A simulated wire before the synthetic camera, started as the launch file would."""
     power = bench.listen("wire/power", BatteryState)
     read = bench.listen("wire/temperature", Temperature)
     states = bench.latched("experiment/state", String)
-    protocol = "hold at 3 V for 60 s"
-    for planned in plan_bench(values(WIRE, camera="true", record="false", protocol=protocol)):
+    protocol = tmp_path / "hold.yaml"
+    protocol.write_text("steps: [{kind: hold, level: 3.0, duration: 60.0}]\n")
+    given = {"camera": "true", "record": "false", "protocol": str(protocol)}
+    for planned in plan_bench(WIRE, given):
         if planned.executable == "identification":
             continue
         parameters = {k.replace(".", "__"): v for k, v in planned.parameters.items()}
