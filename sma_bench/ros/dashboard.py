@@ -6,7 +6,7 @@ and go.
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
@@ -19,29 +19,21 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from sma_bench.border import NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
-from sma_bench.dashboard.live_state import (
-    CELSIUS_ZERO,
-    COMMANDED,
-    LIMITS,
-    MEASURED,
-    MODEL,
-    LiveState,
-    diagnosis_summary,
-    identification_summary,
-    shown_limits,
-)
+from sma_bench.dashboard import live_state
+from sma_bench.dashboard.live_state import CELSIUS_ZERO, LIMITS, MEASURED, MODEL, LiveState
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.records.contract import place_of
 from sma_bench.ros.node import (
     COMMAND,
+    COMMANDED,
     LATCHED,
     OneThreadExecutor,
     OverridableNode,
@@ -50,12 +42,8 @@ from sma_bench.ros.node import (
     voltage_command,
 )
 
-_LOOK_EVERY = 0.5
-_ASK_EVERY = 2.0
-_SPIN = 0.05
-_READINGS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+_LOOK_EVERY, _ASK_EVERY, _SPIN = 0.5, 2.0, 0.05
 _TRIGGER = "std_srvs/srv/Trigger"
-_STOP, _GET = "/stop", "/get_parameters"
 _CHANNELS = "bench.channels"
 # Only nodes with limits of the bench know these parameters.
 _ASKED = [_CHANNELS, *LIMITS]
@@ -63,12 +51,11 @@ _LEVELS = {
     DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning",
     DiagnosticStatus.ERROR: "error", DiagnosticStatus.STALE: "stale",
 }  # fmt: skip
-_MODEL_TOPICS = "twin"
 _RECORDER = "recorder"
 _WORK = {"identify": "identification", "diagnose": "diagnosis"}
 _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
 # Anybody may make topics and services without end.
-_MOST_TOPICS, _MOST_NODES, _MOST_CHANNELS = 500, 100, 64
+_MOST_TOPICS, _MOST_CLIENTS, _MOST_CHANNELS = 500, 200, 64
 
 
 class DashboardNode(OverridableNode):
@@ -79,24 +66,35 @@ class DashboardNode(OverridableNode):
         self.state = state
         self._inside = self.get_namespace().rstrip("/") + "/"
         self._listened: set[str] = set()
-        self._stops: dict[str, Client] = {}
-        self._askable: dict[str, Client] = {}
-        self._workers: dict[str, tuple[Client, Client]] = {}
+        self._callable: dict[str, dict[str, Client]] = {
+            "stop": {}, "get_parameters": {}, "set_parameters": {}, **{work: {} for work in _WORK},
+        }  # fmt: skip
         self._reported: dict[str, dict[str, Any]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
         self._command = self.create_publisher(Float64MultiArray, COMMAND, 10)
         self._signature = signature(self)
-        self._listen("/diagnostics", DiagnosticArray, self._on_diagnostics, 50)
+        self._listen("/diagnostics", DiagnosticArray, self._on_diagnostics, QoSProfile(depth=50))
         self.create_timer(_LOOK_EVERY, self._look)
         self.create_timer(_ASK_EVERY, self._ask)
         self._look()
 
-    # --- the stop -----------------------------------------------------------------------------
+    # --- the stop, and work on records --------------------------------------------------------
 
     def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
         """Call every `stop` service of the bench; the answers by node."""
-        return {name: _call(client) for name, client in list(self._stops.items())}
+        answers = {}
+        for name, client in list(self._callable["stop"].items()):
+            answer = answers[name] = Future[tuple[bool, str]]()
+            if client.service_is_ready():
+                client.call_async(Trigger.Request()).add_done_callback(
+                    lambda done, answer=answer: answer.set_result(
+                        (bool(done.result().success), str(done.result().message))
+                    )
+                )
+            else:
+                answer.set_result((False, "not there any more"))
+        return answers
 
     def send_zero(self) -> bool:
         """Command 0 V to all channels; False where their number is not known."""
@@ -107,19 +105,16 @@ class DashboardNode(OverridableNode):
             self._command.publish(voltage_command(channels, [0.0] * count, self._signature))
         return bool(count)
 
-    # --- work on records ----------------------------------------------------------------------
-
     def start_work(self, kind: str, records: list[str]) -> Future[tuple[bool, str]]:
         """Set a node's records and call it; its result comes over its topic."""
         answer: Future[tuple[bool, str]] = Future()
-        clients = self._workers.get(kind)
-        if clients is None or not all(client.service_is_ready() for client in clients):
+        if kind not in self._works():
             answer.set_result((False, f"no node here does {kind}"))
             return answer
         if not records:
             answer.set_result((False, "no records given"))
             return answer
-        setting, call = clients
+        node = _WORK[kind]
 
         def worked(response: rclpy.Future) -> None:
             result = response.result()
@@ -129,28 +124,25 @@ class DashboardNode(OverridableNode):
         def was_set(response: rclpy.Future) -> None:
             result = response.result().results[0]
             if result.successful:
-                call.call_async(Trigger.Request()).add_done_callback(worked)
+                call = self._callable[kind][node].call_async(Trigger.Request())
+                call.add_done_callback(worked)
                 self.state.show("work", {"text": f"{kind}: {' '.join(records)}", "good": True})
             reason = "begun" if result.successful else shown(result.reason)
             answer.set_result((bool(result.successful), reason))
 
         chosen = RosParameter("record", value=records).to_parameter_msg()
         request = SetParameters.Request(parameters=[chosen])
-        setting.call_async(request).add_done_callback(was_set)
+        setting = self._callable["set_parameters"][node].call_async(request)
+        setting.add_done_callback(was_set)
         return answer
 
-    def _look_for_work(self, services: Mapping[str, list[str]]) -> None:
-        for kind, node in _WORK.items():
-            service = f"{self._inside}{node}/{kind}"
-            if kind not in self._workers and _TRIGGER in services.get(service, []):
-                self._workers[kind] = (
-                    self.create_client(SetParameters, f"{self._inside}{node}/set_parameters"),
-                    self.create_client(Trigger, service),
-                )
-        self.state.show("works", sorted(
-            kind for kind, clients in self._workers.items()
-            if all(client.service_is_ready() for client in clients)
-        ))  # fmt: skip
+    def _works(self) -> list[str]:
+        return sorted(
+            kind for kind, node in _WORK.items()
+            if (call := self._callable[kind].get(node)) and call.service_is_ready()
+            and (setting := self._callable["set_parameters"].get(node))
+            and setting.service_is_ready()
+        )  # fmt: skip
 
     # --- what is there ------------------------------------------------------------------------
 
@@ -161,44 +153,49 @@ class DashboardNode(OverridableNode):
                 self._take(topic, topic.removeprefix(self._inside).split("/"), types)
             elif (place := place_of(topic)) and place.meaning.endswith("/power"):
                 elsewhere.add(place.namespace)
+        for service, types in self.get_service_names_and_types():
+            name, _, what = service.removeprefix(self._inside).rpartition("/")
+            known = self._callable.get(what, {})
+            kind = {"get_parameters": GetParameters, "set_parameters": SetParameters}.get(
+                what, Trigger if _TRIGGER in types else None
+            )
+            # The recorder's stop ends the record, and drives nothing.
+            if (
+                service.startswith(self._inside) and what in self._callable and kind is not None
+                and name not in (*known, self.get_name(), _RECORDER) and len(known) < _MOST_CLIENTS
+                and (what in ("stop", "get_parameters") or name in _WORK.values())
+            ):
+                known[name] = self.create_client(kind, service)
+        stops = self._callable["stop"].items()
+        # Of which nodes nothing more will come: their last words stay latched here.
+        states = [topic for topic in self._listened if topic.endswith("/state")]
+        there = [topic for topic in states if self.count_publishers(topic)]
         self.state.show("elsewhere", sorted(elsewhere))
-        services = dict(self.get_service_names_and_types())
-        self._look_for_work(services)
-        for service, types in services.items():
-            name = service.removeprefix(self._inside).rpartition("/")[0]
-            if not service.startswith(self._inside) or name == self.get_name():
-                continue
-            if name == _RECORDER:  # its stop ends the record, and drives nothing
-                continue
-            if service.endswith(_STOP) and _TRIGGER in types and _is_new(name, self._stops):
-                self._stops[name] = self.create_client(Trigger, service)
-            elif service.endswith(_GET) and _is_new(name, self._askable):
-                self._askable[name] = self.create_client(GetParameters, service)
-        ready = sorted(name for name, client in self._stops.items() if client.service_is_ready())
-        self.state.show("stops", ready)
-        self._forget_silent_nodes()
+        self.state.show("works", self._works())
+        self.state.show("stops", sorted(n for n, client in stops if client.service_is_ready()))
+        self.state.show(
+            "there", sorted({t.removeprefix(self._inside).rpartition("/")[0] for t in there})
+        )
 
     def _take(self, topic: str, parts: list[str], types: list[str]) -> None:
         """Subscribe to a topic of the bench, once."""
         kind = MEASURED
-        if parts[0] == _MODEL_TOPICS and len(parts) > 1:
+        if parts[0] == "twin" and len(parts) > 1:
             kind, parts = MODEL, parts[1:]
         handler: tuple[type, Callable[[Any], None], QoSProfile] | None = None
         match parts:
             case [channel, "power"]:
-                handler = BatteryState, partial(self._on_power, channel, kind), _READINGS
+                handler = BatteryState, partial(self._on_power, channel, kind), COMMANDED
             case [place, "temperature"]:
-                handler = Temperature, partial(self._on_temperature, place, kind), _READINGS
+                handler = Temperature, partial(self._on_temperature, place, kind), COMMANDED
             case ["front" | "back" as side, "range"]:
-                handler = Range, partial(self._on_range, side, kind), _READINGS
+                handler = Range, partial(self._on_range, side, kind), COMMANDED
             case ["joint_states"]:
-                handler = JointState, partial(self._on_joints, kind), _READINGS
+                handler = JointState, partial(self._on_joints, kind), COMMANDED
             case ["voltage_command"] if kind == MEASURED:
-                handler = Float64MultiArray, self._on_command, _READINGS
-            case ["identification", "result"] if kind == MEASURED:
-                handler = String, self._on_identification, LATCHED
-            case ["diagnosis", "result"] if kind == MEASURED:
-                handler = String, self._on_diagnosis, LATCHED
+                handler = Float64MultiArray, self._on_command, COMMANDED
+            case ["identification" | "diagnosis" as node, "result"] if kind == MEASURED:
+                handler = String, partial(self._on_result, node), LATCHED
             case [node, "state"] if kind == MEASURED:
                 handler = String, partial(self._on_state, node), LATCHED
             case [node, "progress"] if kind == MEASURED:
@@ -207,41 +204,30 @@ class DashboardNode(OverridableNode):
             self._listen(topic, *handler)
 
     def _listen(
-        self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile | int
+        self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile
     ) -> None:
         if topic not in self._listened and len(self._listened) < _MOST_TOPICS:
             self._listened.add(topic)
             self.create_subscription(kind, topic, on_message, qos)
 
-    def _forget_silent_nodes(self) -> None:
-        """Say of which nodes nothing more will come: their last words stay latched here."""
-        there = {
-            topic.removeprefix(self._inside).rpartition("/")[0]
-            for topic in self._listened
-            if topic.endswith("/state") and self.count_publishers(topic)
-        }
-        self.state.show("there", sorted(there))
-
     # --- limits, as the nodes hold them -------------------------------------------------------
 
     def _ask(self) -> None:
-        for name, client in self._askable.items():
+        for name, client in self._callable["get_parameters"].items():
             if not client.service_is_ready():
                 self._reported.pop(name, None)
                 continue
             answer = client.call_async(GetParameters.Request(names=_ASKED))
             answer.add_done_callback(partial(self._on_answer, name))
-        limits = {
-            limit: min(values[limit] for values in self._reported.values() if limit in values)
-            for limit in LIMITS
-            if any(limit in values for values in self._reported.values())
-        }
-        reported_by = sorted(n for n, found in self._reported.items() if set(found) & set(LIMITS))
-        self.state.show("limits", {"values": shown_limits(limits), "of": reported_by})
+        limits: dict[str, float] = {}
+        for values in self._reported.values():
+            for limit in values.keys() & set(LIMITS):
+                limits[limit] = min(values[limit], limits.get(limit, math.inf))
+        by = sorted(n for n, found in self._reported.items() if set(found) & set(LIMITS))
+        self.state.show("limits", {"values": live_state.shown_limits(limits), "of": by})
 
     def _on_answer(self, name: str, answer: rclpy.Future) -> None:
-        response = answer.result()
-        if response is None:
+        if (response := answer.result()) is None:
             return
         values = zip(_ASKED, response.values, strict=False)
         found = {key: v for key, value in values if (v := _value_of(value)) is not None}
@@ -264,10 +250,10 @@ class DashboardNode(OverridableNode):
         self.state.reading("distance", side, message.range, kind)
 
     def _on_joints(self, kind: str, message: JointState) -> None:
+        quantities = {"tip": "deflection", "wire": "elongation"}
         for name, position in zip(message.name, message.position, strict=False):
-            if name in ("tip", "wire"):
-                quantity = "deflection" if name == "tip" else "elongation"
-                self.state.reading(quantity, name, position, kind)
+            if name in quantities:
+                self.state.reading(quantities[name], name, position, kind)
         for name, effort in zip(message.name, message.effort, strict=False):
             if name == "wire":
                 self.state.reading("force", name, effort, kind)
@@ -277,10 +263,10 @@ class DashboardNode(OverridableNode):
         if len(message.data) == len(channels):
             self._commanded = len(channels)
             for channel, volts in zip(channels, message.data, strict=True):
-                self.state.reading("voltage", channel, volts, COMMANDED)
+                self.state.reading("voltage", channel, volts, live_state.COMMANDED)
 
     def _on_state(self, node: str, message: String) -> None:
-        self.state.merge("states", {node: _one_line(message.data)})
+        self.state.merge("states", {node: state_line(message.data)})
         if node == _RECORDER and (recorder := recorder_state(message.data)):
             self.state.show("recorded", shown(recorder["output"]))
 
@@ -293,11 +279,8 @@ class DashboardNode(OverridableNode):
         heard = self.state.clock()
         self.state.show("progress", {**progress, **texts, "node": node, "heard": heard})
 
-    def _on_identification(self, message: String) -> None:
-        self.state.show("identification", identification_summary(message.data))
-
-    def _on_diagnosis(self, message: String) -> None:
-        self.state.show("diagnosis", diagnosis_summary(message.data))
+    def _on_result(self, node: str, message: String) -> None:
+        self.state.show(node, getattr(live_state, f"{node}_summary")(message.data))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         heard = self.state.clock()
@@ -327,9 +310,20 @@ def listening_node(
         reason = str(error).splitlines()[0].removesuffix(":")
         raise InputError(f"dashboard: namespace {namespace!r}: {reason}") from None
     start_ros(ros_arguments)
-    node = DashboardNode(namespace, state)
-    ended = threading.Event()
-    thread = threading.Thread(target=_spin, args=(node, ended, on_failure), name="dashboard")
+    node, ended = DashboardNode(namespace, state), threading.Event()
+
+    def spin() -> None:
+        executor = OneThreadExecutor()
+        executor.add_node(node)
+        try:
+            while not ended.is_set():
+                executor.spin_once(timeout_sec=_SPIN)
+        except Exception as error:  # a page that goes on without it would show what was
+            on_failure(error)
+        finally:
+            executor.shutdown(timeout_sec=1.0)
+
+    thread = threading.Thread(target=spin, name="dashboard")
     thread.start()
     try:
         yield node
@@ -340,33 +334,12 @@ def listening_node(
         rclpy.try_shutdown()
 
 
-def _spin(
-    node: DashboardNode, ended: threading.Event, on_failure: Callable[[Exception], None]
-) -> None:
-    executor = OneThreadExecutor()
-    executor.add_node(node)
-    try:
-        while not ended.is_set():
-            executor.spin_once(timeout_sec=_SPIN)
-    except Exception as error:  # a page that goes on without it would show what is no longer so
-        on_failure(error)
-    finally:
-        executor.shutdown(timeout_sec=1.0)
-
-
-def _call(client: Client) -> Future[tuple[bool, str]]:
-    """Success and message of a service; "not there" where nobody offers it any more."""
-    answer: Future[tuple[bool, str]] = Future()
-    if not client.service_is_ready():
-        answer.set_result((False, "not there any more"))
-        return answer
-
-    def done(response: rclpy.Future) -> None:
-        result = response.result()
-        answer.set_result((bool(result.success), str(result.message)))
-
-    client.call_async(Trigger.Request()).add_done_callback(done)
-    return answer
+def state_line(text: str) -> str:
+    """A node's state for people: that of the recorder is JSON."""
+    if found := recorder_state(text):
+        count = sum(found["messages"].values())
+        text = f"{found['state']}: {found['output']}, {count} messages"
+    return shown(text)
 
 
 def _value_of(value: ParameterValue) -> float | tuple[str, ...] | None:
@@ -375,19 +348,6 @@ def _value_of(value: ParameterValue) -> float | tuple[str, ...] | None:
     if value.type == ParameterType.PARAMETER_STRING_ARRAY:
         return tuple(map(shown, value.string_array_value[:_MOST_CHANNELS]))
     return None
-
-
-def _one_line(text: str) -> str:
-    """A node's state for people: that of the recorder is JSON."""
-    state = recorder_state(text)
-    if state is None:
-        return shown(text)
-    count = sum(state["messages"].values())
-    return shown(f"{state['state']}: {state['output']}, {count} messages")
-
-
-def _is_new(name: str, known: Mapping[str, Client]) -> bool:
-    return name not in known and len(known) < _MOST_NODES
 
 
 def _type_name(kind: type) -> str:

@@ -106,7 +106,7 @@ def diagnosis(**changes):
 
 def test_the_last_diagnosis_is_its_verdict_candidates_and_shrinkage():
     said = diagnosis_summary(diagnosis())
-    assert said["verdict"] == "side_heat_coupling explains the gap (probability 93 %)"
+    assert said["title"] == "side_heat_coupling explains the gap (probability 93 %)"
     assert said["candidates"] == [{"name": "side_heat_coupling", "probability": 0.93}]
     cause, error, following = said["lines"]
     assert cause.startswith("cause: side_heat_coupling: ") and "(thermal stage)" in cause

@@ -36,7 +36,7 @@ def bench():
         "node": "experiment", "heard": later,
     })  # fmt: skip
     made.state.show("diagnosis", {
-        "verdict": "The gap is explained by side_heat_coupling.",
+        "title": "The gap is explained by side_heat_coupling.",
         "candidates": [{"name": "side_heat_coupling", "probability": 0.93}],
         "lines": ["deflection: error 1.2 mm rms before, 0.2 mm after, noise 0.1 mm", EVIL],
     })  # fmt: skip

@@ -55,7 +55,7 @@ def test_the_printed_address_shows_the_page_with_its_texts_escaped(url):
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     assert headers["Referrer-Policy"] == "same-origin" and "Server" not in headers
     assert "http" not in text  # nothing from elsewhere
-    for name in ("dashboard.css", "dashboard.js", "plot.js", "panels.js"):
+    for name in ("dashboard.css", "dashboard.js", "uPlot.min.css", "uPlot.min.js"):
         assert ask(url, name=name)[0] == 200, name
 
 

@@ -5,7 +5,8 @@ import asyncio
 import pytest
 from stand_in import StandIn
 
-from sma_bench.dashboard.live_state import LiveState, Seen, Wires, stop
+from sma_bench.dashboard.live_state import LiveState, Seen
+from sma_bench.dashboard.stopping import Wires, stop
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from sma_bench.border import COUNTS, NUMBER, NUMBER_OR_NULL, TEXT, read_fields, 
 from sma_bench.dashboard.live_state import LiveState, Seen, diagnosis_summary
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_failure, recorder_state
-from sma_bench.ros.dashboard import _PROGRESS, _one_line
+from sma_bench.ros.dashboard import _PROGRESS, state_line
 from sma_bench.ros.node import LATCHED
 
 BRACKETS = "[" * 100_000
@@ -45,7 +45,7 @@ def read_everywhere(text):
     assert len(recorder_failure(text)) <= 501
     state = recorder_state(text)
     assert state is None or all(isinstance(n, int) for n in state["messages"].values())
-    for line in (_one_line(text), json.dumps(diagnosis_summary(text), allow_nan=False)):
+    for line in (state_line(text), json.dumps(diagnosis_summary(text), allow_nan=False)):
         assert "\x1b" not in line and "\n" not in line and len(line) < 20_000
     try:
         progress = read_fields(text, _PROGRESS, "experiment/progress")
