@@ -30,7 +30,7 @@ from uno.emulated_bench import Plant
 from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware, missing_tools
 from virtual_port import VirtualPort
 
-from examination.check.hardware import PROTOCOLS, SIGMAS, TABLE_ONE
+from examination.check.hardware import PROTOCOLS, SIGMAS, TABLE_ONE, WEIGHED
 from sma_bench.hardware.bench_sensors import BenchSensors
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device import Reading
@@ -186,7 +186,7 @@ def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[st
             bench.link.close()
         write_record(folder / name, signals)
         bags.append(read_record(folder / name))
-    found = identify(bags, Parameters.defaults()).to_json()["parameters"]
+    found = identify(bags, Parameters(WEIGHED)).to_json()["parameters"]
     return {
         name: {
             "truth": truth[name], "value": found[name]["value"], "std": found[name]["statistical"],

@@ -26,7 +26,7 @@ Task = Callable[[Mapping[str, Any], Parameters, Report], str]
 
 CANCELLED = "cancelled on request"
 OWN_ROOT = "sma_bench_results"
-_OWN = re.compile(rb'\A\{.*"parameters"|^# (?:Improved by|Identified by|The model) ', re.DOTALL | re.MULTILINE)
+_OWN = re.compile(rb'\A\{(?s:.*)"parameters"|(?m:^)# (?:Improved by|Identified by|The model) ')
 _LARGEST_RESULT = 1 << 26
 _DIAGNOSED = 0.9  # of the time, about; the rest draws the report
 _BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
