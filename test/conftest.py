@@ -72,9 +72,6 @@ RERUN = {
         "failed once at nine times the load that the processors can take; cause not known",
     "test/reliability/test_campaigns.py::test_killed_recorders_lose_a_second_at_most":
         "a second of the wall's clock, of recorders that others may keep from running",
-    "test/perf/test_perf.py::"
-    "test_a_node_of_a_fresh_install_speaks_and_publishes_in_seconds_of_the_processor":
-        "one run of some twenty-five did not measure; the cause is not known, the failure says it",
 }  # fmt: skip
 
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
