@@ -190,7 +190,7 @@ def test_two_runs_of_another_reality_predict_five_of_other_shapes(load):
 
 
 def test_a_thermometer_that_lags_does_not_make_another_wire():
-    believed = Parameters({**BELIEVED, **RIGS["beam"]})
+    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["beam"]})
     truth = drawn(believed, seed=4)
     random = np.random.default_rng(8)
     kept = np.exp(-1.0 / (RATE * 1.2))  # a thermocouple of 1.2 s
