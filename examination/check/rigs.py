@@ -36,7 +36,6 @@ from sma_bench.records import Record
 RATE, STROKE = 10.0, 6.0  # Hz, s
 DENSITY, RESISTIVITY = 6450.0, 85e-8
 WIDE = {"wire.mass", "wire.surface_area", "wire.diameter"}
-WORK = ("identify", "diagnose")
 FINE, REFUSED, HIDDEN, RAISED = "finite", "refused", "nothing to identify", "exception"
 
 
@@ -92,23 +91,31 @@ def try_rig(seed: int) -> dict[str, Any]:
     return found | {"seconds": time.monotonic() - started}
 
 
+def identified(record: Record, stated: Parameters) -> tuple[list[float], Parameters]:
+    """All numbers of the result, and the parameters as improved."""
+    result = sma_bench.identify(record, stated)
+    return [n for e in result.estimates.values() for n in (e.value, e.std)], result.parameters
+
+
+def diagnosed(record: Record, stated: Parameters) -> tuple[list[float], Parameters]:
+    """All numbers of the result, and the parameters as improved."""
+    result = sma_bench.diagnose(record, stated)
+    json.dumps(result.to_json(), allow_nan=False)
+    numbers = [c.probability for c in result.decision.candidates]
+    return [*numbers, *result.model.x.tolist(), *result.model.errors.tolist()], result.improved
+
+
+WORK = {"identify": identified, "diagnose": diagnosed}
+
+
 def _outcome(work: str, record: Record, stated: Parameters) -> tuple[str, str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            if work == "identify":
-                result = sma_bench.identify(record, stated)
-                numbers = [n for e in result.estimates.values() for n in (e.value, e.std)]
-                improved = result.parameters
-            else:
-                diagnosis = sma_bench.diagnose(record, stated)
-                json.dumps(diagnosis.to_json(), allow_nan=False)
-                numbers = [c.probability for c in diagnosis.decision.candidates]
-                numbers += [*diagnosis.model.x.tolist(), *diagnosis.model.errors.tolist()]
-                improved = diagnosis.improved
+            numbers, improved = WORK[work](record, stated)
     except InputError as error:
         line = str(error)
-        hidden = FINE in line or "nothing to identify" in line or "\n" in line
+        hidden = HIDDEN in line or "\n" in line
         return HIDDEN if hidden else REFUSED, line
     except Exception:
         return RAISED, traceback.format_exc()

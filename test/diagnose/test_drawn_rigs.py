@@ -21,6 +21,6 @@ def test_what_goes_wrong_is_told_apart(monkeypatch, capsys, error, outcome):
         raise error
 
     for work in rigs.WORK:
-        monkeypatch.setattr(rigs.sma_bench, work, fails)
+        monkeypatch.setitem(rigs.WORK, work, fails)
     assert rigs.main(["--draws", "1"]) == (outcome != rigs.REFUSED)
     assert str(error) in capsys.readouterr().out
