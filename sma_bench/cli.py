@@ -1,43 +1,54 @@
-"""The command line `sma-bench`."""
+"""The command line `sma-bench`.
 
-import argparse
+Exit status: 0 done, 2 bad input (one line on standard error), 3 the model does not fit, 130
+interrupted. Click completes commands, options and names in bash, zsh and fish:
+`eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"`.
+"""
+
 import importlib
 import os
-import shlex
 import shutil
 import signal
 import sys
 import textwrap
 import warnings
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from sma_bench.commands.parser import (
-    COMMANDS,
-    RETIRED,
-    CommandParser,
-    command_parser,
-    terminated_as_interrupted,
-)
+from sma_bench.commands import COMMANDS, RETIRED
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import VERSION
 from sma_bench.lifeline import end_with_parent
+
+if TYPE_CHECKING:
+    import click
 
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
 _BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 LONGEST_LINE = 2000  # characters of an error: names in a file may be of any length
+_COMPLETE = "_SMA_BENCH_COMPLETE"
 
-_EXAMPLES = """examples:
+_HELP = """usage: sma-bench COMMAND [options]
+
+Test bench for shape-memory-alloy actuators.
+
+commands:
+{commands}
+
+examples:
   sma-bench info my_bag
   sma-bench identify my_bag --params lab.yaml --out identified.yaml
   sma-bench diagnose my_bag --params lab.yaml --hold-out other_bag --report gap
   sma-bench audit lab.yaml
   sma-bench run simulator --ros-args -r __ns:=/bench --params-file config/wire_rig.yaml
+
+sma-bench COMMAND --help shows the options of a command, sma-bench --version the version.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; 0 on success, 2 on bad input with one line on standard error."""
+    """Run one command; its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     for variable in _BLAS_THREADS:
         os.environ.setdefault(variable, "1")
@@ -69,6 +80,47 @@ def script() -> None:
     sys.exit(main())
 
 
+def _dispatch(arguments: list[str]) -> int:
+    if _COMPLETE in os.environ:
+        _complete()
+    if not arguments or arguments[0] in ("-h", "--help"):
+        width = max(map(len, COMMANDS))
+        lines = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
+        print(_HELP.format(commands=lines), end="")
+        return 0
+    name, *rest = arguments
+    if name == "--version":
+        print(f"sma-bench {VERSION}")
+        return 0
+    if name in RETIRED:
+        raise InputError(f"{name} {RETIRED[name]}")
+    if name not in COMMANDS:
+        hint = did_you_mean(name, COMMANDS) or ", sma-bench --help lists them"
+        raise InputError(f"no command {name!r}{hint}")
+    from sma_bench.commands.options import run_command
+
+    return run_command(load_command(name), f"sma-bench {name}", rest)
+
+
+def load_command(name: str) -> "click.Command":
+    """The command of a name of COMMANDS; nothing else of the package is loaded for its help."""
+    return importlib.import_module(f"sma_bench.commands.{name}").run
+
+
+def _complete() -> None:
+    """Answer the shell, which asks by a variable of the environment, and end."""
+    import click
+
+    class Commands(click.Group):
+        def list_commands(self, ctx: click.Context) -> list[str]:
+            return list(COMMANDS)
+
+        def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+            return load_command(cmd_name) if cmd_name in COMMANDS else None
+
+    Commands("sma-bench").main([], prog_name="sma-bench", complete_var=_COMPLETE)
+
+
 def _folded(line: str) -> str:
     """A line as it is, on a terminal folded between its words."""
     if not sys.stderr.isatty():
@@ -83,46 +135,6 @@ def _show_warning(
     from sma_bench.border import printable
 
     print(_folded(f"sma-bench: note: {printable(str(message))}"), file=sys.stderr)
-
-
-def _dispatch(arguments: list[str]) -> int:
-    if not arguments or arguments[0].startswith("-"):
-        _top_parser().parse_args(arguments)
-        return 0
-    name, *rest = arguments
-    if name in RETIRED:
-        raise InputError(f"{name} {RETIRED[name]}")
-    if name not in COMMANDS:
-        hint = did_you_mean(name, COMMANDS) or ", sma-bench --help lists them"
-        raise InputError(f"no command {name!r}{hint}")
-    module = importlib.import_module(f"sma_bench.commands.{name}")
-    parser = command_parser(name, COMMANDS[name])
-    if name == "run":
-        return module.run(rest)
-    module.add_arguments(parser)
-    parser.set_defaults(command_line=shlex.join(["sma-bench", *arguments]))
-    args = parser.parse_args(rest)
-    from sma_bench.commands.terminal import (
-        results_apart,  # --help does without what it brings along
-    )
-
-    with results_apart(args), terminated_as_interrupted():
-        return module.run(args)
-
-
-def _top_parser() -> CommandParser:
-    width = max(map(len, COMMANDS))
-    lines = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
-    parser = CommandParser(
-        prog="sma-bench",
-        usage="sma-bench COMMAND [options]",
-        description=f"Test bench for shape-memory-alloy actuators.\n\ncommands:\n{lines}",
-        epilog=_EXAMPLES + "\nsma-bench COMMAND --help shows the options of a command.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"sma-bench {VERSION}")
-    parser.add_argument("command", choices=list(COMMANDS), metavar="COMMAND")
-    return parser
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ are filled in; pages that the nav does not name are put under "More".
 import ast
 import fnmatch
 import html
-import importlib
 import io
 import json
 import os
@@ -16,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 from matplotlib import mathtext, rc_context
 from matplotlib.font_manager import FontProperties
 from mkdocs.config.defaults import MkDocsConfig
@@ -23,8 +23,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from sma_bench import api
-from sma_bench.cli import COMMANDS
-from sma_bench.commands.parser import command_parser
+from sma_bench.cli import COMMANDS, load_command
 from sma_bench.nodes.start import NODES
 from sma_bench.parameters.documentation import parameter_table
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -164,19 +163,11 @@ def commands_page() -> str:
         "Commands end with 0 on success, and with 2 and one line on bad input; a file that was "
         "asked for appears whole or not at all.",
     ]  # fmt: skip
-    helps = {name: _help(name, text) for name, text in COMMANDS.items()}
-    for name, text in helps.items():
+    for name in COMMANDS:
+        command = load_command(name)
+        text = command.get_help(click.Context(command, info_name=f"sma-bench {name}")).rstrip()
         lines += ["", f"## {name}", "", "```text", text, "```"]
     return "\n".join(lines) + "\n"
-
-
-def _help(name: str, text: str) -> str:
-    parser = command_parser(name, text)
-    if name == "run":
-        return f"{parser.format_usage().rstrip()}\n\n{text}\n\n{parser.epilog}"
-    module = importlib.import_module(f"sma_bench.commands.{name}")
-    module.add_arguments(parser)
-    return parser.format_help().rstrip()
 
 
 def python_page() -> str:

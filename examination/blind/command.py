@@ -12,23 +12,23 @@ from typing import TYPE_CHECKING, NamedTuple
 from rich.console import Console
 from rich.markup import escape
 
-from sma_bench.border import printable
-from sma_bench.commands.parser import (
+from examination.blind.parser import (
     FILE,
     FOLDER,
     NEW,
     CommandParser,
     add_dask_option,
+    add_json_option,
     add_output,
     one_of,
+    results_apart,
     terminated_as_interrupted,
 )
+from sma_bench.border import printable
 from sma_bench.commands.terminal import (
-    add_json_option,
     output_console,
     print_table,
     progress,
-    results_apart,
     write_json,
 )
 from sma_bench.errors import InputError, did_you_mean
@@ -79,7 +79,7 @@ def _dispatch(arguments: list[str]) -> int:
         raise InputError(f"no command {name!r}{did_you_mean(name, SHOWN)}, expected one of "
                          f"{', '.join(SHOWN)}")  # fmt: skip
     args = parser_of(name).parse_args(rest)
-    with results_apart(args), terminated_as_interrupted():
+    with results_apart(getattr(args, "json", None)), terminated_as_interrupted():
         return COMMANDS[name].run(args)
 
 

@@ -1,1 +1,30 @@
-"""One file a command of `sma-bench`: `add_arguments(parser)` and `run(args) -> exit code`."""
+"""The commands of sma-bench, a module each; ./bench reads this table without importing it."""
+
+COMMANDS = {
+    "example": "the files of a documentation page, or a rig's parameters, in a new folder",
+    "info": "what a record holds and whether it can be trusted",
+    "import": "tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
+    "identify": "parameters of Table I from bags and instrument files",
+    "diagnose": "where simulation and bench disagree, which effect causes it, how far it shrinks",
+    "investigate": "record, diagnose, propose, run, until the cause of the gap is named",
+    "batch": "many records, each identified or diagnosed by itself, on all cores or a cluster",
+    "compare": "records and models over each other, clocks aligned, worst difference in numbers",
+    "report": "records and results as one page, with figures, tables and provenance",
+    "audit": "do a lab's own numbers fit each other, and physics?",
+    "parameters": "every parameter with unit, default, range and source",
+    "effects": "what the paper's model leaves out: stage, size, how it shows",
+    "linearise": "the linearised model (E11) about any operating point, printed and corrected",
+    "simulate": "the paper's model on a protocol or on the voltages of a bag",
+    "paper": "the paper's figures, tables and errata redrawn from data",
+    "calibrate": "gain and offset of a sensor of the Uno from known loads",
+    "dashboard": "a bench live in the browser, with a stop that works",
+    "call": "call a service of a running node: sma-bench call experiment/start",
+    "run": "run a node: sma-bench run NODE [--ros-args ...]",
+    "demo": "simulated benches, bags, identification, diagnosis, in one go",
+}
+
+# What stood here before, and what does the same now.
+RETIRED = {
+    "blind": "judges the package and is no part of it; in a checkout: ./bench blind",
+    "completion": 'is click\'s now: eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"',
+}

@@ -1,26 +1,35 @@
 """sma-bench audit: do the numbers of a lab fit each other, and physics?"""
 
-import argparse
+from types import SimpleNamespace
 
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.terminal import add_json_option, print_findings, write_json
+import click
+
+from sma_bench.commands.options import (
+    argument,
+    command,
+    json_option,
+    parameter_options,
+    parameters_from_options,
+)
+from sma_bench.commands.terminal import print_findings, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import audit
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("file", nargs="?", metavar="P.yaml", help="ROS 2 parameter file")
-    parser.add_argument(
-        "--paper", action="store_true",
-        help="findings on numbers that are all the paper's one by one too, not in one line "
-        "(default without P.yaml and --set)",
-    )
-    add_parameter_options(parser)
-    add_json_option(parser, "the findings")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "audit lab.yaml",
+    "audit --set wire.resistance=2.8 --json audit.json",
+)
+@argument("file", metavar="P.yaml", required=False, help="ROS 2 parameter file")
+@click.option(
+    "--paper",
+    is_flag=True,
+    help="findings on numbers that are all the paper's one by one too, not in one line "
+    "(default without P.yaml and --set)",
+)
+@parameter_options
+@json_option("the findings")
+def run(args: SimpleNamespace) -> int:
     """Print every finding; exit code 0 (a clash is a result, not an error)."""
     if args.file and args.params:
         raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")

@@ -1,14 +1,26 @@
 """sma-bench batch: many records, each identified or diagnosed by itself, side by side."""
 
-import argparse
 import os
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FILE, OWN, add_dask_option, add_output, keep_safe
+import click
+
+from sma_bench.commands.options import (
+    FILE,
+    OWN,
+    Words,
+    argument,
+    command,
+    dask_option,
+    json_option,
+    keep_safe,
+    output,
+    parameter_options,
+    parameters_from_options,
+)
 from sma_bench.commands.terminal import (
-    add_json_option,
     output_console,
     print_findings,
     print_table,
@@ -25,26 +37,35 @@ from sma_bench.worker_pool import interrupts_held
 _BAD_INPUT = 2
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("kind", choices=(IDENTIFY, DIAGNOSE), help="what to do with each record")
-    parser.add_argument(
-        "records", nargs="+", metavar="RECORD", help="bag, or instrument file; each by itself"
-    )
-    add_parameter_options(parser)
-    add_output(
-        parser, "--out", OWN, metavar="DIR",
-        help="write NAME.json and NAME.yaml of each record there, as soon as it is done",
-    )
-    add_json_option(parser, "all results, in the order of the records,")
-    parser.add_argument(
-        "--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
-        help="processes (default: one a core); the results do not depend on it",
-    )
-    add_dask_option(parser, "the records")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "batch identify bags/* --out identified --jobs 2",
+    "batch diagnose monday tuesday --params lab.yaml --dask tcp://cluster:8786",
+)
+@argument("kind", type=Words((IDENTIFY, DIAGNOSE)), help="what to do with each record")
+@argument(
+    "records",
+    metavar="RECORD",
+    nargs=-1,
+    required=True,
+    help="bag, or instrument file; each by itself",
+)
+@parameter_options
+@output(
+    "--out",
+    OWN,
+    metavar="DIR",
+    help="write NAME.json and NAME.yaml of each record there, as soon as it is done",
+)
+@json_option("all results, in the order of the records,")
+@click.option(
+    "--jobs",
+    type=int,
+    default=len(os.sched_getaffinity(0)),
+    metavar="N",
+    help="processes (default: one a core); the results do not depend on it",
+)
+@dask_option("the records")
+def run(args: SimpleNamespace) -> int:
     """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
     parameters = parameters_from_options(args)
     paths = [str(Path(path).absolute()) for path in args.records]
@@ -104,7 +125,7 @@ def _write(folder: Path, name: str, outcome: Outcome) -> None:
 
 
 def _print_outcomes(
-    args: argparse.Namespace, paths: list[str], outcomes: list[Outcome | None], stopped: str = ""
+    args: SimpleNamespace, paths: list[str], outcomes: list[Outcome | None], stopped: str = ""
 ) -> None:
     whole = [o or Outcome(path, error=stopped) for path, o in zip(paths, outcomes, strict=True)]
     if args.json:

@@ -4,7 +4,6 @@ Pairs come from the command line, from a CSV file, or from the device while some
 known load after the other. The outputs stay off.
 """
 
-import argparse
 import csv
 import math
 import statistics
@@ -12,10 +11,24 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-from sma_bench.commands.parser import FILE, OWN, add_output, keep_safe
-from sma_bench.commands.terminal import add_json_option, write_json
+import click
+
+from sma_bench.commands.options import (
+    FILE,
+    OWN,
+    Files,
+    Words,
+    argument,
+    command,
+    json_option,
+    keep_safe,
+    output,
+    several,
+)
+from sma_bench.commands.terminal import write_json
 from sma_bench.errors import InputError
 from sma_bench.hardware.calibration import SENSORS, SensorFit, fit_sensor
 from sma_bench.hardware.conversation import open_port
@@ -30,31 +43,39 @@ _AVERAGED = 100
 """readings of one known load, at 100 Hz"""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("sensor", choices=sorted(SENSORS), help="sensor of the Uno")
-    parser.add_argument(
-        "pairs", nargs="*", metavar="READING=KNOWN",
-        help="device's reading (V, A) and known load (V, A, m)",
-    )
-    parser.add_argument("--csv", metavar="FILE", help="two columns: reading, known load")
-    parser.add_argument("--device", metavar="PORT", help="read the device at this port")
-    parser.add_argument(
-        "--known", nargs="+", type=float, metavar="LOAD",
-        help="with --device: the known loads, in the order in which they will be applied",
-    )
-    parser.add_argument(
-        "--shift", type=float, metavar="M",
-        help="depth of a range sensor's lens behind its face in m (default: the parameter's)",
-    )
-    add_output(
-        parser, "--out", OWN, metavar="P.yaml",
-        help="parameter file to write; the other names in one that exists stay",
-    )
-    add_json_option(parser, "the result")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "calibrate supply 5.91=6.00 8.87=9.01 11.83=12.02 --out lab.yaml",
+    "calibrate front_current --csv front_current.csv --out lab.yaml",
+)
+@argument("sensor", type=Words(sorted(SENSORS)), help="sensor of the Uno")
+@argument(
+    "pairs",
+    metavar="READING=KNOWN",
+    nargs=-1,
+    help="device's reading (V, A) and known load (V, A, m)",
+)
+@click.option("--csv", metavar="FILE", type=Files(), help="two columns: reading, known load")
+@click.option("--device", metavar="PORT", help="read the device at this port")
+@several(
+    "--known",
+    type=float,
+    metavar="LOAD",
+    help="with --device: the known loads, in the order in which they will be applied",
+)
+@click.option(
+    "--shift",
+    type=float,
+    metavar="M",
+    help="depth of a range sensor's lens behind its face in m (default: the parameter's)",
+)
+@output(
+    "--out",
+    OWN,
+    metavar="P.yaml",
+    help="parameter file to write; the other names in one that exists stay",
+)
+@json_option("the result")
+def run(args: SimpleNamespace) -> int:
     """Fit, print, write."""
     kept = _kept(args)
     pairs = _pairs(args)
@@ -89,7 +110,7 @@ def _others(sensor: str, kept: dict[str, Any]) -> list[str]:
     return [s for s in alike if any(name.startswith(f"calibration.{s}.") for name in kept)]
 
 
-def _kept(args: argparse.Namespace) -> dict[str, Any]:
+def _kept(args: SimpleNamespace) -> dict[str, Any]:
     """What stays in --out; a calibration of this sensor in it goes with --force only."""
     if not args.out or not Path(args.out).exists():
         return {}
@@ -105,7 +126,7 @@ def _kept(args: argparse.Namespace) -> dict[str, Any]:
     return kept
 
 
-def _shift(args: argparse.Namespace) -> float:
+def _shift(args: SimpleNamespace) -> float:
     if not SENSORS[args.sensor].is_range:
         if args.shift is not None:
             raise InputError(f"--shift: {args.sensor} is no range sensor")
@@ -114,7 +135,7 @@ def _shift(args: argparse.Namespace) -> float:
     return default if args.shift is None else float(args.shift)
 
 
-def _pairs(args: argparse.Namespace) -> list[tuple[float, float]]:
+def _pairs(args: SimpleNamespace) -> list[tuple[float, float]]:
     sources = [bool(args.pairs), bool(args.csv), bool(args.device)]
     if sum(sources) != 1:
         raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")

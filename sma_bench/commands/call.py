@@ -1,21 +1,23 @@
 """sma-bench call NODE/SERVICE: what `ros2 service call` does, without a ROS 2 installation."""
 
-import argparse
 import math
 import re
 import time
+from types import SimpleNamespace
 from typing import Any
 
+import click
+
 from sma_bench.border import MEGABYTE, read_json
-from sma_bench.commands.parameters import named_value
-from sma_bench.commands.terminal import (
-    add_json_option,
-    add_ros_option,
-    progress,
+from sma_bench.commands.options import (
+    argument,
+    command,
+    json_option,
+    named_value,
     ros_arguments,
-    say,
-    write_json,
+    ros_option,
 )
+from sma_bench.commands.terminal import progress, say, write_json
 from sma_bench.errors import InputError
 
 _LARGEST_ANSWER = 64 * MEGABYTE
@@ -23,28 +25,33 @@ _PRESENCE, _ANSWER = 10.0, 600.0  # s within which a node has to be found, and t
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "service", metavar="NODE/SERVICE",
-        help="experiment/start, experiment/stop, serial_bridge/enable, diagnosis/diagnose, ...",
-    )
-    parser.add_argument(
-        "--namespace", default="/bench", help="of the bench's nodes (default /bench)"
-    )
-    parser.add_argument(
-        "--set", metavar="NAME=VALUE", action="append", default=[], dest="settings",
-        help="parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
-    )
-    parser.add_argument(
-        "--patience", type=float, metavar="S",
-        help="how long the node may take to appear and to answer, together (default 10 and 600)",
-    )
-    add_json_option(parser, "the answer")
-    add_ros_option(parser)
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "call experiment/start --set protocol=ramp",
+    "call serial_bridge/enable --namespace /lab",
+    "call identification/identify --set record=[my_record] --json result.json",
+)
+@argument(
+    "service",
+    metavar="NODE/SERVICE",
+    help="experiment/start, experiment/stop, serial_bridge/enable, diagnosis/diagnose, ...",
+)
+@click.option("--namespace", default="/bench", help="of the bench's nodes (default /bench)")
+@click.option(
+    "--set",
+    "settings",
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
+)
+@click.option(
+    "--patience",
+    type=float,
+    metavar="S",
+    help="how long the node may take to appear and to answer, together (default 10 and 600)",
+)
+@json_option("the answer")
+@ros_option
+def run(args: SimpleNamespace) -> int:
     """Set, call, print the answer."""
     node, slash, service = args.service.strip("/").rpartition("/")
     if not slash:
@@ -62,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _call(args: argparse.Namespace, node: str, service: str, settings: dict[str, Any]) -> str:
+def _call(args: SimpleNamespace, node: str, service: str, settings: dict[str, Any]) -> str:
     try:
         from sma_bench.ros.bench_client import BenchClient
         from sma_bench.tasks.jobs import told_share

@@ -1,43 +1,51 @@
 """sma-bench compare: records and models over each other, their differences in numbers."""
 
-import argparse
+from types import SimpleNamespace
 
-from sma_bench.commands.parser import FOLDER, add_output
-from sma_bench.commands.terminal import (
-    add_figure_options,
-    add_json_option,
+import click
+
+from sma_bench.commands.options import (
+    FOLDER,
+    argument,
     column_of,
-    output_console,
-    print_table,
-    progress,
-    say,
-    write_json,
+    command,
+    figure_options,
+    json_option,
+    output,
+    several,
 )
+from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
 
 _LEAST_SHIFT = 1e-3  # s, worth a line
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "records", nargs="+", metavar="RECORD",
-        help="bags; the first is what the others are compared with",
-    )
-    parser.add_argument(
-        "--model", metavar="FILE", dest="models", nargs="+", action="extend", default=[],
-        help="parameter files: each model is simulated under the first record's voltages",
-    )
-    parser.add_argument(
-        "--signals", metavar="SIGNAL", nargs="+", default=[],
-        help="draw these signals or quantities (default: of each quantity what differs most)",
-    )
-    parser.add_argument("--namespace", help="where two benches are in one bag: the one to take")
-    add_json_option(parser, "shifts and differences")
-    add_output(parser, "--out", FOLDER, metavar="DIR", help="write a page with the figure")
-    add_figure_options(parser)
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "compare monday tuesday --out page",
+    "compare monday --model lab.yaml --model improved.yaml --json difference.json",
+)
+@argument(
+    "records",
+    metavar="RECORD",
+    nargs=-1,
+    required=True,
+    help="bags; the first is what the others are compared with",
+)
+@several(
+    "--model",
+    "models",
+    metavar="FILE",
+    help="parameter files: each model is simulated under the first record's voltages",
+)
+@several(
+    "--signals",
+    metavar="SIGNAL",
+    help="draw these signals or quantities (default: of each quantity what differs most)",
+)
+@click.option("--namespace", help="where two benches are in one bag: the one to take")
+@json_option("shifts and differences")
+@output("--out", FOLDER, metavar="DIR", help="write a page with the figure")
+@figure_options()
+def run(args: SimpleNamespace) -> int:
     """Lay them over each other, print what differs, write what was asked for."""
     from sma_bench.api import compare, load
     from sma_bench.records.overlay import HEADER

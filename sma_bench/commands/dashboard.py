@@ -1,35 +1,35 @@
 """sma-bench dashboard: a bench live in the browser, with a stop; for benches without Foxglove."""
 
-import argparse
 import asyncio
 import importlib
 import signal
 import sys
+from types import SimpleNamespace
 from typing import Any
 
-from sma_bench.commands.terminal import add_ros_option, ros_arguments
+import click
+
+from sma_bench.commands.options import command, ros_arguments, ros_option
 from sma_bench.errors import InputError
 
 _PORT = 8642
 _LARGEST_PORT = 65535
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "--namespace", default="bench", help="where the bench's topics are (default: bench)"
-    )
-    parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS",
-        help="address to listen on (default: 127.0.0.1, this computer only)",
-    )
-    parser.add_argument(
-        "--port", type=int, default=_PORT, help=f"default {_PORT}; 0 for any that is free"
-    )
-    add_ros_option(parser)
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "dashboard",
+    "dashboard --namespace /lab --port 9000",
+)
+@click.option("--namespace", default="bench", help="where the bench's topics are (default: bench)")
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    metavar="ADDRESS",
+    help="address to listen on (default: 127.0.0.1, this computer only)",
+)
+@click.option("--port", type=int, default=_PORT, help=f"default {_PORT}; 0 for any that is free")
+@ros_option
+def run(args: SimpleNamespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 then.
 
     Raises:
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     return asyncio.run(_serve(args))
 
 
-async def _serve(args: argparse.Namespace) -> int:
+async def _serve(args: SimpleNamespace) -> int:
     from sma_bench.dashboard.live_state import LiveState
     from sma_bench.dashboard.server import DashboardServer, is_loopback
     from sma_bench.ros.dashboard import listening_node
@@ -67,14 +67,19 @@ async def _serve(args: argparse.Namespace) -> int:
         loop.add_signal_handler(number, finish)
     namespace = "/" + args.namespace.strip("/")
     with listening_node(
-        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error),
+        namespace,
+        LiveState(),
+        lambda error: loop.call_soon_threadsafe(finish, error),
         ros_arguments(args),
     ) as node:
         namespace = node.get_namespace()  # ROS's arguments may name another
         server = DashboardServer(node, namespace, args.host, args.port)
         if not is_loopback(args.host):
-            print("sma-bench: note: others on the network who learn this address can see and stop "
-                  "the bench; it is not encrypted", file=sys.stderr)
+            print(
+                "sma-bench: note: others on the network who learn this address can see and stop "
+                "the bench; it is not encrypted",
+                file=sys.stderr,
+            )
         print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
         try:
             await end

@@ -4,47 +4,50 @@ Two acts (demo_acts): Table I of a wire, and a composite bench that hides an eff
 diagnosis has to name.
 """
 
-import argparse
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-from sma_bench.commands.parser import NEW, add_output
-from sma_bench.commands.terminal import WorkState, add_json_option, output_console, write_json
+import click
+
+from sma_bench.commands.options import NEW, command, json_option, output
+from sma_bench.commands.terminal import WorkState, output_console, write_json
 from sma_bench.errors import InputError
 
 _SEEDS = 2**31
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    add_output(
-        parser, "--out", NEW, metavar="DIR", help="new folder (default: sma_bench_demo_<time>)"
-    )
-    parser.add_argument(
-        "--speed", type=float, default=40.0, metavar="X",
-        help="at most X times real time (default 40)",
-    )
-    parser.add_argument(
-        "--draw", type=int, metavar="SEED",
-        help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
-        "the effect of this draw instead of one by the clock",
-    )
-    parser.add_argument(
-        "--paper", action="store_true",
-        help="Table I from the paper's own protocols, staircase and ramp, instead of the short "
-        "quick_staircase and quick_ramp: a minute more",
-    )
-    add_json_option(parser, "truth, estimates, diagnosis and the reports' paths")
-    parser.add_argument(
-        "--investigate", action="store_true",
-        help="instead of both acts, a bench in software, without ROS, whose first record leaves "
-        "two causes: followed up until one is named (half a minute)",
-    )
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "demo --draw 3",
+    "demo --out my_demo --draw 7 --json demo.json",
+)
+@output("--out", NEW, metavar="DIR", help="new folder (default: sma_bench_demo_<time>)")
+@click.option(
+    "--speed", type=float, default=40.0, metavar="X", help="at most X times real time (default 40)"
+)
+@click.option(
+    "--draw",
+    type=int,
+    metavar="SEED",
+    help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
+    "the effect of this draw instead of one by the clock",
+)
+@click.option(
+    "--paper",
+    is_flag=True,
+    help="Table I from the paper's own protocols, staircase and ramp, instead of the short "
+    "quick_staircase and quick_ramp: a minute more",
+)
+@json_option("truth, estimates, diagnosis and the reports' paths")
+@click.option(
+    "--investigate",
+    is_flag=True,
+    help="instead of both acts, a bench in software, without ROS, whose first record leaves "
+    "two causes: followed up until one is named (half a minute)",
+)
+def run(args: SimpleNamespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
     from sma_bench.commands.demo_acts import (
@@ -90,7 +93,8 @@ def _document(out: Path, acts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any
     """Truth, what was found, and where to read on."""
     kinds = {name: [act for act in acts if name in acts[act]] for name in ("truth", "report")}
     return {
-        "synthetic": True, "folder": str(out),
+        "synthetic": True,
+        "folder": str(out),
         "holds": {name: act["holds"] for name, act in acts.items()},
         **{kind: {act: acts[act][kind] for act in given} for kind, given in kinds.items()},
         "estimates": acts["table_one"]["estimates"],

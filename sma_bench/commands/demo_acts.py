@@ -1,6 +1,5 @@
 """The demo's acts: Table I of a simulated wire, a hidden effect to be named."""
 
-import argparse
 import json
 import subprocess
 from collections.abc import Iterator, Mapping
@@ -16,6 +15,7 @@ from sma_bench.cards import card_text
 from sma_bench.commands import investigate
 from sma_bench.commands.demo_stage import COMPILED_AFTER, DemoStage, recording_time
 from sma_bench.commands.diagnose import print_tables
+from sma_bench.commands.options import run_command
 from sma_bench.commands.terminal import WorkState, print_table, progress, write_json
 from sma_bench.compiled import is_compiled
 from sma_bench.diagnose.drives import Drive
@@ -500,15 +500,12 @@ def investigation_act(
     signals, markers = SimulatedRun(hidden, lab, seed).follow(protocol)
     made = {"how": "simulated bench", "source": str(hidden_file)}
     write_record(first, signals, markers=markers, provenance=made)
-    parser = argparse.ArgumentParser()
-    investigate.add_arguments(parser)
     story_file = out / "story.json"
     words = [
         str(first), "--params", str(lab_file()), "--folder", str(out / "gap"), "--signals",
         "deflection", "--simulated", str(hidden_file), "--yes", "--json", str(story_file),
     ]
-    given = argparse.Namespace(command_line=command_line)
-    investigate.run(parser.parse_args(words, given))
+    run_command(investigate.run, "sma-bench investigate", words)
     story = json.loads(story_file.read_text(encoding="utf-8"))
     effect = hidden_effect(hidden)
     console.print(f"[bold]The truth[/]: {effect}, from {escape(str(hidden_file))}", soft_wrap=True)

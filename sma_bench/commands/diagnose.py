@@ -1,18 +1,27 @@
 """sma-bench diagnose: where simulation and bench disagree, which effect causes it, how far."""
 
-import argparse
 from collections.abc import Container
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from sma_bench.border import printable
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
-from sma_bench.commands.terminal import (
-    add_figure_options,
-    add_json_option,
+from sma_bench.commands.options import (
+    FILE,
+    FOLDER,
+    Words,
+    argument,
     column_of,
+    command,
+    figure_options,
+    json_option,
+    output,
+    parameter_options,
+    parameters_from_options,
+    several,
+)
+from sma_bench.commands.terminal import (
     output_console,
     print_findings,
     print_table,
@@ -30,29 +39,38 @@ if TYPE_CHECKING:
 _CELLS_SHOWN = 6
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("records", nargs="+", metavar="RECORD", help="bag (folder, .mcap, .db3)")
-    add_parameter_options(parser)
-    parser.add_argument(
-        "--hold-out", metavar="RECORD", nargs="+", action="extend", default=[],
-        help="bags on which the shrinkage is measured, unseen by its fit",
-    )
-    parser.add_argument(
-        "--signals", metavar="QUANTITY", nargs="+", type=one_of(quantities),
-        help="compare these only, of current, temperature, deflection: what would the record "
-        "have shown without the others?",
-    )
-    add_json_option(parser, "the result")
-    add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with figures")
-    add_figure_options(parser)
-    add_output(
-        parser, "--out", FILE, metavar="improved.yaml",
-        help="write a ROS 2 parameter file with the improvement"
-    )
+def quantities() -> tuple[str, ...]:
+    """Quantities that a diagnosis compares."""
+    from sma_bench.estimation.observation import QUANTITIES
+
+    return QUANTITIES
 
 
-def run(args: argparse.Namespace) -> int:
+@command(
+    "diagnose my_bag --params lab.yaml --hold-out other_bag --report gap",
+    "diagnose my_bag --params lab.yaml --signals deflection --json diagnosis.json",
+)
+@argument("records", metavar="RECORD", nargs=-1, required=True, help="bag (folder, .mcap, .db3)")
+@parameter_options
+@several(
+    "--hold-out",
+    metavar="RECORD",
+    help="bags on which the shrinkage is measured, unseen by its fit",
+)
+@several(
+    "--signals",
+    metavar="QUANTITY",
+    type=Words(quantities),
+    help="compare these only, of current, temperature, deflection: what would the record "
+    "have shown without the others?",
+)
+@json_option("the result")
+@output("--report", FOLDER, metavar="DIR", help="write a page with figures")
+@figure_options()
+@output(
+    "--out", FILE, metavar="improved.yaml", help="write a ROS 2 parameter file with the improvement"
+)
+def run(args: SimpleNamespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
     from sma_bench.tasks.work import diagnose_files, write_improved
 
@@ -76,13 +94,6 @@ def run(args: argparse.Namespace) -> int:
             page = write_diagnosis_report(args.report, result, report, made, column)
         say(f"report {page}")
     return 0
-
-
-def quantities() -> tuple[str, ...]:
-    """Quantities that a diagnosis compares."""
-    from sma_bench.estimation.observation import QUANTITIES
-
-    return QUANTITIES
 
 
 def print_result(result: "Diagnosis", asked: Invocation) -> None:

@@ -1,21 +1,24 @@
 """sma-bench effects: what the paper's model leaves out, as a table or as the documentation page."""
 
-import argparse
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.terminal import add_json_option, output_console, print_table, write_json
+import click
+
+from sma_bench.commands.options import command, json_option
+from sma_bench.commands.terminal import output_console, print_table, write_json
 
 if TYPE_CHECKING:
     from sma_bench.parameters.parameter import Effect
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("--markdown", action="store_true", help="print the documentation page")
-    add_json_option(parser, "the table")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "effects",
+    "effects --json effects.json",
+)
+@click.option("--markdown", is_flag=True, help="print the documentation page")
+@json_option("the table")
+def run(args: SimpleNamespace) -> int:
     """Print the table or the page."""
     from sma_bench.parameters.documentation import effects_page, range_of
     from sma_bench.parameters.parameter import EFFECTS

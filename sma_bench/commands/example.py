@@ -1,24 +1,23 @@
 """sma-bench example: the files of a documentation page, or a rig's parameters, in a new folder."""
 
-import argparse
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
-from sma_bench.commands.parser import FOLDER, add_output, keep_safe
+from sma_bench.commands.options import FOLDER, argument, command, keep_safe, output
 from sma_bench.commands.terminal import say
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="page or rig; all are listed without it"
-    )
-    add_output(parser, "--out", FOLDER, metavar="FOLDER", help="folder to make (default: NAME)")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "example",
+    "example ten_tasks",
+    "example wire_rig --out my_rig",
+)
+@argument("name", metavar="NAME", required=False, help="page or rig; all are listed without it")
+@output("--out", FOLDER, metavar="FOLDER", help="folder to make (default: NAME)")
+def run(args: SimpleNamespace) -> int:
     """Copy the files of one example; a rig of config/ becomes a lab.yaml."""
     share = share_directory()
     files = {

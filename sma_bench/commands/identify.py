@@ -1,16 +1,26 @@
 """sma-bench identify: parameters of Table I from bags and instrument files."""
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import click
 
 from sma_bench.cards import is_misfit
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FILE, FOLDER, add_output, one_of
-from sma_bench.commands.terminal import (
-    add_figure_options,
-    add_json_option,
+from sma_bench.commands.options import (
+    FILE,
+    FOLDER,
+    Words,
+    argument,
     column_of,
+    command,
+    figure_options,
+    json_option,
+    output,
+    parameter_options,
+    parameters_from_options,
+)
+from sma_bench.commands.terminal import (
     output_console,
     print_findings,
     print_table,
@@ -18,6 +28,7 @@ from sma_bench.commands.terminal import (
     say,
     write_json,
 )
+from sma_bench.errors import InputError
 from sma_bench.results import Invocation
 
 MISFIT = 3  # exit status: the model does not fit the records
@@ -26,34 +37,50 @@ if TYPE_CHECKING:
     from sma_bench.identify import Identification
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "records", nargs="+", metavar="RECORD", help="bag (folder, .mcap, .db3) or instrument file"
-    )
-    add_parameter_options(parser)
-    parser.add_argument(
-        "--experiment", action="append", type=one_of(experiments), dest="experiments",
-        metavar="EXPERIMENT",
-        help="do this one only, of E1, E2, ... E10 (repeatable; default: all that the records "
-        "hold)",
-    )
-    parser.add_argument(
-        "--phase", action="append", type=phase_of, dest="phases", metavar="FILE=PHASE", default=[],
-        help="of a tensile test: martensite or austenite (repeatable; FILE may be a pattern as "
-        "'cold*'), where neither its file nor M_f and A_f of the wire tell",
-    )
-    parser.add_argument("--namespace", help="where two benches are in one bag: the one to take")
-    add_output(
-        parser, "--out", FILE, metavar="identified.yaml",
-        help="write a ROS 2 parameter file that nodes load"
-    )
-    add_json_option(parser, "the result")
-    add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with figures")
-    add_figure_options(parser)
+def experiments() -> tuple[str, ...]:
+    """Experiments that parameters are identified from."""
+    from sma_bench.identify import EXPERIMENTS
+
+    return EXPERIMENTS
 
 
-def run(args: argparse.Namespace) -> int:
+@command(
+    "identify my_bag --params lab.yaml --out identified.yaml",
+    "identify staircase ramp DSC.txt --report identified --json identified.json",
+    "identify my_bag --experiment E1 --set wire.mass=0.09e-3",
+)
+@argument(
+    "records",
+    metavar="RECORD",
+    nargs=-1,
+    required=True,
+    help="bag (folder, .mcap, .db3) or instrument file",
+)
+@parameter_options
+@click.option(
+    "--experiment",
+    "experiments",
+    type=Words(experiments),
+    metavar="EXPERIMENT",
+    multiple=True,
+    help="do this one only, of E1, E2, ... E10 (repeatable; default: all that the records hold)",
+)
+@click.option(
+    "--phase",
+    "phases",
+    metavar="FILE=PHASE",
+    multiple=True,
+    help="of a tensile test: martensite or austenite (repeatable; FILE may be a pattern as "
+    "'cold*'), where neither its file nor M_f and A_f of the wire tell",
+)
+@click.option("--namespace", help="where two benches are in one bag: the one to take")
+@output(
+    "--out", FILE, metavar="identified.yaml", help="write a ROS 2 parameter file that nodes load"
+)
+@json_option("the result")
+@output("--report", FOLDER, metavar="DIR", help="write a page with figures")
+@figure_options()
+def run(args: SimpleNamespace) -> int:
     """Identify, print a table, write the files that were asked for; 3 where the model does not
     fit the records."""
     from sma_bench.tasks.work import identify_files, write_identified
@@ -61,7 +88,12 @@ def run(args: argparse.Namespace) -> int:
     parameters, column = parameters_from_options(args), column_of(args)
     with progress("identify") as report:
         result = identify_files(
-            args.records, parameters, args.experiments, args.namespace, report, dict(args.phases)
+            args.records,
+            parameters,
+            args.experiments or None,
+            args.namespace,
+            report,
+            dict(map(phase_of, args.phases)),
         )
     if args.json:
         write_json(args.json, result.to_json())
@@ -79,25 +111,18 @@ def run(args: argparse.Namespace) -> int:
     return MISFIT if is_misfit(result.shown) else 0
 
 
-def _asked(args: argparse.Namespace) -> Invocation:
+def _asked(args: SimpleNamespace) -> Invocation:
     """What advice depends on; only bags can be diagnosed."""
     bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
     return Invocation(tuple(bags), args.params or "", args.out or "", args.report or "")
 
 
-def phase_of(text: str) -> tuple[str, str]:
+def phase_of(text: str) -> tuple[str, Any]:
     """FILE=PHASE in two; whether there is such a file and phase is told by who reads them."""
     file, _, phase = text.rpartition("=")
     if not file:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected FILE=martensite or FILE=austenite")
+        raise InputError(f"--phase {text!r}, expected FILE=martensite or FILE=austenite")
     return file, phase
-
-
-def experiments() -> tuple[str, ...]:
-    """Experiments that parameters are identified from."""
-    from sma_bench.identify import EXPERIMENTS
-
-    return EXPERIMENTS
 
 
 def print_result(result: "Identification", asked: Invocation) -> None:
@@ -112,9 +137,7 @@ def print_result(result: "Identification", asked: Invocation) -> None:
 
     console, text = output_console(), identification_text(result.shown, asked)
     if max(map(len, text.splitlines())) > console.width:  # the table is folded, not the lines
-        title, *below = title_apart(
-            identification_card(result.shown, False, asked), console.width
-        )
+        title, *below = title_apart(identification_card(result.shown, False, asked), console.width)
         print_table(console, NUMBER_HEADER, number_rows(result.shown), title=title)
         text = "\n".join(below)
     console.print(f"{text}\n", markup=False, soft_wrap=True)

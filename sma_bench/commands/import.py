@@ -1,12 +1,25 @@
 """sma-bench import: tables of other loggers to bags of the contract."""
 
-import argparse
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from sma_bench.commands.parser import BAG, FILE, OWN, add_output, keep_safe, paths_in
-from sma_bench.commands.terminal import add_json_option, print_findings, write_json
+import click
+
+from sma_bench.commands.options import (
+    BAG,
+    FILE,
+    OWN,
+    Files,
+    argument,
+    command,
+    json_option,
+    keep_safe,
+    output,
+    paths_in,
+)
+from sma_bench.commands.terminal import print_findings, write_json
 from sma_bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,28 +28,39 @@ if TYPE_CHECKING:
 MAP_SUFFIX = ".map.yaml"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "files", metavar="FILE", nargs="+",
-        help="CSV, TSV or text, Excel (.xlsx), MATLAB (.mat), HDF5 or Parquet; each is one run",
-    )
-    parser.add_argument(
-        "--map", metavar="MAP.yaml", dest="map_file",
-        help="which column is what; proposed and written beside --out when not given",
-    )
-    parser.add_argument(
-        "--params", metavar="P.yaml",
-        help="the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
-    )
-    add_output(
-        parser, "--out", OWN, metavar="BAG", required=True,
-        help="bag to write (new folder); of several files, a folder with a bag for each",
-    )
-    add_json_option(parser, "what was imported")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "import run.csv --params rig.yaml --out run",
+    "import monday.xlsx tuesday.xlsx --map run.map.yaml --out week --json week.json",
+)
+@argument(
+    "files",
+    metavar="FILE",
+    nargs=-1,
+    required=True,
+    help="CSV, TSV or text, Excel (.xlsx), MATLAB (.mat), HDF5 or Parquet; each is one run",
+)
+@click.option(
+    "--map",
+    "map_file",
+    metavar="MAP.yaml",
+    type=Files(),
+    help="which column is what; proposed and written beside --out when not given",
+)
+@click.option(
+    "--params",
+    metavar="P.yaml",
+    type=Files(),
+    help="the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
+)
+@output(
+    "--out",
+    OWN,
+    metavar="BAG",
+    required=True,
+    help="bag to write (new folder); of several files, a folder with a bag for each",
+)
+@json_option("what was imported")
+def run(args: SimpleNamespace) -> int:
     """Read every file, then write every bag: a file that is wrong leaves none of them."""
     from sma_bench.records.import_map import read_map
     from sma_bench.records.import_proposal import BenchHints
@@ -73,7 +97,7 @@ def _outputs(files: list[Path], out: Path) -> list[tuple[Path, Path]]:
     return [(file, out / stem) for file, stem in zip(files, stems, strict=True)]
 
 
-def _protect(args: argparse.Namespace, outputs: list[tuple[Path, Path]]) -> None:
+def _protect(args: SimpleNamespace, outputs: list[tuple[Path, Path]]) -> None:
     """No output replaces a file without --force, and no input ever."""
     inputs = paths_in([args.files, args.map_file, args.params])
     targets = {str(out): (out, BAG) for _, out in outputs}
@@ -88,7 +112,7 @@ def _map_of(out: Path) -> Path:
 
 
 def _read(
-    source: Path, out: Path, given: Any, bench: "BenchHints", args: argparse.Namespace
+    source: Path, out: Path, given: Any, bench: "BenchHints", args: SimpleNamespace
 ) -> dict[str, Any]:
     from sma_bench.records.import_map import convert, map_text
     from sma_bench.records.import_proposal import propose

@@ -1,14 +1,15 @@
 """sma-bench info: what a record holds, and whether it can be trusted."""
 
-import argparse
+from types import SimpleNamespace
 from typing import Any
 
+import click
 from rich.console import Console
 from rich.markup import escape
 
 from sma_bench.border import printable
+from sma_bench.commands.options import argument, command, json_option
 from sma_bench.commands.terminal import (
-    add_json_option,
     output_console,
     print_findings,
     print_table,
@@ -61,14 +62,14 @@ _BRANCH_COLUMNS: _Columns = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("record", metavar="RECORD", help="bag, storage file or instrument file")
-    parser.add_argument("--namespace", help="look only at the topics below this namespace")
-    add_json_option(parser, "what is shown")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "info my_bag",
+    "info two_benches --namespace /left --json info.json",
+)
+@argument("record", metavar="RECORD", help="bag, storage file or instrument file")
+@click.option("--namespace", help="look only at the topics below this namespace")
+@json_option("what is shown")
+def run(args: SimpleNamespace) -> int:
     """Print topics, signals and findings, whatever they say.
 
     Raises:
@@ -145,7 +146,10 @@ def _show_tensile(console: Console, description: dict[str, Any]) -> None:
 
 
 _SHOW = {
-    "bag": _show_bag, "dsc": _show_dsc, "isobaric": _show_isobaric, "tensile": _show_tensile,
+    "bag": _show_bag,
+    "dsc": _show_dsc,
+    "isobaric": _show_isobaric,
+    "tensile": _show_tensile,
 }
 
 

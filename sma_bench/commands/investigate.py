@@ -1,23 +1,27 @@
 """sma-bench investigate: record, diagnose, propose, run, until the cause is named."""
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+import click
+
 from sma_bench.commands.diagnose import quantities
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import one_of
-from sma_bench.commands.terminal import (
-    add_json_option,
-    output_console,
-    print_table,
-    progress,
-    say,
-    write_json,
+from sma_bench.commands.options import (
+    Files,
+    Words,
+    argument,
+    command,
+    json_option,
+    one_only,
+    parameter_options,
+    parameters_from_options,
+    several,
 )
+from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import node_groups
@@ -31,40 +35,45 @@ _YES = ("y", "yes")
 Runner = Callable[["NextRun"], None]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "records", nargs="*", metavar="RECORD", help="bags that there are already"
-    )
-    add_parameter_options(parser)
-    parser.add_argument(
-        "--folder", required=True, metavar="DIR",
-        help="records, diagnoses and the story; the same folder goes on where it was stopped",
-    )
-    parser.add_argument(
-        "--budget", type=float, default=30.0, metavar="MINUTES",
-        help="that the bench may be driven in all (default 30)",
-    )
-    parser.add_argument("--yes", action="store_true", help="run what is proposed without asking")
-    parser.add_argument(
-        "--signals", metavar="QUANTITY", nargs="+", type=one_of(quantities),
-        help="compare these only, of current, temperature, deflection",
-    )
-    bench = parser.add_mutually_exclusive_group()
-    bench.add_argument(
-        "--simulated", metavar="BENCH.yaml",
-        help="a bench in software that is what this file says, without ROS",
-    )
-    bench.add_argument(
-        "--namespace", default="/bench", help="of the running experiment node (default /bench)"
-    )
-    add_json_option(parser, "the story")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "investigate --params lab.yaml --folder gap --budget 20",
+    "investigate my_bag --params lab.yaml --folder gap --simulated bench.yaml --yes",
+)
+@argument("records", metavar="RECORD", nargs=-1, help="bags that there are already")
+@parameter_options
+@click.option(
+    "--folder",
+    required=True,
+    metavar="DIR",
+    help="records, diagnoses and the story; the same folder goes on where it was stopped",
+)
+@click.option(
+    "--budget",
+    type=float,
+    default=30.0,
+    metavar="MINUTES",
+    help="that the bench may be driven in all (default 30)",
+)
+@click.option("--yes", is_flag=True, help="run what is proposed without asking")
+@several(
+    "--signals",
+    metavar="QUANTITY",
+    type=Words(quantities),
+    help="compare these only, of current, temperature, deflection",
+)
+@click.option(
+    "--simulated",
+    metavar="BENCH.yaml",
+    type=Files(),
+    help="a bench in software that is what this file says, without ROS",
+)
+@click.option("--namespace", help="of the running experiment node (default /bench)")
+@json_option("the story")
+def run(args: SimpleNamespace) -> int:
     """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
     from sma_bench.tasks.investigation import HEADER, OPEN, TEST, Investigation
 
+    one_only(args, "simulated", "namespace")
     if not args.budget > 0.0:
         raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
     case = Investigation(args.folder, args.budget, args.signals or quantities())
@@ -86,9 +95,11 @@ def run(args: argparse.Namespace) -> int:
         print_table(output_console(), HEADER, case.rows(), (0, 1), title="the story")
         say(f"{case.summary()}; page {case.write_page(args.command_line)}")
         if case.state == TEST:
-            say(f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
+            say(
+                f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
                 f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "
-                "on with the same command")
+                "on with the same command"
+            )
     if args.json:
         write_json(args.json, case.to_json())
     return 0
@@ -97,8 +108,10 @@ def run(args: argparse.Namespace) -> int:
 def _agreed(following: "NextRun", yes: bool) -> bool:
     """Whether the wires may be driven so."""
     offer = following.to_json()
-    say(f"next: {offer['protocol']}, {offer['minutes']:.1f} min, up to {offer['volts']:.2f} V "
-        f"({offer['file']})")
+    say(
+        f"next: {offer['protocol']}, {offer['minutes']:.1f} min, up to {offer['volts']:.2f} V "
+        f"({offer['file']})"
+    )
     if yes:
         return True
     if not sys.stdin.isatty():
@@ -125,7 +138,7 @@ def _simulated(bench: str, believed: Parameters) -> Runner:
     return follow
 
 
-def _bench(args: argparse.Namespace) -> Runner:
+def _bench(args: SimpleNamespace) -> Runner:
     """The experiment node of a bench that runs, and a recorder of our own."""
 
     def follow(run: "NextRun") -> None:
@@ -135,7 +148,7 @@ def _bench(args: argparse.Namespace) -> Runner:
             raise InputError(
                 f"investigate: {error.name} is not installed: nodes need ROS 2, --simulated none"
             ) from None
-        protocol, namespace = run.protocol, "/" + args.namespace.strip("/")
+        protocol, namespace = run.protocol, "/" + (args.namespace or "bench").strip("/")
         with progress(protocol.name) as report, BenchClient(namespace) as client:
             client.run_recorded(
                 run.file, protocol.name, protocol.duration, run.bag, lambda s: report(0.0, s)

@@ -1,19 +1,24 @@
 """sma-bench linearise: the paper's linearised model (E11) about any operating point of any rig."""
 
-import argparse
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FOLDER, add_output
-from sma_bench.commands.terminal import (
-    add_figure_options,
-    add_json_option,
+import click
+
+from sma_bench.commands.options import (
+    FOLDER,
+    Words,
     column_of,
-    output_console,
-    print_table,
-    say,
-    write_json,
+    command,
+    figure_options,
+    json_option,
+    one_only,
+    output,
+    parameter_options,
+    parameters_from_options,
+    several,
 )
+from sma_bench.commands.terminal import output_console, print_table, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 
@@ -24,37 +29,47 @@ if TYPE_CHECKING:
 BRANCHES = ("heating", "cooling")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--deflection", type=float, metavar="M",
-        help="signed deflection of the point, its side driven evenly (default: half of "
-        "the largest to the front, as the paper)",
-    )
-    where.add_argument(
-        "--voltage", type=float, nargs="+", metavar="V",
-        help="held commands, one for all wires or one each, on a full loop",
-    )
-    where.add_argument(
-        "--temperature", type=float, nargs="+", metavar="K",
-        help="wire temperatures, one for all or one each, on a full loop",
-    )
-    parser.add_argument(
-        "--branch", choices=BRANCHES, default="heating", help="of the changes to come"
-    )
-    parser.add_argument("--latent-heat", type=float, default=0.0, metavar="J/KG",
-                        help="of eq. (1); 0 as in the paper's eq. (2)")
-    add_json_option(parser, "point, coefficients and state space")
-    add_output(parser, "--report", FOLDER, metavar="DIR", help="write a page with the figure")
-    add_figure_options(parser)
-    add_parameter_options(parser)
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "linearise --params config/composite_rig.yaml",
+    "linearise --params lab.yaml --deflection 0.02 --branch cooling --report tangent",
+    "linearise --params lab.yaml --voltage 4.6 --json linear.json",
+)
+@click.option(
+    "--deflection",
+    type=float,
+    metavar="M",
+    help="signed deflection of the point, its side driven evenly (default: half of "
+    "the largest to the front, as the paper)",
+)
+@several(
+    "--voltage",
+    type=float,
+    metavar="V",
+    help="held commands, one for all wires or one each, on a full loop",
+)
+@several(
+    "--temperature",
+    type=float,
+    metavar="K",
+    help="wire temperatures, one for all or one each, on a full loop",
+)
+@click.option("--branch", default="heating", type=Words(BRANCHES), help="of the changes to come")
+@click.option(
+    "--latent-heat",
+    type=float,
+    default=0.0,
+    metavar="J/KG",
+    help="of eq. (1); 0 as in the paper's eq. (2)",
+)
+@json_option("point, coefficients and state space")
+@output("--report", FOLDER, metavar="DIR", help="write a page with the figure")
+@figure_options()
+@parameter_options
+def run(args: SimpleNamespace) -> int:
     """Print point, coefficients as printed and corrected, gains; write what was asked for."""
     from sma_bench.physics.linearised import linearise
 
+    one_only(args, "deflection", "voltage", "temperature")
     parameters, column = parameters_from_options(args), column_of(args)
     point = _point(args, parameters)
     model = linearise(point, args.latent_heat)
@@ -71,23 +86,29 @@ def run(args: argparse.Namespace) -> int:
 
         picture = operating_point_picture(model)
         made = Made(args.command_line, [*filter(None, [args.params])])
-        tables = [Table(*points, frozenset(range(1, 6)), "operating_point"),
-                  Table(*coefficients, frozenset({2, 3}), "coefficients", "Coefficients")]
+        tables = [
+            Table(*points, frozenset(range(1, 6)), "operating_point"),
+            Table(*coefficients, frozenset({2, 3}), "coefficients", "Coefficients"),
+        ]
         sections = [Section(title.capitalize(), tables=tables, pictures=[picture]), made.section()]
-        page = write_report(args.report, "Linearised model",
-                            f"E11, eqs. (18) to (23), corrected. {made.head}", sections,
-                            column=column)
+        page = write_report(
+            args.report,
+            "Linearised model",
+            f"E11, eqs. (18) to (23), corrected. {made.head}",
+            sections,
+            column=column,
+        )
         say(f"report {page}")
     return 0
 
 
-def _point(args: argparse.Namespace, parameters: Parameters) -> "OperatingPoint":
+def _point(args: SimpleNamespace, parameters: Parameters) -> "OperatingPoint":
     from sma_bench.physics.operating_point import OperatingPoint, full_stroke
 
     wires = len(parameters["bench.channels"])
     for name in ("voltage", "temperature"):
         given = getattr(args, name)
-        if given is None:
+        if not given:
             continue
         if len(given) not in (1, wires):
             raise InputError(f"--{name}: {len(given)} numbers, expected 1 or {wires}")
@@ -109,16 +130,23 @@ def document(model: "Linearised") -> dict[str, Any]:
     channels = point.parameters["bench.channels"]
     return {
         "operating_point": {
-            "branch": point.branch, "deflection": point.deflection,
+            "branch": point.branch,
+            "deflection": point.deflection,
             "voltage": dict(zip(channels, point.voltage.tolist(), strict=True)),
             "temperature": dict(zip(channels, point.temperature.tolist(), strict=True)),
             "martensite_fraction": dict(
-                zip(channels, point.martensite_fraction.tolist(), strict=True)),
+                zip(channels, point.martensite_fraction.tolist(), strict=True)
+            ),
             "stress": dict(zip(channels, point.stress.tolist(), strict=True)),
         },
         "coefficients": {
-            row.name: {"equation": row.equation, "unit": row.unit, "printed": row.printed,
-                       "corrected": row.corrected, "remark": row.remark}
+            row.name: {
+                "equation": row.equation,
+                "unit": row.unit,
+                "printed": row.printed,
+                "corrected": row.corrected,
+                "remark": row.remark,
+            }
             for row in coefficient_table(point, _wire(model))
         },
         "state_space": {
@@ -129,7 +157,8 @@ def document(model: "Linearised") -> dict[str, Any]:
         },
         "poles": np.linalg.eigvals(space.A).real.tolist(),
         "deflection_per_volt": dict(
-            zip(channels, model.deflection_per_volt().tolist(), strict=True)),
+            zip(channels, model.deflection_per_volt().tolist(), strict=True)
+        ),
     }
 
 
@@ -149,9 +178,14 @@ def _tables(model: "Linearised") -> tuple[tuple[Any, Any], tuple[Any, Any]]:
 
     point, gains = model.point, model.deflection_per_volt()
     rows = [
-        (channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
-         f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
-         f"{1e3 * gains[k]:.4g}")
+        (
+            channel,
+            f"{point.voltage[k]:.4g}",
+            f"{point.temperature[k]:.2f}",
+            f"{point.martensite_fraction[k]:.4f}",
+            f"{point.stress[k] / 1e6:.4g}",
+            f"{1e3 * gains[k]:.4g}",
+        )
         for k, channel in enumerate(point.parameters["bench.channels"])
     ]
     table = [

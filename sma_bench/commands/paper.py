@@ -1,19 +1,21 @@
 """sma-bench paper: the figures and tables of the paper redrawn from data, and its errata."""
 
-import argparse
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FOLDER, add_output
-from sma_bench.commands.terminal import (
-    add_figure_options,
-    add_json_option,
+from sma_bench.commands.options import (
+    FOLDER,
+    argument,
     column_of,
-    print_findings,
-    progress,
-    write_json,
+    command,
+    figure_options,
+    json_option,
+    output,
+    parameter_options,
+    parameters_from_options,
 )
+from sma_bench.commands.terminal import print_findings, progress, write_json
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import in_turn, part
 
@@ -36,22 +38,22 @@ _READ, _COMPARED = 0.05, 0.5
 _MIXED = "From the records given ({given}) where they allow, else from synthetic data, as marked."
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "records", nargs="*", metavar="RECORD",
-        help="bags and instrument files to draw from instead of synthetic data; --params without "
-        "any draws the page of a simulated wire and composite of these parameters",
-    )
-    add_output(
-        parser, "--out", FOLDER, metavar="DIR", required=True, help="folder to write to"
-    )
-    add_figure_options(parser)
-    add_json_option(parser, "tables and errata")
-    add_parameter_options(parser)
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "paper --out paper",
+    "paper staircase ramp --params lab.yaml --out paper --json paper.json",
+)
+@argument(
+    "records",
+    metavar="RECORD",
+    nargs=-1,
+    help="bags and instrument files to draw from instead of synthetic data; --params without "
+    "any draws the page of a simulated wire and composite of these parameters",
+)
+@output("--out", FOLDER, metavar="DIR", required=True, help="folder to write to")
+@figure_options()
+@json_option("tables and errata")
+@parameter_options
+def run(args: SimpleNamespace) -> int:
     """Write index.html, one PNG a figure and one CSV a table."""
     from sma_bench.commands.paper_drawing import paper_page, to_json
     from sma_bench.records import open_record
@@ -71,8 +73,12 @@ def run(args: argparse.Namespace) -> int:
         drawing = part(report, _COMPARED, 1.0)
         made = Made(args.command_line, [*args.records, *filter(None, [args.params])])
         index = write_report(
-            args.out, _TITLE, f"{summary} {made.head}", [*page.sections(), made.section()],
-            column=column, report=drawing,
+            args.out,
+            _TITLE,
+            f"{summary} {made.head}",
+            [*page.sections(), made.section()],
+            column=column,
+            report=drawing,
         )
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(rows))

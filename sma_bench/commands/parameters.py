@@ -1,72 +1,34 @@
-"""sma-bench parameters: every parameter, or a file to start from; options of all that take them."""
+"""sma-bench parameters: every parameter, or a file to start from."""
 
-import argparse
-from typing import Any
+from types import SimpleNamespace
 
-from sma_bench.border import load_yaml
-from sma_bench.commands.parser import FILE, add_output
-from sma_bench.commands.terminal import add_json_option, output_console, print_table, write_json
-from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters, read_parameters, write_parameters
+import click
+
+from sma_bench.commands.options import (
+    FILE,
+    command,
+    json_option,
+    output,
+    parameter_options,
+    parameters_from_options,
+)
+from sma_bench.commands.terminal import output_console, print_table, write_json
+from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import parameter_page
-from sma_bench.parameters.node_tables import NODE_TABLES, node_groups
+from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.table import TABLE
-from sma_bench.parameters.yaml_file import split_names
-
-# --- Options that every command taking parameters shares.
 
 
-def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Add --params and --set."""
-    parser.add_argument(
-        "--params", metavar="P.yaml", help="ROS 2 parameter file (default: the paper's Table I)"
-    )
-    parser.add_argument(
-        "--set", metavar="NAME=VALUE", action="append", default=[], dest="overrides",
-        help="override one parameter, e.g. --set wire.resistance=2.8 (repeatable)",
-    )
-
-
-def parameters_from_options(args: argparse.Namespace) -> Parameters:
-    """Parameters of --params with the --set overrides applied.
-
-    Raises:
-        InputError: bad file, unknown name, wrong type or value, in one line.
-    """
-    parameters = Parameters.defaults()
-    if args.params:
-        parameters = read_parameters(args.params, ignore=node_groups())
-    values, uncertainty = split_names(dict(named_value(text) for text in args.overrides))
-    return parameters.replace(values, uncertainty, "--set")
-
-
-def named_value(text: str) -> tuple[str, Any]:
-    """NAME=VALUE, the value as YAML has it.
-
-    Raises:
-        InputError: it is not that.
-    """
-    name, equals, value = text.partition("=")
-    if not equals or not name:
-        raise InputError(f"--set {text}: expected NAME=VALUE")
-    try:
-        return name.strip(), load_yaml(value)
-    except InputError:
-        raise InputError(f"--set {text}: {value!r} is not a value") from None
-
-
-# --- The command.
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    add_parameter_options(parser)
-    parser.add_argument("--markdown", action="store_true", help="print the documentation page")
-    add_output(parser, "--out", FILE, metavar="P.yaml", help="write a ROS 2 parameter file")
-    add_json_option(parser, "the table")
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "parameters",
+    "parameters --set wire.resistance=2.8 --out lab.yaml",
+)
+@parameter_options
+@click.option("--markdown", is_flag=True, help="print the documentation page")
+@output("--out", FILE, metavar="P.yaml", help="write a ROS 2 parameter file")
+@json_option("the table")
+def run(args: SimpleNamespace) -> int:
     """Print the table, the page, or write the file."""
     parameters = parameters_from_options(args)
     if args.json:

@@ -1,40 +1,50 @@
 """sma-bench report: records and result files as one page that opens from disk and prints."""
 
-import argparse
+from types import SimpleNamespace
 
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import FOLDER, add_output
-from sma_bench.commands.terminal import (
-    add_figure_options,
-    add_json_option,
+import click
+
+from sma_bench.commands.options import (
+    FOLDER,
+    argument,
     column_of,
-    progress,
-    say,
-    write_json,
+    command,
+    figure_options,
+    json_option,
+    output,
+    parameter_options,
+    parameters_from_options,
 )
+from sma_bench.commands.terminal import progress, say, write_json
 from sma_bench.progress import in_turn, part
 
 _READING = 0.3  # of the time, about
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument(
-        "inputs", nargs="+", metavar="RECORD|RESULT",
-        help="bag, instrument file, or a result of identify or diagnose (.json)",
-    )
-    add_output(
-        parser, "--out", FOLDER, metavar="DIR", required=True,
-        help="folder for index.html, and its figures (PNG, SVG, PDF) and tables (CSV) for papers",
-    )
-    add_figure_options(parser, "double")
-    parser.add_argument("--title", default="SMA bench report", help="head of the page")
-    parser.add_argument("--namespace", help="where two benches are in one bag: the one to show")
-    add_json_option(parser, "summary and provenance")
-    add_parameter_options(parser)
-
-
-def run(args: argparse.Namespace) -> int:
+@command(
+    "report my_bag --out my_report",
+    "report my_bag identified.json diagnosis.json --params lab.yaml --out my_report",
+)
+@argument(
+    "inputs",
+    metavar="RECORD|RESULT",
+    nargs=-1,
+    required=True,
+    help="bag, instrument file, or a result of identify or diagnose (.json)",
+)
+@output(
+    "--out",
+    FOLDER,
+    metavar="DIR",
+    required=True,
+    help="folder for index.html, and its figures (PNG, SVG, PDF) and tables (CSV) for papers",
+)
+@figure_options("double")
+@click.option("--title", default="SMA bench report", help="head of the page")
+@click.option("--namespace", help="where two benches are in one bag: the one to show")
+@json_option("summary and provenance")
+@parameter_options
+def run(args: SimpleNamespace) -> int:
     """Read everything, then write everything; 0 whatever the inputs say."""
     from sma_bench.report.collected_report import (
         answers,
@@ -58,8 +68,12 @@ def run(args: argparse.Namespace) -> int:
             sections.append(parameter_section(parameters, given))
         sections.append(made.section())
         page = write_report(
-            args.out, args.title, f"{counted(shown)}. {made.head}", sections,
-            column=column, report=part(report, _READING, 1.0),
+            args.out,
+            args.title,
+            f"{counted(shown)}. {made.head}",
+            sections,
+            column=column,
+            report=part(report, _READING, 1.0),
         )
     if args.json:
         write_json(args.json, document(shown, args.command_line, page))

@@ -2,40 +2,56 @@
 
 import runpy
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable
+from types import SimpleNamespace
 
-from sma_bench.commands.parser import EXAMPLES, example_text
+import click
+
+from sma_bench.commands import COMMANDS
+from sma_bench.commands.options import Words, argument, command
 from sma_bench.errors import InputError
-from sma_bench.parameters.node_tables import NODE_TABLES
 
 NETWORK_OPTION = "--network"
 
 
-def run(arguments: Sequence[str]) -> int:
+def _nodes() -> Iterable[str]:
+    from sma_bench.parameters.node_tables import NODE_TABLES
+
+    return sorted(NODE_TABLES)
+
+
+@command(
+    "run simulator --ros-args -r __ns:=/bench --params-file config/wire_rig.yaml",
+    "run experiment --ros-args -r __ns:=/bench -p protocol:=ramp",
+    "run simulator --help",
+    about=f"{COMMANDS['run']}\n\nnodes: {', '.join(_nodes())}",
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "ignore_unknown_options": True,
+        "allow_interspersed_args": False,  # what follows NODE is the node's
+    },
+)
+@argument("node", metavar="NODE", type=Words(_nodes), help="node to run")
+@argument(
+    "rest",
+    metavar="[--network] [--ros-args ...]",
+    nargs=-1,
+    type=click.UNPROCESSED,
+    help="--network lets other machines of the network reach the node; else this one only, unless "
+    "ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET",
+)
+def run(args: SimpleNamespace) -> int:
     """Run a node until it ends.
 
     Raises:
-        InputError: no such node, or no ROS 2 in this environment.
+        InputError: no ROS 2 in this environment.
     """
-    nodes = ", ".join(sorted(NODE_TABLES))
-    if not arguments or arguments[0] in ("-h", "--help"):
-        examples = example_text(EXAMPLES["run"])
-        print(
-            f"usage: sma-bench run NODE [{NETWORK_OPTION}] [--ros-args ...]\n\n"
-            f"  {NETWORK_OPTION}  let other machines of the network reach the node; else this one\n"
-            "             only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET\n\n"
-            f"nodes: {nodes}\n\n{examples}"
-        )
-        return 0
-    name, *rest = arguments
-    network = rest[:1] == [NETWORK_OPTION]
-    if name not in NODE_TABLES:
-        raise InputError(f"run: no node {name!r}, expected one of: {nodes}")
-    if network:
+    rest = list(args.rest)
+    if network := rest[:1] == [NETWORK_OPTION]:
         from sma_bench.ros.processes import choose_discovery
 
         choose_discovery(network=True)
-    sys.argv[1:] = [name, *rest[network:]]
+    sys.argv[1:] = [args.node, *rest[network:]]
     # As `python -m` would, and it ends this process: commands know of nodes as little as these of
     # commands.
     try:

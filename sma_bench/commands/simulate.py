@@ -1,20 +1,25 @@
 """sma-bench simulate: the paper's model on a protocol or on the voltages of a bag."""
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from sma_bench.commands.parameters import add_parameter_options, parameters_from_options
-from sma_bench.commands.parser import BAG, add_output
-from sma_bench.commands.terminal import (
-    add_json_option,
-    print_findings,
-    progress,
-    say,
-    write_json,
+import click
+
+from sma_bench.commands.options import (
+    BAG,
+    Files,
+    Words,
+    command,
+    json_option,
+    one_only,
+    output,
+    parameter_options,
+    parameters_from_options,
 )
+from sma_bench.commands.terminal import print_findings, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.progress import part
 
@@ -25,34 +30,52 @@ LARGEST_RATE = 10_000.0
 _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "--protocol", metavar="NAME", help="a protocol's name or file"
-    )
-    source.add_argument("--input", metavar="BAG", help="use the voltages measured in a bag")
-    add_output(
-        parser, "--out", BAG, metavar="BAG", required=True, help="bag to write (new folder)"
-    )
-    parser.add_argument(
-        "--rate", metavar="HZ", type=float, default=100.0, help="samples a second of a protocol"
-    )
-    parser.add_argument(
-        "--effect", metavar="NAME=VALUE", action="append", default=[], dest="effects",
-        help="switch an effect on by its size, e.g. --effect latent_heat=12e3; NAME.NUMBER=VALUE "
-        "for its other numbers (repeatable; sma-bench effects lists them)",
-    )
-    parser.add_argument(
-        "--noise", metavar="SEED", type=int,
-        help="read through the simulator node's instruments: their noise, drawn from this seed, "
-        "and their steps; exact values when not given",
-    )
-    add_json_option(parser, "what was simulated")
-    add_parameter_options(parser)
+def _protocols() -> Iterable[str]:
+    from sma_bench.protocols import protocol_names
+
+    return protocol_names()
 
 
-def run(args: argparse.Namespace) -> int:
+def _effects() -> Iterable[str]:
+    from sma_bench.parameters.parameter import EFFECT_NAMES
+
+    return EFFECT_NAMES
+
+
+@command(
+    "simulate --protocol composite_triangle --params config/composite_rig.yaml --out made",
+    "simulate --input my_bag --out again --effect latent_heat=12e3 --noise 1",
+)
+@click.option(
+    "--protocol",
+    metavar="NAME",
+    type=Words(_protocols, others=True),
+    help="a protocol's name or file",
+)
+@click.option("--input", metavar="BAG", type=Files(), help="use the voltages measured in a bag")
+@output("--out", BAG, metavar="BAG", required=True, help="bag to write (new folder)")
+@click.option(
+    "--rate", metavar="HZ", type=float, default=100.0, help="samples a second of a protocol"
+)
+@click.option(
+    "--effect",
+    "effects",
+    metavar="NAME=VALUE",
+    type=Words(_effects, others=True),
+    multiple=True,
+    help="switch an effect on by its size, e.g. --effect latent_heat=12e3; NAME.NUMBER=VALUE "
+    "for its other numbers (repeatable; sma-bench effects lists them)",
+)
+@click.option(
+    "--noise",
+    metavar="SEED",
+    type=int,
+    help="read through the simulator node's instruments: their noise, drawn from this seed, "
+    "and their steps; exact values when not given",
+)
+@json_option("what was simulated")
+@parameter_options
+def run(args: SimpleNamespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
     from sma_bench.protocols import load_protocol
     from sma_bench.records import read_record
@@ -66,6 +89,7 @@ def run(args: argparse.Namespace) -> int:
         simulate_protocol,
     )
 
+    one_only(args, "protocol", "input", required=True)
     parameters = parameters_from_options(args)
     for text in args.effects:
         parameters = parameters.replace(_effect(text), where="--effect")
@@ -91,9 +115,7 @@ def run(args: argparse.Namespace) -> int:
             signals = read_signals(signals, args.noise, part(report, *_INSTRUMENTS))
             noise = f"synthetic noise, seed {args.noise}"
         writing = part(report, _INSTRUMENTS[1], 1.0)
-        write_record(
-            Path(args.out), signals, start_ns=start_ns, report=writing, replace=args.force
-        )
+        write_record(Path(args.out), signals, start_ns=start_ns, report=writing, replace=args.force)
     findings = limits_passed(simulation)
     if args.json:
         write_json(args.json, {

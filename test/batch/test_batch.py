@@ -17,7 +17,7 @@ import pytest
 from sma_bench import worker_pool
 from sma_bench.commands import batch
 from sma_bench.commands.batch import _names
-from sma_bench.commands.parser import command_parser
+from sma_bench.commands.options import run_command
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records.bag_writer import write_record
@@ -103,14 +103,15 @@ def loaded_by(pid):
 
 
 @pytest.mark.slow
-def test_results_come_in_input_order_and_a_bad_record_harms_no_other(bags, tmp_path, capsys):
+def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
+    bags, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "200")
     bad = tmp_path / "not_a_bag"
     bad.write_text("nothing")
-    parser = command_parser("batch", None)
-    batch.add_arguments(parser)
     words = ["identify", bags / "wire_2.9", bad, bags / "wire_2.5", "--jobs", "2"]
     words += ["--out", tmp_path / "out", "--json", tmp_path / "all.json"]
-    assert batch.run(parser.parse_args(list(map(str, words)))) == 2
+    assert run_command(batch.run, "batch", list(map(str, words))) == 2
     document = json.loads((tmp_path / "all.json").read_text())
     first, failed, last = document["records"]
     assert [Path(e["record"]).name for e in document["records"]] == [
@@ -168,11 +169,9 @@ def test_what_was_done_is_said_where_the_cluster_is_lost(tmp_path, capsys, monke
         raise InputError(f"dask scheduler {cluster}: lost")
 
     monkeypatch.setattr(batch, "do_tasks", lost_after_one)
-    parser = command_parser("batch", None)
-    batch.add_arguments(parser)
     words = ["identify", "a", "b", "--dask", "tcp://x", "--json", str(tmp_path / "all.json")]
     with pytest.raises(InputError, match="dask scheduler tcp://x: lost"):
-        batch.run(parser.parse_args(words))
+        run_command(batch.run, "batch", words)
     assert "0 of 2 records done" in capsys.readouterr().out
     first, second = json.loads((tmp_path / "all.json").read_text())["records"]
     assert first["error"] == "not done: dask scheduler tcp://x: lost"

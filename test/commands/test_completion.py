@@ -1,39 +1,26 @@
-"""The completion script, asked by a real bash."""
+"""What a shell is offered, and what several values of an option and ROS's arguments become."""
 
-import shutil
+import os
 import subprocess
+import sys
 
 import pytest
 
-from sma_bench.cli import COMMANDS, main
-from sma_bench.commands.completion import completion_script
+from sma_bench.cli import COMMANDS, load_command
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics.effects import EFFECTS
 
-ASK = """
-source "$1"; shift
-COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
-_sma_bench
-printf '%s\\n' "${COMPREPLY[@]}"
-complete -p sma-bench bench > /dev/null
-"""
 
-
-@pytest.fixture(scope="module")
-def script(tmp_path_factory):
-    if shutil.which("bash") is None:
-        pytest.skip("no bash")
-    path = tmp_path_factory.mktemp("completion") / "script"
-    path.write_text(completion_script("bash"))
-    return path
-
-
-def completed(script, *words):
-    """What bash offers for the last of the words."""
-    command = ["bash", "--norc", "-c", ASK, "bash", str(script), "sma-bench", *words]
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert process.returncode == 0 and process.stderr == ""
-    return process.stdout.split()
+def completed(*words):
+    """What the script of bash gets for the last of the words; a file is the shell's own."""
+    asked = {"_SMA_BENCH_COMPLETE": "bash_complete", "COMP_CWORD": str(len(words))}
+    line = " ".join(["sma-bench", *words])
+    process = subprocess.run(
+        [sys.executable, "-m", "sma_bench.cli"], capture_output=True, text=True, check=False,
+        env={**os.environ, **asked, "COMP_WORDS": line},
+    )
+    assert process.stderr == ""
+    return [line.partition(",")[2] or "FILE" for line in process.stdout.splitlines()]
 
 
 @pytest.mark.parametrize(
@@ -43,30 +30,41 @@ def completed(script, *words):
         (["di"], ["diagnose"]),
         (["identify", "--exp"], ["--experiment"]),
         (["identify", "--experiment", "E1"], ["E1", "E10"]),
-        (["identify", "my_"], []),
-        (["identify", "my_bag", "--params", ""], []),
+        (["identify", "my_"], ["my_"]),
+        (["identify", "my_bag", "--params", ""], ["FILE"]),
         (["diagnose", "--signals", "de"], ["deflection"]),
         (["simulate", "--protocol", "composite_tri"], ["composite_triangle"]),
         (["simulate", "--effect", ""], list(EFFECTS)),
         (["audit", "--set", "wire.res"], ["wire.resistance"]),
-        (["run", "ser"], ["serial_bridge"]),
         (["run", ""], sorted(NODE_TABLES)),
         (["calibrate", "supp"], ["supply"]),
-        (["calibrate", "supply", "s"], []),
-        (["completion", ""], ["bash", "zsh"]),
     ],
 )
-def test_bash_offers_what_may_follow(script, words, offered):
-    assert completed(script, *words) == offered
+def test_a_shell_is_offered_what_may_follow(words, offered):
+    assert completed(*words) == offered
 
 
-def test_every_option_of_a_command_is_offered(script):
-    offered = completed(script, "report", "--")
-    assert {"--out", "--title", "--params", "--json", "--set", "--help"} <= set(offered)
+def test_an_installed_command_writes_the_script_of_the_shell():
+    process = subprocess.run(
+        [sys.executable, "-m", "sma_bench.cli"], capture_output=True, text=True, check=True,
+        env={**os.environ, "_SMA_BENCH_COMPLETE": "zsh_source"},
+    )
+    assert "#compdef sma-bench" in process.stdout
 
 
-def test_zsh_reads_the_same_by_its_bash_mode(capsys):
-    assert main(["completion", "zsh"]) == 0
-    first, rest = capsys.readouterr().out.split("\n", 1)
-    assert "completion zsh" in first and rest.startswith("autoload")
-    assert "complete -o default -F _sma_bench sma-bench bench" in rest
+def parsed(*words):
+    return load_command(words[0]).make_context(words[0], list(words[1:])).params
+
+
+def test_several_values_of_an_option_stand_behind_it_or_behind_each_of_it():
+    wanted = ("a", "b")
+    for words in (["--hold-out", "a", "b"], ["--hold-out", "a", "--hold-out", "b"]):
+        found = parsed("diagnose", "bag", *words, "--params", "lab.yaml")
+        assert found["hold_out"] == wanted and found["records"] == ("bag",)
+    assert parsed("linearise", "--voltage", "-1", "2.5", "-3")["voltage"] == (-1.0, 2.5, -3.0)
+
+
+def test_what_follows_ros_args_is_for_ros():
+    found = parsed("call", "a/b", "--json", "--ros-args", "-p", "x:=a b", "--set", "y")
+    assert found["json"] == "-" and found["settings"] == ()
+    assert found["ros_args"] == "-p 'x:=a b' --set y"

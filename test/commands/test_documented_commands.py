@@ -1,17 +1,17 @@
 """Every command in the README and in docs/ is one that the programs accept."""
 
 import argparse
-import importlib
 import itertools
 import re
 import shlex
 from pathlib import Path
 
+import click
 import pytest
 
 from examination.blind import command as blind
 from examination.perf.perf import SECTIONS
-from sma_bench.cli import COMMANDS
+from sma_bench.cli import COMMANDS, load_command
 from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
@@ -75,9 +75,11 @@ def check_command(words: list[str]) -> str:
         return f"no command {name}"
     if name == "run":
         return "" if rest and rest[0] in NODE_TABLES else f"no node {rest[:1]}"
-    parser = argparse.ArgumentParser(prog=name, exit_on_error=False)
-    importlib.import_module(f"sma_bench.commands.{name}").add_arguments(parser)
-    return objection(parser, rest) or check_files(rest)
+    try:
+        load_command(name).make_context(name, rest)
+    except (click.UsageError, InputError) as error:
+        return str(error)
+    return check_files(rest)
 
 
 def objection(parser: argparse.ArgumentParser, words: list[str]) -> str:

@@ -1,19 +1,18 @@
 """Nothing lost by accident: no command replaces what exists without --force, and no input ever."""
 
-import argparse
-import importlib
 import shutil
 from pathlib import Path
 
+import click
 import pytest
 
-from sma_bench.cli import COMMANDS, main
-from sma_bench.commands.parser import BAG, FILE, FOLDER, NEW, OWN, Output, command_parser
+from sma_bench.cli import COMMANDS, load_command, main
+from sma_bench.commands.options import BAG, FILE, FOLDER, NEW, OWN, Output
 
-PARSERS = {
-    name: importlib.import_module(f"sma_bench.commands.{name}").add_arguments
-    for name in COMMANDS if name != "run"
-}
+PARAMETERS = [
+    (name, parameter) for name in COMMANDS if name != "run"
+    for parameter in load_command(name).params if isinstance(parameter, click.Option)
+]
 # What each command takes besides its outputs; IN stands for an input that exists.
 WORDS = {
     "info": ["IN"], "import": ["IN", "--out", "OUT"], "identify": ["IN"], "diagnose": ["IN"],
@@ -22,9 +21,9 @@ WORDS = {
     "parameters": ["--params", "IN"], "effects": [], "simulate": ["--input", "IN", "--out", "OUT"],
     "paper": ["IN", "--out", "OUT"], "calibrate": ["supply", "--csv", "IN"], "call": ["a/b"],
     "investigate": ["IN", "--folder", "OUT", "--simulated", "IN"],
-    "demo": [], "linearise": ["--params", "IN"], "dashboard": [], "completion": ["bash"],
+    "demo": [], "linearise": ["--params", "IN"], "dashboard": [], "example": ["ten_tasks"],
 }
-READS_NO_FILE = {"effects", "call", "demo"}
+READS_NO_FILE = {"effects", "call", "demo", "example"}
 # Options that name files which a command reads, and others that look alike but name none.
 READ = {
     "--params", "--model", "--hold-out", "--map", "--input", "--csv", "--program", "--simulated",
@@ -33,17 +32,10 @@ READ = {
 RESUMED = {("investigate", "--folder")}
 
 
-def parser_of(name: str) -> argparse.ArgumentParser:
-    parser = command_parser(name, "")
-    PARSERS[name](parser)
-    return parser
-
-
 def outputs(kinds: set[str]) -> list[tuple[str, str, str]]:
     return [
-        (name, action.option_strings[-1], action.kind)
-        for name in PARSERS for action in parser_of(name)._actions
-        if isinstance(action, Output) and action.kind in kinds
+        (name, option.opts[0], option.type.kind) for name, option in PARAMETERS
+        if isinstance(option.type, Output) and option.type.kind in kinds
     ]
 
 
@@ -73,11 +65,10 @@ def precious(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_every_option_that_names_what_is_written_is_declared() -> None:
     undeclared = [
-        (name, option)
-        for name in PARSERS for action in parser_of(name)._actions
-        for option in action.option_strings
-        if str(action.metavar).endswith(("FILE", "DIR", "BAG", ".yaml"))
-        and not isinstance(action, Output) and option not in READ and (name, option) not in RESUMED
+        (name, option.opts[0]) for name, option in PARAMETERS
+        if str(option.metavar).removesuffix(" ...").endswith(("FILE", "DIR", "BAG", ".yaml"))
+        and not isinstance(option.type, Output)
+        and not READ.intersection(option.opts) and (name, option.opts[0]) not in RESUMED
     ]
     assert undeclared == []
     assert {name for name, option, _ in outputs({FILE, FOLDER, BAG, NEW, OWN})} >= {

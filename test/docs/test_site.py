@@ -50,7 +50,7 @@ def test_every_page_of_docs_is_on_the_site(site):
 def test_commands_are_what_their_help_prints(site):
     page = text_of(site / "reference" / "commands.html")
     for name in COMMANDS:
-        assert f"usage: sma-bench {name}" in page
+        assert f"Usage: sma-bench {name}" in page
     assert "--hold-out RECORD" in page
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from sma_bench.cli import main
 from sma_bench.commands import identify as command
+from sma_bench.commands import options
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
@@ -190,10 +191,6 @@ def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_pat
 
 def test_unwritable_folder_is_one_line_and_leaves_no_file(staircase, tmp_path, monkeypatch):
     monkeypatch.setattr(work, "open_record", lambda path, namespace=None: staircase())
-    import argparse
-
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    arguments = parser.parse_args(["bag", "--json", str(tmp_path / "no folder" / "r.json")])
-    assert "cannot write" in one_line(lambda: command.run(arguments))
+    words = ["bag", "--json", str(tmp_path / "no folder" / "r.json")]
+    assert "cannot write" in one_line(lambda: options.run_command(command.run, "identify", words))
     assert list(tmp_path.iterdir()) == []

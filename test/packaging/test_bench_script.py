@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from sma_bench.commands.parser import COMMANDS
+from sma_bench.commands import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS_FILE = "sma_bench/commands/parser.py"
+COMMANDS_FILE = "sma_bench/commands/__init__.py"
 COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
 SETUP = """from setuptools import setup
 setup(name="sma_bench", version="0", packages=["sma_bench"])

@@ -1,20 +1,18 @@
 """sma-bench info: everything about a record, for people and as JSON."""
 
-import argparse
 import json
 
 import numpy as np
 import pytest
 
 from sma_bench.commands import info
+from sma_bench.commands.options import run_command
 from sma_bench.errors import InputError
 from sma_bench.records import DscRecord, Record, describe, open_record, read_record
 
 
 def run_info(*arguments):
-    parser = argparse.ArgumentParser()
-    info.add_arguments(parser)
-    return info.run(parser.parse_args([str(argument) for argument in arguments]))
+    return run_command(info.run, "sma-bench info", list(map(str, arguments)))
 
 
 def test_description_is_plain_data_with_the_figures(tmp_path, write_bag, ramp):

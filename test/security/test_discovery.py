@@ -26,7 +26,8 @@ def node(module, run_name):
     choose_discovery()
     print(os.environ.get("{RANGE}"), sys.argv[1:])
 runpy.run_module = node
-command.run(sys.argv[1:])
+from sma_bench.commands.options import run_command
+run_command(command.run, "sma-bench run", sys.argv[1:])
 """
 
 
