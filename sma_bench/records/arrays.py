@@ -40,20 +40,44 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
         InputError: a name that is none of the contract's, arrays that do not fit each other, times
             that do not increase, or nothing at all.
     """
-    shared = columns.get(TIME)
+    # The numbered columns of the command, put side by side.
+    named = {name: given for name, given in columns.items() if name != TIME}
+    found = [(int(n[1]), name) for name in named if (n := _COMMAND_COLUMN.match(str(name)))]
+    if found:
+        parts = [_floats(where, name, named.pop(name)) for _, name in sorted(found)]
+        named[_COMMAND] = np.column_stack(parts)
+
     signals: dict[str, Signal] = {}
     findings = []
-    for name, given in _joined(columns).items():
+    for name, given in named.items():
         unit = unit_of(name)
         if unit is None:
             raise InputError(f"{where}: no signal is called {name!r}, expected {_NAMES}")
         own = isinstance(given, tuple) and len(given) == 2
-        if not own and shared is None:
+        if not own and columns.get(TIME) is None:
             raise InputError(f"{where}: {name} without times, expected {TIME!r} or a pair")
-        time, values = given if own else (shared, given)
-        signal = _signal(where, name, unit, time, values)
-        if len(signal):
-            signals[name] = signal
+        time, values = given if own else (columns[TIME], given)
+        seconds, numbers = _floats(where, TIME, time), _floats(where, name, values)
+        flat = 1 if name != _COMMAND else numbers.ndim
+        if seconds.ndim != 1 or numbers.ndim != flat or len(numbers) != len(seconds):
+            raise InputError(
+                f"{where}: {name} has shape {numbers.shape} on times of shape {seconds.shape}, "
+                "expected one value for each time"
+            )
+        missing: NDArray[np.bool_] = np.isnan(numbers if numbers.ndim == 1 else numbers[:, 0])
+        seconds, numbers = seconds[~missing], numbers[~missing]
+        backward = np.flatnonzero(~(np.diff(seconds) > 0.0))
+        if backward.size or not np.isfinite(seconds).all():
+            k = int(backward[0]) if backward.size else 0
+            around = ", ".join(f"{t:g}" for t in seconds[k : k + 2])
+            raise InputError(f"{where}: {name}: times {around} s, expected finite and increasing")
+        if unit == "K" and len(numbers) and numbers.max() < COLDEST_BENCH:
+            raise InputError(
+                f"{where}: {name} is {numbers.min():.4g} to {numbers.max():.4g}, expected kelvin; "
+                "of Celsius add 273.15"
+            )
+        if len(numbers):
+            signals[name] = Signal(name, unit, seconds, numbers)
         else:
             findings.append(Finding("info", name, "NaN throughout, that is not measured; absent"))
     if not signals:
@@ -126,41 +150,6 @@ def require_pandas() -> Any:
             "pandas is not installed: pip install pandas (Ubuntu: apt install python3-pandas)"
         ) from None
     return pandas
-
-
-def _joined(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Without the clock, and with the numbered columns of the command put side by side."""
-    named = {name: given for name, given in columns.items() if name != TIME}
-    numbered = sorted(
-        (int(found[1]), name) for name in named if (found := _COMMAND_COLUMN.match(str(name)))
-    )
-    if numbered:
-        parts = [named.pop(name) for _, name in numbered]
-        named[_COMMAND] = np.column_stack([np.asarray(part, dtype=float) for part in parts])
-    return named
-
-
-def _signal(where: str, name: str, unit: str, time: Any, values: Any) -> Signal:
-    seconds, numbers = _floats(where, TIME, time), _floats(where, name, values)
-    flat = 1 if name != _COMMAND else numbers.ndim
-    if seconds.ndim != 1 or numbers.ndim != flat or len(numbers) != len(seconds):
-        raise InputError(
-            f"{where}: {name} has shape {numbers.shape} on times of shape {seconds.shape}, "
-            "expected one value for each time"
-        )
-    missing: NDArray[np.bool_] = np.isnan(numbers if numbers.ndim == 1 else numbers[:, 0])
-    seconds, numbers = seconds[~missing], numbers[~missing]
-    backward = np.flatnonzero(~(np.diff(seconds) > 0.0))
-    if backward.size or not np.isfinite(seconds).all():
-        k = int(backward[0]) if backward.size else 0
-        around = ", ".join(f"{t:g}" for t in seconds[k : k + 2])
-        raise InputError(f"{where}: {name}: times {around} s, expected finite and increasing")
-    if unit == "K" and len(numbers) and numbers.max() < COLDEST_BENCH:
-        raise InputError(
-            f"{where}: {name} is {numbers.min():.4g} to {numbers.max():.4g}, expected kelvin; of "
-            "Celsius add 273.15"
-        )
-    return Signal(name, unit, seconds, numbers)
 
 
 def _floats(where: str, name: str, values: Any) -> FloatArray:

@@ -127,7 +127,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         }
         rest = {"name": joints, **dict.fromkeys(merged, np.zeros(len(joints)))}
     template = _serialised(
-        msgtype, header=_message("std_msgs/msg/Header", frame_id=frame), **rest
+        msgtype, header=message("std_msgs/msg/Header", frame_id=frame), **rest
     )
     seconds, nanoseconds = np.divmod(union, 10**9)
     numbers: dict[str, Any] = {"stamp.sec": seconds, "stamp.nanosec": nanoseconds, **merged}
@@ -150,13 +150,13 @@ def _stamps(signal: Signal, times: FloatArray, start: int) -> IntArray:
 _EMPTY = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
 
 
-def _message(msgtype: str, **fields: Any) -> Any:
-    """A message of rosbags' classes; what is not given is zero or empty."""
+def message(msgtype: str, **fields: Any) -> Any:
+    """A message of rosbags' classes of ROS 2 Jazzy; what is not given is zero or empty."""
     for name, (kind, detail) in TYPES.fielddefs[msgtype][1]:
         if name in fields:
             continue
         if kind == Nodetype.NAME:
-            fields[name] = _message(str(detail))
+            fields[name] = message(str(detail))
         elif kind == Nodetype.BASE:
             fields[name] = _EMPTY.get(str(detail[0]), 0)
         else:
@@ -167,4 +167,4 @@ def _message(msgtype: str, **fields: Any) -> Any:
 
 
 def _serialised(msgtype: str, **fields: Any) -> bytes:
-    return bytes(TYPES.serialize_cdr(_message(msgtype, **fields), msgtype))
+    return bytes(TYPES.serialize_cdr(message(msgtype, **fields), msgtype))

@@ -8,7 +8,7 @@ import numpy as np
 
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
-from sma_bench.records.record import FloatArray, Record, Signal, samples
+from sma_bench.records.record import Record, Signal, samples
 
 _STEP = 0.02  # s, of the voltages that are aligned; longer in long records
 _MOST_STEPS = 100_000
@@ -89,42 +89,37 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
             remarks.append(
                 f"{name}: no drive in common with {first}; both clocks count from their start"
             )
-    shifted = {name: _later(record, shifts[name]) for name, record in records.items()}
-    found = [
-        d for name in others for signal in shifted[name].signals
-        if (d := _difference(shifted[first], shifted[name], signal, name)) is not None
-    ]
+    shifted = {
+        name: replace(
+            record,
+            signals={n: replace(s, time=s.time + shifts[name]) for n, s in record.signals.items()},
+            markers=tuple((time + shifts[name], text) for time, text in record.markers),
+        )
+        for name, record in records.items()
+    }
+
+    # Differences at the first record's samples, where the other has values at the same time.
+    found = []
+    for where in others:
+        for name in shifted[where].signals:
+            mine, theirs = shifted[first].get(name), shifted[where][name]
+            if mine is None or not _is_number(mine) or not _is_number(theirs):
+                continue
+            time, values = samples(shifted[first], name)
+            their_time, their_values = samples(shifted[where], name)
+            inside = (time >= their_time[0]) & (time <= their_time[-1])
+            if not inside.any():
+                continue
+            left = np.interp(time[inside], their_time, their_values) - values[inside]
+            worst = int(np.argmax(np.abs(left)))
+            rms, span = float(np.sqrt(np.mean(left**2))), float(np.ptp(values))
+            share = rms / span if span > 0.0 else float(rms > 0.0)
+            largest, at = float(left[worst]), float(time[inside][worst])
+            found.append(Difference(name, mine.unit, where, rms, largest, at, share))
     if not found:
         raise InputError(f"compare: {', '.join(records)} share no signal at any time")
     ranked = sorted(found, key=lambda d: d.share, reverse=True)
     return Overlay(shifted, shifts, tuple(ranked), tuple(remarks))
-
-
-def _later(record: Record, shift: float) -> Record:
-    if not shift:
-        return record
-    signals = {n: replace(s, time=s.time + shift) for n, s in record.signals.items()}
-    markers = tuple((time + shift, text) for time, text in record.markers)
-    return replace(record, signals=signals, markers=markers)
-
-
-def _difference(first: Record, other: Record, name: str, where: str) -> Difference | None:
-    """None where they have no values of that signal at the same time."""
-    if name not in first.signals or not _is_number(first[name]) or not _is_number(other[name]):
-        return None
-    time, values = samples(first, name)
-    their_time, their_values = samples(other, name)
-    inside = (time >= their_time[0]) & (time <= their_time[-1])
-    if not inside.any():
-        return None
-    left = np.interp(time[inside], their_time, their_values) - values[inside]
-    worst = int(np.argmax(np.abs(left)))
-    rms = float(np.sqrt(np.mean(left**2)))
-    span = float(np.ptp(values))
-    return Difference(
-        name, first[name].unit, where, rms, float(left[worst]), float(time[inside][worst]),
-        rms / span if span > 0.0 else float(rms > 0.0),
-    )
 
 
 def _is_number(signal: Signal) -> bool:
@@ -134,14 +129,22 @@ def _is_number(signal: Signal) -> bool:
 def _shift(first: Record, other: Record) -> float | None:
     """s to add to the other's times, by which its voltages lie on those of the first; None where
     they are not the same drive."""
-    names = [f"{c}.voltage" for c in first.channels if _driven(first, c) and _driven(other, c)]
+    names = [
+        name
+        for name in (f"{channel}.voltage" for channel in first.channels)
+        if all(
+            name in record.signals
+            and np.nanmax(np.abs(record[name].values), initial=0.0) > 0.0
+            for record in (first, other)
+        )
+    ]
     if not names:
         return None
     longest = max(first.duration, other.duration)
     step = max(_STEP, longest / _MOST_STEPS)
     grid = np.arange(0.0, longest + step, step)
     one, two = (
-        np.stack([_held(samples(record, name), grid) for name in names])
+        np.stack([np.interp(grid, *samples(record, name), left=0.0, right=0.0) for name in names])
         for record in (first, other)
     )
     size = 2 * len(grid)
@@ -154,12 +157,3 @@ def _shift(first: Record, other: Record) -> float | None:
     bend = left - 2.0 * middle + right
     fine = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
     return float(step * (best - size * (best > size // 2) + fine))
-
-
-def _driven(record: Record, channel: str) -> bool:
-    signal = record.get(f"{channel}.voltage")
-    return signal is not None and bool(np.nanmax(np.abs(signal.values), initial=0.0) > 0.0)
-
-
-def _held(readings: tuple[FloatArray, FloatArray], grid: FloatArray) -> FloatArray:
-    return np.interp(grid, *readings, left=0.0, right=0.0)

@@ -8,102 +8,63 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
-from rosbags.typesys import Stores, get_typestore
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
+from sma_bench.records.messages import TYPES, message
+
 START = 1_700_000_000 * 10**9
 NAN = float("nan")
 
 Message = tuple[str, Any, int]
 
 
-def ros(msgtype: str, **fields: Any) -> Any:
-    """A message of rosbags' own classes."""
-    return TYPES.types[msgtype](**fields)
-
-
-def header(stamp_ns: int, frame: str = "wire") -> Any:
-    """std_msgs/Header."""
-    stamp = ros("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-    return ros("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-
 class Messages:
     """Messages of the contract's types."""
 
-    ros = staticmethod(ros)
-    header = staticmethod(header)
+    ros = staticmethod(message)
     types = TYPES
     start = START
 
     @staticmethod
-    def serialise(message: Any) -> bytes:
-        return bytes(TYPES.serialize_cdr(message, message.__msgtype__))
+    def header(stamp_ns: int, frame: str = "wire") -> Any:
+        stamp = message(
+            "builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
+        )
+        return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
     @staticmethod
-    def temperature(
-        stamp_ns: int, celsius: float, frame: str = "wire", variance: float = 0.0
+    def serialise(given: Any) -> bytes:
+        return bytes(TYPES.serialize_cdr(given, given.__msgtype__))
+
+    @classmethod
+    def _stamped(cls, kind: str, stamp_ns: int, **fields: Any) -> Any:
+        return message(f"sensor_msgs/msg/{kind}", header=cls.header(stamp_ns), **fields)
+
+    @classmethod
+    def temperature(cls, stamp_ns: int, celsius: float, variance: float = 0.0) -> Any:
+        return cls._stamped("Temperature", stamp_ns, temperature=celsius, variance=variance)
+
+    @classmethod
+    def power(cls, stamp_ns: int, voltage: float, current: float = NAN) -> Any:
+        return cls._stamped("BatteryState", stamp_ns, voltage=voltage, current=current)
+
+    @classmethod
+    def joints(
+        cls, stamp_ns: int, names: list[str], position: list[float], effort: Any = ()
     ) -> Any:
-        return ros(
-            "sensor_msgs/msg/Temperature",
-            header=header(stamp_ns, frame),
-            temperature=celsius,
-            variance=variance,
-        )
+        arrays = {"position": np.array(position, float), "effort": np.array(effort, float)}
+        return cls._stamped("JointState", stamp_ns, name=names, **arrays)
 
-    @staticmethod
-    def power(stamp_ns: int, voltage: float, current: float = NAN) -> Any:
-        nothing = np.zeros(0, dtype=np.float32)
-        numbers = ("temperature", "charge", "capacity", "design_capacity", "percentage")
-        return ros(
-            "sensor_msgs/msg/BatteryState",
-            header=header(stamp_ns),
-            voltage=voltage,
-            current=current,
-            **dict.fromkeys(numbers, NAN),
-            power_supply_status=0,
-            power_supply_health=0,
-            power_supply_technology=0,
-            present=True,
-            cell_voltage=nothing,
-            cell_temperature=nothing,
-            location="wire",
-            serial_number="",
-        )
-
-    @staticmethod
-    def joints(stamp_ns: int, names: list[str], position: list[float], effort: Any = ()) -> Any:
-        return ros(
-            "sensor_msgs/msg/JointState",
-            header=header(stamp_ns),
-            name=names,
-            position=np.array(position, dtype=float),
-            velocity=np.zeros(0),
-            effort=np.array(effort, dtype=float),
-        )
-
-    @staticmethod
-    def range(stamp_ns: int, distance: float, low: float = 0.05, high: float = 0.2) -> Any:
-        return ros(
-            "sensor_msgs/msg/Range",
-            header=header(stamp_ns),
-            radiation_type=1,
-            field_of_view=0.1,
-            min_range=low,
-            max_range=high,
-            range=distance,
-            variance=0.0,
-        )
+    @classmethod
+    def range(cls, stamp_ns: int, distance: float, low: float = 0.05, high: float = 0.2) -> Any:
+        return cls._stamped("Range", stamp_ns, min_range=low, max_range=high, range=distance)
 
     @staticmethod
     def command(values: Iterable[float]) -> Any:
-        layout = ros("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-        data = np.array(list(values), dtype=float)
-        return ros("std_msgs/msg/Float64MultiArray", layout=layout, data=data)
+        return message("std_msgs/msg/Float64MultiArray", data=np.array(list(values), dtype=float))
 
     @staticmethod
     def text(content: str) -> Any:
-        return ros("std_msgs/msg/String", data=content)
+        return message("std_msgs/msg/String", data=content)
 
 
 @pytest.fixture(scope="session")
@@ -125,14 +86,11 @@ def _write(
     writer.set_compression(compression, CompressionFormat.ZSTD)
     connections: dict[str, Any] = {}
     with writer:
-        for topic, msgtype in declare:
-            connections[topic] = writer.add_connection(topic, msgtype, typestore=TYPES)
-        for count, (topic, message, received) in enumerate(content, start=1):
+        for topic, msgtype in (*declare, *((t, m.__msgtype__) for t, m, _ in content)):
             if topic not in connections:
-                connections[topic] = writer.add_connection(
-                    topic, message.__msgtype__, typestore=TYPES
-                )
-            writer.write(connections[topic], received, Messages.serialise(message))
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=TYPES)
+        for count, (topic, given, received) in enumerate(content, start=1):
+            writer.write(connections[topic], received, Messages.serialise(given))
             if chunk and count % chunk == 0:
                 writer.storage.close_chunk()
     return path
