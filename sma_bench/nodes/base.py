@@ -4,8 +4,8 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence, Set
-from types import FrameType
 from typing import Any, ClassVar
 
 import rclpy
@@ -244,23 +244,30 @@ def run_node(
     if "-h" in arguments or "--help" in arguments:
         print(node_help(name), end="")
         return 0
-    with _Signals() as signals:
-        try:
-            check_arguments(name, arguments)
-            start_ros(arguments)
-        except InputError as error:
-            return _refuse(name, error)
-        node: BenchNode | None = None
-        try:
-            _say_when_compiling(name)
-            node = kind()
-            _spin(node, kind.executor_type(), signals)
-        except InputError as error:
-            return _refuse(name, error)
-        except (ExternalShutdownException, KeyboardInterrupt):  # the latter of what it waited for
-            pass
-        finally:
-            _end(node)
+    asked = threading.Event()  # asked twice it is no more
+    before = {number: signal.signal(number, lambda *_: asked.set()) for number in ending_signals()}
+    node: BenchNode | None = None
+    try:
+        check_arguments(name, arguments)
+        start_ros(arguments)
+        # A node that simulates waits once after an installation; others have no compiler loaded.
+        if compiled := sys.modules.get("sma_bench.compiled"):
+            say = get_logger(name).info
+            compiled.when_compiling(lambda: say("waits for the compiler, once, some 20 s"))
+        node = kind()
+        _spin(node, kind.executor_type(), asked)
+    except InputError as error:
+        with contextlib.suppress(OSError):  # nobody may be left to read it
+            print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except (ExternalShutdownException, KeyboardInterrupt):  # the latter of what it waited for
+        pass
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return 0
 
 
@@ -280,38 +287,10 @@ def be_punctual(priority: int) -> str:
     return "as any program: see docs/hardware.md, a computer in time"
 
 
-def _say_when_compiling(name: str) -> None:
-    """A node that simulates waits once after an installation; others have no compiler loaded."""
-    if compiled := sys.modules.get("sma_bench.compiled"):
-        logger = get_logger(name)
-        compiled.when_compiling(lambda: logger.info("waits for the compiler, once, some 20 s"))
-
-
-class _Signals:
-    """What asks for the end as a flag, for the time of a `with`; asked twice it is no more."""
-
-    def __init__(self) -> None:
-        self.received = False
-
-    def __enter__(self) -> "_Signals":
-        self._before = {
-            number: signal.signal(number, self._receive)
-            for number in ending_signals()
-        }
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _receive(self, _number: int, _frame: FrameType | None) -> None:
-        self.received = True
-
-
-def _spin(node: BenchNode, executor: Executor, signals: _Signals) -> None:
+def _spin(node: BenchNode, executor: Executor, asked: threading.Event) -> None:
     executor.add_node(node)
     try:
-        while rclpy.ok() and not signals.received and node.failure is None:
+        while rclpy.ok() and not asked.is_set() and node.failure is None:
             # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
@@ -321,18 +300,6 @@ def _spin(node: BenchNode, executor: Executor, signals: _Signals) -> None:
         executor.shutdown(timeout_sec=1.0)
     if node.failure is not None:
         raise node.failure
-
-
-def _end(node: BenchNode | None) -> None:
-    if node is not None:
-        node.destroy_node()
-    rclpy.try_shutdown()
-
-
-def _refuse(name: str, error: Exception) -> int:
-    with contextlib.suppress(OSError):  # nobody may be left to read it
-        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
-    return 2
 
 
 def _uncertainty_of(parameter: Parameter, stated: bool) -> Parameter:

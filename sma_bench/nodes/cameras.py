@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, Image, JointState, Temperature
 from std_srvs.srv import Trigger
 
@@ -28,10 +28,8 @@ from sma_bench.hardware.thermal_settings import (
 )
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
-from sma_bench.ros.node import MEASURED
+from sma_bench.ros.node import MEASURED, NEWEST
 
-# A late picture is worth less than the next one.
-_NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LEVELS = {
     node_reports.OK: DiagnosticStatus.OK,
     node_reports.WARN: DiagnosticStatus.WARN,
@@ -58,11 +56,11 @@ class IrCamera(BenchNode):
         self._warmth = [ExpectedWarmth(self.parameters) for _ in channels]
         self._outputs = [self._output(channel) for channel in channels]
         self._report = CameraReport(channels, self.settings["stale_limit"], time.monotonic())
-        self.create_subscription(Image, "thermal_image", self._image, _NEWEST)
+        self.create_subscription(Image, "thermal_image", self._image, NEWEST)
         if self.settings["read_cold_wires"]:
             for k, channel in enumerate(channels):
                 self.create_subscription(
-                    BatteryState, f"{channel}/power", partial(self._power, k), _NEWEST
+                    BatteryState, f"{channel}/power", partial(self._power, k), NEWEST
                 )
         self._listen_to_flag()
         self.create_service(Trigger, "~/reset", self._reset)
@@ -80,7 +78,7 @@ class IrCamera(BenchNode):
             return
         self.create_subscription(
             flag_type, "flag_state",
-            lambda message: self._judge.flag(message.flag_state != _FLAG_OPEN), _NEWEST,
+            lambda message: self._judge.flag(message.flag_state != _FLAG_OPEN), NEWEST,
         )
 
     def _image(self, message: Image) -> None:

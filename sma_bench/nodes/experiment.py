@@ -14,7 +14,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -30,11 +29,10 @@ from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols import Protocol
 from sma_bench.protocols.reading import TIP, is_path
 from sma_bench.records.contract import place_of
-from sma_bench.ros.node import COMMAND, LATCHED, MEASURED, signature, voltage_command
+from sma_bench.ros.node import COMMAND, LATCHED, MEASURED, NEWEST, signature, voltage_command
 
 _FILES = frozenset({"protocol", "reference"})
 _FEEDBACK = ("power", "temperature")
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _WATCH_EVERY = 0.05
 # Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
 # nothing is heated meanwhile.

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import BenchNode
-from sma_bench.nodes.bench_topics import NAN
+from sma_bench.nodes.bench_topics import NAN, power_message, send, temperature_message
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.ros.node import MEASURED
@@ -49,50 +49,46 @@ class TwinTopics:
 
     def __init__(self, node: Node, channels: Sequence[str], joint: str, moves: bool) -> None:
         """`joint`: of joint_states; `moves`: its position is compared, else its effort."""
-        self._node, self._channels = node, channels
-        self._name, self._moves = joint, moves
-        self._predicted = self._of(PREDICTED)
-        self._residual = self._of(RESIDUAL)
-        self._energy = {
-            stage: node.create_publisher(Float64, f"{ENERGY}/{stage}", MEASURED)
-            for stage in MEASURED_STAGES
-        }
+        self._channels, self._name, self._moves = channels, joint, moves
 
-    def _of(self, below: str) -> tuple[list[Publisher], list[Publisher], Publisher]:
         def publisher(kind: type, topic: str) -> Publisher:
-            return self._node.create_publisher(kind, f"{below}/{topic}", MEASURED)
+            return node.create_publisher(kind, topic, MEASURED)
 
-        powers = [publisher(BatteryState, f"{c}/power") for c in self._channels]
-        temperatures = [publisher(Temperature, f"{c}/temperature") for c in self._channels]
-        return powers, temperatures, publisher(JointState, "joint_states")
+        self._of = {
+            below: (
+                [publisher(BatteryState, f"{below}/{c}/power") for c in channels],
+                [publisher(Temperature, f"{below}/{c}/temperature") for c in channels],
+                publisher(JointState, f"{below}/joint_states"),
+            )
+            for below in (PREDICTED, RESIDUAL)
+        }
+        self._energy = {s: publisher(Float64, f"{ENERGY}/{s}") for s in MEASURED_STAGES}
 
     def predict(self, prediction: Prediction) -> None:
         """Publish what all sensors should read at one moment."""
-        powers, temperatures, joint = self._predicted
+        powers, temperatures, joint = self._of[PREDICTED]
         for k, channel in enumerate(self._channels):
             volt, ampere = float(prediction.voltage[k]), float(prediction.current[k])
-            _send(powers[k], _power(channel, volt, ampere), prediction.stamp)
+            send(powers[k], power_message(channel, volt, ampere), prediction.stamp)
             celsius = float(prediction.temperature[k]) - CELSIUS_ZERO
-            _send(temperatures[k], _temperature(channel, celsius), prediction.stamp)
-        _send(joint, self._joint(prediction.mechanics, elongation=0.0), prediction.stamp)
+            send(temperatures[k], temperature_message(channel, celsius), prediction.stamp)
+        send(joint, self._joint(prediction.mechanics, elongation=0.0), prediction.stamp)
 
     def residual(self, residual: Residual) -> None:
         """Publish the difference of one reading."""
-        powers, temperatures, joint = self._residual
-        channel = self._channels[residual.wire]
+        powers, temperatures, joint = self._of[RESIDUAL]
+        wire, value, stamp = residual.wire, residual.value, residual.stamp
         if residual.kind == CURRENT:
-            message = _power(channel, NAN, residual.value)
-            _send(powers[residual.wire], message, residual.stamp)
+            send(powers[wire], power_message(self._channels[wire], NAN, value), stamp)
         elif residual.kind == TEMPERATURE:
-            _send(temperatures[residual.wire], _temperature(channel, residual.value),
-                  residual.stamp)  # fmt: skip
+            send(temperatures[wire], temperature_message(self._channels[wire], value), stamp)
         else:
-            _send(joint, self._joint(residual.value, elongation=NAN), residual.stamp)
+            send(joint, self._joint(value, elongation=NAN), stamp)
 
     def energies(self, verdict: Verdict) -> None:
         """Publish the whitened residual energy of the stages that are judged."""
         for state in verdict.measured:
-            if state.energy == state.energy:
+            if not math.isnan(state.energy):
                 self._energy[state.stage].publish(Float64(data=state.energy))
 
     def _joint(self, value: float, elongation: float) -> JointState:
@@ -101,28 +97,7 @@ class TwinTopics:
         return JointState(name=[self._name], position=[elongation], effort=[value])
 
 
-def _power(channel: str, volt: float, ampere: float) -> BatteryState:
-    message = BatteryState(location=channel, present=True, voltage=volt, current=ampere)
-    for field in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
-        setattr(message, field, NAN)
-    message.header.frame_id = channel
-    return message
-
-
-def _temperature(channel: str, value: float) -> Temperature:
-    message = Temperature(temperature=value)
-    message.header.frame_id = channel
-    return message
-
-
-def _send(publisher: Publisher, message: Any, stamp: int) -> None:
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
-    publisher.publish(message)
-
-
-
 # --- Runs the model beside the bench on the measured voltages, and says where the two part.
-
 
 # Reliable unless a publisher that is there already is not: a lost voltage is a wrong prediction.
 # Deep, as a player or a simulation faster than life comes in bursts.

@@ -112,6 +112,8 @@ def start_ros(arguments: Sequence[str]) -> None:
 COMMAND = "voltage_command"
 # Hears a best-effort publisher too; a command that is lost is followed by the next.
 COMMANDED = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+# A late reading, or picture, is worth less than the next one.
+NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
 _SIGNED = " @"
 _LONGEST_NAME, _MOST_SENDERS = 300, 300
 _LOOK_EVERY = 0.5

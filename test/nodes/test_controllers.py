@@ -1,13 +1,13 @@
 """The controllers as processes: they track on the simulator, and leave the wires cold."""
 
 import signal
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from sensor_msgs.msg import BatteryState, JointState, Temperature
+from fake_bench import FakeBench
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from sma_bench.installation import share_directory
@@ -34,60 +34,6 @@ def reference(tmp_path):
 
 # Its temperatures are what the test says, whatever is commanded.
 UNHEATED = {"bench__temperature_tolerance": 500.0}
-
-
-class FakeBench:
-    """Readings of the bench, as the test wants them, every 20 ms while the test spins."""
-
-    def __init__(self, bench, controller, channels=("wire",)):
-        self.celsius, self.position = 25.0, 0.0
-        self.silent = set()
-        self._channels = len(channels)
-        self.commands = bench.listen("voltage_command", Float64MultiArray)
-        self.states = bench.latched(f"{controller}/state", String)
-        self._node = bench.node
-        self._publishers = [
-            ("power", bench.node.create_publisher(BatteryState, f"{c}/power", 10),
-             partial(self._power, k))
-            for k, c in enumerate(channels)
-        ] + [
-            ("temperature", bench.node.create_publisher(Temperature, f"{c}/temperature", 10),
-             self._temperature)
-            for c in channels
-        ] + [("joints", bench.node.create_publisher(JointState, "joint_states", 10), self._tip)]
-        bench.node.create_timer(0.02, self._publish)
-
-    @property
-    def state(self):
-        return self.states[-1].data if self.states else ""
-
-    @property
-    def volts(self):
-        return list(self.commands[-1].data) if self.commands else [0.0] * self._channels
-
-    def _power(self, channel):
-        """What was commanded; the supply gives no more than the bench allows."""
-        volt = self.volts[channel]
-        return BatteryState(voltage=volt, current=min(volt / 2.6987, 2.9))
-
-    def _temperature(self):
-        return Temperature(temperature=float(self.celsius))
-
-    def _tip(self):
-        return JointState(name=["tip"], position=[float(self.position)])
-
-    def _publish(self):
-        for kind, publisher, make in self._publishers:
-            if kind not in self.silent:
-                message = make()
-                message.header.stamp = self._node.get_clock().now().to_msg()
-                publisher.publish(message)
-
-
-def until_zero(bench, fake):
-    seen = len(fake.commands)
-    bench.until(lambda: len(fake.commands) > seen + 5)
-    assert [list(m.data) for m in fake.commands[-3:]] == [[0.0] * len(fake.volts)] * 3
 
 
 def stamps(messages):
@@ -232,7 +178,7 @@ def test_controller_obeys_the_safety_rules_of_the_experiment(bench):
     bench.until(lambda: fake.volts[0] > 1.0)
     fake.celsius = 160.0
     bench.until(lambda: fake.state.startswith("aborted: over-temperature: wire at 160.0 degC"))
-    until_zero(bench, fake)
+    fake.until_zero()
     refused = bench.trigger("temperature_controller/start")
     assert not refused.success and "reset first" in refused.message
     fake.celsius = 25.0
@@ -240,7 +186,7 @@ def test_controller_obeys_the_safety_rules_of_the_experiment(bench):
     assert bench.trigger("temperature_controller/start").success
     # The reference of the run that was aborted is forgotten.
     bench.until(lambda: fake.state == "running: topic")
-    until_zero(bench, fake)
+    fake.until_zero()
     fake.silent.add("temperature")
     bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from wire/"))
     assert bench.trigger("temperature_controller/stop").success
@@ -260,7 +206,7 @@ def test_deflection_controller_stops_when_the_deflection_stops_coming(bench):
     assert fake.volts[:2] == [0.0, 0.0]
     fake.silent.add("joints")
     bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from joint"))
-    until_zero(bench, fake)
+    fake.until_zero()
 
 
 def test_reference_out_of_reach_is_refused_with_its_step(bench, reference):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import BatteryState, Temperature
+from fake_bench import FakeBench
+from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.nodes.experiment import ExperimentNode
@@ -23,7 +24,6 @@ SHORT = {
         {"kind": "rest", "name": "cool", "duration": 1.0},
     ],
 }
-RESISTANCE = 2.6987
 LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
 
 
@@ -37,43 +37,6 @@ def protocol(tmp_path):
     return write
 
 
-class FakeBench:
-    """Readings of a wire that gets what is commanded, or else what the test wants, every 20 ms
-    while the test spins."""
-
-    def __init__(self, bench):
-        self.celsius = 25.0
-        self.ampere = None
-        self.deaf = False
-        self.frozen = False
-        self._node = bench.node
-        self._power = bench.node.create_publisher(BatteryState, "wire/power", 10)
-        self._temperature = bench.node.create_publisher(Temperature, "wire/temperature", 10)
-        self._stamp = self._node.get_clock().now().to_msg()
-        self.commands = bench.listen("voltage_command", Float64MultiArray)
-        self.states = bench.latched("experiment/state", String)
-        bench.node.create_timer(0.02, self._publish)
-
-    @property
-    def state(self):
-        return self.states[-1].data if self.states else ""
-
-    def last(self, n):
-        return [list(m.data) for m in self.commands[-n:]]
-
-    def _publish(self):
-        if not self.frozen:
-            self._stamp = self._node.get_clock().now().to_msg()
-        volt = 0.0 if self.deaf or not self.commands else self.commands[-1].data[0]
-        ampere = volt / RESISTANCE if self.ampere is None else self.ampere
-        power = BatteryState(voltage=volt, current=ampere)
-        power.header.stamp = self._stamp
-        self._power.publish(power)
-        temperature = Temperature(temperature=float(self.celsius))
-        temperature.header.stamp = self._stamp
-        self._temperature.publish(temperature)
-
-
 @pytest.fixture
 def running(bench, protocol):
     """A fake bench and an experiment that drives it with 3 V."""
@@ -84,18 +47,6 @@ def running(bench, protocol):
     bench.until(lambda: fake.state == "running: long")
     bench.until(lambda: fake.commands and fake.commands[-1].data[0] == 3.0)
     return fake, node
-
-
-def until_zero(bench, fake):
-    seen = len(fake.commands)
-    bench.until(lambda: len(fake.commands) > seen + 5)
-    assert fake.last(3) == [[0.0]] * 3
-
-
-def until_still_driven(bench, fake):
-    seen = len(fake.commands)
-    bench.until(lambda: len(fake.commands) > seen + 20)
-    assert fake.last(5) == [[3.0]] * 5
 
 
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
@@ -199,11 +150,11 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
     bench.until(recorder.get_subscription_count)
     recorder.publish(String(data="not what a recorder says"))
-    until_still_driven(bench, fake)
+    fake.until_sent(3.0, count=20)
 
     def aborts(line):
         bench.until(lambda: fake.state.startswith(f"aborted: {line}"))
-        until_zero(bench, fake)
+        fake.until_zero()
         fake.celsius, fake.ampere = 25.0, None
         refused = bench.trigger("experiment/start")
         assert not refused.success and line in refused.message and "reset first" in refused.message
@@ -246,7 +197,7 @@ def test_a_second_of_a_name_is_refused_and_the_first_goes_on(bench, running):
     assert second.process.returncode == 2
     said = "/bench/experiment is there already in ROS domain"
     assert said in second.output and f"process {node.process.pid}" in second.output
-    until_still_driven(bench, fake)
+    fake.until_sent(3.0, count=20)
     # Elsewhere it may; and whoever was killed holds nothing.
     node.end(signal.SIGKILL)
     third = bench.start("experiment")
@@ -276,7 +227,7 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
     bench.until(lambda: fake.state == "running: long")
     record("closed", heard)
     bench.until(lambda: fake.state == "aborted: the recorder does not record: closed")
-    until_zero(bench, fake)
+    fake.until_zero()
 
 
 def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(
@@ -317,7 +268,7 @@ def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, r
         assert result.reason == f"{name} cannot change while the node runs"
         assert not result.successful
     assert not bench.set_parameter("experiment", "use_sim_time", True).successful
-    until_still_driven(bench, fake)
+    fake.until_sent(3.0, count=20)
     bench.trigger("experiment/stop")
     assert not bench.set_parameter("experiment", "bench.maximum_temperature", 700.0).successful
     assert bench.set_parameter("experiment", "wire.heat_transfer_coefficient", 200.0).successful
