@@ -46,7 +46,7 @@ hypothesis.settings.load_profile("any machine")
 # real time by turns with those that compute, lest all workers wait at once.
 LONGEST = (
     "docs/test_documented_pages", "commands/test_demo", "nodes/test_bridge_faults",
-    "nodes/test_twin_node", "blind/test_making_cases", "nodes/test_investigated_bench",
+    "nodes/test_twin_node", "blind/test_cases", "nodes/test_investigated_bench",
     "identify/test_moving_loads", "reliability/test_campaigns", "twin/test_twin",
     "nodes/test_controllers", "identify/test_constitutive", "nodes/test_ir_camera",
     "identify/test_composite", "batch/test_batch", "nodes/test_experiment",

@@ -5,12 +5,11 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -34,11 +33,9 @@ from examination.blind.reality import happen
 from examination.blind.rigs import BACK, COMMAND_PERIOD, FRONT, rig_of, world_of
 from examination.blind.sensors import Sensors, measure
 from sma_bench.errors import InputError
-from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.protocols import Protocol, parse_protocol
 from sma_bench.records.bag_writer import write_record
-from sma_bench.worker_pool import Lost, over_cluster, over_threads
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[2]
 RECORD, HOLD_OUT, NOMINAL, EXPERIMENT = "record", "hold_out", "nominal.yaml", "experiment"
@@ -73,12 +70,6 @@ class Examinee:
         self._running: set[subprocess.Popen[str]] = set()
         self._lock = threading.Lock()
         self._stopped = False
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """On another machine the same program is run by the Python there."""
-        first, *words = self._program
-        own = first == sys.executable
-        return _examinee_here, ("" if own else first, words, self._limit)
 
     def stop(self) -> None:
         """End what runs, and start nothing more."""
@@ -161,18 +152,12 @@ class Examinee:
             return process
 
 
-def _examinee_here(first: str, words: Sequence[str], time_limit: float) -> Examinee:
-    return Examinee((first or sys.executable, *words), time_limit)
-
-
 def _environment(desk: Path) -> dict[str, str]:
     """The caller's, with one thread a process and without a trace of the caller's folder."""
     environment = {k: v for k, v in os.environ.items() if k not in ("PWD", "OLDPWD", "_")}
     paths = [str(PACKAGE_ROOT), *filter(None, [environment.get("PYTHONPATH")])]
     one_thread = dict.fromkeys(_ONE_THREAD, "1")
-    return tied_to_this_process(
-        {**environment, **one_thread, "PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
-    )
+    return {**environment, **one_thread, "PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -250,52 +235,39 @@ def examine(
     answers: Path,
     jobs: int = 1,
     report: Report = lambda done, line: None,
-    cluster: str | None = None,
 ) -> None:
     """Put `cases` to a program, `jobs` at a time, and keep each answer as soon as it is there.
 
-    Interrupted, it ends the running programs (those on a cluster end by themselves, unheard) and
-    leaves their cases open, as it does those whose worker is lost.
+    Interrupted, it ends the running programs and leaves their cases open.
 
     Args:
         cases: names below `folder`.
         answers: folder of the examinee.
         report: called after each case.
-        cluster: address of the dask scheduler whose workers do it instead.
 
     Raises:
-        InputError: a case cannot be read or an answer not be written, or the cluster fails.
+        InputError: a case cannot be read or an answer not be written.
     """
     ask = {case: partial(examinee.ask, folder.absolute() / case) for case in cases}
-    ask_all(examinee, ask, answers, jobs, report, cluster)
+    ask_all(examinee, ask, answers, jobs, report)
 
 
 def ask_all(
-    examinee: Examinee,
-    ask: Mapping[str, Callable[[], Given]],
-    answers: Path,
-    jobs: int,
+    examinee: Examinee, ask: Mapping[str, Callable[[], Given]], answers: Path, jobs: int,
     report: Report,
-    cluster: str | None = None,
 ) -> None:
     """Do every call of `ask`, and keep what it gives under its name in `answers`."""
-    names = list(ask)
-    work: Generator[tuple[int, Given | Lost], None, None]
-    if cluster:
-        work = over_cluster(_ask, list(ask.values()), cluster)
-    else:
-        work = over_threads(_ask, list(ask.values()), jobs, examinee.stop)
-    with closing(work):
-        for done, (k, given) in enumerate(work, start=1):
-            if isinstance(given, Lost):
-                report(done, f"{names[k]}: {given.why}")
-                continue
-            keep(answers, names[k], given.result, given.line, given.seconds, given.improved)
-            report(done, f"{names[k]}: {given.line}" if given.line else "")
-
-
-def _ask(ask: Callable[[], Given]) -> Given:
-    return ask()
+    with ThreadPoolExecutor(jobs) as pool:
+        running = {pool.submit(call): name for name, call in ask.items()}
+        try:
+            for done, future in enumerate(as_completed(running), start=1):
+                name, given = running[future], future.result()
+                keep(answers, name, given.result, given.line, given.seconds, given.improved)
+                report(done, f"{name}: {given.line}" if given.line else "")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            examinee.stop()
+            raise
 
 
 # --- What an answer asks for, done, and the diagnosis asked again: at most three times.
@@ -327,7 +299,6 @@ def follow_up(
     answers: Path,
     jobs: int = 1,
     report: Report = lambda done, line: None,
-    cluster: str | None = None,
 ) -> None:
     """Do what is asked for, and keep each answer after it in `answers`/after_1 to after_3.
 
@@ -348,7 +319,7 @@ def follow_up(
                           history, examinee)
             for case, history in asking.items()
         }
-        ask_all(examinee, ask, answers / name, jobs, report, cluster)
+        ask_all(examinee, ask, answers / name, jobs, report)
 
 
 def _do_and_ask(

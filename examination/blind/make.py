@@ -4,12 +4,12 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
-from functools import partial
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
+import joblib
 import numpy as np
 
 from examination.bags import in_sqlite3
@@ -50,7 +50,6 @@ from sma_bench.installation import VERSION
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
-from sma_bench.worker_pool import Lost, over_processes
 
 _PLACES = 12
 Readings = Mapping[str, Mapping[str, Array]]
@@ -254,20 +253,14 @@ def new_folder(out: str | Path) -> Iterator[Path]:
 def _make_all(
     cases: list[Case], folder: Path, jobs: int, progress: Callable[[int], None]
 ) -> list[dict[str, Any]]:
-    if jobs == 1:
-        labels = []
-        for case in cases:
-            labels.append(make_case(case, folder))
-            progress(len(labels))
-        return labels
-    found: dict[int, dict[str, Any]] = {}
-    with closing(over_processes(partial(make_case, folder=folder), cases, jobs)) as work:
-        for k, label in work:
-            if isinstance(label, Lost):
-                raise InputError(f"blind make: case {cases[k].name}: {label.why}")
-            found[k] = label
-            progress(len(found))
-    return [found[k] for k in range(len(cases))]
+    labels = []
+    work = joblib.Parallel(jobs, return_as="generator")(
+        joblib.delayed(make_case)(case, folder) for case in cases
+    )
+    for label in work:
+        labels.append(label)
+        progress(len(labels))
+    return labels
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:

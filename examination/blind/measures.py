@@ -1,4 +1,4 @@
-"""Intervals of what was counted and measured over a limited number of cases."""
+"""Every measure of the withheld-effect check: a number with its interval from judged cases."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from examination.blind.case_files import Claim
 from examination.blind.judgement import Judged
 
-CONFIDENCE = 0.95
-_RESAMPLES = 2000
-_SEED = 20240229
-
 Array = NDArray[np.float64]
+
+# --- Intervals of what was counted and measured over a limited number of cases.
+
+CONFIDENCE = 0.95
+_BOOTSTRAP = {"n_resamples": 2000, "method": "percentile", "confidence_level": CONFIDENCE}
+_SEED = 20240229
 
 
 @dataclass(frozen=True)
@@ -32,61 +35,30 @@ class Measured:
 NOTHING = Measured(math.nan, math.nan, math.nan, 0)
 
 
-def clopper_pearson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Exact interval of a proportion (Clopper and Pearson, Biometrika 26, 1934).
-
-    Args:
-        hits: successes; n: trials, at least 1.
-    """
-    tail = (1.0 - confidence) / 2.0
-    low = 0.0 if hits == 0 else float(stats.beta.ppf(tail, hits, n - hits + 1))
-    high = 1.0 if hits == n else float(stats.beta.ppf(1.0 - tail, hits + 1, n - hits))
-    return low, high
-
-
 def proportion(outcomes: Sequence[bool]) -> Measured:
-    """Share of True with its Clopper-Pearson interval."""
+    """Share of True with its exact interval (Clopper and Pearson)."""
     if not outcomes:
         return NOTHING
     hits, n = sum(map(bool, outcomes)), len(outcomes)
-    return Measured(hits / n, *clopper_pearson(hits, n), n, hits)
+    low, high = stats.binomtest(hits, n).proportion_ci(CONFIDENCE, method="exact")
+    return Measured(hits / n, float(low), float(high), n, hits)
 
 
 def mean(values: Sequence[float]) -> Measured:
     """Mean with a percentile bootstrap interval; the same values give the same interval."""
-    if not values:
-        return NOTHING
-    numbers = np.asarray(values, dtype=float)
-    resampled = numbers[_resamples(len(numbers))].mean(axis=1)
-    return Measured(float(numbers.mean()), *_percentiles(resampled), len(numbers))
+    return _bootstrapped(lambda x, axis=-1: np.mean(x, axis=axis), values)
 
 
 def quantile(values: Sequence[float], level: float) -> Measured:
-    """Quantile with the interval between two order statistics, free of any distribution.
-
-    The number of values below the true quantile is binomial (n, level) (David and Nagaraja, Order
-    Statistics, section 7.1). Where n is too small for a bound, the bound is infinite.
-
-    Args:
-        values: one for each case, infinite for a case that has none.
-    """
+    """Quantile with the interval between two order statistics, free of any distribution; infinite
+    where the values are too few for a bound."""
     if not values:
         return NOTHING
-    ordered = np.sort(np.asarray(values, dtype=float))
-    n, tail = len(ordered), (1.0 - CONFIDENCE) / 2.0
-    below = int(stats.binom.ppf(tail, n, level)) - 1
-    above = int(stats.binom.ppf(1.0 - tail, n, level))
-    low = float(ordered[below]) if below >= 0 else -math.inf
-    high = float(ordered[above]) if above < n else math.inf
-    return Measured(_quantile(ordered, level), low, high, n)
-
-
-def _quantile(ordered: Array, level: float) -> float:
-    """Linear between order statistics, where infinite ones may be among them."""
-    position = level * (len(ordered) - 1)
-    lower, upper = ordered[math.floor(position)], ordered[math.ceil(position)]
-    share = position - math.floor(position)
-    return float(lower if share == 0.0 else lower * (1.0 - share) + upper * share)
+    value = float(np.quantile(values, level))
+    found = stats.quantile_test(values, q=value, p=level).confidence_interval(CONFIDENCE)
+    low, high = (-math.inf if math.isnan(found.low) else float(found.low),
+                 math.inf if math.isnan(found.high) else float(found.high))  # fmt: skip
+    return Measured(value, low, high, len(values))
 
 
 def calibration_error(stated: Sequence[float], right: Sequence[bool], bins: int = 10) -> Measured:
@@ -95,39 +67,34 @@ def calibration_error(stated: Sequence[float], right: Sequence[bool], bins: int 
     sum_b n_b/n |mean stated in b - share right in b| (Naeini et al., AAAI 2015), with a bootstrap
     interval over cases.
     """
-    if not stated:
-        return NOTHING
-    probability, hit = np.asarray(stated, dtype=float), np.asarray(right, dtype=float)
-    which = bin_of(probability, bins)
-    value = _calibration_error(which, probability - hit, bins)
-    resampled = [
-        _calibration_error(which[rows], (probability - hit)[rows], bins)
-        for rows in _resamples(len(hit))
-    ]
-    return Measured(value, *_percentiles(np.asarray(resampled)), len(hit))
+
+    def error(probability: Array, hit: Array) -> float:
+        sums = np.bincount(bin_of(probability, bins), weights=probability - hit)
+        return float(np.abs(sums).sum() / len(hit))
+
+    return _bootstrapped(error, stated, [float(r) for r in right])
 
 
 def bin_of(probability: Array, bins: int) -> NDArray[np.intp]:
     """Number of the equally wide bin that a probability falls into; 1 belongs to the last."""
-    return np.minimum((probability * bins).astype(np.intp), bins - 1)
+    return np.minimum((np.asarray(probability) * bins).astype(np.intp), bins - 1)
 
 
-def _calibration_error(which: NDArray[np.intp], excess: Array, bins: int) -> float:
-    sums = np.bincount(which, weights=excess, minlength=bins)
-    return float(np.sum(np.abs(sums)) / len(excess))
+def _bootstrapped(statistic: Callable[..., float], *data: Sequence[float]) -> Measured:
+    n = len(data[0])
+    if not n:
+        return NOTHING
+    columns = tuple(np.asarray(column, dtype=float) for column in data)
+    value = float(statistic(*columns))
+    if n == 1 or all(np.ptp(column) == 0.0 for column in columns):  # nothing to resample
+        return Measured(value, value, value, n)
+    found = stats.bootstrap(
+        columns, statistic, paired=True, random_state=np.random.default_rng(_SEED), **_BOOTSTRAP
+    ).confidence_interval
+    return Measured(value, float(found.low), float(found.high), n)
 
 
-def _resamples(n: int) -> NDArray[np.int64]:
-    return np.random.default_rng(_SEED).integers(0, n, size=(_RESAMPLES, n))
-
-
-def _percentiles(resampled: Array) -> tuple[float, float]:
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(resampled, [tail, 100.0 - tail])
-    return float(low), float(high)
-
-
-# --- Every measure of the withheld-effect check: a number with its interval from judged cases.
+# --- Which cases a measure is over.
 #
 # A case without an answer (a crash, no time, against the contract) counts against the answerer:
 # it detects nothing, alarms and is not right; it claims no shrinkage. DETECTABLE cases have a
@@ -191,34 +158,14 @@ def share_of(outcome: Callable[[Judged], bool], among: Callable[[Judged], bool])
     return lambda cases: proportion([outcome(c) for c in cases if among(c)])
 
 
-def single(case: Judged) -> bool:
-    """One effect of the library."""
-    return case.label.kind == "single"
+def of_kind(*kinds: str) -> Callable[[Judged], bool]:
+    """Whatever their gap."""
+    return lambda case: case.label.kind in kinds
 
 
-def seen_single(case: Judged) -> bool:
-    """One effect of the library with a gap above twice the noise."""
-    return single(case) and detectable(case)
-
-
-def mistaken(case: Judged) -> bool:
-    """Wrong parameters and no effect, with a gap above twice the noise."""
-    return case.label.kind == "recalibration" and detectable(case)
-
-
-def distinguishable(case: Judged) -> bool:
-    """One effect, five standard deviations off every rival."""
-    return single(case) and case.label.distinguishable
-
-
-def pair(case: Judged) -> bool:
-    """Two effects."""
-    return case.label.kind == "pair"
-
-
-def detectable(case: Judged) -> bool:
-    """Something is wrong, with a measured gap above twice the noise."""
-    return case.label.kind != "none" and case.label.severity > DETECTABLE
+def seen(*kinds: str) -> Callable[[Judged], bool]:
+    """With a gap above twice the noise."""
+    return lambda case: case.label.kind in kinds and case.label.severity > DETECTABLE
 
 
 def clean(case: Judged) -> bool:
@@ -231,9 +178,9 @@ def kinetics(case: Judged) -> bool:
     return case.label.kind == "none" and case.label.kinetics
 
 
-def outside(case: Judged) -> bool:
-    """Detectable effect that no library has."""
-    return case.label.kind == "outside" and detectable(case)
+def distinguishable(case: Judged) -> bool:
+    """One effect, five standard deviations off every rival."""
+    return case.label.kind == "single" and case.label.distinguishable
 
 
 def placed(case: Judged) -> bool:
@@ -246,9 +193,9 @@ def anyone(_: Judged) -> bool:
     return True
 
 
-def not_pair(case: Judged) -> bool:
-    """Every case but pairs."""
-    return not pair(case)
+EFFECT_KINDS = ("single", "pair", "outside")
+single, pair = of_kind("single"), of_kind("pair")
+detectable = seen(*EFFECT_KINDS, "recalibration")
 
 
 def place(key: str) -> Callable[[Cases], Measured]:
@@ -256,30 +203,19 @@ def place(key: str) -> Callable[[Cases], Measured]:
     return share_of(lambda c: c.place_right(key), placed)
 
 
-def _claims(cases: Cases) -> list[tuple[float, float, tuple[float, float]]]:
-    """(claimed, true, interval) of every case that claims to shrink a gap that is there."""
-    pairs = [case.claim for case in cases]
-    return [(pair[0].fraction, pair[1], pair[0].ci90) for pair in pairs if pair]
+def _claims(cases: Cases) -> list[tuple[Claim, float]]:
+    """Claim and true fraction of every case that claims to shrink a gap that is there."""
+    return [case.claim for case in cases if case.claim]
 
 
-def shrinkage_error(level: float) -> Callable[[Cases], Measured]:
-    """Quantile of |claimed - true fraction|."""
-    return lambda cases: quantile([abs(said - true) for said, true, _ in _claims(cases)], level)
-
-
-def shrinkage_bias(cases: Cases) -> Measured:
-    """Median of claimed - true fraction."""
-    return quantile([said - true for said, true, _ in _claims(cases)], 0.5)
+def claimed(value: Callable[[float, float], float], level: float = 0.5) -> Callable:
+    """Quantile of a function of claimed and true fraction."""
+    return lambda cases: quantile([value(c.fraction, true) for c, true in _claims(cases)], level)
 
 
 def shrinkage_coverage(cases: Cases) -> Measured:
     """Share of claimed 90 % intervals that hold the true fraction."""
-    return proportion([low <= true <= high for _, true, (low, high) in _claims(cases)])
-
-
-def true_shrinkage(cases: Cases) -> Measured:
-    """Median true fraction where one is claimed."""
-    return quantile([true for _, true, _ in _claims(cases)], 0.5)
+    return proportion([c.ci90[0] <= true <= c.ci90[1] for c, true in _claims(cases)])
 
 
 def first_choice_calibration(cases: Cases) -> Measured:
@@ -334,11 +270,11 @@ TARGETS = (
         "first choice right, singles above twice the noise",
         "single effects with a measured gap above 2 noise standard deviations; the most probable "
         "candidate is the effect",
-        share_of(lambda c: c.first_choice_right, seen_single), floor=0.90, aim=0.95,
+        share_of(lambda c: c.first_choice_right, seen("single")), floor=0.90, aim=0.95,
     ),
     Measure(
         "singles named and right", "the same; the verdict is `effect`, too",
-        share_of(lambda c: c.verdict == "effect" and c.first_choice_right, seen_single),
+        share_of(lambda c: c.verdict == "effect" and c.first_choice_right, seen("single")),
         floor=0.80, aim=0.90,
     ),
     Measure(
@@ -347,12 +283,12 @@ TARGETS = (
         "recalibration, and the improved file has one of them 2 deviations or more from where it "
         "was believed",
         share_of(lambda c: c.verdict == "recalibration" and bool(c.moved & c.label.wrong),
-                 mistaken), floor=0.70, aim=0.85,
+                 seen("recalibration")), floor=0.70, aim=0.85,
     ),
     Measure(
         "90 % set holds the truth",
         "all cases but pairs; the fewest candidates that make 90 % have the truth among them",
-        share_of(lambda c: c.set_holds_truth, not_pair), floor=0.90, aim=0.92,
+        share_of(lambda c: c.set_holds_truth, lambda c: not pair(c)), floor=0.90, aim=0.92,
     ),
     Measure(
         "90 % set, mean size", "all answers; number of candidates in the 90 % set",
@@ -368,7 +304,7 @@ TARGETS = (
         "out-of-library: abstains or flags",
         "effects that no library has, gap above 2; verdict ambiguous or unexplained, or "
         "unexplained in the 90 % set",
-        share_of(lambda c: c.abstains_or_flags, outside), floor=0.90, aim=0.97,
+        share_of(lambda c: c.abstains_or_flags, seen("outside")), floor=0.90, aim=0.97,
     ),
     Measure(
         "confident and wrong",
@@ -380,11 +316,11 @@ TARGETS = (
         "claimed against true shrinkage, median",
         "cases that claim to shrink a gap which is there; |claimed - true fraction| on a protocol "
         "that nobody saw",
-        shrinkage_error(0.5), "lower", "points", floor=0.01, aim=0.005,
+        claimed(lambda said, true: abs(said - true)), "lower", "points", floor=0.01, aim=0.005,
     ),
     Measure(
         "claimed against true shrinkage, 90th percentile", "the same",
-        shrinkage_error(0.9), "lower", "points", floor=0.07, aim=0.04,
+        claimed(lambda said, true: abs(said - true), 0.9), "lower", "points", floor=0.07, aim=0.04,
     ),
     Measure(
         "90 % interval of shrinkage covers", "the same cases; the true fraction is inside",
@@ -437,17 +373,17 @@ OTHERS = (
     *(_noise_alarm(noise) for noise in ("white", "coloured", "drift")),
     Measure(
         "wrong parameters taken for an effect", "recalibration cases; alarms as above",
-        share_of(lambda c: c.alarms, lambda c: c.label.kind == "recalibration"), "lower",
+        share_of(lambda c: c.alarms, of_kind("recalibration")), "lower",
     ),
     Measure(
         "recalibration recognised", "recalibration cases; most probable candidate",
-        share_of(lambda c: c.first_choice_right, lambda c: c.label.kind == "recalibration"),
+        share_of(lambda c: c.first_choice_right, of_kind("recalibration")),
     ),
     Measure(
         "effects seen as effects", "single, pair, outside with a gap above 2; alarms as above",
         share_of(
             lambda c: c.answer is not None and c.alarms,
-            lambda c: detectable(c) and c.label.kind != "recalibration",
+            seen(*EFFECT_KINDS),
         ),
     ),
     Measure(
@@ -477,9 +413,13 @@ OTHERS = (
         first_choice_calibration, "lower", "points",
     ),
     Measure("where: side", "effects with a gap above 2", place("side")),
-    Measure("true shrinkage, median", "cases that claim one", true_shrinkage, style="points"),
     Measure(
-        "claimed minus true shrinkage, median", "the same", shrinkage_bias, "inside", "points"
+        "true shrinkage, median", "cases that claim one", claimed(lambda _, true: true),
+        style="points",
+    ),
+    Measure(
+        "claimed minus true shrinkage, median", "the same",
+        claimed(lambda said, true: said - true), "inside", "points",
     ),
     Measure(
         "parameter error before, median", "root mean square over the stated parameters of "

@@ -1,6 +1,5 @@
 """Answers and labels brought together, once every answer is there."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,6 @@ from examination.blind.judgement import (
 from examination.blind.measures import (
     OTHERS,
     TARGETS,
-    Bound,
     Measure,
     Measured,
     bin_of,
@@ -308,104 +306,6 @@ def _by(
         group: {name: of(split[group]) for name, of in GROUP_MEASURES.items()}
         for group in sorted(split, key=lambda name: (_place(name), name))
     }
-
-
-# --- How numbers of the examination are printed, the same on the terminal and on pages.
-
-DASH = "–"
-MEASURE_HEADER = ("measure", "cases", "value", "95 % interval", "floor", "aim", "met")
-_SCALE = {"share": 100.0, "points": 100.0, "number": 1.0, "seconds": 1.0}
-_DIGITS = {"share": 1, "points": 1, "number": 2, "seconds": 1}
-_UNIT = {"share": " %", "points": "", "number": "", "seconds": " s"}
-_NAME_UNIT = {"points": " (points)"}
-
-
-def title(measure: Measure) -> str:
-    """Name of a row with its unit."""
-    return measure.name + _NAME_UNIT.get(measure.style, "")
-
-
-def number(measure: Measure, value: float) -> str:
-    """A value in the style of its measure; a dash for none."""
-    if not math.isfinite(value):
-        return DASH
-    digits = _DIGITS[measure.style]
-    return f"{value * _SCALE[measure.style]:.{digits}f}{_UNIT[measure.style]}"
-
-
-def interval(measure: Measure, measured: Measured) -> str:
-    """Low to high; an open end where the cases are too few for a bound."""
-    if not measured.n:
-        return DASH
-    low, high = number(measure, measured.low), number(measure, measured.high)
-    if measured.high == math.inf:
-        return f"above {low}" if math.isfinite(measured.low) else DASH
-    if measured.low == -math.inf:
-        return f"below {high}"
-    return f"{low.removesuffix(_UNIT[measure.style])} to {high}"
-
-
-def bound(measure: Measure, value: Bound) -> str:
-    """A floor or an aim."""
-    if value is None:
-        return ""
-    if isinstance(value, tuple):
-        low, high = (f"{100 * v:.0f}" for v in value)
-        return f"{low} to {high} %"
-    unit, scale = _UNIT[measure.style], _SCALE[measure.style]
-    return f"{'≥' if measure.better == 'higher' else '≤'} {value * scale:g}{unit}"
-
-
-def measure_row(measure: Measure, measured: Measured) -> tuple[str, ...]:
-    """Cells of MEASURE_HEADER."""
-    return (
-        title(measure), str(measured.n), number(measure, measured.value),
-        interval(measure, measured), bound(measure, measure.floor), bound(measure, measure.aim),
-        measure.met(measured),
-    )  # fmt: skip
-
-
-# (title, header, rows)
-ResultTable = tuple[str, Sequence[str], list[tuple[str, ...]]]
-
-
-def tables(score: Score) -> list[ResultTable]:
-    """Measures (without a title), those besides, and groups of cases, of one examinee."""
-    rows = [measure_row(m, score.measured[m.name]) for m in (*TARGETS, *OTHERS)]
-    found: list[ResultTable] = [
-        ("", MEASURE_HEADER, rows[: len(TARGETS)]),
-        ("besides", MEASURE_HEADER[:4], [row[:4] for row in rows[len(TARGETS) :]]),
-    ]
-    for title, by_group in groups(score.cases).items():
-        names = list(next(iter(by_group.values()), {}))
-        lines = [
-            (group, str(row[names[0]].n),
-             *(f"{row[n].value:.2f} ({row[n].low:.2f} to {row[n].high:.2f})" for n in names))
-            for group, row in by_group.items()
-        ]  # fmt: skip
-        if lines:
-            found.append((title, ("", "cases", *names), lines))
-    return found
-
-
-def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:
-    """One row a measure: its name, and each examinee's value with its interval."""
-    return [
-        (title(m), *(f"{number(m, s.measured[m.name].value)} ({interval(m, s.measured[m.name])})"
-                     if s.measured[m.name].n else DASH for s in scores))
-        for m in measures
-    ]  # fmt: skip
-
-
-def summary(score: Score) -> str:
-    """How many floors and aims an examinee reaches, and which floors it misses."""
-    met = {m.name: m.met(score.measured[m.name]) for m in TARGETS}
-    missed = [name for name, how in met.items() if how == "missed"]
-    open_ = [name for name, how in met.items() if not how]
-    aims = sum(how == "aim" for how in met.values())
-    text = f"{score.name}: {aims} aims reached, {len(met) - len(missed) - len(open_)} of "
-    text += f"{len(met) - len(open_)} floors"
-    return text + (f"; missed: {', '.join(missed)}" if missed else "")
 
 
 def beaten(score: Score, rivals: Sequence[Score]) -> list[str]:

@@ -52,9 +52,10 @@ from examination.blind.examination import (
     open_cases,
 )
 from examination.blind.measures import TARGETS
+from examination.blind.page import side_by_side
 from examination.blind.reality import Outcome, World
 from examination.blind.rigs import CHANNELS, COMMAND_PERIOD, Drive, rig_of
-from examination.blind.score import handed_in, open_labels, score, side_by_side
+from examination.blind.score import handed_in, open_labels, score
 from examination.blind.sensors import Sensors, measure
 from sma_bench.diagnose.decision import PAIR_THRESHOLD, THRESHOLD
 from sma_bench.diagnose.drives import least_stds
@@ -163,7 +164,7 @@ def make_tested(case: Path, label: Label, seed: int) -> None:
     believed = read_parameters(case / NOMINAL)
     stated = believed.given_uncertainty
     stds = {n: std for n, std in least_stds(believed).items() if std < stated.get(n, 0.0)}
-    asked = NextExperiment("", (), {}, stds)
+    asked = NextExperiment((), {}, stds)
     random = np.random.default_rng([_STREAM, seed, int(case.name)])
     tested = after_tests(label, asked, believed, random)
     write_parameters(case / NOMINAL, tested, names=sorted(tested.given))
@@ -174,7 +175,7 @@ def effects_of(whole: CaseSet, label: Label) -> dict[str, float]:
     answer = read_kept(whole.answers / DIAGNOSIS, label["id"]).answer
     if answer is None:
         return {}
-    fitted = {c.name: {n: e.value for n, e in c.parameters.items()} for c in answer.candidates}
+    fitted = {c.name: dict(c.parameters) for c in answer.candidates}
     joint = fitted.get(PAIR_SIGN.join(sorted(label["effects"])), {})
     alone = {n: v for name in label["effects"] for n, v in fitted.get(name, {}).items()}
     return alone | joint

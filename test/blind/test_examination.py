@@ -110,8 +110,7 @@ FAILURES = {
     "crash": "exit code 3: ValueError: it hurts",
     "silent": "no result was written",
     "babble": "result is not JSON: Expecting value: line 1 column 1 (char 0)",
-    "wrong": "result: verdict is 'perhaps', expected one of effect, recalibration, no_gap, "
-    "ambiguous, unexplained",
+    "wrong": "result: verdict 'perhaps'",
     "effect": "verdict effect without improved parameters",
     "spoil": "improved.yaml: expected a ROS parameter file ('/**: ros__parameters:')",
 }
@@ -170,30 +169,6 @@ def test_an_interrupted_examination_keeps_what_was_answered_and_ends_what_runs(b
         )
     assert time.monotonic() - begin < 40.0
     assert open_cases(names, bench.answers) == ["0002", "0003"]
-
-
-def test_a_cluster_answers_as_this_machine_does(bench, tmp_path):
-    distributed = pytest.importorskip("distributed")
-    names = bench.make("look", "crash", "improve")
-    said = []
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, processes=False,
-        host="127.0.0.1", protocol="tcp", local_directory=str(tmp_path),
-    ) as cluster:
-        address = cluster.scheduler_address
-        examine(
-            Examinee(bench.program, 30.0), names, bench.root / "cases", bench.answers,
-            report=lambda done, line: said.append(line), cluster=address,
-        )
-        with pytest.raises(InputError, match="0004/record: cannot be read: No such file"):
-            examine(
-                Examinee(bench.program, 30.0), ["0004"], bench.root / "cases", bench.answers,
-                cluster=address,
-            )
-    assert sorted(said) == ["", "", "0002: exit code 3: ValueError: it hurts"]
-    assert read_kept(bench.answers, "0001").answer is not None
-    assert read_kept(bench.answers, "0003").improved is not None
-    assert open_cases([*names, "0004"], bench.answers) == ["0004"]
 
 
 def test_answers_to_another_set_or_of_another_program_are_not_mixed(tmp_path):

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from planted import believed, planted_record
 
 from examination.blind import examination as follow_up_module
 from examination.blind.case_files import (
@@ -13,7 +14,6 @@ from examination.blind.case_files import (
     STAGE_OF,
     Examination,
     NextExperiment,
-    answers_of,
     checked_answer,
     keep,
     read_case_set,
@@ -24,9 +24,9 @@ from examination.blind.case_files import (
 from examination.blind.cases import Card, draw_case
 from examination.blind.command import main
 from examination.blind.examination import Examinee, after_tests, bench_protocol, follow_up
-from examination.blind.judgement import UnseenRecord, parameter_error, unseen_drive
+from examination.blind.judgement import UnseenRecord
 from examination.blind.rigs import true_values
-from examination.blind.score import beaten, followed_up, handed_in, open_labels, score
+from examination.blind.score import followed_up, handed_in, score
 from sma_bench.errors import InputError
 from sma_bench.parameters import write_parameters
 from sma_bench.records import read_record
@@ -115,18 +115,6 @@ def test_labels_stay_sealed_until_the_last_answer(made, tmp_path, monkeypatch, c
     assert error.count("\n") == 1 and touched == []
 
 
-def test_a_broken_seal_is_refused(made, tmp_path):
-    root, _, _ = made
-    copy = tmp_path / "set"
-    copy.mkdir()
-    for name in ("manifest.json", "labels.sealed"):
-        (copy / name).write_bytes((root / name).read_bytes())
-    with (copy / "labels.sealed").open("ab") as stream:
-        stream.write(b"x")
-    with pytest.raises(InputError, match="sha256 differs"):
-        open_labels(read_case_set(copy))
-
-
 def test_answers_to_another_set_are_not_scored(made, tmp_path):
     cases = hand_in(made, tmp_path, GOOD)
     write_examination(tmp_path / "other", Examination("x", ("x",), 1.0, "0" * 64))
@@ -163,28 +151,6 @@ def test_the_true_cause_takes_the_true_gap_away_and_a_wrong_one_does_not(made):
         assert found[signal].fraction > 0.95
         assert unseen.shrunk(truth, wrong)[signal].fraction < 0.3
     assert found["temperature"].noise == drawn["0001"].sensors.std("temperature")
-
-
-def test_the_unseen_drive_is_no_record_of_the_case(made):
-    _, _, drawn = made
-    drives = drawn["0001"].drives
-    unseen = unseen_drive(drives)
-    time = unseen.grid(0.02)
-    highest = [max(max(p.volts) for p in d.pulses) for d in (*drives.values(), unseen)]
-    assert highest[2] == pytest.approx(max(highest[:2]))
-    for drive in drives.values():
-        both = np.corrcoef(unseen.voltage(time).ravel(), drive.voltage(time).ravel())[0, 1]
-        assert both < 0.9
-
-
-def test_parameter_error_counts_stated_standard_deviations(made):
-    _, labels, drawn = made
-    case = drawn["0002"]
-    truth = labels["0002"]["truth"]
-    assert parameter_error(truth, case.nominal, case.truth) == 0.0
-    off = {name: truth[name] + 2.0 * case.nominal.std(name) for name in truth}
-    shifted = case.truth.replace(off)
-    assert parameter_error(truth, case.nominal, shifted) == pytest.approx(2.0)
 
 
 SECOND_ANSWER = """
@@ -231,41 +197,26 @@ def test_the_experiment_is_recorded_on_the_cases_own_bench(made, tmp_path):
     assert record["back_1.voltage"].values.max() == 0.0
 
 
-def test_at_most_three_experiments_are_performed_and_records_add_up(made, tmp_path):
-    script = tmp_path / "again.py"
-    script.write_text(SECOND_ANSWER.replace(
-        'assert records == ["record", "experiment_1"]',
-        'assert records == ["record", *(f"experiment_{k}" for k in range(1, len(records)))]',
-    ))
-    again = document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5)
-    script.with_suffix(".json").write_text(json.dumps(again))
-    program = (sys.executable, "-S", str(script))
-    answers = tmp_path / "answers"
-    cases = hand_in(made, answers, GOOD, program=program)
-    follow_up(cases, made[1], Examinee(program, 30.0), answers)
-    assert [kept.line for kept in answers_of(answers, "0003")] == [""] * 4
-
-
 def test_a_test_of_the_paper_finds_what_the_wire_has_and_what_its_world_does_to_it(made):
     _, labels, drawn = made
 
-    def believed_after(kind, **stds):
-        asked = NextExperiment("", (), {}, {f"wire.{n}": std for n, std in stds.items()}, (), kind)
+    def believed_after(**stds):
+        asked = NextExperiment((), {}, {f"wire.{n}": std for n, std in stds.items()})
         rng = np.random.default_rng(1)
         return after_tests(labels["0001"], asked, drawn["0001"].nominal, rng)
 
     # The wire of 0001 has leads of 0.3 ohm: a test that takes volts at its ends does not see them.
-    believed = believed_after("E1", resistance=1e-4, stress_influence_austenite=1e4)
+    believed = believed_after(resistance=1e-4, stress_influence_austenite=1e4)
     truth = labels["0001"]["truth"]
     assert labels["0001"]["features"]["supply_resistance"] == 0.3
     assert believed["wire.resistance"] == pytest.approx(truth["wire.resistance"], abs=1e-3)
     assert believed.std("wire.resistance") == 1e-4
     name = "wire.stress_influence_austenite"
     assert believed[name] == pytest.approx(truth[name], abs=1e5)
-    heat = believed_after("E3", specific_heat=0.1)["wire.specific_heat"]
+    heat = believed_after(specific_heat=0.1)["wire.specific_heat"]
     assert heat == pytest.approx(truth["wire.specific_heat"], abs=0.5)
     with pytest.raises(InputError, match="wire.slack"):
-        believed_after("E1", slack=1.0)
+        believed_after(slack=1.0)
 
 
 def test_a_protocol_beyond_the_bench_is_a_failed_second_answer(made, tmp_path):
@@ -287,10 +238,10 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
     folders = [tmp_path / "a", tmp_path / "b"]
     hand_in(made, folders[0], GOOD)
     always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
-    hand_in(made, folders[1], always, "rmse", ("python", "blind", "rival", "rmse"))
-    page, markdown, result = tmp_path / "page", tmp_path / "docs" / "r.md", tmp_path / "r.json"
+    hand_in(made, folders[1], always, "bic", ("python", "blind", "rival", "bic"))
+    markdown, result = tmp_path / "docs" / "r.md", tmp_path / "r.json"
     arguments = ["score", str(root), "--no-follow-up", "--json", str(result)]
-    arguments += ["--page", str(page), "--markdown", str(markdown)]
+    arguments += ["--markdown", str(markdown)]
     for folder in folders:
         arguments += ["--answers", str(folder)]
     assert main(arguments) == 0
@@ -299,36 +250,28 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
                  "reliability", "by severity", "by signals", "all cases by kind"):  # fmt: skip
         assert text in printed
     scores = json.loads(result.read_text())["scores"]
-    row = scores["rmse"]["measures"]["false alarms on no effect"]
+    row = scores["bic"]["measures"]["false alarms on no effect"]
     assert (row["value"], row["n"], row["met"], row["floor"]) == (1.0, 1, "missed", 0.02)
     assert row["low"] == pytest.approx(0.025) and row["high"] == 1.0
-    assert scores["rmse"]["confusion"]["supply_drop"]["slack"] == 1
-    html = (page / "index.html").read_text()
-    assert html.count("<img") == 8
-    assert "Truth against first choice" in html and "SHA-256" in html  # tables say what they are of
+    assert scores["bic"]["confusion"]["supply_drop"]["slack"] == 1
     text = markdown.read_text()
     assert "./bench blind make --seed 5 --n 3 --out cases" in text
-    assert "./bench blind run cases --rival rmse" in text
+    assert "./bench blind run cases --rival bic" in text
     markdown.write_text(text + "\n## Notes\n\nMissed because of the wind.\n")
     assert main(arguments) == 2
     assert main([*arguments, "--force"]) == 0
     assert markdown.read_text() == text + "\n## Notes\n\nMissed because of the wind.\n"
 
 
-def test_a_rival_that_always_raises_an_alarm_is_not_better_at_detecting(made, tmp_path):
-    _, labels, _ = made
-    always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
-    timid = GOOD | {"0001": document("no_gap", no_gap=1.0)}
-    hand_in(made, tmp_path / "a", timid)
-    cases = hand_in(made, tmp_path / "b", always, "rmse")
-    mine, rival = score(cases, handed_in(cases, [tmp_path / "a", tmp_path / "b"]), labels)
-    name = "detection of gaps above twice the noise"
-    assert rival.measured[name].value > mine.measured[name].value
-    assert rival.measured["90 % set, mean size"].value < mine.measured["90 % set, mean size"].value
-    assert name not in beaten(mine, [rival]) and "90 % set, mean size" not in beaten(mine, [rival])
-    assert "false alarms on no effect" in beaten(rival, [mine])
-
-
-def test_the_answers_used_here_are_to_the_contract():
-    for answer in GOOD.values():
-        checked_answer(answer)
+def test_the_rival_finds_an_easy_effect_and_takes_nothing_for_one(tmp_path):
+    lab = tmp_path / "lab.yaml"
+    write_parameters(lab, believed())
+    coupled = {"effect.side_heat_coupling.conductance": 2e-3}
+    for name, effects in (("coupled", coupled), ("not", {})):
+        planted_record(tmp_path / name, effects)
+        result = tmp_path / f"{name}.json"
+        words = ["rival", "bic", str(tmp_path / name), "--params", str(lab), "--json", str(result)]
+        assert main(words) == 0
+        answer = checked_answer(json.loads(result.read_text()))
+        assert answer.cause == (("side_heat_coupling",) if effects else ())
+        assert answer.shrinkage["temperature"].fraction > 0.5 or not effects
