@@ -410,4 +410,4 @@ def perform(
     wanted = {*QUANTITIES[label["signals"]], *more}
     quantities = tuple(q for q in QUANTITIES["all"] if q in wanted)
     signals = measure(outcome, world, sensors, protocol.channels, rng, quantities)
-    write_record(bag, signals, "bench", "mcap", _START_NS + number * _HOUR_NS)
+    write_record(bag, signals, "bench", _START_NS + number * _HOUR_NS)

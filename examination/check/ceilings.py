@@ -195,7 +195,7 @@ def make_by_model(case: Path, label: Label, effects: Mapping[str, float]) -> Non
         )
         random = np.random.default_rng([_STREAM, int(label["id"]), number])
         signals = measure(outcome, world, sensors, CHANNELS, random, QUANTITIES[label["signals"]])
-        write_record(case / record, signals, "bench", "mcap", _START_NS, replace=True)
+        write_record(case / record, signals, "bench", _START_NS, replace=True)
 
 
 # --- Failures of the search.

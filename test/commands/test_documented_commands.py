@@ -63,7 +63,7 @@ def check_command(words: list[str]) -> str:
         sections = {word for word in rest if word.replace("-", "").isalpha() and word[0] != "-"}
         return "" if sections <= set(SECTIONS) else f"no section among {sections}"
     if name == "blind":
-        return objection(blind.parser_of(rest[0]), rest[1:]) if len(rest) > 1 else ""
+        return objection(blind.parser(), rest) if len(rest) > 1 else ""
     if name in DEVELOPER:
         script = ROOT / "examination" / name / f"{(rest or [name])[0]}.py"
         return "" if name == "test" or script.is_file() else f"no {script}"
