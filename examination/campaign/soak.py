@@ -3,7 +3,7 @@
 The nodes themselves, in step with one another and faster than life: simulator, experiment and
 recorder on a protocol that lasts, the recorder writing all that is published. What grows with the
 computer's time and not with the bench's shows less here than in life: of that there is the index of
-the recorder's chunks, whose bytes a chunk test/records/test_write_bags.py limits.
+the recorder's chunks, 0.7 to 0.9 kB for each of two chunks a second.
 """
 
 import shutil
@@ -25,7 +25,7 @@ from examination.campaign.outcome import Outcome
 NODES = ("simulator", "experiment", "recorder")
 LIMIT = 8.0
 """MB/h: a day adds 0.2 GB and a week 1.3 GB, which a small computer of 2 GB bears beside the bench.
-The index of a bag, which has to grow, takes 1.3 of it."""
+The index of a bag, which has to grow, takes 5 to 7 of it."""
 _SPEED = 1000.0
 _SHORTEST = 60
 """Minutes: half of it to warm up, and as much to see a slope"""
