@@ -274,6 +274,7 @@ def identify(
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
     run.weigh_priors(whole)
+    run.keep_order()
     _report_missing(run, records, drives)
     improved = run.improved()
     stated = {

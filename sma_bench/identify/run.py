@@ -26,7 +26,7 @@ from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
 from sma_bench.identify.thermal.specific_heat import HeatLoss, identify_specific_heat
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.table import BY_NAME, TRANSITIONS
 from sma_bench.records import Record
 
 
@@ -140,6 +140,36 @@ class IdentificationRun:
             text = f"another alloy than the paper's: {shown}; its defaults are not this wire's"
             self.notes.append(Finding("info", "alloy", text, {"contradicted": float(len(others))}))
 
+    def keep_order(self) -> None:
+        """Heating ends above where it begins and above where cooling begins, which begins above
+        where it ends: estimates that errors carried past each other meet between."""
+        known = {
+            n: (self.given[n], self.given.std(n)) for n in TRANSITIONS.values()
+            if n in self.given.given
+        }
+        known |= {n: (e.value, e.std) for n, e in self.estimates.items() if n in TRANSITIONS.values()}
+        before = dict(known)
+        for _ in range(_PASSES):
+            for lower, upper in _ORDER:
+                (low, low_std), (high, high_std) = known.get(lower, _FREE), known.get(upper, _FREE)
+                short = low + _NARROWEST - high
+                if short > 0.0:
+                    share = low_std**2 / max(low_std**2 + high_std**2, 1e-30)
+                    known[lower] = low - share * short, low_std
+                    known[upper] = high + (1.0 - share) * short, high_std
+        for name, (value, std) in known.items():
+            moved = value - before[name][0]
+            if name in self.estimates and moved:
+                self.estimates[name] = replace(self.estimates[name], value=value)
+                text = (
+                    f"moved by {moved:+.2f} K ({abs(moved) / std:.1f} standard errors), so that "
+                    "A_f lies above A_s and M_s, and these above M_f"
+                )
+                far = abs(moved) > _SIGNIFICANT * std
+                self.notes.append(
+                    Finding("warning" if far else "info", name, text, {"moved": moved})
+                )
+
     def another_alloy(self) -> list[str]:
         """Numbers of the alloy that nobody stated and whose default the records contradict."""
         found = []
@@ -238,6 +268,12 @@ RESISTANCE = "wire.resistance"
 COEFFICIENT = "wire.heat_transfer_coefficient"
 _SIGNIFICANT, _SMALL = 3.0, 0.01
 _SURPRISING = 3.5  # standard errors
+_ORDER = tuple(
+    (TRANSITIONS[lower], TRANSITIONS[upper])
+    for lower, upper in (("A_s", "A_f"), ("M_f", "M_s"), ("M_s", "A_f"), ("M_f", "A_s"))
+)
+_FREE = (math.nan, 0.0)  # compares with nothing
+_NARROWEST, _PASSES = 0.2, 100  # K; of the pairs, which pull at each other
 _OF_CAMERA = (COEFFICIENT, SPECIFIC_HEAT)
 _WRONG = 1.5  # a factor
 

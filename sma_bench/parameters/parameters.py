@@ -67,7 +67,19 @@ class Parameters(Mapping[str, Value]):
             self._values[name] = BY_NAME[name].validated(value, where)
         self._std |= self._validated_uncertainty(uncertainty)
         self.given |= frozenset(values) | frozenset(uncertainty)
+        for pair in _ORDERED_TEMPERATURES:
+            self._make_way(*pair)
         self._check_consistency()
+
+    def _make_way(self, lower: str, upper: str) -> None:
+        """A default that nobody stated keeps its distance from what was stated beyond it."""
+        if self[lower] < self[upper] or {lower, upper} <= self.given:
+            return
+        width = float(str(BY_NAME[upper].default)) - float(str(BY_NAME[lower].default))
+        if upper in self.given:
+            self._values[lower] = self[upper] - width
+        else:
+            self._values[upper] = self[lower] + width
 
     @classmethod
     def defaults(cls) -> "Parameters":

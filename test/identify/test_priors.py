@@ -11,7 +11,8 @@ from sma_bench.identify.estimate import Estimate, with_prior
 from sma_bench.identify.run import IdentificationRun
 from sma_bench.parameters import Parameters
 
-START = "wire.austenite_start_temperature"
+START, FINISH = "wire.austenite_start_temperature", "wire.austenite_finish_temperature"
+M_S, M_F = "wire.martensite_start_temperature", "wire.martensite_finish_temperature"
 LOSS, AREA = "wire.heat_transfer_coefficient", "wire.surface_area"
 PRIOR = Estimate(100.0, 4.0, "1", "given", 0)
 
@@ -53,6 +54,19 @@ def test_a_default_that_nobody_stated_is_never_averaged_with_a_measurement():
     assert (found.value, found.std) == (356.0, 6.0)
     assert any("another alloy" in note.text for note in notes)
     assert weighed(6.0, **{START: 331.0})[0].value < 335.0
+
+
+def test_transition_temperatures_keep_their_order():
+    run = IdentificationRun(Parameters(), frozenset())
+    values = {START: (350.0, 1.0), FINISH: (360.0, 4.0), M_S: (364.0, 2.0), M_F: (351.0, 3.0)}
+    run.estimates = {n: Estimate(v, s, "K", "", 3) for n, (v, s) in values.items()}
+    run.keep_order()
+    found = {n: e.value for n, e in run.estimates.items()}
+    assert found[START] < found[FINISH] and found[M_F] < found[M_S]
+    assert found[M_S] < found[FINISH] and found[M_F] < found[START]
+    # The surer number moves less.
+    assert 350.0 < found[START] < 350.3 and 363.0 < found[FINISH] < 363.8
+    assert dict(run.improved()) | found == dict(run.improved())
 
 
 def test_what_says_less_than_is_known_of_every_wire_is_not_identified():

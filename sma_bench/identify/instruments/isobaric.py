@@ -15,7 +15,7 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.estimate import Array, Estimate, Experiment, mean_of_repeats
 from sma_bench.identify.instruments.stress_temperature import (
     SMALLEST_STRESS_RANGE,
     BranchCosine,
@@ -236,15 +236,20 @@ def points_of(levels: Sequence[Level], convention: Convention) -> dict[str, Poin
 
 
 def _points(levels: Sequence[Level], direction: str, end: int, convention: Convention) -> Points:
-    found = []
-    for level in levels:
-        repeats = [r.ends(convention)[end] for r in level.along(direction)]
-        if repeats:
-            found.append((level.stress, *mean_and_deviation(repeats)))
-    stress, value, std = (np.array(column) for column in zip(*found, strict=True)) if found else (
-        np.empty(0), np.empty(0), np.empty(0)
-    )
-    return Points(stress, value, std)
+    repeats = [
+        (level.stress, [r.ends(convention)[end] for r in level.along(direction)])
+        for level in levels if level.along(direction)
+    ]
+    # Cycles differ at one stress as at the other: all of them tell by how much.
+    freedom = sum(len(cycles) - 1 for _, cycles in repeats)
+    squares = sum(len(cycles) * float(np.var([v for v, _ in cycles])) for _, cycles in repeats)
+    scatter = squares / freedom if freedom else None
+    found = [
+        (stress, *mean_of_repeats(*zip(*cycles, strict=True), scatter, freedom))
+        for stress, cycles in repeats
+    ]
+    columns = np.array(found, dtype=np.float64).reshape(-1, 4).T
+    return Points(columns[0], columns[1], np.hypot(columns[2], columns[3]), columns[3])
 
 
 def _temperatures(
@@ -329,7 +334,8 @@ def _strains(
     for level in levels:
         readings = level.along("heating") or level.along("cooling")
         is_relative = readings[0].record.strain_unit != "1"
-        value, std = mean_and_deviation([r.cosine.step for r in readings])
+        value, *errors = mean_of_repeats(*zip(*(r.cosine.step for r in readings), strict=True))
+        std = math.hypot(*errors)
         n = sum(len(r.branch.strain) for r in readings)
         unit = "relative" if is_relative else "1"
         details[f"recovered strain at {level.stress / 1e6:.0f} MPa"] = Estimate(

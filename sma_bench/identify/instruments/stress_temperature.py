@@ -258,11 +258,13 @@ SMALLEST_STD = 0.3  # K
 
 @dataclass(frozen=True)
 class Points:
-    """One transition temperature at several stresses: `stress` (n,) Pa, `value`, `std` (n,) K."""
+    """One transition temperature at several stresses: `stress` (n,) Pa, `value`, `std` (n,) K, and
+    `common`, the part of `std` by which cycles differ: it moves start and finish together."""
 
     stress: Array
     value: Array
     std: Array
+    common: Array
 
 
 @dataclass(frozen=True)
@@ -313,7 +315,10 @@ def fit_transition_lines(transitions: Sequence[Points]) -> TransitionLines:
     which = np.repeat(np.arange(count), [len(p.stress) for p in transitions])
     scale = float(np.max(np.abs(stress)))
     design = np.column_stack([which == k for k in range(count)] + [stress / scale]).astype(float)
-    fit = fit_linear(design, value, np.diag(std**2))
+    common = np.concatenate([p.common for p in transitions])
+    together = (stress[:, None] == stress) & (which[:, None] != which)
+    covariance = np.diag(std**2) + np.where(together, np.outer(common, common), 0.0)
+    fit = fit_linear(design, value, covariance)
     own = []
     for k in range(count):
         part = which == k

@@ -19,7 +19,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.estimate import Array, Estimate, Experiment, mean_of_repeats
 from sma_bench.identify.instruments.isobaric import GAUGE, diameter_error, mean_and_deviation
 from sma_bench.identify.signals import Piece, fit_piece, straight_pieces
 from sma_bench.parameters import Parameters
@@ -271,10 +271,13 @@ def identify_tensile(
     details: dict[str, Estimate] = {}
     for phase, group in readings.items():
         part, rises = _chosen(phase, group, findings)
-        value, std = mean_and_deviation([(rise.modulus, rise.std) for rise in rises])
+        value, *errors = mean_of_repeats(
+            [rise.modulus for rise in rises], [rise.std for rise in rises]
+        )
+        std = math.hypot(*errors)
         temperature = [r.temperature for r, _ in group if r.temperature is not None]
         at = f" at {np.mean(temperature):.2f} K" if temperature else ""
-        repeats = f"mean and deviation of {len(rises)} tests" if len(rises) > 1 else "one test"
+        repeats = f"mean of {len(rises)} tests" if len(rises) > 1 else "one test"
         estimates[MODULUS[phase]] = Estimate(
             value, std, "Pa", f"slope on {part}{at}, {repeats}", sum(r.n for r in rises)
         )

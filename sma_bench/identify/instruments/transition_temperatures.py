@@ -8,7 +8,13 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment, fit_linear
+from sma_bench.identify.estimate import (
+    Array,
+    Estimate,
+    Experiment,
+    fit_linear,
+    mean_of_repeats,
+)
 from sma_bench.identify.instruments.tangents import (
     Onset,
     Scan,
@@ -336,12 +342,10 @@ def _at_zero_rate(
     value = np.array([s.values[name][0] for s in used])
     std = np.array([s.values[name][1] for s in used])
     if _rates(used) < 2:
-        slowest = float(np.mean(value))
-        spread = float(np.std(value, ddof=1)) if len(value) > 1 else 0.0
-        own = float(np.sqrt(np.mean(std**2)))
+        slowest, *errors = mean_of_repeats(value.tolist(), std.tolist())
         cycle = "cycle " + ", ".join(str(s.cycle) for s in used)
         text = f"tangents, {rate[0] * 60.0:g} K/min, {cycle}"
-        estimate = Estimate(slowest, max(own, spread), "K", text, len(used))
+        estimate = Estimate(slowest, math.hypot(*errors), "K", text, len(used))
         return estimate.with_shares(_instrument(float(rate[0]))), None, remarks
     fit = fit_linear(np.column_stack([np.ones(len(rate)), rate]), value, np.diag(std**2))
     rates = ", ".join(f"{r:g}" for r in sorted({round(r * 60.0, 3) for r in rate.tolist()}))
