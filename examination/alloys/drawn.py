@@ -79,13 +79,14 @@ def _martensite(temperature: Array, low: float, high: float) -> Array:
 
 
 def isobaric_tests(
-    alloy: Alloy, random: np.random.Generator, folder: Path, stresses: Array
+    alloy: Alloy, random: np.random.Generator, folder: Path, stresses: Array,
+    between: float | None = None, cycles: int | None = None,
 ) -> list[IsobaricRecord]:
-    """One file a stress (Pa), read back."""
-    between = draw_noise(random, 0.02, 10.0)  # K: of a cycle from the others
+    """One file a stress (Pa), read back; `between` K by which cycles differ, drawn if None."""
+    between = draw_noise(random, 0.02, 10.0) if between is None else between
     reading = draw_noise(random, 0.02, 2.0)  # K: of a row
-    # Who sees cycles differ repeats them.
-    cycles = int(random.integers(1, 4) if between < 0.3 else random.integers(3, 9))
+    if cycles is None:  # who sees cycles differ repeats them
+        cycles = int(random.integers(1, 4) if between < 0.3 else random.integers(3, 9))
     offset, lag = THERMOMETER * random.standard_normal(), LAG * random.standard_normal()
     gauge = 1.0 + GAUGE * random.standard_normal()
     section = (1.0 + DIAMETER * random.standard_normal()) ** 2

@@ -1,4 +1,4 @@
-"""Do the stated intervals of E5 to E9 hold the truth, whatever the alloy and however noisy the test?
+"""Do the stated intervals of E5 to E9 hold the truth, whatever the alloy and however noisy?
 
 Alloys are drawn as NiTi wires of the field differ (examination/alloys/), near the paper's and far
 from it, with tests of each whose noise goes from tiny to 10 K. What is identified without any
@@ -58,12 +58,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"\r{draw + 1} of {options.draws}", end="", file=sys.stderr)
     print(file=sys.stderr)
     found = [f for row in rows if row["draw"] < options.draws for f in row["found"]]
-    print(f"{options.draws} alloys, seed {options.seed}: share of 90 % intervals that hold the truth")
+    print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
     for method in METHODS:
-        names = sorted({f["name"] for f in found if f["method"] == method})
-        for name in names:
-            _print_row(method, name, [f for f in found if (f["method"], f["name"]) == (method, name)])
-        _print_row(method, "all", [f for f in found if f["method"] == method])
+        own = [f for f in found if f["method"] == method]
+        for name in sorted({f["name"] for f in own}):
+            _print_row(method, name, [f for f in own if f["name"] == name])
+        _print_row(method, "all", own)
     whole = _print_row("all", "", found)
     far = _print_row("far", "", [f for f in found if f["far"] > FAR])
     return 0 if all(BAND[0] <= share <= BAND[1] for share in (whole, far)) else 1

@@ -158,7 +158,7 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def mean_of_repeats(
-    values: Sequence[float], stds: Sequence[float], scatter: float | None = None, freedom: int = 0
+    readings: Sequence[tuple[float, float]], scatter: float | None = None, freedom: int = 0
 ) -> tuple[float, float, float]:
     """Mean of repeated readings of one number, the standard error that its own errors leave, and
     that of what the repeats differ by beyond them.
@@ -167,12 +167,13 @@ def mean_of_repeats(
     1.645 of it hold the truth in 90 %.
 
     Args:
-        values, stds: (n,) readings and their own errors.
+        readings: (value, own standard error) of each.
         scatter: variance between repeats where more of them, with `freedom`, tell it.
     """
     from scipy.special import stdtrit  # half a second to load
 
-    n, own = len(values), float(np.mean(np.square(stds)))
+    values, n = [value for value, _ in readings], len(readings)
+    own = float(np.mean([std**2 for _, std in readings]))
     if scatter is None:
         scatter, freedom = (float(np.var(values, ddof=1)), n - 1) if n > 1 else (0.0, 0)
     excess = max(scatter - own, 0.0)

@@ -144,10 +144,13 @@ class IdentificationRun:
         """Heating ends above where it begins and above where cooling begins, which begins above
         where it ends: estimates that errors carried past each other meet between."""
         known = {
-            n: (self.given[n], self.given.std(n)) for n in TRANSITIONS.values()
-            if n in self.given.given
+            n: (self.given[n], self.given.std(n))
+            for n in self.given.given.intersection(TRANSITIONS.values())
         }
-        known |= {n: (e.value, e.std) for n, e in self.estimates.items() if n in TRANSITIONS.values()}
+        known |= {
+            n: (self.estimates[n].value, self.estimates[n].std)
+            for n in self.estimates.keys() & TRANSITIONS.values()
+        }
         before = dict(known)
         for _ in range(_PASSES):
             for lower, upper in _ORDER:

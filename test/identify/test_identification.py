@@ -57,7 +57,7 @@ def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit"}
     assert set(document["parameters"][R]) == {
         "value", "std", "unit", "method", "n", "statistical", "systematic", "informed",
-        "warnings",
+        "warnings", "stated",
     }
     assert document["parameters"][R]["unit"] == "ohm"
     assert json.loads(json.dumps(document, allow_nan=False)) == document

@@ -77,8 +77,12 @@ def test_a_value_that_is_not_finite_is_refused(value):
 
 
 def test_a_transition_that_ends_before_it_starts_is_refused():
-    message = complaint(Parameters, {"wire.austenite_start_temperature": 360.0})
-    assert "wire.austenite_start_temperature 360 K must lie below" in message
+    start, finish = "wire.austenite_start_temperature", "wire.austenite_finish_temperature"
+    message = complaint(Parameters, {start: 360.0, finish: 355.0})
+    assert f"{start} 360 K must lie below" in message
+    # What nobody stated makes way.
+    assert Parameters({start: 360.0})[finish] == pytest.approx(381.8)
+    assert Parameters({finish: 330.0})[start] == pytest.approx(308.2)
 
 
 def test_channels_and_sides_must_pair_up():

@@ -245,11 +245,11 @@ def _points(levels: Sequence[Level], direction: str, end: int, convention: Conve
     squares = sum(len(cycles) * float(np.var([v for v, _ in cycles])) for _, cycles in repeats)
     scatter = squares / freedom if freedom else None
     found = [
-        (stress, *mean_of_repeats(*zip(*cycles, strict=True), scatter, freedom))
+        (stress, *mean_of_repeats(cycles, scatter, freedom))
         for stress, cycles in repeats
     ]
-    columns = np.array(found, dtype=np.float64).reshape(-1, 4).T
-    return Points(columns[0], columns[1], np.hypot(columns[2], columns[3]), columns[3])
+    stress, value, own, common = np.array(found, dtype=np.float64).reshape(-1, 4).T
+    return Points(stress, value, np.hypot(own, common), common)
 
 
 def _temperatures(
@@ -261,13 +261,19 @@ def _temperatures(
     estimates: dict[str, Estimate] = {}
     details: dict[str, Estimate] = {}
     if levels[-1].stress > STRONGEST:
-        findings.append(not_stress_free(levels[-1].stress))
+        text = (
+            f"stress {levels[-1].stress / 1e6:.0f} MPa is not believable, so the temperatures are "
+            "given as measured and not referred to zero stress"
+        )
+        findings.append(Finding("warning", "transition temperatures", text))
         return estimates, details
     for direction, phase in PHASES.items():
         ends = [points[name] for name, _ in phase[:2]]
         n = sum(len(r.branch.strain) for level in levels for r in level.along(direction))
         if not n:
-            findings.append(no_branch(direction))
+            names = ", ".join(name for name, _ in phase)
+            text = f"no {direction} branch: {names} are not identified"
+            findings.append(Finding("info", names, text))
         elif stress_range(ends) >= SMALLEST_STRESS_RANGE:
             found, more = _several_stresses(phase, ends, n, findings)
             estimates.update(found)
@@ -315,7 +321,12 @@ def _one_stress(
     influence, doubt = parameters[parameter], parameters.std(parameter)
     stress = float(ends[0].stress.mean())
     shift, shift_std = stress / influence, stress * doubt / influence**2
-    findings.append(referred_to_zero(label, stress, shift, influence))
+    text = (
+        f"tests at {stress / 1e6:.3g} MPa alone do not give {label}; temperatures are referred to "
+        f"zero stress by -{shift:.2f} K with {label} = {influence / 1e6:.3g} +- {doubt / 1e6:.2g} "
+        "MPa/K" + (", which nobody stated" if parameter not in parameters.given else "")
+    )
+    findings.append(Finding("info", label, text, {"stress": stress, "shift": shift}))
     return {
         name: Estimate(
             float(p.value.mean()) - shift, float(p.std.mean()), "K",
@@ -334,7 +345,7 @@ def _strains(
     for level in levels:
         readings = level.along("heating") or level.along("cooling")
         is_relative = readings[0].record.strain_unit != "1"
-        value, *errors = mean_of_repeats(*zip(*(r.cosine.step for r in readings), strict=True))
+        value, *errors = mean_of_repeats([r.cosine.step for r in readings])
         std = math.hypot(*errors)
         n = sum(len(r.branch.strain) for r in readings)
         unit = "relative" if is_relative else "1"
@@ -576,27 +587,3 @@ def about_strains(
         )
         findings.append(Finding("warning", "eps_L", text, {"elastic": elastic}))
     return findings
-
-
-def referred_to_zero(label: str, stress: float, shift: float, influence: float) -> Finding:
-    """A single stress needs C to become stress free."""
-    text = (
-        f"tests at {stress / 1e6:.3g} MPa alone do not give {label}; temperatures are referred to "
-        f"zero stress by -{shift:.2f} K with {label} = {influence / 1e6:.3g} MPa/K"
-    )
-    return Finding("info", label, text, {"stress": stress, "shift": shift})
-
-
-def no_branch(direction: str) -> Finding:
-    """A direction that was not measured."""
-    names = "A_s, A_f, C_A" if direction == "heating" else "M_s, M_f, C_M"
-    return Finding("info", names, f"no {direction} branch: {names} are not identified")
-
-
-def not_stress_free(stress: float) -> Finding:
-    """Stress beyond belief cannot shift temperatures."""
-    text = (
-        f"stress {stress / 1e6:.0f} MPa is not believable, so the temperatures are given as "
-        "measured and not referred to zero stress"
-    )
-    return Finding("warning", "transition temperatures", text, {"stress": stress})

@@ -271,9 +271,7 @@ def identify_tensile(
     details: dict[str, Estimate] = {}
     for phase, group in readings.items():
         part, rises = _chosen(phase, group, findings)
-        value, *errors = mean_of_repeats(
-            [rise.modulus for rise in rises], [rise.std for rise in rises]
-        )
+        value, *errors = mean_of_repeats([(rise.modulus, rise.std) for rise in rises])
         std = math.hypot(*errors)
         temperature = [r.temperature for r, _ in group if r.temperature is not None]
         at = f" at {np.mean(temperature):.2f} K" if temperature else ""

@@ -342,7 +342,7 @@ def _at_zero_rate(
     value = np.array([s.values[name][0] for s in used])
     std = np.array([s.values[name][1] for s in used])
     if _rates(used) < 2:
-        slowest, *errors = mean_of_repeats(value.tolist(), std.tolist())
+        slowest, *errors = mean_of_repeats([s.values[name] for s in used])
         cycle = "cycle " + ", ".join(str(s.cycle) for s in used)
         text = f"tangents, {rate[0] * 60.0:g} K/min, {cycle}"
         estimate = Estimate(slowest, math.hypot(*errors), "K", text, len(used))

@@ -1,0 +1,72 @@
+"""The user's data outrank a default that nobody stated, whatever the alloy and the noise."""
+
+import numpy as np
+import pytest
+
+from examination.alloys.drawn import Alloy, isobaric_tests
+from examination.check.alloys import coverage, examine
+from sma_bench.cli import main
+from sma_bench.estimation.unknowns import unknowns_of_records
+from sma_bench.identify import identify
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters.table import TRANSITIONS
+
+TRUTH = {"A_s": 356.0, "A_f": 372.0, "M_s": 352.0, "M_f": 336.0}
+OTHER = Alloy({
+    **{TRANSITIONS[n]: v for n, v in TRUTH.items()},
+    "wire.stress_influence_austenite": 7e6, "wire.stress_influence_martensite": 7e6,
+    "wire.martensite_modulus": 28e9, "wire.austenite_modulus": 60e9,
+    "wire.maximum_recoverable_strain": 0.035, "wire.thermal_expansion_factor": -0.2e6,
+})  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    """A file of another alloy than the paper's, whose cycles differ by some kelvins."""
+    folder = tmp_path_factory.mktemp("other")
+    random = np.random.default_rng(2)
+    (test,) = isobaric_tests(OTHER, random, folder, np.array([100e6]), between=8.0, cycles=8)
+    return test
+
+
+def found(params):
+    """Value and deviation of the four temperatures."""
+    return {n: (params[t], params.std(t)) for n, t in TRANSITIONS.items()}
+
+
+def test_a_noisy_test_of_another_alloy_gives_that_alloy(noisy):
+    result = identify([noisy], Parameters())
+    for name, (value, std) in found(result.parameters).items():
+        assert 2.0 < std < 9.0
+        assert abs(value - TRUTH[name]) < 2.0 * std
+    assert any("another alloy" in note.text for note in result.notes)
+
+
+def test_a_template_and_the_own_result_change_nothing(noisy, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    alone = found(identify([noisy], Parameters()).parameters)
+    assert main(["parameters", "--out", "template.yaml"]) == 0
+    template = read_parameters("template.yaml")
+    assert found(identify([noisy], template).parameters) == alone
+    code = main(["identify", str(noisy.path), "--params", "template.yaml", "--out", "own.yaml"])
+    assert code == 0
+    own = read_parameters("own.yaml")
+    assert own.given.isdisjoint({"wire.resistance", "wire.martensite_modulus"})
+    again = found(identify([noisy], own).parameters)
+    for name, (value, std) in again.items():
+        assert value == pytest.approx(alone[name][0], abs=0.1)
+        assert std == pytest.approx(alone[name][1], rel=0.06)
+    # A diagnosis has the same priors from the template as from nothing.
+    one, other = (
+        unknowns_of_records(p, ("temperature", "deflection")) for p in (Parameters(), template)
+    )
+    assert one.items == other.items
+
+
+def test_intervals_hold_the_truth_of_drawn_alloys():
+    """`./bench check alloys` draws more."""
+    rows = [row for draw in range(12) for row in examine(5, draw)]
+    assert {row["method"] for row in rows} == {"E5", "E6", "E7", "E8"}
+    assert coverage(rows) > 0.8
+    assert coverage([row for row in rows if row["far"] > 3.0]) > 0.8
+    assert max(abs(row["z"]) for row in rows) < 8.0
