@@ -67,7 +67,7 @@ class Parameters(Mapping[str, Value]):
             self._values[name] = BY_NAME[name].validated(value, where)
         self._std |= self._validated_uncertainty(uncertainty)
         self.given |= frozenset(values) | frozenset(uncertainty)
-        for pair in _ORDERED_TEMPERATURES:
+        for pair in ORDERED:
             self._make_way(*pair)
         self._check_consistency()
 
