@@ -2,39 +2,30 @@
 
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands.options import (
-    argument,
-    command,
-    json_option,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import audit
 
 
-@command(
+@options.command(
     "audit lab.yaml",
     "audit --set wire.resistance=2.8 --json audit.json",
 )
-@argument("file", metavar="P.yaml", required=False, help="ROS 2 parameter file")
-@click.option(
+@options.argument("file", "[P.yaml]", "ROS 2 parameter file")
+@options.option(
     "--paper",
-    is_flag=True,
-    help="findings on numbers that are all the paper's one by one too, not in one line "
+    "findings on numbers that are all the paper's one by one too, not in one line "
     "(default without P.yaml and --set)",
 )
-@parameter_options
-@json_option("the findings")
+@options.parameter_options
+@options.json_option("the findings")
 def run(args: SimpleNamespace) -> int:
     """Print every finding; exit code 0 (a clash is a result, not an error)."""
     if args.file and args.params:
         raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")
     args.params = args.params or args.file
-    parameters = parameters_from_options(args)
+    parameters = options.parameters_from_options(args)
     findings = audit(parameters, papers_own=args.paper or not parameters.given)
     if args.json:
         write_json(args.json, {"findings": [finding.to_json() for finding in findings]})

@@ -5,21 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands.options import (
-    FILE,
-    OWN,
-    Words,
-    argument,
-    command,
-    dask_option,
-    json_option,
-    keep_safe,
-    output,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
     print_findings,
@@ -37,44 +23,41 @@ from sma_bench.worker_pool import interrupts_held
 _BAD_INPUT = 2
 
 
-@command(
+@options.command(
     "batch identify bags/* --out identified --jobs 2",
     "batch diagnose monday tuesday --params lab.yaml --dask tcp://cluster:8786",
 )
-@argument("kind", type=Words((IDENTIFY, DIAGNOSE)), help="what to do with each record")
-@argument(
-    "records",
-    metavar="RECORD",
-    nargs=-1,
-    required=True,
-    help="bag, or instrument file; each by itself",
+@options.argument(
+    "kind",
+    "identify|diagnose",
+    "what to do with each record",
+    type=options.Words((IDENTIFY, DIAGNOSE)),
 )
-@parameter_options
-@output(
-    "--out",
-    OWN,
-    metavar="DIR",
-    help="write NAME.json and NAME.yaml of each record there, as soon as it is done",
+@options.argument("records", "RECORD...", "bag, or instrument file; each by itself")
+@options.parameter_options
+@options.output(
+    "--out DIR",
+    options.OWN,
+    "write NAME.json and NAME.yaml of each record there, as soon as it is done",
 )
-@json_option("all results, in the order of the records,")
-@click.option(
-    "--jobs",
+@options.json_option("all results, in the order of the records,")
+@options.option(
+    "--jobs N",
+    "processes (default: one a core); the results do not depend on it",
     type=int,
     default=len(os.sched_getaffinity(0)),
-    metavar="N",
-    help="processes (default: one a core); the results do not depend on it",
 )
-@dask_option("the records")
+@options.dask_option("the records")
 def run(args: SimpleNamespace) -> int:
     """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
-    parameters = parameters_from_options(args)
+    parameters = options.parameters_from_options(args)
     paths = [str(Path(path).absolute()) for path in args.records]
     tasks = [Task(args.kind, path, parameters) for path in paths]
     names = _names(paths)
     if args.out:
         files = [Path(args.out) / f"{name}{end}" for name in names for end in (".json", ".yaml")]
         given = [Path(path) for path in (*paths, args.params) if path and Path(path).exists()]
-        keep_safe({str(file): (file, FILE) for file in files}, given, args.force)
+        options.keep_safe({str(file): (file, options.FILE) for file in files}, given, args.force)
         _make(Path(args.out))
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:

@@ -14,20 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import click
-
-from sma_bench.commands.options import (
-    FILE,
-    OWN,
-    Files,
-    Words,
-    argument,
-    command,
-    json_option,
-    keep_safe,
-    output,
-    several,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import write_json
 from sma_bench.errors import InputError
 from sma_bench.hardware.calibration import SENSORS, SensorFit, fit_sensor
@@ -43,38 +30,28 @@ _AVERAGED = 100
 """readings of one known load, at 100 Hz"""
 
 
-@command(
+@options.command(
     "calibrate supply 5.91=6.00 8.87=9.01 11.83=12.02 --out lab.yaml",
     "calibrate front_current --csv front_current.csv --out lab.yaml",
 )
-@argument("sensor", type=Words(sorted(SENSORS)), help="sensor of the Uno")
-@argument(
-    "pairs",
-    metavar="READING=KNOWN",
-    nargs=-1,
-    help="device's reading (V, A) and known load (V, A, m)",
-)
-@click.option("--csv", metavar="FILE", type=Files(), help="two columns: reading, known load")
-@click.option("--device", metavar="PORT", help="read the device at this port")
-@several(
-    "--known",
+@options.argument("sensor", "SENSOR", "sensor of the Uno", type=options.Words(sorted(SENSORS)))
+@options.argument("pairs", "[READING=KNOWN...]", "device's reading (V, A) and known load (V, A, m)")
+@options.option("--csv FILE", "two columns: reading, known load", type=options.Files())
+@options.option("--device PORT", "read the device at this port")
+@options.several(
+    "--known LOAD",
+    "with --device: the known loads, in the order in which they will be applied",
     type=float,
-    metavar="LOAD",
-    help="with --device: the known loads, in the order in which they will be applied",
 )
-@click.option(
-    "--shift",
+@options.option(
+    "--shift M",
+    "depth of a range sensor's lens behind its face in m (default: the parameter's)",
     type=float,
-    metavar="M",
-    help="depth of a range sensor's lens behind its face in m (default: the parameter's)",
 )
-@output(
-    "--out",
-    OWN,
-    metavar="P.yaml",
-    help="parameter file to write; the other names in one that exists stay",
+@options.output(
+    "--out P.yaml", options.OWN, "parameter file to write; the other names in one that exists stay"
 )
-@json_option("the result")
+@options.json_option("the result")
 def run(args: SimpleNamespace) -> int:
     """Fit, print, write."""
     kept = _kept(args)
@@ -115,7 +92,7 @@ def _kept(args: SimpleNamespace) -> dict[str, Any]:
     if not args.out or not Path(args.out).exists():
         return {}
     if args.csv:
-        keep_safe({"--out": (Path(args.out), FILE)}, [Path(args.csv)], True)
+        options.keep_safe({"--out": (Path(args.out), options.FILE)}, [Path(args.csv)], True)
     kept = read_parameter_names(args.out)
     own = [name for name in kept if name.startswith(f"calibration.{args.sensor}.")]
     if not _others(args.sensor, kept):  # what a person has stated

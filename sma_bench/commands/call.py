@@ -6,17 +6,8 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
-import click
-
 from sma_bench.border import MEGABYTE, read_json
-from sma_bench.commands.options import (
-    argument,
-    command,
-    json_option,
-    named_value,
-    ros_arguments,
-    ros_option,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import progress, say, write_json
 from sma_bench.errors import InputError
 
@@ -25,32 +16,30 @@ _PRESENCE, _ANSWER = 10.0, 600.0  # s within which a node has to be found, and t
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 
 
-@command(
+@options.command(
     "call experiment/start --set protocol=ramp",
     "call serial_bridge/enable --namespace /lab",
     "call identification/identify --set record=[my_record] --json result.json",
 )
-@argument(
+@options.argument(
     "service",
-    metavar="NODE/SERVICE",
-    help="experiment/start, experiment/stop, serial_bridge/enable, diagnosis/diagnose, ...",
+    "NODE/SERVICE",
+    "experiment/start, experiment/stop, serial_bridge/enable, diagnosis/diagnose, ...",
 )
-@click.option("--namespace", default="/bench", help="of the bench's nodes (default /bench)")
-@click.option(
-    "--set",
-    "settings",
-    metavar="NAME=VALUE",
+@options.option("--namespace NAME", "of the bench's nodes (default /bench)", default="/bench")
+@options.option(
+    "--set NAME=VALUE",
+    "parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
+    dest="settings",
     multiple=True,
-    help="parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
 )
-@click.option(
-    "--patience",
+@options.option(
+    "--patience S",
+    "how long the node may take to appear and to answer, together (default 10 and 600)",
     type=float,
-    metavar="S",
-    help="how long the node may take to appear and to answer, together (default 10 and 600)",
 )
-@json_option("the answer")
-@ros_option
+@options.json_option("the answer")
+@options.ros_option
 def run(args: SimpleNamespace) -> int:
     """Set, call, print the answer."""
     node, slash, service = args.service.strip("/").rpartition("/")
@@ -61,7 +50,7 @@ def run(args: SimpleNamespace) -> int:
             raise InputError(f"call: {name!r} is no ROS name, expected letters, digits, _ and /")
     if args.patience is not None and not 0.0 < args.patience < math.inf:
         raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
-    settings = dict(named_value(text) for text in args.settings)
+    settings = dict(options.named_value(text) for text in args.settings)
     answer = _call(args, node, service, settings)
     if args.json:
         write_json(args.json, {"service": f"{node}/{service}", "answer": _parsed(answer)})
@@ -82,7 +71,7 @@ def _call(args: SimpleNamespace, node: str, service: str, settings: dict[str, An
                 report(*found)
 
         namespace = "/" + args.namespace.strip("/")
-        with BenchClient(namespace, look, ros_arguments(args)) as client:
+        with BenchClient(namespace, look, options.ros_arguments(args)) as client:
             end = time.monotonic() + (args.patience or 0.0)
             client.follow(node)
             client.find(f"{node}/{service}", args.patience or _PRESENCE)

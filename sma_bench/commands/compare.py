@@ -2,55 +2,36 @@
 
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands.options import (
-    FOLDER,
-    argument,
-    column_of,
-    command,
-    figure_options,
-    json_option,
-    output,
-    several,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
 
 _LEAST_SHIFT = 1e-3  # s, worth a line
 
 
-@command(
+@options.command(
     "compare monday tuesday --out page",
     "compare monday --model lab.yaml --model improved.yaml --json difference.json",
 )
-@argument(
-    "records",
-    metavar="RECORD",
-    nargs=-1,
-    required=True,
-    help="bags; the first is what the others are compared with",
+@options.argument("records", "RECORD...", "bags; the first is what the others are compared with")
+@options.several(
+    "--model FILE",
+    "parameter files: each model is simulated under the first record's voltages",
+    dest="models",
 )
-@several(
-    "--model",
-    "models",
-    metavar="FILE",
-    help="parameter files: each model is simulated under the first record's voltages",
+@options.several(
+    "--signals SIGNAL",
+    "draw these signals or quantities (default: of each quantity what differs most)",
 )
-@several(
-    "--signals",
-    metavar="SIGNAL",
-    help="draw these signals or quantities (default: of each quantity what differs most)",
-)
-@click.option("--namespace", help="where two benches are in one bag: the one to take")
-@json_option("shifts and differences")
-@output("--out", FOLDER, metavar="DIR", help="write a page with the figure")
-@figure_options()
+@options.option("--namespace NAME", "where two benches are in one bag: the one to take")
+@options.json_option("shifts and differences")
+@options.output("--out DIR", options.FOLDER, "write a page with the figure")
+@options.figure_options()
 def run(args: SimpleNamespace) -> int:
     """Lay them over each other, print what differs, write what was asked for."""
     from sma_bench.api import compare, load
     from sma_bench.records.overlay import HEADER
 
-    column = column_of(args)
+    column = options.column_of(args)
     with progress("compare") as report:
         report(0.1, "reading and simulating")
         found = compare([load(path, args.namespace) for path in args.records], args.models)

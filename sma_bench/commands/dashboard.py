@@ -7,28 +7,27 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
-import click
-
-from sma_bench.commands.options import command, ros_arguments, ros_option
+from sma_bench.commands import options
 from sma_bench.errors import InputError
 
 _PORT = 8642
 _LARGEST_PORT = 65535
 
 
-@command(
+@options.command(
     "dashboard",
     "dashboard --namespace /lab --port 9000",
 )
-@click.option("--namespace", default="bench", help="where the bench's topics are (default: bench)")
-@click.option(
-    "--host",
-    default="127.0.0.1",
-    metavar="ADDRESS",
-    help="address to listen on (default: 127.0.0.1, this computer only)",
+@options.option(
+    "--namespace NAME", "where the bench's topics are (default: bench)", default="bench"
 )
-@click.option("--port", type=int, default=_PORT, help=f"default {_PORT}; 0 for any that is free")
-@ros_option
+@options.option(
+    "--host ADDRESS",
+    "address to listen on (default: 127.0.0.1, this computer only)",
+    default="127.0.0.1",
+)
+@options.option("--port PORT", f"default {_PORT}; 0 for any that is free", type=int, default=_PORT)
+@options.ros_option
 def run(args: SimpleNamespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 then.
 
@@ -70,7 +69,7 @@ async def _serve(args: SimpleNamespace) -> int:
         namespace,
         LiveState(),
         lambda error: loop.call_soon_threadsafe(finish, error),
-        ros_arguments(args),
+        options.ros_arguments(args),
     ) as node:
         namespace = node.get_namespace()  # ROS's arguments may name another
         server = DashboardServer(node, namespace, args.host, args.port)

@@ -23,7 +23,7 @@ _SEEDS = 2**31
     "demo --draw 3",
     "demo --out my_demo --draw 7 --json demo.json",
 )
-@output("--out", NEW, metavar="DIR", help="new folder (default: sma_bench_demo_<time>)")
+@output("--out DIR", NEW, "new folder (default: sma_bench_demo_<time>)")
 @click.option(
     "--speed", type=float, default=40.0, metavar="X", help="at most X times real time (default 40)"
 )

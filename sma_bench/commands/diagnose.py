@@ -7,20 +7,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from sma_bench.border import printable
-from sma_bench.commands.options import (
-    FILE,
-    FOLDER,
-    Words,
-    argument,
-    column_of,
-    command,
-    figure_options,
-    json_option,
-    output,
-    parameter_options,
-    parameters_from_options,
-    several,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
     print_findings,
@@ -46,35 +33,30 @@ def quantities() -> tuple[str, ...]:
     return QUANTITIES
 
 
-@command(
+@options.command(
     "diagnose my_bag --params lab.yaml --hold-out other_bag --report gap",
     "diagnose my_bag --params lab.yaml --signals deflection --json diagnosis.json",
 )
-@argument("records", metavar="RECORD", nargs=-1, required=True, help="bag (folder, .mcap, .db3)")
-@parameter_options
-@several(
-    "--hold-out",
-    metavar="RECORD",
-    help="bags on which the shrinkage is measured, unseen by its fit",
-)
-@several(
-    "--signals",
-    metavar="QUANTITY",
-    type=Words(quantities),
-    help="compare these only, of current, temperature, deflection: what would the record "
+@options.argument("records", "RECORD...", "bag (folder, .mcap, .db3)")
+@options.parameter_options
+@options.several("--hold-out RECORD", "bags on which the shrinkage is measured, unseen by its fit")
+@options.several(
+    "--signals QUANTITY",
+    "compare these only, of current, temperature, deflection: what would the record "
     "have shown without the others?",
+    type=options.Words(quantities),
 )
-@json_option("the result")
-@output("--report", FOLDER, metavar="DIR", help="write a page with figures")
-@figure_options()
-@output(
-    "--out", FILE, metavar="improved.yaml", help="write a ROS 2 parameter file with the improvement"
+@options.json_option("the result")
+@options.output("--report DIR", options.FOLDER, "write a page with figures")
+@options.figure_options()
+@options.output(
+    "--out improved.yaml", options.FILE, "write a ROS 2 parameter file with the improvement"
 )
 def run(args: SimpleNamespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
     from sma_bench.tasks.work import diagnose_files, write_improved
 
-    parameters, column = parameters_from_options(args), column_of(args)
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
     with progress("diagnose") as report:
         compared = args.signals or quantities()
         result = diagnose_files(args.records, args.hold_out, parameters, compared, report)

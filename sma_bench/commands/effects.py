@@ -3,21 +3,19 @@
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-import click
-
-from sma_bench.commands.options import command, json_option
+from sma_bench.commands import options
 from sma_bench.commands.terminal import output_console, print_table, write_json
 
 if TYPE_CHECKING:
     from sma_bench.parameters.parameter import Effect
 
 
-@command(
+@options.command(
     "effects",
     "effects --json effects.json",
 )
-@click.option("--markdown", is_flag=True, help="print the documentation page")
-@json_option("the table")
+@options.option("--markdown", "print the documentation page")
+@options.json_option("the table")
 def run(args: SimpleNamespace) -> int:
     """Print the table or the page."""
     from sma_bench.parameters.documentation import effects_page, range_of

@@ -4,19 +4,19 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
-from sma_bench.commands.options import FOLDER, argument, command, keep_safe, output
+from sma_bench.commands import options
 from sma_bench.commands.terminal import say
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
 
 
-@command(
+@options.command(
     "example",
     "example ten_tasks",
     "example wire_rig --out my_rig",
 )
-@argument("name", metavar="NAME", required=False, help="page or rig; all are listed without it")
-@output("--out", FOLDER, metavar="FOLDER", help="folder to make (default: NAME)")
+@options.argument("name", "[NAME]", "page or rig; all are listed without it")
+@options.output("--out FOLDER", options.FOLDER, "folder to make (default: NAME)")
 def run(args: SimpleNamespace) -> int:
     """Copy the files of one example; a rig of config/ becomes a lab.yaml."""
     share = share_directory()
@@ -35,7 +35,7 @@ def run(args: SimpleNamespace) -> int:
         hint = did_you_mean(args.name, files) or f", expected one of {', '.join(files)}"
         raise InputError(f"no example {args.name!r}{hint}")
     folder = Path(args.out or args.name)
-    keep_safe({"--out": (folder, FOLDER)}, [], args.force)
+    options.keep_safe({"--out": (folder, options.FOLDER)}, [], args.force)
     folder.mkdir(parents=True, exist_ok=True)
     for name, path in files[args.name].items():
         shutil.copyfile(path, folder / name)

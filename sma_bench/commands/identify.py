@@ -4,22 +4,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from sma_bench.cards import is_misfit
-from sma_bench.commands.options import (
-    FILE,
-    FOLDER,
-    Words,
-    argument,
-    column_of,
-    command,
-    figure_options,
-    json_option,
-    output,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
     print_findings,
@@ -44,48 +30,40 @@ def experiments() -> tuple[str, ...]:
     return EXPERIMENTS
 
 
-@command(
+@options.command(
     "identify my_bag --params lab.yaml --out identified.yaml",
     "identify staircase ramp DSC.txt --report identified --json identified.json",
     "identify my_bag --experiment E1 --set wire.mass=0.09e-3",
 )
-@argument(
-    "records",
-    metavar="RECORD",
-    nargs=-1,
-    required=True,
-    help="bag (folder, .mcap, .db3) or instrument file",
-)
-@parameter_options
-@click.option(
-    "--experiment",
-    "experiments",
-    type=Words(experiments),
-    metavar="EXPERIMENT",
+@options.argument("records", "RECORD...", "bag (folder, .mcap, .db3) or instrument file")
+@options.parameter_options
+@options.option(
+    "--experiment EXPERIMENT",
+    "do this one only, of E1, E2, ... E10 (repeatable; default: all that the records hold)",
+    dest="experiments",
+    type=options.Words(experiments),
     multiple=True,
-    help="do this one only, of E1, E2, ... E10 (repeatable; default: all that the records hold)",
 )
-@click.option(
-    "--phase",
-    "phases",
-    metavar="FILE=PHASE",
-    multiple=True,
-    help="of a tensile test: martensite or austenite (repeatable; FILE may be a pattern as "
+@options.option(
+    "--phase FILE=PHASE",
+    "of a tensile test: martensite or austenite (repeatable; FILE may be a pattern as "
     "'cold*'), where neither its file nor M_f and A_f of the wire tell",
+    dest="phases",
+    multiple=True,
 )
-@click.option("--namespace", help="where two benches are in one bag: the one to take")
-@output(
-    "--out", FILE, metavar="identified.yaml", help="write a ROS 2 parameter file that nodes load"
+@options.option("--namespace NAME", "where two benches are in one bag: the one to take")
+@options.output(
+    "--out identified.yaml", options.FILE, "write a ROS 2 parameter file that nodes load"
 )
-@json_option("the result")
-@output("--report", FOLDER, metavar="DIR", help="write a page with figures")
-@figure_options()
+@options.json_option("the result")
+@options.output("--report DIR", options.FOLDER, "write a page with figures")
+@options.figure_options()
 def run(args: SimpleNamespace) -> int:
     """Identify, print a table, write the files that were asked for; 3 where the model does not
     fit the records."""
     from sma_bench.tasks.work import identify_files, write_identified
 
-    parameters, column = parameters_from_options(args), column_of(args)
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
     with progress("identify") as report:
         result = identify_files(
             args.records,

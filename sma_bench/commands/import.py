@@ -5,20 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from sma_bench.commands.options import (
-    BAG,
-    FILE,
-    OWN,
-    Files,
-    argument,
-    command,
-    json_option,
-    keep_safe,
-    output,
-    paths_in,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, write_json
 from sma_bench.errors import InputError
 
@@ -28,38 +15,33 @@ if TYPE_CHECKING:
 MAP_SUFFIX = ".map.yaml"
 
 
-@command(
+@options.command(
     "import run.csv --params rig.yaml --out run",
     "import monday.xlsx tuesday.xlsx --map run.map.yaml --out week --json week.json",
 )
-@argument(
+@options.argument(
     "files",
-    metavar="FILE",
-    nargs=-1,
+    "FILE...",
+    "CSV, TSV or text, Excel (.xlsx), MATLAB (.mat), HDF5 or Parquet; each is one run",
+)
+@options.option(
+    "--map MAP.yaml",
+    "which column is what; proposed and written beside --out when not given",
+    dest="map_file",
+    type=options.Files(),
+)
+@options.option(
+    "--params P.yaml",
+    "the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
+    type=options.Files(),
+)
+@options.output(
+    "--out BAG",
+    options.OWN,
+    "bag to write (new folder); of several files, a folder with a bag for each",
     required=True,
-    help="CSV, TSV or text, Excel (.xlsx), MATLAB (.mat), HDF5 or Parquet; each is one run",
 )
-@click.option(
-    "--map",
-    "map_file",
-    metavar="MAP.yaml",
-    type=Files(),
-    help="which column is what; proposed and written beside --out when not given",
-)
-@click.option(
-    "--params",
-    metavar="P.yaml",
-    type=Files(),
-    help="the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
-)
-@output(
-    "--out",
-    OWN,
-    metavar="BAG",
-    required=True,
-    help="bag to write (new folder); of several files, a folder with a bag for each",
-)
-@json_option("what was imported")
+@options.json_option("what was imported")
 def run(args: SimpleNamespace) -> int:
     """Read every file, then write every bag: a file that is wrong leaves none of them."""
     from sma_bench.records.import_map import read_map
@@ -99,12 +81,12 @@ def _outputs(files: list[Path], out: Path) -> list[tuple[Path, Path]]:
 
 def _protect(args: SimpleNamespace, outputs: list[tuple[Path, Path]]) -> None:
     """No output replaces a file without --force, and no input ever."""
-    inputs = paths_in([args.files, args.map_file, args.params])
-    targets = {str(out): (out, BAG) for _, out in outputs}
+    inputs = options.paths_in([args.files, args.map_file, args.params])
+    targets = {str(out): (out, options.BAG) for _, out in outputs}
     if not args.map_file:  # a map that is proposed; one that exists is looked at when it is written
-        inputs_of_maps = {str(_map_of(out)): (_map_of(out), FILE) for _, out in outputs}
-        keep_safe(inputs_of_maps, inputs, True)
-    keep_safe(targets, inputs, args.force)
+        inputs_of_maps = {str(_map_of(out)): (_map_of(out), options.FILE) for _, out in outputs}
+        options.keep_safe(inputs_of_maps, inputs, True)
+    options.keep_safe(targets, inputs, args.force)
 
 
 def _map_of(out: Path) -> Path:

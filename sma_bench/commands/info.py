@@ -3,12 +3,11 @@
 from types import SimpleNamespace
 from typing import Any
 
-import click
 from rich.console import Console
 from rich.markup import escape
 
 from sma_bench.border import printable
-from sma_bench.commands.options import argument, command, json_option
+from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
     print_findings,
@@ -62,13 +61,13 @@ _BRANCH_COLUMNS: _Columns = (
 )
 
 
-@command(
+@options.command(
     "info my_bag",
     "info two_benches --namespace /left --json info.json",
 )
-@argument("record", metavar="RECORD", help="bag, storage file or instrument file")
-@click.option("--namespace", help="look only at the topics below this namespace")
-@json_option("what is shown")
+@options.argument("record", "RECORD", "bag, storage file or instrument file")
+@options.option("--namespace NAME", "look only at the topics below this namespace")
+@options.json_option("what is shown")
 def run(args: SimpleNamespace) -> int:
     """Print topics, signals and findings, whatever they say.
 

@@ -7,20 +7,8 @@ from contextlib import suppress
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-import click
-
+from sma_bench.commands import options
 from sma_bench.commands.diagnose import quantities
-from sma_bench.commands.options import (
-    Files,
-    Words,
-    argument,
-    command,
-    json_option,
-    one_only,
-    parameter_options,
-    parameters_from_options,
-    several,
-)
 from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
@@ -35,49 +23,42 @@ _YES = ("y", "yes")
 Runner = Callable[["NextRun"], None]
 
 
-@command(
+@options.command(
     "investigate --params lab.yaml --folder gap --budget 20",
     "investigate my_bag --params lab.yaml --folder gap --simulated bench.yaml --yes",
 )
-@argument("records", metavar="RECORD", nargs=-1, help="bags that there are already")
-@parameter_options
-@click.option(
-    "--folder",
+@options.argument("records", "[RECORD...]", "bags that there are already")
+@options.parameter_options
+@options.option(
+    "--folder DIR",
+    "records, diagnoses and the story; the same folder goes on where it was stopped",
     required=True,
-    metavar="DIR",
-    help="records, diagnoses and the story; the same folder goes on where it was stopped",
 )
-@click.option(
-    "--budget",
-    type=float,
-    default=30.0,
-    metavar="MINUTES",
-    help="that the bench may be driven in all (default 30)",
+@options.option(
+    "--budget MINUTES", "that the bench may be driven in all (default 30)", type=float, default=30.0
 )
-@click.option("--yes", is_flag=True, help="run what is proposed without asking")
-@several(
-    "--signals",
-    metavar="QUANTITY",
-    type=Words(quantities),
-    help="compare these only, of current, temperature, deflection",
+@options.option("--yes", "run what is proposed without asking")
+@options.several(
+    "--signals QUANTITY",
+    "compare these only, of current, temperature, deflection",
+    type=options.Words(quantities),
 )
-@click.option(
-    "--simulated",
-    metavar="BENCH.yaml",
-    type=Files(),
-    help="a bench in software that is what this file says, without ROS",
+@options.option(
+    "--simulated BENCH.yaml",
+    "a bench in software that is what this file says, without ROS",
+    type=options.Files(),
 )
-@click.option("--namespace", help="of the running experiment node (default /bench)")
-@json_option("the story")
+@options.option("--namespace NAME", "of the running experiment node (default /bench)")
+@options.json_option("the story")
 def run(args: SimpleNamespace) -> int:
     """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
     from sma_bench.tasks.investigation import HEADER, OPEN, TEST, Investigation
 
-    one_only(args, "simulated", "namespace")
+    options.one_only(args, "simulated", "namespace")
     if not args.budget > 0.0:
         raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
     case = Investigation(args.folder, args.budget, args.signals or quantities())
-    case.begin(parameters_from_options(args), args.records)
+    case.begin(options.parameters_from_options(args), args.records)
     runner = _simulated(args.simulated, case.believed) if args.simulated else _bench(args)
     while True:
         if case.pending:

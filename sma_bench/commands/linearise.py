@@ -3,21 +3,7 @@
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from sma_bench.commands.options import (
-    FOLDER,
-    Words,
-    column_of,
-    command,
-    figure_options,
-    json_option,
-    one_only,
-    output,
-    parameter_options,
-    parameters_from_options,
-    several,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import output_console, print_table, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -29,48 +15,42 @@ if TYPE_CHECKING:
 BRANCHES = ("heating", "cooling")
 
 
-@command(
+@options.command(
     "linearise --params config/composite_rig.yaml",
     "linearise --params lab.yaml --deflection 0.02 --branch cooling --report tangent",
     "linearise --params lab.yaml --voltage 4.6 --json linear.json",
 )
-@click.option(
-    "--deflection",
-    type=float,
-    metavar="M",
-    help="signed deflection of the point, its side driven evenly (default: half of "
+@options.option(
+    "--deflection M",
+    "signed deflection of the point, its side driven evenly (default: half of "
     "the largest to the front, as the paper)",
-)
-@several(
-    "--voltage",
     type=float,
-    metavar="V",
-    help="held commands, one for all wires or one each, on a full loop",
 )
-@several(
-    "--temperature",
-    type=float,
-    metavar="K",
-    help="wire temperatures, one for all or one each, on a full loop",
+@options.several(
+    "--voltage V", "held commands, one for all wires or one each, on a full loop", type=float
 )
-@click.option("--branch", default="heating", type=Words(BRANCHES), help="of the changes to come")
-@click.option(
-    "--latent-heat",
-    type=float,
-    default=0.0,
-    metavar="J/KG",
-    help="of eq. (1); 0 as in the paper's eq. (2)",
+@options.several(
+    "--temperature K", "wire temperatures, one for all or one each, on a full loop", type=float
 )
-@json_option("point, coefficients and state space")
-@output("--report", FOLDER, metavar="DIR", help="write a page with the figure")
-@figure_options()
-@parameter_options
+@options.option(
+    "--branch heating|cooling",
+    "of the changes to come",
+    default="heating",
+    type=options.Words(BRANCHES),
+)
+@options.option(
+    "--latent-heat J/KG", "of eq. (1); 0 as in the paper's eq. (2)", type=float, default=0.0
+)
+@options.json_option("point, coefficients and state space")
+@options.output("--report DIR", options.FOLDER, "write a page with the figure")
+@options.figure_options()
+@options.parameter_options
 def run(args: SimpleNamespace) -> int:
     """Print point, coefficients as printed and corrected, gains; write what was asked for."""
     from sma_bench.physics.linearised import linearise
 
-    one_only(args, "deflection", "voltage", "temperature")
-    parameters, column = parameters_from_options(args), column_of(args)
+    options.one_only(args, "deflection", "voltage", "temperature")
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
     point = _point(args, parameters)
     model = linearise(point, args.latent_heat)
     if args.json:

@@ -3,7 +3,7 @@
 A command is a function of its options, an example or more of it beside:
 
     @command("info my_bag")
-    @argument("record", help="bag, storage file or instrument file")
+    @argument("record", "RECORD", "bag, storage file or instrument file")
     @json_option("what is shown")
     def run(args: SimpleNamespace) -> int: ...
 """
@@ -148,15 +148,13 @@ class Argument(click.Argument):
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
         """What the help shows."""
-        name = self.metavar or self.human_readable_name
-        return f"{name} ..." if self.nargs == -1 and " " not in name else name, self.help or ""
+        return self.metavar or self.human_readable_name, self.help or ""
 
 
 class Several(click.Option):
     """An option with one value or more: `--hold-out a b`, or `--hold-out a --hold-out b`."""
 
     def __init__(self, *args: Any, **settings: Any) -> None:
-        settings["metavar"] = f"{settings['metavar']} ..."
         super().__init__(*args, **{**settings, "multiple": True})
 
 
@@ -204,16 +202,31 @@ class Words(click.ParamType):
         return [CompletionItem(word) for word in self.words() if word.startswith(incomplete)]
 
 
-def argument(name: str, help: str, **settings: Any) -> Decorator:
-    """Add a positional argument; a file where no other type is given."""
-    settings.setdefault("type", Files())
-    return click.argument(name, cls=Argument, help=help, **settings)
+def argument(name: str, shown: str, help: str, **settings: Any) -> Decorator:
+    """Add a positional argument; `shown` is RECORD, [RECORD], RECORD... or [RECORD...]. It is a
+    file where no other type is given."""
+    several = "..." in shown
+    return click.argument(
+        name,
+        cls=Argument,
+        metavar=shown,
+        help=help,
+        nargs=-1 if several else 1,
+        required=not shown.startswith("["),
+        **{"type": Files(), **settings},
+    )
 
 
-def several(*names: str, **settings: Any) -> Decorator:
+def option(shown: str, help: str, dest: str = "", **settings: Any) -> Decorator:
+    """Add an option, "--rate HZ" say, or "--yes", a flag."""
+    name, _, metavar = shown.partition(" ")
+    settings["metavar" if metavar else "is_flag"] = metavar or True
+    return click.option(name, *filter(None, [dest]), help=help, **settings)
+
+
+def several(shown: str, help: str, dest: str = "", **settings: Any) -> Decorator:
     """Add an option with one value or more; files where no other type is given."""
-    settings.setdefault("type", Files())
-    return click.option(*names, cls=Several, **settings)
+    return option(f"{shown} ...", help, dest, cls=Several, **{"type": Files(), **settings})
 
 
 def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None:
@@ -231,19 +244,15 @@ def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None
 
 def parameter_options(function: Decorated) -> Decorated:
     """Add --params and --set; `parameters_from_options` reads them."""
-    file = click.option(
-        "--params",
-        metavar="P.yaml",
-        type=Files(),
-        help="ROS 2 parameter file (default: the paper's Table I)",
+    file = option(
+        "--params P.yaml", "ROS 2 parameter file (default: the paper's Table I)", type=Files()
     )
-    override = click.option(
-        "--set",
-        "overrides",
-        metavar="NAME=VALUE",
+    override = option(
+        "--set NAME=VALUE",
+        "override one parameter, e.g. --set wire.resistance=2.8 (repeatable)",
+        dest="overrides",
         multiple=True,
         type=Words(_parameter_names, others=True),
-        help="override one parameter, e.g. --set wire.resistance=2.8 (repeatable)",
     )
     return file(override(function))
 
@@ -291,13 +300,11 @@ def named_value(text: str) -> tuple[str, Any]:
 def json_option(what: str) -> Decorator:
     """Add --json [FILE]; `what` it holds."""
     return output(
-        "--json",
+        "--json [FILE]",
         FILE,
-        metavar="[FILE]",
+        f"write {what} as JSON; without FILE, or to -, on standard output and nothing else there",
         is_flag=False,
         flag_value=STANDARD_OUTPUT,
-        help=f"write {what} as JSON; without FILE, or to -, on standard output and nothing else "
-        "there",
     )
 
 
@@ -306,17 +313,14 @@ def figure_options(default: str | None = None) -> Decorator:
     unasked = f"default {default}" if default else "default: PNG only"
 
     def both(function: Decorated) -> Decorated:
-        column = click.option(
-            "--column",
-            metavar="single|double|MM",
+        column = option(
+            "--column single|double|MM",
+            "write every figure as SVG and PDF in this width too (single is 89 mm, double 183 mm), "
+            f"and as CSV what is drawn in it ({unasked})",
             default=default,
             type=Words(("single", "double"), others=True),
-            help="write every figure as SVG and PDF in this width too (single is 89 mm, double "
-            f"183 mm), and as CSV what is drawn in it ({unasked})",
         )
-        font = click.option(
-            "--font", type=float, metavar="PT", help="size of the letters in such a figure"
-        )
+        font = option("--font PT", "size of the letters in such a figure", type=float)
         return column(font(function))
 
     return both
@@ -346,20 +350,18 @@ def column_of(args: SimpleNamespace) -> "PaperColumn | None":
 
 def dask_option(shared: str) -> Decorator:
     """Add the address of a cluster."""
-    return click.option(
-        "--dask",
-        metavar="ADDRESS",
-        help="on the workers of this dask scheduler instead, tcp://host:8786 say; they see "
+    return option(
+        "--dask ADDRESS",
+        "on the workers of this dask scheduler instead, tcp://host:8786 say; they see "
         f"{shared} under the same path",
     )
 
 
 def ros_option(function: Decorated) -> Decorated:
     """Add --ros-args, which takes all that follows; `ros_arguments` reads it."""
-    return click.option(
-        "--ros-args",
-        metavar="ARGUMENT ...",
-        help="all that follows is for ROS, e.g. -p "
+    return option(
+        "--ros-args ARGUMENT ...",
+        "all that follows is for ROS, e.g. -p "
         "qos_overrides./diagnostics.subscription.reliability:=best_effort",
     )(function)
 
@@ -384,9 +386,9 @@ class Output(Files):
         self.kind = kind
 
 
-def output(option: str, kind: str, **settings: Any) -> Decorator:
+def output(shown: str, kind: str, help: str, **settings: Any) -> Decorator:
     """Add an option that names what is written; its command has --force then."""
-    return click.option(option, type=Output(kind), **settings)
+    return option(shown, help, type=Output(kind), **settings)
 
 
 def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], force: bool) -> None:

@@ -4,17 +4,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-from sma_bench.commands.options import (
-    FOLDER,
-    argument,
-    column_of,
-    command,
-    figure_options,
-    json_option,
-    output,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, progress, write_json
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import in_turn, part
@@ -38,21 +28,20 @@ _READ, _COMPARED = 0.05, 0.5
 _MIXED = "From the records given ({given}) where they allow, else from synthetic data, as marked."
 
 
-@command(
+@options.command(
     "paper --out paper",
     "paper staircase ramp --params lab.yaml --out paper --json paper.json",
 )
-@argument(
+@options.argument(
     "records",
-    metavar="RECORD",
-    nargs=-1,
-    help="bags and instrument files to draw from instead of synthetic data; --params without "
+    "[RECORD...]",
+    "bags and instrument files to draw from instead of synthetic data; --params without "
     "any draws the page of a simulated wire and composite of these parameters",
 )
-@output("--out", FOLDER, metavar="DIR", required=True, help="folder to write to")
-@figure_options()
-@json_option("tables and errata")
-@parameter_options
+@options.output("--out DIR", options.FOLDER, "folder to write to", required=True)
+@options.figure_options()
+@options.json_option("tables and errata")
+@options.parameter_options
 def run(args: SimpleNamespace) -> int:
     """Write index.html, one PNG a figure and one CSV a table."""
     from sma_bench.commands.paper_drawing import paper_page, to_json
@@ -61,7 +50,7 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.report.paper_page import csv_text
 
     started = time.monotonic()
-    parameters, column = parameters_from_options(args), column_of(args)
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
     given = ", ".join(args.records)
     own = ", ".join([*([args.params] if args.params else []), *args.overrides])
     origin = _OWN.format(given=own) if own else _SYNTHETIC

@@ -2,16 +2,7 @@
 
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands.options import (
-    FILE,
-    command,
-    json_option,
-    output,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import output_console, print_table, write_json
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import parameter_page
@@ -20,17 +11,17 @@ from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.table import TABLE
 
 
-@command(
+@options.command(
     "parameters",
     "parameters --set wire.resistance=2.8 --out lab.yaml",
 )
-@parameter_options
-@click.option("--markdown", is_flag=True, help="print the documentation page")
-@output("--out", FILE, metavar="P.yaml", help="write a ROS 2 parameter file")
-@json_option("the table")
+@options.parameter_options
+@options.option("--markdown", "print the documentation page")
+@options.output("--out P.yaml", options.FILE, "write a ROS 2 parameter file")
+@options.json_option("the table")
 def run(args: SimpleNamespace) -> int:
     """Print the table, the page, or write the file."""
-    parameters = parameters_from_options(args)
+    parameters = options.parameters_from_options(args)
     if args.json:
         write_json(args.json, {"parameters": [_entry(p, parameters) for p in TABLE]})
     if args.markdown:

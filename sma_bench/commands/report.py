@@ -2,48 +2,33 @@
 
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands.options import (
-    FOLDER,
-    argument,
-    column_of,
-    command,
-    figure_options,
-    json_option,
-    output,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import progress, say, write_json
 from sma_bench.progress import in_turn, part
 
 _READING = 0.3  # of the time, about
 
 
-@command(
+@options.command(
     "report my_bag --out my_report",
     "report my_bag identified.json diagnosis.json --params lab.yaml --out my_report",
 )
-@argument(
+@options.argument(
     "inputs",
-    metavar="RECORD|RESULT",
-    nargs=-1,
-    required=True,
-    help="bag, instrument file, or a result of identify or diagnose (.json)",
+    "RECORD|RESULT...",
+    "bag, instrument file, or a result of identify or diagnose (.json)",
 )
-@output(
-    "--out",
-    FOLDER,
-    metavar="DIR",
+@options.output(
+    "--out DIR",
+    options.FOLDER,
+    "folder for index.html, and its figures (PNG, SVG, PDF) and tables (CSV) for papers",
     required=True,
-    help="folder for index.html, and its figures (PNG, SVG, PDF) and tables (CSV) for papers",
 )
-@figure_options("double")
-@click.option("--title", default="SMA bench report", help="head of the page")
-@click.option("--namespace", help="where two benches are in one bag: the one to show")
-@json_option("summary and provenance")
-@parameter_options
+@options.figure_options("double")
+@options.option("--title TITLE", "head of the page", default="SMA bench report")
+@options.option("--namespace NAME", "where two benches are in one bag: the one to show")
+@options.json_option("summary and provenance")
+@options.parameter_options
 def run(args: SimpleNamespace) -> int:
     """Read everything, then write everything; 0 whatever the inputs say."""
     from sma_bench.report.collected_report import (
@@ -56,7 +41,7 @@ def run(args: SimpleNamespace) -> int:
     )
     from sma_bench.report.page import Made, write_report
 
-    parameters, column = parameters_from_options(args), column_of(args)
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
     with progress("report") as report:
         reading = in_turn(args.inputs, part(report, 0.0, _READING), lambda path: f"reading {path}")
         shown = [shown_input(path, k, args.namespace) for k, path in enumerate(reading, 1)]

@@ -31,14 +31,13 @@ def _nodes() -> Iterable[str]:
         "allow_interspersed_args": False,  # what follows NODE is the node's
     },
 )
-@argument("node", metavar="NODE", type=Words(_nodes), help="node to run")
+@argument("node", "NODE", "node to run", type=Words(_nodes))
 @argument(
     "rest",
-    metavar="[--network] [--ros-args ...]",
-    nargs=-1,
-    type=click.UNPROCESSED,
-    help="--network lets other machines of the network reach the node; else this one only, unless "
+    "[--network] [--ros-args ...]",
+    "--network lets other machines of the network reach the node; else this one only, unless "
     "ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET",
+    type=click.UNPROCESSED,
 )
 def run(args: SimpleNamespace) -> int:
     """Run a node until it ends.

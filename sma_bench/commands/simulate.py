@@ -6,19 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-import click
-
-from sma_bench.commands.options import (
-    BAG,
-    Files,
-    Words,
-    command,
-    json_option,
-    one_only,
-    output,
-    parameter_options,
-    parameters_from_options,
-)
+from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.progress import part
@@ -42,39 +30,32 @@ def _effects() -> Iterable[str]:
     return EFFECT_NAMES
 
 
-@command(
+@options.command(
     "simulate --protocol composite_triangle --params config/composite_rig.yaml --out made",
     "simulate --input my_bag --out again --effect latent_heat=12e3 --noise 1",
 )
-@click.option(
-    "--protocol",
-    metavar="NAME",
-    type=Words(_protocols, others=True),
-    help="a protocol's name or file",
+@options.option(
+    "--protocol NAME", "a protocol's name or file", type=options.Words(_protocols, others=True)
 )
-@click.option("--input", metavar="BAG", type=Files(), help="use the voltages measured in a bag")
-@output("--out", BAG, metavar="BAG", required=True, help="bag to write (new folder)")
-@click.option(
-    "--rate", metavar="HZ", type=float, default=100.0, help="samples a second of a protocol"
-)
-@click.option(
-    "--effect",
-    "effects",
-    metavar="NAME=VALUE",
-    type=Words(_effects, others=True),
-    multiple=True,
-    help="switch an effect on by its size, e.g. --effect latent_heat=12e3; NAME.NUMBER=VALUE "
+@options.option("--input BAG", "use the voltages measured in a bag", type=options.Files())
+@options.output("--out BAG", options.BAG, "bag to write (new folder)", required=True)
+@options.option("--rate HZ", "samples a second of a protocol", type=float, default=100.0)
+@options.option(
+    "--effect NAME=VALUE",
+    "switch an effect on by its size, e.g. --effect latent_heat=12e3; NAME.NUMBER=VALUE "
     "for its other numbers (repeatable; sma-bench effects lists them)",
+    dest="effects",
+    type=options.Words(_effects, others=True),
+    multiple=True,
 )
-@click.option(
-    "--noise",
-    metavar="SEED",
-    type=int,
-    help="read through the simulator node's instruments: their noise, drawn from this seed, "
+@options.option(
+    "--noise SEED",
+    "read through the simulator node's instruments: their noise, drawn from this seed, "
     "and their steps; exact values when not given",
+    type=int,
 )
-@json_option("what was simulated")
-@parameter_options
+@options.json_option("what was simulated")
+@options.parameter_options
 def run(args: SimpleNamespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
     from sma_bench.protocols import load_protocol
@@ -89,8 +70,8 @@ def run(args: SimpleNamespace) -> int:
         simulate_protocol,
     )
 
-    one_only(args, "protocol", "input", required=True)
-    parameters = parameters_from_options(args)
+    options.one_only(args, "protocol", "input", required=True)
+    parameters = options.parameters_from_options(args)
     for text in args.effects:
         parameters = parameters.replace(_effect(text), where="--effect")
     start_ns = 0
