@@ -30,6 +30,7 @@ NODES = [
 # What the package imports, but for ROS, which pip cannot install; the oldest versions are those of
 # Ubuntu 24.04 (requirements-noble.txt).
 REQUIRED = [
+    'backports-zstd; python_version < "3.14"',
     "click>=8.1",
     "h5py>=3.10",
     "jinja2>=3.1",
@@ -45,10 +46,9 @@ REQUIRED = [
     "pyserial>=3.5",
     "pyyaml>=6",
     "rich>=13.7",
-    "rosbags>=0.11",
+    "rosbags>=0.11.9",
     "scipy>=1.11",
     "tornado",
-    "zstandard",
 ]
 
 # Of `setup.py install` and `develop`, which colcon runs: setuptools' own searches the metadata of

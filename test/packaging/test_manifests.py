@@ -18,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Module, its name at the package index, its rosdep key.
 THIRD_PARTY = {
+    "backports": ("backports-zstd", None),  # comes with rosbags, Python's own from 3.14 on
     "click": ("click", "python3-click"),
     "h5py": ("h5py", "python3-h5py"),
     "jinja2": ("jinja2", "python3-jinja2"),
@@ -36,10 +37,9 @@ THIRD_PARTY = {
     "serial": ("pyserial", "python3-serial"),
     "tornado": ("tornado", "python3-tornado"),
     "yaml": ("pyyaml", "python3-yaml"),
-    "zstandard": ("zstandard", None),  # a Debian package, but no rosdep key
 }
 # Declared before the code that imports them; this set empties as that lands.
-AHEAD = {"click", "joblib", "mcap", "msgspec"}
+AHEAD = {"click", "joblib", "msgspec"}
 # The same of what the package does without, with the extra of setup.py that names it.
 OPTIONAL = {"distributed": ("distributed", "cluster"), "pandas": ("pandas", "notebook"),
             "pyarrow": ("pyarrow", "parquet")}
@@ -56,7 +56,7 @@ def imported() -> frozenset[str]:
                 found |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.partition(".")[0])
-    return frozenset(found - sys.stdlib_module_names - {"sma_bench"})
+    return frozenset(found - sys.stdlib_module_names - {"sma_bench", "compression"})
 
 
 STAGED = ("requirements-build.txt", "requirements.txt", "requirements-test.txt",
