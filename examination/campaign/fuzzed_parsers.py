@@ -1,16 +1,9 @@
 """Parsers of what comes from outside, fed with anything: a result or InputError in one line.
 
-By hypothesis: good inputs cut, spliced, repeated, and sown with what trips parsers. By atheris
-too, where it is installed, guided by the branches that an input reaches.
+By hypothesis: good inputs cut, spliced, repeated, and sown with what trips parsers.
 """
 
-import contextlib
-import importlib.util
-import json
 import logging
-import subprocess
-import sys
-import tempfile
 import warnings
 from pathlib import Path
 
@@ -18,14 +11,12 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from examination.campaign.allowance import allowance
-from examination.campaign.hostile_inputs import targets
 from examination.campaign.outcome import Outcome
-from examination.campaign.parser_seeds import Parser
+from examination.campaign.parser_seeds import Parser, parsers
 from sma_bench.errors import InputError
 
 MEMORY = 1 << 30
 SECONDS = 10.0
-_GUIDED = Path(__file__).with_name("guided_fuzzing.py")
 _SHOWN = 120
 
 # A YAML document that is a kilobyte as a file and gigabytes when every alias is followed.
@@ -92,13 +83,12 @@ def try_input(parser: Parser, content: bytes, folder: Path) -> str:
 
 
 def fuzzed_parsers(size: int, number: int, folder: Path) -> list[Outcome]:
-    """`size` inputs by hypothesis for every parser, and as many guided ones by atheris."""
+    """`size` inputs by hypothesis for every parser."""
     logging.disable(logging.WARNING)
     try:
-        outcomes = [_by_hypothesis(parser, size, number, folder) for parser in targets()]
+        return [_by_hypothesis(parser, size, number, folder) for parser in parsers()]
     finally:
         logging.disable(logging.NOTSET)
-    return [*outcomes, _by_atheris(size, number, folder)]
 
 
 def _by_hypothesis(parser: Parser, size: int, number: int, folder: Path) -> Outcome:
@@ -129,21 +119,3 @@ def _by_hypothesis(parser: Parser, size: int, number: int, folder: Path) -> Outc
         "parsers", f"hypothesis: {parser.name}", tried, f"failed {len(wrong)}{good}", "failed 0",
         not wrong and not good,
     )
-
-
-def _by_atheris(size: int, number: int, folder: Path) -> Outcome:
-    what = "atheris: all parsers in turn"
-    if importlib.util.find_spec("atheris") is None:
-        return Outcome("parsers", what, 0, "skipped: atheris is not installed", "failed 0", True)
-    with tempfile.TemporaryDirectory(dir=folder) as corpus:
-        process = subprocess.run(
-            [sys.executable, str(_GUIDED), f"-runs={size * len(targets())}", f"-seed={number + 1}",
-             "-max_len=4096", corpus],
-            capture_output=True, text=True, errors="replace", check=False,
-        )  # fmt: skip
-        found = ""
-        with contextlib.suppress(OSError, ValueError):
-            found = json.loads(Path(corpus, "found.json").read_text())
-    failed = bool(found) or process.returncode != 0
-    text = f"failed 1: {found or process.stderr.strip()[-_SHOWN:]}" if failed else "failed 0"
-    return Outcome("parsers", what, size * len(targets()), text, "failed 0", not failed)

@@ -1,7 +1,6 @@
 """Inputs that keep the rules of their format and are made to harm, and the commands fed with them.
 
-One maker a kind, each choosing by a `random.Random`: the campaign's own, or `Choices`, which takes
-what it needs from bytes, so that hypothesis and atheris drive the same makers.
+One maker a kind, each choosing by a `random.Random`.
 """
 
 import contextlib
@@ -45,32 +44,21 @@ from examination.campaign.parser_seeds import (
     DIAGNOSIS,
     METADATA,
     PARAMETERS,
-    PROTOCOL,
-    REFERENCE,
     RESULT,
-    Parser,
     instrument_seeds,
-    parsers,
 )
-from sma_bench.border import read_json
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
 from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.protocols import load_protocol
-from sma_bench.protocols.reading import TEMPERATURE, load_reference
-from sma_bench.records import Record, contract, describe, open_record, read_record
+from sma_bench.records import Record, contract, read_record
 from sma_bench.records.bag_writer import write_record
-from sma_bench.records.tables import read_table_file
 from sma_bench.report.page import Picture
-from sma_bench.results import read_result
 
 MEMORY = 1 << 30
 _DRAWN_ONE_IN = 7
 SECONDS = 10.0
 _SHOWN = 160
 _SHOWN_FAILURES = 5
-_STATE = {"state": "recording", "failure": None, "messages": 12, "bag": "a", "rates": [1.0, 2.5]}
 VICTIM = "victim of a journal.txt"
 
 NUMBERS = (
@@ -95,25 +83,6 @@ VALUES: tuple[Any, ...] = (
     "<<", "~", "x" * 3000, "\ud800", "/dev/zero", "../../x", [], {}, [[1, 2], [3]], {"": {"": 0}},
     {"<<": {"a": 1}}, ["a"] * 300, "2020-01-01", "0x" + "f" * 500, "!!python/none",
 )  # fmt: skip
-
-
-class Choices(random.Random):
-    """A random.Random whose bits are those of some bytes, then zeros."""
-
-    def __init__(self, content: bytes) -> None:
-        super().__init__(0)
-        self._content, self._at = content, 0
-
-    def getrandbits(self, k: int) -> int:
-        """The next k bits."""
-        size = (k + 7) // 8
-        piece = self._content[self._at : self._at + size].ljust(size, b"\0")
-        self._at += size
-        return int.from_bytes(piece, "little") >> (8 * size - k)
-
-    def random(self) -> float:
-        """In [0, 1)."""
-        return self.getrandbits(53) / 2**53
 
 
 @dataclass(frozen=True)
@@ -575,41 +544,3 @@ def _everything(folder: Path) -> dict[Path, tuple[int, bytes | str]]:
         content: bytes | str = path.read_bytes() if stat.S_ISREG(mode) else ""
         found[path] = mode, os.readlink(path) if stat.S_ISLNK(mode) else content
     return found
-
-
-def targets() -> tuple[Parser, ...]:
-    """All parsers of what comes from outside: fed with any bytes, and with what keeps the rules of
-    its format, chosen by the bytes."""
-    wire = Parameters.defaults()
-    return (
-        *parsers(),
-        _chosen("mcap", lambda rng, folder: describe(open_record(hostile_mcap(rng, folder).path))),
-        _chosen(
-            "sqlite3", lambda rng, folder: describe(open_record(hostile_sqlite(rng, folder).path))
-        ),
-        _chosen("table", lambda rng, folder: read_table_file(hostile_import(rng, folder).path)),
-        _chosen("metadata", lambda rng, folder: read_record(hostile_metadata(rng, folder).path)),
-        _chosen("topic", lambda rng, _: read_json(hostile_json(rng, _STATE), "topic")),
-        _chosen("result", lambda rng, folder: read_result(hostile_result(rng, folder).path)),
-        _chosen("parameters", lambda rng, folder: read_parameters(
-            _written(folder, hostile_yaml(rng, yaml.safe_load(PARAMETERS))))),
-        _chosen("protocol", lambda rng, folder: load_protocol(
-            _written(folder, hostile_yaml(rng, yaml.safe_load(PROTOCOL))), wire)),
-        _chosen("reference", lambda rng, folder: load_reference(
-            _written(folder, hostile_yaml(rng, yaml.safe_load(REFERENCE))), wire, TEMPERATURE)),
-    )  # fmt: skip
-
-
-def _chosen(name: str, read: Callable[[random.Random, Path], object]) -> Parser:
-    def parse(file: Path) -> object:
-        with tempfile.TemporaryDirectory(dir=file.parent) as folder:
-            return read(Choices(file.read_bytes()), Path(folder))
-
-    seed = random.Random(name).randbytes(1500)
-    return Parser(f"well formed: {name}", seed, parse)
-
-
-def _written(folder: Path, text: str) -> Path:
-    path = folder / "input.yaml"
-    path.write_text(text)
-    return path

@@ -16,7 +16,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from examination.perf.figures import Outcome, Skipped, as_json, print_section  # noqa: E402
 
 SECTIONS = {
-    "simulation": ("simulation", "stiff solvers at equal error, the same recurrence in C"),
+    "simulation": ("simulation", "stiff solvers at equal error"),
     "solver": ("solvers", "the estimation's own solver beside scipy's least_squares"),
     "reading": ("reading", "bags: rosbags, mcap-ros2-support, the bytes alone"),
     "commands": ("whole_commands", "help, identification, diagnosis; cold and warm"),

@@ -1,4 +1,4 @@
-"""The simulation beside stiff solvers at equal error, and beside the same recurrence in C."""
+"""The simulation beside stiff solvers at equal error."""
 
 import os
 import time
@@ -7,13 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from examination.perf.c_limit import NoCompiler, PlainC
-from examination.perf.figures import Figure, Outcome, Skipped, at_least, at_most
-from examination.perf.stiff_rivals import CVODE, Problem, Solver, cvode, lsoda, side_by_side
+from examination.perf.figures import Figure, Outcome, Skipped, at_least
+from examination.perf.stiff_rivals import CVODE, Problem, Solver, cvode, lsoda
 from examination.perf.timing import interleaved, ratio
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Simulation, simulate
-from sma_bench.physics.sensitivities import Sensitivities, carries
 
 COMPOSITE = {
     "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
@@ -33,17 +31,6 @@ LADDER = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # A solver need not be better than this where the simulation is: a millionth of the range.
 ENOUGH = 1e-6
 SETS = 32
-DERIVED = (
-    "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
-    "wire.austenite_start_temperature", "wire.austenite_finish_temperature",
-    "wire.martensite_start_temperature", "wire.martensite_finish_temperature",
-    "wire.stress_influence_austenite", "wire.stress_influence_martensite",
-    "wire.austenite_modulus", "wire.martensite_modulus", "wire.maximum_recoverable_strain",
-    "environment.ambient_temperature",
-)
-# Derivatives need not be better: a fit's steps bear far more. The relative step of differences.
-ENOUGH_OF_DERIVATIVES = 5e-3
-_MOVED = 1e-5
 
 
 def benches() -> dict[str, Parameters]:
@@ -70,13 +57,10 @@ def drive(n: int, wires: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def measure(tiny: bool = False) -> list[Outcome]:
-    """Ratios to the solvers and to C; many parameter sets on all cores."""
+    """Ratios to the solvers; many parameter sets on all cores."""
     outcomes: list[Outcome] = []
     for case, parameters in benches().items():
         outcomes += _beside_solvers(case, parameters, 161 if tiny else 10_001, tiny)
-        if case == "one wire":
-            outcomes += _derivatives(case, parameters, 1001 if tiny else 10_001, tiny)
-        outcomes += _beside_c(case, parameters, 1000 if tiny else 200_000, tiny)
     return outcomes + _many_sets(1000 if tiny else 40_000)
 
 
@@ -150,115 +134,23 @@ def _error(states: np.ndarray, truth: np.ndarray) -> float:
     return float(max(kelvin, off[:, w:].max() / np.ptp(truth[:, w:])))
 
 
-def _derivatives(case: str, parameters: Parameters, n: int, tiny: bool) -> list[Outcome]:
-    """A trajectory and its derivatives, of the temperatures by relative changes of DERIVED; with
-    latent heat, by which temperatures feel every one of them."""
-    if not CVODE:
-        return [Skipped(f"{case}: derivatives by CVODE", "scikit-sundae is not installed")]
-    case, parameters = f"{case}, latent heat", parameters.replace(LATENT)
-    assert carries(parameters)
-    time_, voltage = drive(n, len(parameters["bench.channels"]))
-    up, down = (
-        [parameters.replace({name: parameters[name] * (1.0 + step)}) for name in DERIVED]
-        for step in (_MOVED, -_MOVED)
-    )
-    problems = [Problem.of(bench) for bench in (parameters, *up)]
-    both = side_by_side([Problem.of(b) for b in (*up, *down)], time_, voltage, REFERENCE)
-    truth = (both[:, : len(up)] - both[:, len(up) :]) / (2.0 * _MOVED)
-
-    def ours() -> np.ndarray:
-        run = simulate(parameters, time_, voltage)
-        carried = Sensitivities.of(run, up, np.full(len(up), _MOVED))
-        return carried.temperature.transpose(1, 2, 0)
-
-    def cvode_s(rtol: float) -> np.ndarray:
-        states = side_by_side(problems, time_, voltage, rtol)
-        return (states[:, 1:] - states[:, :1]) / _MOVED
-
-    own = _derivative_error(ours(), truth)
-    for rtol in LADDER:
-        error = _derivative_error(cvode_s(rtol), truth)
-        if error <= max(own, ENOUGH_OF_DERIVATIVES):
-            break
-    seconds = interleaved(
-        {"plain": lambda: simulate(parameters, time_, voltage), "ours": ours,
-         "CVODE": lambda: cvode_s(rtol)},
-        2 if tiny else 5, budget=15.0,
-    )
-    what = f"with {len(DERIVED)} derivatives"
-    return [
-        Figure(case, f"{what}: error, of their size", own, ""),
-        Figure(case, f"{what}: plain simulations", ratio(seconds["ours"], seconds["plain"]), ""),
-        Figure(case, f"{what}, CVODE: rtol for equal error", rtol, ""),
-        Figure(case, f"{what}, CVODE: its error", error, ""),
-        Figure(case, f"{what}, CVODE: times slower", ratio(seconds["CVODE"], seconds["ours"]),
-               "x", at_least(100.0)),
-    ]
-
-
-def _derivative_error(found: np.ndarray, truth: np.ndarray) -> float:
-    """Root mean square difference of the derivatives of temperatures, the first w of a last axis,
-    as a share of their own; the worst parameter's. Where a range begins or ends a derivative
-    jumps, so its largest difference would say how near a sample lies to that."""
-    w = truth.shape[2] // 2
-    off = np.square(found[:, :, :w] - truth[:, :, :w]).mean(axis=(0, 2))
-    return float(np.sqrt(np.max(off / np.square(truth[:, :, :w]).mean(axis=(0, 2)))))
-
-
-# --- C ------------------------------------------------------------------------------------------
-
-
-def _beside_c(case: str, parameters: Parameters, n: int, tiny: bool) -> list[Outcome]:
-    try:
-        limit = PlainC(parameters)
-    except NoCompiler as error:
-        return [Skipped(f"{case}: the limit in C", str(error))]
-    time_, voltage = drive(n, len(parameters["bench.channels"]))
-    run = simulate(parameters, time_, voltage)
-    history, _ = limit(time_, voltage)
-    off = _error(_states(run), np.hstack([history[0], history[1]]))
-    seconds = interleaved(
-        {"ours": lambda: simulate(parameters, time_, voltage), "C": lambda: limit(time_, voltage)},
-        2 if tiny else 15, budget=10.0,
-    )
-    rate = n * voltage.shape[1] / np.median(seconds["ours"])
-    slower = ratio(seconds["ours"], seconds["C"])
-    return [
-        Figure(case, "difference from C, of the range", off, "", at_most(1e-9)),
-        Figure(case, "times the time of C", slower, "x", at_most(1.5)),
-        Figure(case, "wire samples a second", float(rate), "1/s"),
-    ]
-
-
 def _many_sets(n: int) -> list[Outcome]:
-    """Many parameter sets on one thread and on all cores: this package and the loop in C."""
+    """Many parameter sets on one thread and on all cores."""
     cores = len(os.sched_getaffinity(0))
     four = benches()["four wires"]
     time_, voltage = drive(n, 4)
     sets = [four.replace({"wire.resistance": 2.5 + 0.01 * k}) for k in range(SETS)]
 
-    def through(pool: ThreadPoolExecutor, call: Callable[[Parameters], object]) -> object:
-        return list(pool.map(call, sets))
+    def through(pool: ThreadPoolExecutor) -> object:
+        return list(pool.map(lambda p: simulate(p, time_, voltage), sets))
 
-    runs: dict[str, Callable[[Parameters], object]] = {
-        "ours": lambda p: simulate(p, time_, voltage)
-    }
-    skipped: list[Outcome] = []
-    try:
-        PlainC(four)
-        runs["C"] = lambda p: PlainC(p)(time_, voltage)
-    except NoCompiler as error:
-        skipped = [Skipped(f"{SETS} parameter sets: C", str(error))]
-    outcomes: list[Outcome] = []
-    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(cores) as all_cores:
-        calls = {
-            (name, pool): (lambda run=run, pool=pool: through(pool, run))
-            for name, run in runs.items() for pool in (one, all_cores)
-        }
-        named = {f"{name} {id(pool)}": call for (name, pool), call in calls.items()}
-        seconds = interleaved(named, 5, budget=15.0, clock=time.perf_counter)
-        for name in runs:
-            gain = ratio(seconds[f"{name} {id(one)}"], seconds[f"{name} {id(all_cores)}"])
-            what = f"{name}: gain of {cores} threads over one"
-            outcomes.append(Figure(f"{SETS} parameter sets, four wires", what, gain, "x"))
-    return outcomes + skipped
+    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(cores) as every:
+        calls = {"one": lambda: through(one), "every": lambda: through(every)}
+        seconds = interleaved(calls, 5, budget=15.0, clock=time.perf_counter)
+    rate = SETS * n * 4 / np.median(seconds["one"])
+    gain = ratio(seconds["one"], seconds["every"])
+    case = f"{SETS} parameter sets, four wires"
+    return [
+        Figure(case, f"gain of {cores} threads over one", gain, "x"),
+        Figure(case, "wire samples a second, one thread", float(rate), "1/s"),
+    ]

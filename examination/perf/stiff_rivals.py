@@ -7,7 +7,7 @@ restart happens only where a voltage changes.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numba
@@ -116,15 +116,6 @@ def rate(y, dy, voltage, turned, constants, side, stiffness):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def rates(y, dy, voltage, turned, constants, side, stiffness):
-    """`rate` of k benches at the same voltages, (k 2 w,), one after the other."""
-    size = 2 * side.size
-    for k in range(constants.shape[0]):
-        own = slice(k * size, (k + 1) * size)
-        rate(y[own], dy[own], voltage, turned[k], constants[k], side, stiffness)
-
-
-@numba.njit(cache=True, error_model="numpy")
 def turn(y, voltage, turned, constants, side, stiffness):
     """Note the state of every wire that turns round at these voltages, as the contract does."""
     w = side.size
@@ -191,46 +182,6 @@ def _segments(voltage: np.ndarray, restart_at_samples: bool = False) -> Iterable
     changes = np.flatnonzero(np.any(np.diff(voltage[:-1], axis=0) != 0.0, axis=1)) + 1
     starts = list(range(len(voltage) - 1)) if restart_at_samples else [0, *changes.tolist()]
     return zip(starts, [*starts[1:], len(voltage) - 1], strict=True)
-
-
-def side_by_side(
-    problems: Sequence[Problem], time: np.ndarray, voltage: np.ndarray, rtol: float
-) -> np.ndarray:
-    """(n, k, 2 w): T and xi of k benches that differ in numbers only, as one system of CVODE.
-
-    They share every step, so that its error drops out of differences between them, as it does
-    where CVODES carries sensitivities along, which scikit-sundae has not; a band matrix keeps one
-    bench's equations apart from the next one's.
-    """
-    first = problems[0]
-    constants = np.array([problem.constants for problem in problems])
-    (n, w), k = voltage.shape, len(problems)
-    states = np.empty((n, k, 2 * w))
-    states[0, :, :w], states[0, :, w:] = constants[:, 10:11], 1.0
-    turned = np.tile([1.0, 1.0, 1.0, 0.0], (k, w, 1))
-    absolute = np.tile(_absolute(rtol, states[0, 0]), k)
-    for start, stop in _segments(voltage):
-        volts = voltage[start]
-        for bench in range(k):
-            turn(states[start, bench], volts, turned[bench], constants[bench], first.side,
-                 first.stiffness)
-
-        solution = CVODE(
-            _right_side(volts, turned, constants, first), rtol=rtol, atol=absolute,
-            max_num_steps=_MOST_STEPS, linsolver="band", lband=2 * w - 1, uband=2 * w - 1,
-        ).solve(time[start : stop + 1], states[start].ravel())
-        if not solution.success:
-            raise RuntimeError(str(solution.message))
-        found = solution.y[1:] if stop - start > 1 else solution.y[-1:]
-        states[start + 1 : stop + 1] = found.reshape(-1, k, 2 * w)
-    return states
-
-
-def _right_side(volts, turned, constants, first):
-    def fun(_, state, dy):
-        rates(state, dy, volts, turned, constants, first.side, first.stiffness)
-
-    return fun
 
 
 def lsoda(rtol: float, compiled: bool = True) -> Solver:

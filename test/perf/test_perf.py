@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -49,7 +48,7 @@ def is_there(module):
 
 
 @pytest.mark.slow
-def test_simulation_is_held_against_solvers_and_c(tmp_path, capsys):
+def test_simulation_is_held_against_solvers(tmp_path, capsys):
     document = run(tmp_path, "simulation")
     out = capsys.readouterr().out
     found = measures(document, "simulation")
@@ -60,13 +59,6 @@ def test_simulation_is_held_against_solvers_and_c(tmp_path, capsys):
         assert found[case]["scipy LSODA: its error"] < 1e-2
         if is_there("sksundae"):
             assert found[case]["scikit-sundae CVODE: times slower"] > 1.0
-        if shutil.which("cc"):
-            assert found[case]["difference from C, of the range"] < 1e-9
-            assert found[case]["times the time of C"] > 0.0
-    if is_there("sksundae"):
-        with_derivatives = found["one wire, latent heat"]
-        assert with_derivatives["with 13 derivatives: error, of their size"] < 0.01
-        assert with_derivatives["with 13 derivatives, CVODE: times slower"] > 0.0
     assert any("parameter sets" in case for case in found)
     assert list(document["sections"]) == ["simulation"]
     assert document["machine"]["cores"] >= 1 and document["machine"]["versions"]["numpy"]
