@@ -6,6 +6,7 @@ known load after the other. The outputs stay off.
 
 import csv
 import math
+import re
 import statistics
 import sys
 import time
@@ -17,7 +18,7 @@ from typing import Any
 from sma_bench.commands import options
 from sma_bench.commands.terminal import write_json
 from sma_bench.errors import InputError
-from sma_bench.hardware.calibration import SENSORS, SensorFit, fit_sensor
+from sma_bench.hardware.calibration import SENSORS, fit_sensor
 from sma_bench.hardware.conversation import open_port
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import SerialLink
@@ -53,76 +54,63 @@ _AVERAGED = 100
 )
 @options.json_option("the result")
 def run(args: SimpleNamespace) -> int:
-    """Fit, print, write."""
-    kept = _kept(args)
-    pairs = _pairs(args)
+    """Fit, print, write; a calibration of this sensor that --out holds goes with --force only."""
+    sensor, quantity = args.sensor, SENSORS[args.sensor].quantity
+    unit = SENSORS[sensor].known_unit
+    # What stays in --out, and which sensors of the same quantity it has.
+    kept: dict[str, Any] = {}
+    if args.out and Path(args.out).exists():
+        if args.csv:
+            options.keep_safe({"--out": (Path(args.out), options.FILE)}, [Path(args.csv)], True)
+        kept = read_parameter_names(args.out)
+    calibrated = {name.split(".")[1] for name in kept if name.startswith("calibration.")}
+    others = [s for s in calibrated & set(SENSORS) - {sensor} if SENSORS[s].quantity == quantity]
+    own = [f"calibration.{sensor}."]
+    if not others:  # what a person has stated
+        own.append(f"uncertainty.sensor.{quantity}.")
+    if (held := [name for name in kept if name.startswith(tuple(own))]) and not args.force:
+        raise InputError(f"{args.out}: holds {held[0]} already; --force replaces it")
+    # The pairs, and the lens of a range sensor.
+    if sum(map(bool, (args.pairs, args.csv, args.device))) != 1:
+        raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")
+    if args.device and not args.known:
+        raise InputError("--device: expected the known loads too, --known LOAD LOAD ...")
+    if args.shift is not None and not SENSORS[sensor].is_range:
+        raise InputError(f"--shift: {sensor} is no range sensor")
+    if args.device:
+        pairs = list(_measured(sensor, args.device, args.known))
+    elif args.csv:
+        pairs = _read_csv(args.csv)
+    else:
+        pairs = [_pair(text.split("="), text) for text in args.pairs]
+    shift = args.shift
+    if shift is None:
+        shift = _TABLE[f"calibration.{sensor}.shift"].default if SENSORS[sensor].is_range else 0.0
     readings, known = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    shift = _shift(args)
-    fit = fit_sensor(args.sensor, readings, known, shift)
+    fit = fit_sensor(sensor, readings, known, shift)
     for name, value in fit.parameters.items():
         _TABLE[name].validated(value, "calibrate")
-    _show(args.sensor, fit, pairs)
+    # What came of it; identification is to believe the worst of both boards, or sides.
+    std = {name: value if math.isfinite(value) else None for name, value in fit.std.items()}
+    for name, value in fit.parameters.items():
+        error = f" +- {std[name]:.2g}" if std.get(name) is not None else ""
+        print(f"{name:32} {value:.6g}{error} {_TABLE[name].unit}")
+    for name, value in fit.uncertainty.items():
+        print(f"{'uncertainty.' + name:32} {value:.2g}")
+    print(
+        f"{len(pairs)} pairs from {min(known):g} to {max(known):g} {unit}, rms of what is left "
+        f"{fit.rest:.2g} {unit}"
+    )
     if args.json:
-        std = {name: _finite(value) for name, value in fit.std.items()}
         rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
         write_json(args.json, {**rest, "uncertainty": fit.uncertainty})
     if args.out:
-        values = {**kept, **fit.parameters, **_uncertainties(args.sensor, fit, kept)}
+        stated = {f"uncertainty.{name}": value for name, value in fit.uncertainty.items()}
+        worst = {name: max(v, kept.get(name, 0.0)) if others else v for name, v in stated.items()}
+        values = {**kept, **fit.parameters, **worst}
         write_named_values(args.out, values, "Calibration of the bench's Uno.")
         print(args.out)
     return 0
-
-
-def _uncertainties(sensor: str, fit: SensorFit, kept: dict[str, Any]) -> dict[str, float]:
-    """What identification is to believe of such readings: the worst of both boards, or sides."""
-    found = {f"uncertainty.{name}": std for name, std in fit.uncertainty.items()}
-    if not _others(sensor, kept):
-        return found
-    return {name: max(std, kept.get(name, 0.0)) for name, std in found.items()}
-
-
-def _others(sensor: str, kept: dict[str, Any]) -> list[str]:
-    """Sensors of the same quantity that were calibrated before."""
-    alike = [s for s in SENSORS if s != sensor and SENSORS[s].quantity == SENSORS[sensor].quantity]
-    return [s for s in alike if any(name.startswith(f"calibration.{s}.") for name in kept)]
-
-
-def _kept(args: SimpleNamespace) -> dict[str, Any]:
-    """What stays in --out; a calibration of this sensor in it goes with --force only."""
-    if not args.out or not Path(args.out).exists():
-        return {}
-    if args.csv:
-        options.keep_safe({"--out": (Path(args.out), options.FILE)}, [Path(args.csv)], True)
-    kept = read_parameter_names(args.out)
-    own = [name for name in kept if name.startswith(f"calibration.{args.sensor}.")]
-    if not _others(args.sensor, kept):  # what a person has stated
-        believed = f"uncertainty.sensor.{SENSORS[args.sensor].quantity}."
-        own += [name for name in kept if name.startswith(believed)]
-    if own and not args.force:
-        raise InputError(f"{args.out}: holds {own[0]} already; --force replaces it")
-    return kept
-
-
-def _shift(args: SimpleNamespace) -> float:
-    if not SENSORS[args.sensor].is_range:
-        if args.shift is not None:
-            raise InputError(f"--shift: {args.sensor} is no range sensor")
-        return 0.0
-    default = float(_TABLE[f"calibration.{args.sensor}.shift"].default)  # type: ignore[arg-type]
-    return default if args.shift is None else float(args.shift)
-
-
-def _pairs(args: SimpleNamespace) -> list[tuple[float, float]]:
-    sources = [bool(args.pairs), bool(args.csv), bool(args.device)]
-    if sum(sources) != 1:
-        raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")
-    if args.device:
-        if not args.known:
-            raise InputError("--device: expected the known loads too, --known LOAD LOAD ...")
-        return list(_measured(args.sensor, args.device, args.known))
-    if args.csv:
-        return _read_csv(args.csv)
-    return [_pair(text.split("="), text) for text in args.pairs]
 
 
 def _pair(words: Sequence[str], where: str) -> tuple[float, float]:
@@ -140,17 +128,9 @@ def _read_csv(path: str) -> list[tuple[float, float]]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot read: {error}") from None
     numbered = [(k, row) for k, row in enumerate(rows, 1) if row and not row[0].startswith("#")]
-    if numbered and not _is_number(numbered[0][1][0]):
+    if numbered and not re.match(r"\s*[-+.\d]", numbered[0][1][0]):
         del numbered[0]
     return [_pair(row, f"{path} line {k}") for k, row in numbered]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _measured(sensor: str, port: str, known: Sequence[float]) -> Iterator[tuple[float, float]]:
@@ -165,39 +145,16 @@ def _measured(sensor: str, port: str, known: Sequence[float]) -> Iterator[tuple[
             print(f"apply {load:g} {SENSORS[sensor].known_unit}, then Enter: ", end="", flush=True)
             if not sys.stdin.readline():
                 raise InputError("calibrate: ended before the last load")
-            yield _mean(sensor, link, readings), load
+            readings.clear()
+            end = time.monotonic() + _CONNECTING
+            while len(readings) < _AVERAGED:
+                if time.monotonic() > end:
+                    problem = link.status.problem or "silence"
+                    raise InputError(f"calibrate: readings stopped: {problem}")
+                time.sleep(0.01)
+            values = [SENSORS[sensor].reading(r.telemetry) for r in readings[:_AVERAGED]]
+            mean, unit = statistics.fmean(values), SENSORS[sensor].unit
+            print(f"  {mean:.5g} {unit}, scatter {statistics.stdev(values):.2g} {unit}")
+            yield mean, load
     finally:
         link.close()
-
-
-def _mean(sensor: str, link: SerialLink, readings: list[Reading]) -> float:
-    """Mean of the next second of readings."""
-    readings.clear()
-    end = time.monotonic() + _CONNECTING
-    while len(readings) < _AVERAGED:
-        if time.monotonic() > end:
-            raise InputError(f"calibrate: readings stopped: {link.status.problem or 'silence'}")
-        time.sleep(0.01)
-    values = [SENSORS[sensor].reading(reading.telemetry) for reading in readings[:_AVERAGED]]
-    mean, unit = statistics.fmean(values), SENSORS[sensor].unit
-    print(f"  {mean:.5g} {unit}, scatter {statistics.stdev(values):.2g} {unit}")
-    return mean
-
-
-def _show(sensor: str, fit: SensorFit, pairs: Sequence[tuple[float, float]]) -> None:
-    for name, value in fit.parameters.items():
-        std = fit.std.get(name, math.nan)
-        error = f" +- {std:.2g}" if math.isfinite(std) else ""
-        print(f"{name:32} {value:.6g}{error} {_TABLE[name].unit}")
-    low, high = min(known for _, known in pairs), max(known for _, known in pairs)
-    unit = SENSORS[sensor].known_unit
-    for name, std in fit.uncertainty.items():
-        print(f"{'uncertainty.' + name:32} {std:.2g}")
-    print(
-        f"{len(pairs)} pairs from {low:g} to {high:g} {unit}, rms of what is left {fit.rest:.2g} "
-        f"{unit}"
-    )
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
