@@ -9,7 +9,9 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 
 if TYPE_CHECKING:
-    from sma_bench.physics.linearised import Linearised
+    import numpy as np
+
+    from sma_bench.physics.linearised import Coefficient, Linearised
     from sma_bench.physics.operating_point import OperatingPoint
 
 BRANCHES = ("heating", "cooling")
@@ -47,37 +49,45 @@ BRANCHES = ("heating", "cooling")
 @options.parameter_options
 def run(args: SimpleNamespace) -> int:
     """Print point, coefficients as printed and corrected, gains; write what was asked for."""
-    from sma_bench.physics.linearised import linearise
+    from sma_bench.physics.linearised import coefficient_table, linearise
 
     options.one_only(args, "deflection", "voltage", "temperature")
     parameters, column = options.parameters_from_options(args), options.column_of(args)
-    point = _point(args, parameters)
-    model = linearise(point, args.latent_heat)
+    model = linearise(_point(args, parameters), args.latent_heat)
+    point, channels = model.point, parameters["bench.channels"]
+    coefficients = coefficient_table(point, int(point.temperature.argmax()))  # the warmest wire
     if args.json:
-        write_json(args.json, document(model))
-    points, coefficients = _tables(model)
-    title = _title(model)
-    print_table(output_console(), *points, right=(1, 2, 3, 4, 5), title=title)
+        write_json(args.json, document(model, coefficients))
+    title = f"operating point on {point.branch}, deflection {1e3 * point.deflection:.4g} mm"
+    gains = model.deflection_per_volt()
+    heading = ("wire", "V", "K", "xi", "MPa", "mm/V")
+    wires = [
+        (channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
+         f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
+         f"{1e3 * gains[k]:.4g}")
+        for k, channel in enumerate(channels)
+    ]  # fmt: skip
+    rows = [
+        (row.name, row.equation, f"{row.printed:.5g}", f"{row.corrected:.5g}", row.unit, row.remark)
+        for row in coefficients
+    ]
+    names = ("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong")
+    print_table(output_console(), heading, wires, right=range(1, 6), title=title)
     output_console().print()
-    print_table(output_console(), *coefficients, right=(2, 3))
+    print_table(output_console(), names, rows, right=(2, 3))
     if args.report:
         from sma_bench.report.page import Made, Section, Table, write_report
         from sma_bench.report.setup_figures import operating_point_picture
 
-        picture = operating_point_picture(model)
         made = Made(args.command_line, [*filter(None, [args.params])])
         tables = [
-            Table(*points, frozenset(range(1, 6)), "operating_point"),
-            Table(*coefficients, frozenset({2, 3}), "coefficients", "Coefficients"),
+            Table(heading, wires, frozenset(range(1, 6)), "operating_point"),
+            Table(names, rows, frozenset({2, 3}), "coefficients", "Coefficients"),
         ]
+        picture = operating_point_picture(model)
         sections = [Section(title.capitalize(), tables=tables, pictures=[picture]), made.section()]
-        page = write_report(
-            args.report,
-            "Linearised model",
-            f"E11, eqs. (18) to (23), corrected. {made.head}",
-            sections,
-            column=column,
-        )
+        about = f"E11, eqs. (18) to (23), corrected. {made.head}"
+        page = write_report(args.report, "Linearised model", about, sections, column=column)
         say(f"report {page}")
     return 0
 
@@ -100,34 +110,31 @@ def _point(args: SimpleNamespace, parameters: Parameters) -> "OperatingPoint":
     return OperatingPoint.at_deflection(parameters, deflection, args.branch)
 
 
-def document(model: "Linearised") -> dict[str, Any]:
+def document(model: "Linearised", coefficients: "list[Coefficient]") -> dict[str, Any]:
     """Everything as plain numbers in SI units."""
     import numpy as np
 
-    from sma_bench.physics.linearised import coefficient_table
-
     point, space = model.point, model.state_space()
     channels = point.parameters["bench.channels"]
+
+    def named(values: "np.ndarray") -> dict[str, float]:
+        return dict(zip(channels, values.tolist(), strict=True))
+
     return {
         "operating_point": {
             "branch": point.branch,
             "deflection": point.deflection,
-            "voltage": dict(zip(channels, point.voltage.tolist(), strict=True)),
-            "temperature": dict(zip(channels, point.temperature.tolist(), strict=True)),
-            "martensite_fraction": dict(
-                zip(channels, point.martensite_fraction.tolist(), strict=True)
-            ),
-            "stress": dict(zip(channels, point.stress.tolist(), strict=True)),
+            "voltage": named(point.voltage),
+            "temperature": named(point.temperature),
+            "martensite_fraction": named(point.martensite_fraction),
+            "stress": named(point.stress),
         },
         "coefficients": {
             row.name: {
-                "equation": row.equation,
-                "unit": row.unit,
-                "printed": row.printed,
-                "corrected": row.corrected,
-                "remark": row.remark,
+                name: getattr(row, name)
+                for name in ("equation", "unit", "printed", "corrected", "remark")
             }
-            for row in coefficient_table(point, _wire(model))
+            for row in coefficients
         },
         "state_space": {
             "states": [f"{channel}.temperature" for channel in channels],
@@ -136,43 +143,5 @@ def document(model: "Linearised") -> dict[str, Any]:
             **{name: getattr(space, name).tolist() for name in "ABCD"},
         },
         "poles": np.linalg.eigvals(space.A).real.tolist(),
-        "deflection_per_volt": dict(
-            zip(channels, model.deflection_per_volt().tolist(), strict=True)
-        ),
+        "deflection_per_volt": named(model.deflection_per_volt()),
     }
-
-
-def _wire(model: "Linearised") -> int:
-    """The wire whose coefficients are shown: the warmest."""
-    return int(model.point.temperature.argmax())
-
-
-def _title(model: "Linearised") -> str:
-    point = model.point
-    return f"operating point on {point.branch}, deflection {1e3 * point.deflection:.4g} mm"
-
-
-def _tables(model: "Linearised") -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Headings and rows of the point, and of the coefficients as printed and corrected."""
-    from sma_bench.physics.linearised import coefficient_table
-
-    point, gains = model.point, model.deflection_per_volt()
-    rows = [
-        (
-            channel,
-            f"{point.voltage[k]:.4g}",
-            f"{point.temperature[k]:.2f}",
-            f"{point.martensite_fraction[k]:.4f}",
-            f"{point.stress[k] / 1e6:.4g}",
-            f"{1e3 * gains[k]:.4g}",
-        )
-        for k, channel in enumerate(point.parameters["bench.channels"])
-    ]
-    table = [
-        (row.name, row.equation, f"{row.printed:.5g}", f"{row.corrected:.5g}", row.unit, row.remark)
-        for row in coefficient_table(point, _wire(model))
-    ]
-    return (
-        (("wire", "V", "K", "xi", "MPa", "mm/V"), rows),
-        (("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong"), table),
-    )
