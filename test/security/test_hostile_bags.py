@@ -3,7 +3,6 @@
 import contextlib
 import os
 import sqlite3
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,14 +19,12 @@ from examination.campaign.hostile_bags import (
     named_joints,
     small_bag,
 )
-from sma_bench.diagnose.diagnosis import _split
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
 from sma_bench.parameters import read_parameters
-from sma_bench.records import Record, Signal, read_record
+from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_files import METADATA
 from sma_bench.records.bag_writer import write_record
-from sma_bench.records.record import samples
 
 GIGABYTE = 1 << 30
 RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
@@ -58,13 +55,6 @@ def test_no_file_is_deleted_by_the_journal_beside_a_bag(db3, tmp_path):
     assert victim.read_text() == "years of work"
     assert (db3.read_bytes(), journal.read_bytes()) == before
     assert len(record["wire.voltage"])
-
-
-def test_a_journal_that_is_a_link_is_not_followed(db3, tmp_path):
-    secret = tmp_path / "secret"
-    secret.write_bytes(b"x" * 100)
-    db3.with_name(db3.name + "-wal").symlink_to(secret)
-    assert len(read_record(db3)["wire.voltage"]) == 20
 
 
 @pytest.mark.parametrize("statement", [
@@ -139,16 +129,6 @@ def test_a_million_joint_names_are_too_many_for_a_message(tmp_path):
     assert "1 of 1 messages cannot be decoded" in said(record)
 
 
-def test_one_wide_message_among_many_empty_ones_takes_no_more_than_they_hold(tmp_path):
-    empty = struct.pack("<4sIII", b"\0\1\0\0", 0, 0, 0)
-    wide = struct.pack("<4sIII4x", b"\0\1\0\0", 0, 0, 1000) + bytes(8000)
-    run = message(3, 0, empty) * 400_000 + message(3, 1, wide)
-    bag = tmp_path / "bag.mcap"
-    bag.write_bytes(mcap_of(chunk(run)))
-    with allowance(GIGABYTE, 10.0):
-        assert "unfolds to more than" in said(read_record(bag))
-
-
 def test_more_topics_than_any_bench_has_end_the_reading(tmp_path):
     bag = tmp_path / "bag.mcap"
     bag.write_bytes(mcap_of(topics=[(f"/t{k}", "a/msg/B") for k in range(5000)]))
@@ -179,13 +159,6 @@ def test_metadata_is_read_within_bounds_and_the_bag_without_it(tmp_path):
             record = read_record(bag)
         assert "metadata.yaml: cannot be understood" in said(record)
         assert len(record["wire.voltage"]) == 20
-
-
-def test_a_name_that_no_file_has_is_passed_over(tmp_path):
-    bag = small_bag(tmp_path / "bag", "mcap")
-    text = (bag / METADATA).read_text()
-    (bag / METADATA).write_text(text.replace(storage_of(bag).name, "x" * 3000))
-    assert len(read_record(bag)["wire.voltage"]) == 20
 
 
 def test_links_out_of_the_folder_of_a_bag_are_not_followed(tmp_path):
@@ -233,13 +206,6 @@ def test_of_two_times_the_one_with_more_messages_is_kept(tmp_path):
     assert "52 of 252" in said(record) and "before and up to 9e+05 s after" in said(record)
 
 
-def test_a_night_between_two_drives_is_a_pause(tmp_path):
-    time = np.concatenate([np.arange(100) * 0.1, 43_200 + np.arange(100) * 0.1])
-    write_record(tmp_path / "bag", [Signal("wire.voltage", "V", time, np.ones(200))])
-    record = read_record(tmp_path / "bag")
-    assert len(record["wire.voltage"]) == 200 and "left out" not in said(record)
-
-
 @pytest.fixture
 def drive(tmp_path):
     """A wire driven and cooled, 20 readings a second."""
@@ -269,14 +235,6 @@ def test_a_late_stamp_costs_no_memory(drive, tmp_path):
     assert "are stamped up to 1e+09 s after the others" in said(record)
 
 
-def test_numbers_that_no_sensor_says_are_not_taken(drive):
-    spoiled = drive["wire.voltage"].values.copy()
-    spoiled[5:8] = 3e38, -3e38, np.inf
-    voltage = replace(drive["wire.voltage"], values=spoiled)
-    taken = samples(replace(drive, signals={"wire.voltage": voltage}), "wire.voltage")[1]
-    assert len(taken) == len(spoiled) - 3 and taken.max() == 2.0
-
-
 def test_a_grid_has_an_end_whatever_the_times(drive):
     """A record made in memory may hold any times: the cells get wider, not more."""
     far = {
@@ -285,26 +243,3 @@ def test_a_grid_has_an_end_whatever_the_times(drive):
     }
     with allowance(GIGABYTE, 60.0):
         assert len(observe(replace(drive, signals=far), read_parameters(RIG)).grid) < 5e6
-
-
-def test_few_readings_over_a_day_are_diagnosed_on_a_grid_of_their_number():
-    count = np.arange(100)
-    signals = [
-        Signal("wire.voltage", "V", count * 1000.0, np.where(count % 20 < 10, 1.0, 0.0)),
-        Signal("wire.temperature", "K", count * 1000.0, 300.0 + count % 7),
-    ]
-    record = Record(Path("day"), 0, {signal.name: signal for signal in signals})
-    grid = observe(record, read_parameters(RIG)).grid
-    assert len(grid) < 50_000
-
-
-def test_readings_that_begin_late_leave_some_to_fit_and_some_to_try(tmp_path):
-    time = np.arange(200) * 0.1
-    late = time > 16.0
-    volts = np.where(time % 4.0 < 2.0, 2.0, 0.0)
-    write_record(tmp_path / "bag", [
-        Signal("wire.voltage", "V", time, volts),
-        Signal("wire.temperature", "K", time[late], 300.0 + 5.0 * volts[late] + time[late] % 0.3),
-    ])  # fmt: skip
-    early, rest = _split([observe(read_record(tmp_path / "bag"), read_parameters(RIG))])
-    assert early[0].signals and rest[0].signals
