@@ -1,21 +1,24 @@
-"""sma-bench demo: a simulated bench, identified and diagnosed through the real nodes.
+"""sma-bench demo: simulated benches, identified and diagnosed through the real nodes.
 
-Two acts (demo_acts): Table I of a wire, and a composite bench that hides an effect which the
-diagnosis has to name.
+Two acts: Table I of a wire, and a composite bench that hides an effect which the diagnosis has to
+name. A lab's file and two bags are all that the diagnosis sees.
 """
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import click
 
 from sma_bench.commands.options import NEW, command, json_option, output
-from sma_bench.commands.terminal import WorkState, output_console, write_json
+from sma_bench.commands.terminal import WorkState, output_console, progress, write_json
 from sma_bench.errors import InputError
 
+GONE = {
+    "paper": "identify the bags of simulate --protocol staircase and --protocol ramp",
+    "investigate": "investigate --simulated FILE plays it on any simulated bench",
+    "hardware": "./bench check hardware shows it",
+}
 _SEEDS = 2**31
 
 
@@ -34,69 +37,65 @@ _SEEDS = 2**31
     help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
     "the effect of this draw instead of one by the clock",
 )
-@click.option(
-    "--paper",
-    is_flag=True,
-    help="Table I from the paper's own protocols, staircase and ramp, instead of the short "
-    "quick_staircase and quick_ramp: a minute more",
-)
 @json_option("truth, estimates, diagnosis and the reports' paths")
-@click.option(
-    "--investigate",
-    is_flag=True,
-    help="instead of both acts, a bench in software, without ROS, whose first record leaves "
-    "two causes: followed up until one is named (half a minute)",
-)
+@click.option("--paper", is_flag=True, hidden=True)
+@click.option("--investigate", is_flag=True, hidden=True)
+@click.option("--hardware", is_flag=True, hidden=True)
 def run(args: SimpleNamespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
-    from sma_bench.commands.demo_acts import (
-        FITTED,
-        QUICK,
-        gap_act,
-        investigation_act,
-        planned,
-        simulated_truth,
-        table_act,
-    )
-    from sma_bench.commands.demo_stage import compiling_beside, make_folder
+    from sma_bench.commands import demo_acts as acts
+    from sma_bench.parameters import read_parameters, write_parameters
+    from sma_bench.progress import COMPILING, part, shares
 
-    console = output_console()
+    for name, instead in GONE.items():
+        if getattr(args, name):
+            raise InputError(f"--{name} is gone: {instead}")
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
-    out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
-    make_folder(out)
-    if args.investigate:
-        act = investigation_act(console, out, args.draw or 0, args.command_line)
-        if args.json:
-            write_json(args.json, act)
-        return 0 if act["holds"] else 1
-    truth = simulated_truth(args.draw)
-    fitted = FITTED if args.paper else QUICK
-    first, second = planned(fitted, args.speed)
-    state = WorkState(expected=first + second)
-    share = first / (first + second)
-    console.print("[bold]1. From a commanded volt to Table I[/]")
+    truth, lab = acts.simulated_truth(args.draw), read_parameters(acts.lab_file())
+    console = output_console()
     seed = time.time_ns() % _SEEDS if args.draw is None else args.draw
-    with compiling_beside() as compiler:
-        first_act = table_act(console, out, fitted, args.speed, truth, share, state, compiler)
-        console.print("\n[bold]2. The gap between simulation and bench[/]")
-        second_act = gap_act(console, out / "simulated_gap", args.speed, seed, share, state)
-    acts = {"table_one": first_act, "gap": second_act}
+    out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
+    acts.make_folder(out)
+    plan = acts.planned(args.speed)
+    between, state = shares(plan), WorkState(expected=sum(plan.values()))
+
+    console.print("[bold]1. From a commanded volt to Table I[/]")
+    with progress("demo", state) as report:
+        steps = {step: part(report, *ends) for step, ends in between.items()}
+        acts.wait_for_compiler(steps[COMPILING])
+        answer, page = acts.identified(out, truth, args.speed, steps)
+    estimates = answer["parameters"]
+    holds = acts.print_table_one(console, out, answer, truth, page)
+
+    console.print("\n[bold]2. The gap between simulation and bench[/]")
+    console.print("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
+    gap = out / "simulated_gap"
+    acts.make_folder(gap)
+    write_parameters(
+        gap / "hidden.yaml", acts.hidden_bench(lab, seed), "The truth of the simulated bench."
+    )
+    with progress("demo", state) as report:
+        steps = {step: part(report, *ends) for step, ends in between.items()}
+        found = acts.diagnosed(gap, lab, args.speed, steps)
+    hidden, pages = acts.print_gap(console, gap, found, lab, seed)
+
     console.print(f"{state.gone:.0f} s")
+    right = {"table_one": holds, "gap": not acts.confidently_wrong(found, hidden)}
     if args.json:
-        write_json(args.json, _document(out, acts))
-    return 0 if all(act["holds"] for act in acts.values()) else 1
+        write_json(args.json, {
+            "synthetic": True, "folder": str(out), "holds": right,
+            "truth": {
+                "table_one": {name: truth[name] for name in acts.TABLE_ONE},
+                "gap": {
+                    "effect": acts.hidden_effect(hidden),
+                    "numbers": dict(acts.hidden_numbers(hidden)),
+                },
+            },
+            "report": {"table_one": str(page), "gap": str(pages)},
+            "estimates": estimates, "diagnosis": found, "draw": seed,
+        })  # fmt: skip
+    return 0 if all(right.values()) else 1
 
 
-def _document(out: Path, acts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Truth, what was found, and where to read on."""
-    kinds = {name: [act for act in acts if name in acts[act]] for name in ("truth", "report")}
-    return {
-        "synthetic": True,
-        "folder": str(out),
-        "holds": {name: act["holds"] for name, act in acts.items()},
-        **{kind: {act: acts[act][kind] for act in given} for kind, given in kinds.items()},
-        "estimates": acts["table_one"]["estimates"],
-        **{key: acts["gap"][key] for key in ("diagnosis", "draw")},
-    }

@@ -58,20 +58,6 @@ def test_an_ambiguous_record_is_followed_until_the_cause_is_named(lab, capsys):
     assert "named: ambient_drift after 2 records" in capsys.readouterr().out
 
 
-def test_the_demos_bench_is_ambiguous_after_one_stroke_and_named_after_one_more_record(
-    tmp_path, capsys
-):
-    with few_effects(("residual_strain", "transition_drift", "viscoelastic_matrix")):
-        done = main(["demo", "--investigate", "--draw", "1", "--out", str(tmp_path / "demo"),
-                     "--json", str(tmp_path / "demo.json")])
-    assert done == 0, capsys.readouterr().out
-    found = json.loads((tmp_path / "demo.json").read_text())
-    first, last = found["story"]["chapters"]
-    assert first["verdict"] == "ambiguous" and first["proposed"]["kind"] == "protocol"
-    assert last["cause"] == [found["truth"]] and last["records"] == 2
-    assert (tmp_path / "demo" / "gap" / "story" / "index.html").is_file()
-
-
 def test_a_simulated_run_ends_at_zero_volts_when_a_wire_gets_too_hot():
     limited = believed().replace({"bench.maximum_temperature": 310.0})
     steps = [{"kind": "step", "drive": "front", "level": 2.0, "duration": 20.0}]
