@@ -57,11 +57,7 @@ class Instruments:
     def read(self, name: str, quantity: str, course: Course, time: np.ndarray) -> Signal:
         """The signal `name` that a sensor of `quantity` makes of a true course."""
         seed = np.random.SeedSequence([self._seeds.entropy, next(self._numbers)])
-        sensor = Instrument(
-            _SETTINGS[f"sensor.{quantity}_noise"],
-            _SETTINGS.get(f"sensor.{quantity}_resolution", 0.0),
-            seed,
-        )
+        sensor = Instrument.of(_SETTINGS, quantity, seed)
         zero = _CELSIUS_ZERO if quantity == "temperature" else 0.0
         values = sensor.read_all(course.at(time) - zero)
         return Signal(name, _UNITS[quantity], time, np.array(values) + zero)

@@ -107,6 +107,15 @@ class Instrument:
         self._random = np.random.default_rng(seed)
         self._drawn: list[float] = []
 
+    @classmethod
+    def of(
+        cls, settings: Mapping[str, Any], quantity: str, seed: np.random.SeedSequence
+    ) -> "Instrument":
+        """The sensor of a quantity (voltage, current, temperature, range, force), as the simulator
+        node's parameters have it."""
+        resolution = settings.get(f"sensor.{quantity}_resolution", 0.0)
+        return cls(settings[f"sensor.{quantity}_noise"], resolution, seed)
+
     def read(self, value: float) -> float:
         """The reading of a true `value`."""
         if self._noise > 0.0:

@@ -93,16 +93,10 @@ class VirtualBench:
         self._driven = driven
 
     def _build_instruments(self) -> None:
-        settings = self._settings
-        sequence = np.random.SeedSequence([settings["seed"], self._pulses])
-        seeds = iter(sequence.spawn(3 * len(self.channels) + 4))
+        sequence = np.random.SeedSequence([self._settings["seed"], self._pulses])
 
         def instrument(quantity: str) -> Instrument:
-            return Instrument(
-                settings[f"sensor.{quantity}_noise"],
-                settings.get(f"sensor.{quantity}_resolution", 0.0),
-                next(seeds),
-            )
+            return Instrument.of(self._settings, quantity, sequence.spawn(1)[0])
 
         self._volt = [instrument("voltage") for _ in self.channels]
         self._ampere = [instrument("current") for _ in self.channels]

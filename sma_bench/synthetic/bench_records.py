@@ -59,15 +59,10 @@ class Sensors:
         """The same seed gives the same noise."""
         self._seeds = np.random.SeedSequence(seed)
 
-    def read(self, quantity: str, values: Array) -> Array:
-        """What a sensor of `quantity` makes of true values (n,) in SI units."""
-        sensor = Instrument(
-            _SETTINGS[f"sensor.{quantity}_noise"],
-            _SETTINGS.get(f"sensor.{quantity}_resolution", 0.0),
-            self._seeds.spawn(1)[0],
-        )
-        # The camera's steps are those of the Celsius scale.
-        zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
+    def read(self, quantity: str, values: Array, zero: float = 0.0) -> Array:
+        """What a sensor of `quantity` makes of true values (n,) in SI units, with steps that count
+        from `zero`."""
+        sensor = Instrument.of(_SETTINGS, quantity, self._seeds.spawn(1)[0])
         return sensor.read_all(values - zero) + zero
 
 
@@ -227,23 +222,14 @@ def read_signals(
     A deflection is half the difference of two distances; an elongation that never changes is
     clamped.
     """
-    settings = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
-    seeds = iter(np.random.SeedSequence(seed).spawn(2 * len(signals)))
-
-    def read(quantity: str, values: np.ndarray) -> np.ndarray:
-        noise, step = f"sensor.{quantity}_noise", f"sensor.{quantity}_resolution"
-        instrument = Instrument(settings[noise], settings.get(step, 0.0), next(seeds))
-        return instrument.read_all(values)
-
-    found = []
+    read, found = Sensors(seed).read, []
     for signal in in_turn(signals, report, lambda s: f"reading {s.name}"):
         quantity, values = signal.name.rpartition(".")[2], np.asarray(signal.values)
         if quantity == "elongation":
             moves = np.ptp(values) > 0.0
             found.append(replace(signal, values=read("range", values)) if moves else signal)
         elif quantity == "deflection":
-            away = settings["sensor.range_standoff"]
-            front, back = read("range", away - values), read("range", away + values)
+            front, back = read("range", STANDOFF - values), read("range", STANDOFF + values)
             found.append(replace(signal, values=0.5 * (back - front)))
         else:
             found.append(replace(signal, values=read(quantity, values)))
@@ -338,7 +324,9 @@ def _electrical(run: Simulation, sensors: Sensors, duration: float) -> list[Sign
             ("current", "A", power, run.current[:, k]),
             ("temperature", "K", camera, run.temperature[:, k]),
         ):
-            read = sensors.read(quantity, _at(run, time, values))
+            # The camera's steps are those of the Celsius scale.
+            zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
+            read = sensors.read(quantity, _at(run, time, values), zero)
             signals.append(Signal(f"{channel}.{quantity}", unit, time, read))
     return signals
 
