@@ -84,9 +84,10 @@ def isobaric_tests(
 ) -> list[IsobaricRecord]:
     """One file a stress (Pa), read back; `between` K by which cycles differ, drawn if None."""
     between = draw_noise(random, 0.02, 10.0) if between is None else between
-    reading = draw_noise(random, 0.02, 2.0)  # K: of a row
+    reading = draw_noise(random, 0.02, 10.0)  # K: of a row
     if cycles is None:  # who sees cycles differ repeats them
-        cycles = int(random.integers(1, 4) if between < 0.3 else random.integers(3, 9))
+        few = max(between, reading / 10.0) < 0.3
+        cycles = int(random.integers(1, 4) if few else random.integers(3, 9))
     offset, lag = THERMOMETER * random.standard_normal(), LAG * random.standard_normal()
     gauge = 1.0 + GAUGE * random.standard_normal()
     section = (1.0 + DIAMETER * random.standard_normal()) ** 2
