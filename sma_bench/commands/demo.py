@@ -8,9 +8,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands.options import NEW, command, json_option, output
+from sma_bench.commands.options import NEW, command, json_option, option, output
 from sma_bench.commands.terminal import WorkState, output_console, progress, write_json
 from sma_bench.errors import InputError
 
@@ -27,20 +25,17 @@ _SEEDS = 2**31
     "demo --out my_demo --draw 7 --json demo.json",
 )
 @output("--out DIR", NEW, "new folder (default: sma_bench_demo_<time>)")
-@click.option(
-    "--speed", type=float, default=40.0, metavar="X", help="at most X times real time (default 40)"
-)
-@click.option(
-    "--draw",
+@option("--speed X", "at most X times real time (default 40)", type=float, default=40.0)
+@option(
+    "--draw SEED",
+    "simulate a wire drawn at random around Table I instead of Table I itself, and hide the effect "
+    "of this draw instead of one by the clock",
     type=int,
-    metavar="SEED",
-    help="simulate a wire drawn at random around Table I instead of Table I itself, and hide "
-    "the effect of this draw instead of one by the clock",
 )
 @json_option("truth, estimates, diagnosis and the reports' paths")
-@click.option("--paper", is_flag=True, hidden=True)
-@click.option("--investigate", is_flag=True, hidden=True)
-@click.option("--hardware", is_flag=True, hidden=True)
+@option("--paper", "", hidden=True)
+@option("--investigate", "", hidden=True)
+@option("--hardware", "", hidden=True)
 def run(args: SimpleNamespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""
@@ -97,5 +92,3 @@ def run(args: SimpleNamespace) -> int:
             "estimates": estimates, "diagnosis": found, "draw": seed,
         })  # fmt: skip
     return 0 if all(right.values()) else 1
-
-
