@@ -3,6 +3,7 @@
 import fcntl
 import hashlib
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -70,7 +71,8 @@ def is_compiled(function: Callable[..., Any]) -> bool:
     source = getattr(function, "py_func", function)
     folder = _cache_folder(_room(source))
     module = source.__module__.rpartition(".")[2]
-    return folder is not None and any(folder.rglob(f"{module}.{source.__name__}-*.nbi"))
+    files = f"{module}.{source.__name__}-*.py{sys.version_info[0]}{sys.version_info[1]}.nbi"
+    return folder is not None and any(folder.rglob(files))
 
 
 def when_compiling(notify: Callable[[], None]) -> None:

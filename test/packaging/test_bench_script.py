@@ -84,6 +84,15 @@ def installed(house: Path) -> str:
     )
 
 
+@pytest.fixture
+def bench_script() -> Any:
+    """./bench as a module."""
+    loader = SourceFileLoader("bench_script", str(ROOT / "bench"))
+    module = module_from_spec(spec_from_loader("bench_script", loader))
+    loader.exec_module(module)
+    return module
+
+
 class FirstUses(NamedTuple):
     """A checkout whose first setup was killed and then begun again, by two uses at once."""
 
@@ -192,6 +201,31 @@ def test_package_that_does_not_exist_is_told_in_short(house: Path, tmp_path: Pat
     assert "no-such-package-of-sma-bench" in log.read_text()
 
 
+ONLY = """
+import sys
+
+class Only:
+    def find_spec(self, name, *_):
+        top = name.partition(".")[0]
+        if top not in {*sys.argv[1:], "sma_bench", *sys.stdlib_module_names} and top[0] != "_":
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Only())
+import sma_bench.physics.__main__
+"""
+
+
+def test_the_physics_compiles_from_what_is_installed_first(bench_script: Any) -> None:
+    first = [{"pyyaml": "yaml"}.get(name, name) for name in bench_script.FIRST]
+    run = [sys.executable, "-c", ONLY, *first]
+    done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lacking = subprocess.run(
+        [*run[:3], *first[:-2]], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert "ModuleNotFoundError" in lacking.stderr
+
+
 def test_help_needs_no_setup(tmp_path: Path) -> None:
     house = make_house(tmp_path / "house")
     code, out, err = bench(house)
@@ -219,11 +253,9 @@ def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_s
 
 
 @pytest.fixture
-def good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench_script: Any) -> Any:
     """An environment with runtime and package, and the module that made it."""
-    loader = SourceFileLoader("bench_script", str(ROOT / "bench"))
-    module = module_from_spec(spec_from_loader("bench_script", loader))
-    loader.exec_module(module)
+    module = bench_script
     house = make_house(tmp_path / "house")
     monkeypatch.setattr(module, "ROOT", house)
     found = module.Environment(house / ".venv")

@@ -88,7 +88,7 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> House:
     given = {
         requirements.name: arguments
         for stage in STAGES
-        for _, arguments, requirements in bench.pip_steps(stage)
+        for _, arguments, requirements in bench.pip_steps(stage, folder)
     }
     for file in (pins.ROBOT, pins.NOBLE):  # as .ci/noble does
         lock = str(folder / "locks" / file)

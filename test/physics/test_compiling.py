@@ -56,7 +56,8 @@ def test_a_change_of_the_physics_compiles_it_anew(fresh):
     ready = "from sma_bench import compiled; from sma_bench.physics import core; "
     ready += "print(compiled.is_compiled(core.run))"
     folder = Path(fresh["PYTHONPATH"]) / "sma_bench" / "physics"
-    mark = ready + "; (compiled._cache_folder(compiled.PHYSICS) / 'core.run-1.nbi').touch()"
+    name = f"core.run-1.py{sys.version_info[0]}{sys.version_info[1]}.nbi"
+    mark = ready + f"; (compiled._cache_folder(compiled.PHYSICS) / {name!r}).touch()"
     assert run(mark, fresh).communicate()[0] == "False\n"
     assert run(ready, fresh).communicate()[0] == "True\n"
     with (folder / "columns.py").open("a") as source:
