@@ -96,7 +96,8 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
             NodeProcesses(NAMESPACE, logs) as nodes,
             BenchClient(NAMESPACE, meanwhile=nodes.check) as client,
         ):
-            client.wait("emulated bench", lambda: port.exists() or uno.poll() is not None, PATIENCE)
+            # The first start compiles firmware and physics.
+            client.wait("emulated bench", lambda: port.exists() or uno.poll() is not None, 600.0)
             roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
             for name, settings in {
                 "synthetic_camera": {**CAMERA, "rate": 15.0},

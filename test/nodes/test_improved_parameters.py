@@ -1,13 +1,12 @@
-"""What a diagnosis improves, the simulator shows: the file loads, and the gap is smaller live."""
+"""What a diagnosis improves, the simulated bench shows: the file loads, and the gap is smaller
+(with the nodes: test_twin_node)."""
 
 import numpy as np
 import pytest
 from planted import believed, true_bench
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from sma_bench.live.virtual_bench import NANOSECONDS, VirtualBench
-from sma_bench.parameters import read_parameters, write_parameters
+from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics.effects import active_effects
 from sma_bench.tasks.work import write_improved
@@ -52,35 +51,3 @@ def test_the_virtual_bench_comes_nearer_to_the_truth_with_improved_parameters(im
     ]
     assert gaps[0] > 5e-4
     assert gaps[1] < 0.1 * gaps[0]
-
-
-def settled_deflections(bench, files):
-    """Deflection [m] that a simulator node of each parameter file holds after SETTLED s."""
-    found = {}
-    joints = bench.listen("joint_states", JointState)
-    # The same for all: of two publishers that do not sign, neither is obeyed.
-    command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
-
-    def driven():
-        command.publish(Float64MultiArray(data=list(DRIVE)))
-        return len(joints) > SETTLED * SETTINGS["rate.mechanics"]
-
-    for name, file in files.items():
-        joints.clear()
-        node = bench.start("simulator", file, speed=40.0)
-        bench.until(driven)
-        assert node.end() == 0
-        assert "Traceback" not in node.output
-        found[name] = float(np.mean([message.position[0] for message in joints[-100:]]))
-    return found
-
-
-def test_the_simulator_node_loads_the_file_and_shows_the_smaller_gap(bench, improved, tmp_path):
-    files = {"improved": improved}
-    for name, parameters in (("truth", true_bench(EFFECT)), ("belief", believed())):
-        files[name] = tmp_path / f"{name}.yaml"
-        write_parameters(files[name], parameters)
-    found = settled_deflections(bench, files)
-    before, after = (abs(found[name] - found["truth"]) for name in ("belief", "improved"))
-    assert before > 2e-3
-    assert after < 0.1 * before + 5e-5  # what the sensors' noise and steps leave of a mean
