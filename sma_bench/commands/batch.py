@@ -47,7 +47,11 @@ _BAD_INPUT = 2
     type=int,
     default=len(os.sched_getaffinity(0)),
 )
-@options.dask_option("the records")
+@options.option(
+    "--dask ADDRESS",
+    "on the workers of this dask scheduler instead, tcp://host:8786 say; they see the records under "
+    "the same path",
+)
 def run(args: SimpleNamespace) -> int:
     """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
     parameters = options.parameters_from_options(args)

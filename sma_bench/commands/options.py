@@ -348,15 +348,6 @@ def column_of(args: SimpleNamespace) -> "PaperColumn | None":
     return column if args.font is None else column._replace(font=args.font)
 
 
-def dask_option(shared: str) -> Decorator:
-    """Add the address of a cluster."""
-    return option(
-        "--dask ADDRESS",
-        "on the workers of this dask scheduler instead, tcp://host:8786 say; they see "
-        f"{shared} under the same path",
-    )
-
-
 def ros_option(function: Decorated) -> Decorated:
     """Add --ros-args, which takes all that follows; `ros_arguments` reads it."""
     return option(

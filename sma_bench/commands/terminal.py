@@ -46,14 +46,12 @@ def print_table(
     right: Container[int] = (),
     *,
     title: str = "",
-    styles: Sequence[str] = (),
 ) -> None:
     """Print a table.
 
     Args:
         headings, rows: text, not markup, a cell a column.
         right: columns of numbers, flush right and not folded.
-        styles: of the rows, none when empty.
     """
     from rich.cells import cell_len
     from rich.table import Table
@@ -72,9 +70,8 @@ def print_table(
             overflow="fold",
             min_width=whole if console.width >= _NARROW else None,
         )
-    for k, row in enumerate(rows):
-        cells = (Text(printable(cell, "\n")) for cell in row)
-        table.add_row(*cells, style=styles[k] if styles else None)
+    for row in rows:
+        table.add_row(*(Text(printable(cell, "\n")) for cell in row))
     console.print(table)
 
 
@@ -158,7 +155,8 @@ def progress(title: str, state: WorkState | None = None) -> Iterator[Report]:
         state: one that has begun already, to go on with.
     """
     state, over = state or WorkState(), threading.Event()
-    show = _bar if is_live() else _lines
+    moves = sys.stderr.isatty() and environ.get("TERM") not in ("dumb", "unknown")
+    show = _bar if moves else _lines
     display = threading.Thread(target=show, args=(title, state, over), daemon=True)
     display.start()
     try:
@@ -166,11 +164,6 @@ def progress(title: str, state: WorkState | None = None) -> Iterator[Report]:
     finally:
         over.set()
         display.join()
-
-
-def is_live() -> bool:
-    """Whether standard error can show a bar that moves."""
-    return sys.stderr.isatty() and environ.get("TERM") not in ("dumb", "unknown")
 
 
 def _bar(title: str, state: WorkState, over: threading.Event) -> None:
@@ -226,18 +219,14 @@ def print_findings(findings: Iterable[Finding]) -> None:
     for finding in findings:
         severity = Text(finding.severity, style=_STYLES[finding.severity])
         row = Table.grid(Column(width=_SEVERITY), Column(overflow="fold"))
-        row.add_row(severity, Text(finding_line(finding)))
+        text = printable(f"{finding.subject}: {finding.text}", "\n").replace(" +- ", " ± ")
+        row.add_row(severity, Text(text))
         console.print(row)
 
 
 def say(text: str) -> None:
     """Print lines in which names from outside may stand."""
     print(printable(text, "\n"))
-
-
-def finding_line(finding: Finding) -> str:
-    """A finding as it may be printed, whatever names from outside it holds."""
-    return printable(f"{finding.subject}: {finding.text}", "\n").replace(" +- ", " ± ")
 
 
 def write_json(path: str, document: dict[str, Any]) -> None:
