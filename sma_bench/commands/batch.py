@@ -49,8 +49,8 @@ _BAD_INPUT = 2
 )
 @options.option(
     "--dask ADDRESS",
-    "on the workers of this dask scheduler instead, tcp://host:8786 say; they see the records under "
-    "the same path",
+    "on the workers of this dask scheduler instead, tcp://host:8786 say; they see the "
+    "records under the same path",
 )
 def run(args: SimpleNamespace) -> int:
     """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
