@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
 Severity = Literal["info", "warning", "error"]
 
@@ -21,6 +21,15 @@ class Finding:
     text: str
     numbers: dict[str, float] = field(default_factory=dict)
     audit: bool = False
+
+    @classmethod
+    def read(cls, line: str) -> "Finding":
+        """From what `str` makes of one; whatever else it is, it is no more than an info."""
+        severity, _, rest = line.partition(": ")
+        subject, _, text = rest.partition(": ")
+        if severity not in get_args(Severity):
+            return cls("info", "", line)
+        return cls(cast(Severity, severity), subject, text)
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary for a result file."""

@@ -14,7 +14,7 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records import open_record, read_record
-from sma_bench.results import read_result
+from sma_bench.report.collected_report import read_result
 
 PYRIS = """Filename:\tC:\\run.dcd
 Sample ID:\tNiTi wire

@@ -18,6 +18,7 @@ from sma_bench.cards import card_text
 from sma_bench.commands.diagnose import print_tables
 from sma_bench.commands.terminal import print_table, write_json
 from sma_bench.compiled import is_compiled
+from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BACK, FRONT
 from sma_bench.installation import share_directory
@@ -29,7 +30,7 @@ from sma_bench.physics import core, simulate
 from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.progress import COMPILING, Report, part, silent
 from sma_bench.protocols import load_protocol, parse_protocol
-from sma_bench.results import diagnosis_from, in_print
+from sma_bench.results import in_print
 from sma_bench.tasks.jobs import told_share
 
 if TYPE_CHECKING:
@@ -410,7 +411,7 @@ def reveal(
     misses = []
     before, after = (gap_on_new_drive(hidden, model) for model in (lab, improved))
     for quantity, *gaps in zip(("deflection", "temperature"), before, after, strict=True):
-        old, new = (in_print(quantity, float(np.sqrt(np.mean(gap**2)))) for gap in gaps)
+        old, new = (in_print(float(np.sqrt(np.mean(gap**2))), quantity) for gap in gaps)
         misses.append(f"{quantity} {old} -> {new}")
     yield (
         "On a new drive, without sensor noise, the simulator misses this bench by (as believed -> "
@@ -420,9 +421,9 @@ def reveal(
 
 def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
     """The verdict card and the candidates."""
-    result = diagnosis_from(Path("diagnosis"), answer)
+    result = diagnosis_from(answer, "diagnosis")
     console.print(f"{card_text(result, console.width)}\n", markup=False, soft_wrap=True)
-    print_tables(console, result, ("candidates_table",))
+    print_tables(console, result, ("candidates",))
 
 
 def print_gap(

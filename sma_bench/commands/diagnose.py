@@ -21,7 +21,7 @@ from sma_bench.results import Invocation
 
 if TYPE_CHECKING:
     from sma_bench.diagnose import Diagnosis
-    from sma_bench.results import DiagnoseResult
+    from sma_bench.diagnose.result import DiagnosisResult
 
 _CELLS_SHOWN = 6
 
@@ -83,21 +83,21 @@ def print_result(result: "Diagnosis", asked: Invocation) -> None:
     from sma_bench.cards import card_text
 
     console = output_console()
-    card = card_text(result.shown, console.width, asked)
+    card = card_text(result, console.width, asked)
     console.print(f"{card}\n", markup=False, soft_wrap=True)
-    print_tables(console, result.shown)
+    print_tables(console, result)
     for sentence in result.why:
         console.print(printable(sentence), markup=False)
     own, audit = fold_audit(result.findings)
     print_findings([*own, *audit[:1]])
 
 
-def print_tables(console: Console, result: "DiagnoseResult", names: Container[str] = ()) -> None:
+def print_tables(console: Console, result: "DiagnosisResult", names: Container[str] = ()) -> None:
     """The tables of a result, those of `names` where they are given."""
-    from sma_bench.report.diagnosis_words import result_tables
+    from sma_bench.report.tables import diagnosis_tables
 
-    for table in result_tables(result):
-        if not names or table.name in names:
-            rows = table.rows[:_CELLS_SHOWN] if table.name == "where" else table.rows
+    for name, table in diagnosis_tables(result).items():
+        if not names or name in names:
+            rows = table.rows[:_CELLS_SHOWN] if name == "where" else table.rows
             print_table(console, table.header, rows, table.numeric, title=table.title)
             console.print()

@@ -4,7 +4,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from sma_bench.cards import is_misfit
 from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
@@ -86,7 +85,7 @@ def run(args: SimpleNamespace) -> int:
         with progress("drawing the report") as report:
             page = write_identification_report(args.report, result, report, made, column)
         say(f"report {page}")
-    return MISFIT if is_misfit(result.shown) else 0
+    return MISFIT if result.is_misfit else 0
 
 
 def _asked(args: SimpleNamespace) -> Invocation:
@@ -105,19 +104,14 @@ def phase_of(text: str) -> tuple[str, Any]:
 
 def print_result(result: "Identification", asked: Invocation) -> None:
     """The card, and below it every remark on the numbers."""
-    from sma_bench.cards import (
-        NUMBER_HEADER,
-        identification_card,
-        identification_text,
-        number_rows,
-        title_apart,
-    )
+    from sma_bench.cards import NUMBER_HEADER, Card, card, card_lines, card_text, number_rows
 
-    console, text = output_console(), identification_text(result.shown, asked)
+    console, text = output_console(), card_text(result, asked=asked)
     if max(map(len, text.splitlines())) > console.width:  # the table is folded, not the lines
-        title, *below = title_apart(identification_card(result.shown, False, asked), console.width)
-        print_table(console, NUMBER_HEADER, number_rows(result.shown), title=title)
-        text = "\n".join(below)
+        shown = card(result, asked)
+        title = card_lines(Card(shown.title, ()), console.width)
+        print_table(console, NUMBER_HEADER, number_rows(result), title="\n".join(title))
+        text = "\n".join(card_lines(shown, console.width)[len(title) :])
     console.print(f"{text}\n", markup=False, soft_wrap=True)
     print_findings(result.notes)
     for experiment in result.experiments:

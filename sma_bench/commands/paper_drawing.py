@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
 from sma_bench.identify import identify
-from sma_bench.identify.estimate import Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
@@ -21,6 +21,7 @@ from sma_bench.identify.load_frame import (
     isobaric_tests,
     tensile_tests,
 )
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import find_drives
 from sma_bench.identify.whole_model import moves
 from sma_bench.parameters import Parameters

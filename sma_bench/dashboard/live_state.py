@@ -10,13 +10,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from sma_bench.border import read_json_object, shown
-from sma_bench.cards import identification_card, number_rows, verdict_card
 from sma_bench.errors import InputError
-from sma_bench.results import diagnosis_from, identification_from
+from sma_bench.results import in_unit, with_error
 
 SPAN = 60.0
 """s that a trace remembers"""
@@ -220,29 +218,57 @@ def identification_summary(text: str) -> dict[str, Any]:
     """Of the JSON that the identification node latches; `rows` of name and number."""
     try:
         where = "identification/result"
-        result = identification_from(Path(where), read_json_object(text, where))
-        card = identification_card(result, numbers=False)
-        rows = [(shown(row[0]), shown(row[1])) for row in number_rows(result)[:_MOST_ENTRIES]]
-        return {"title": shown(card.title), "rows": rows, "lines": _lines(card)}
+        document = read_json_object(text, where)
+        title, lines = _card(document, where)
+        numbers = _entries(document.get("parameters"), dict, where, "parameters").items()
+        rows = [(shown(name), _number_text(entry)) for name, entry in numbers]
     except InputError as error:
         return {"problem": shown(str(error))}
+    return {"title": title, "rows": rows[:_MOST_ENTRIES], "lines": lines}
 
 
 def diagnosis_summary(text: str) -> dict[str, Any]:
     """Of the JSON that the diagnosis node latches; `candidates` have name and probability."""
     try:
         where = "diagnosis/result"
-        result = diagnosis_from(Path(where), read_json_object(text, where))
-        card = verdict_card(result)
+        document = read_json_object(text, where)
+        title, lines = _card(document, where)
+        found = _entries(document.get("candidates"), list, where, "candidates")
+        named = [
+            (shown(str(c.get("name"))), float(c["probability"])) for c in found
+            if isinstance(c, dict) and isinstance(c.get("probability"), int | float)
+        ]
     except InputError as error:
         return {"problem": shown(str(error))}
     candidates = [
-        {"name": shown(c.name), "probability": round(c.probability, 4)}
-        for c in result.candidates[:_MOST_CANDIDATES]
-        if c.probability >= _LEAST_SHOWN
+        {"name": name, "probability": round(probability, 4)}
+        for name, probability in named if probability >= _LEAST_SHOWN
     ]
-    return {"title": shown(card.title), "candidates": candidates, "lines": _lines(card)}
+    return {"title": title, "candidates": candidates[:_MOST_CANDIDATES], "lines": lines}
 
 
-def _lines(card: Any) -> list[str]:
-    return [shown(f"{label}: {text}" if label else text) for label, text in card.rows]
+def _card(document: dict[str, Any], where: str) -> tuple[str, list[str]]:
+    """The title and the other rows of the card that a result carries."""
+    rows = _entries(document.get("card"), list, where, "card")
+    if not rows or not all(
+        isinstance(r, list) and len(r) == 2 and all(isinstance(t, str) for t in r) for r in rows
+    ):
+        raise InputError(f"{where}: card is not pairs of texts")
+    return shown(rows[0][1]), [
+        shown(f"{label}: {text}" if label else text) for label, text in rows[1:_MOST_ENTRIES]
+    ]
+
+
+def _entries(found: Any, kind: type, where: str, name: str) -> Any:
+    if not isinstance(found, kind):
+        raise InputError(f"{where}: {name} is missing")
+    return found
+
+
+def _number_text(entry: Any) -> str:
+    """A parameter's value with its error and unit."""
+    entry = entry if isinstance(entry, dict) else {}
+    value, std = entry.get("value"), entry.get("std")
+    if not isinstance(value, int | float) or not isinstance(std, int | float):
+        return ""
+    return shown(in_unit(with_error(value, std), str(entry.get("unit", ""))))

@@ -11,12 +11,12 @@ a wire's hysteresis would follow every wiggle.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from sma_bench.diagnose.result import Link
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
@@ -34,20 +34,6 @@ _LIGHT = {"wire.mass": 1e-6, "wire.specific_heat": 50.0}
 _BLOCK = 8.0  # s
 _MUCH = 2.0  # times
 _DRAWS, _SEED = 200, 2
-
-
-@dataclass(frozen=True)
-class Link:
-    """One block of the chain, from what drives it to the signal that it is held to.
-
-    `gap` is the root mean square misfit over the white noise of a sample, which is taken off;
-    `ci90` from blocks of time drawn anew; `rms` in the signal's unit.
-    """
-
-    block: str
-    gap: float
-    ci90: tuple[float, float]
-    rms: float
 
 
 V_TO_DEFLECTION, T_TO_DEFLECTION = "V -> deflection", "temperature -> deflection"

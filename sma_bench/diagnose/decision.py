@@ -13,9 +13,11 @@ followed up 52 of these. None comes from elsewhere.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
+from sma_bench.diagnose.result import SET_MASS, Verdict
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.residual import DRIFT_EFFECT
@@ -57,7 +59,6 @@ LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, -0.3, 15.0  # MUCH in nats
 # proof that only the parameters are off.
 UNSEEN = -1.45
 NAMED = 0.6  # probability from which one candidate is named
-SET_MASS = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ class Candidate:
 class Decision:
     """All candidates, the most probable first, and what is said of them."""
 
-    verdict: str
+    verdict: Verdict
     cause: tuple[str, ...]
     candidates: tuple[Candidate, ...]
 
@@ -320,13 +321,14 @@ def _moved(search: Search) -> float:
     return largest_gap(search.recalibrated.problem, moved)
 
 
-def verdict_of(probability: Mapping[str, float]) -> str:
+def verdict_of(probability: Mapping[str, float]) -> Verdict:
     """What is said of candidates, whose names tell whether they are effects."""
     first = max(probability, key=lambda name: probability[name])
     benign = probability[RECALIBRATION] + probability[NO_GAP]
     if probability[first] < NAMED and (first not in (RECALIBRATION, NO_GAP) or benign < NAMED):
         return "ambiguous"
-    return first if first in (RECALIBRATION, NO_GAP, UNEXPLAINED) else "effect"
+    known = first in (RECALIBRATION, NO_GAP, UNEXPLAINED)
+    return cast(Verdict, first) if known else "effect"
 
 
 def _worth(size: float, wanted: float, steepness: float) -> float:

@@ -1,30 +1,25 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.cards import card_html, card_text
-from sma_bench.diagnose.argument import why
-from sma_bench.diagnose.chain import Link, break_chain
-from sma_bench.diagnose.decision import (
-    NO_GAP,
-    UNEXPLAINED,
-    Candidate,
-    Decision,
-    Weights,
-    decide,
-    weigh,
+from sma_bench.diagnose.chain import break_chain
+from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Decision, Weights, decide, weigh
+from sma_bench.diagnose.facts import (
+    difference,
+    explanation,
+    left_behind,
+    moved_parameters,
+    smoother_kinetics,
+    unexplained_sign,
 )
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
+from sma_bench.diagnose.result import DiagnosisResult, Where
 from sma_bench.diagnose.search import Progress, Search, search
-from sma_bench.diagnose.shrinkage import Shrinkage, sensors_noise, shrinkage, unknown_share
+from sma_bench.diagnose.shrinkage import sensors_noise, shrinkage, unknown_share
 from sma_bench.diagnose.sizes import Cell, contribution, locate
 from sma_bench.diagnose.stages import missing_term, stages_of
 from sma_bench.diagnose.tails import widened
@@ -38,37 +33,24 @@ from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.check import check_response
 from sma_bench.records.record import Record, fingerprint
-from sma_bench.results import NOT_COMPARED, DiagnoseResult, diagnosis_from, json_text
 
 Array = NDArray[np.float64]
 
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
 _FIT_SHARE = 0.6  # of a single record without another to hold out
-_WOULD_ADD = {
-    "current": "heat and resistance could not be told apart by the current",
-    "temperature": "thermal and mechanical causes could not be told apart by the temperature",
-    "deflection": "nothing mechanical could be seen",
-}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Reported):
-    """The result; `to_json` is the contract's.
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Diagnosis(DiagnosisResult, Reported):
+    """The result with the fits behind it; `to_json` is the contract's.
 
     Attributes:
-        decision: candidates and verdict; search: all fits behind them.
+        parameters: as believed; decision: candidates and verdict; search: all fits behind them.
         model: the fit that the improved parameters are of; improved: these parameters.
-        where: cells of the gap, the largest share first; stages: of the chain, with their
-            probabilities, the most probable first; chain: its blocks, each driven by what was
-            measured before it.
-        shrinkage: by quantity.
         observations: all records; fitted, held_out: those, or the parts of them, that the fit of
             the shrinkage has seen and has not.
-        why: what speaks for the verdict and against it, in sentences.
-        findings: of the records and parameters, and what a missing sensor would have added.
     """
 
     writer = ("diagnosis_report", "write_diagnosis_report")
@@ -78,83 +60,9 @@ class Diagnosis(Reported):
     search: Search
     model: Fit
     improved: Parameters
-    where: tuple[Cell, ...]
-    stages: dict[str, float]
-    chain: tuple[Link, ...]
-    shrinkage: dict[str, Shrinkage]
     observations: tuple[Observation, ...]
     fitted: tuple[Observation, ...]
     held_out: tuple[Observation, ...]
-    why: tuple[str, ...]
-    findings: tuple[Finding, ...]
-    next_experiment: NextExperiment | None
-
-    @property
-    def stage(self) -> str:
-        """The most probable one; "" without a gap."""
-        return next(iter(self.stages), "")
-
-    def to_json(self) -> dict[str, Any]:
-        """The diagnosis result of contract section 5."""
-        top = self.where[0]
-        return {
-            "verdict": self.decision.verdict,
-            "cause": list(self.decision.cause),
-            "candidates": [self._candidate(c) for c in self.decision.candidates],
-            "where": {
-                "signal": top.signal, "phase": top.phase, "side": top.side, "stage": self.stage,
-                "stages": dict(self.stages),
-                "table": [asdict(cell) for cell in self.where],
-                "chain": [{**asdict(link), "ci90": list(link.ci90)} for link in self.chain],
-            },
-            "shrinkage": {
-                name: {**asdict(s), "ci90": list(s.ci90)} for name, s in self.shrinkage.items()
-            },
-            "why": list(self.why),
-            "size": self._sizes(),
-            "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
-            "findings": [f"{f.severity}: {f.subject}: {f.text}" for f in self.findings],
-        }
-
-    def _sizes(self) -> dict[str, Any]:
-        """Numbers of the cause's effects: by effect, by number."""
-        numbers = self._candidate(self.decision.candidates[0])["parameters"]
-        return {
-            effect: {p.name: numbers[p.name] for p in EFFECTS[effect].parameters}
-            for effect in self.decision.cause
-        }
-
-    def __str__(self) -> str:
-        """The verdict card."""
-        return card_text(self.shown)
-
-    def _repr_html_(self) -> str:
-        """The verdict card in a notebook."""
-        return card_html(self.shown)
-
-    @cached_property
-    def shown(self) -> DiagnoseResult:
-        """As its result file would be read back."""
-        return diagnosis_from(Path("diagnosis"), json.loads(json_text(self.to_json())))
-
-    def _candidate(self, candidate: Candidate) -> dict[str, Any]:
-        found: dict[str, Any] = {
-            "name": candidate.name,
-            "stage": "+".join(dict.fromkeys(EFFECTS[n].stage for n in candidate.effects)),
-            "probability": candidate.probability,
-            "parameters": {},
-            "gap_over_noise": candidate.gap,
-            "log_evidence": candidate.gain,
-        }
-        if candidate.fit is not None and candidate.effects:
-            unknowns = candidate.fit.unknowns
-            values, stds = unknowns.values(candidate.fit.x), candidate.fit.errors
-            for k in range(unknowns.baseline, len(values)):
-                name = unknowns.names[k]
-                found["parameters"][name] = {
-                    "value": float(values[k]), "std": float(stds[k]), "unit": BY_NAME[name].unit,
-                }
-        return found
 
 
 def diagnose(
@@ -202,24 +110,36 @@ def diagnose(
     moved = _fitted_to(fitted, found.recalibrated, found.off)
     blind = moved if model is found.recalibrated else _fitted_to(fitted, model)
     following, remarks = _next(decision, found, weights, [*seen, *unseen], parameters, progress)
+    cells = _where(found, model, decision.verdict)
+    stages = stages_of(decision, found, locate(found.recalibrated.problem, missing_term(found)))
+    top = cells[0]
     return Diagnosis(
-        parameters, decision, found, model, improved,
-        tuple(_where(found, model, decision.verdict)),
-        stages_of(decision, found, locate(found.recalibrated.problem, missing_term(found))),
-        tuple(break_chain(found.recalibrated)),
-        shrinkage(
+        verdict=decision.verdict,
+        cause=decision.cause,
+        candidates=tuple(map(explanation, decision.candidates)),
+        where=Where(
+            top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells),
+            tuple(break_chain(found.recalibrated)),
+        ),
+        shrinkage=shrinkage(
             unfitted, parameters, moved.parameters, _believable(blind, decision, parameters),
             sensors_noise(
                 model, [found.recalibrated, *found.singles.values(), *found.pairs.values()]
             ),
         ),
-        (*seen, *unseen), tuple(fitted), tuple(unfitted), tuple(why(decision, found, model)),
-        (
+        moved=moved_parameters(model),
+        smoother=smoother_kinetics(model),
+        difference=difference(decision),
+        left=left_behind(found, model),
+        unexplained_sign=unexplained_sign(decision, found),
+        not_compared=_not_compared([*seen, *unseen], parameters),
+        next_experiment=following if following and following.settles else None,
+        findings=(
             *unrelated, *audit(parameters, papers_own=False),
-            *_missing([*seen, *unseen], parameters),
             _of_another_kind(fitted, unfitted, improved), *remarks,
         ),
-        following if following and following.settles else None,
+        parameters=parameters, decision=decision, search=found, model=model, improved=improved,
+        observations=(*seen, *unseen), fitted=tuple(fitted), held_out=tuple(unfitted),
     )
 
 
@@ -349,11 +269,11 @@ def _of_another_kind(
     return Finding("info", "held-out data", text)
 
 
-def _missing(observations: Sequence[Observation], parameters: Parameters) -> list[Finding]:
-    held = {q for obs in observations for q in obs.quantities}
-    moves = load_kind(parameters) != "clamped"
-    wanted = [q for q in _WOULD_ADD if moves or q != "deflection"]
-    return [
-        Finding("info", quantity, f"{NOT_COMPARED}: {_WOULD_ADD[quantity]}")
-        for quantity in wanted if quantity not in held
-    ]
+def _not_compared(
+    observations: Sequence[Observation], parameters: Parameters
+) -> tuple[str, ...]:
+    """Quantities that no record holds, though the bench has them."""
+    held = {quantity for obs in observations for quantity in obs.quantities}
+    moves = load_kind(parameters) != "clamped"  # of a clamped wire there is no motion to miss
+    wanted = [q for q in QUANTITIES if moves or q != "deflection"]
+    return tuple(quantity for quantity in wanted if quantity not in held)

@@ -13,7 +13,7 @@ still found.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
@@ -34,6 +34,7 @@ from sma_bench.diagnose.decision import (
 )
 from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn, measured
 from sma_bench.diagnose.prospect import VISIBLE, Telling, Tellings, prospect
+from sma_bench.diagnose.result import WORTH, NextExperiment
 from sma_bench.diagnose.search import Search
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
@@ -48,7 +49,6 @@ from sma_bench.protocols import parse_protocol
 
 Array = NDArray[np.float64]
 
-WORTH = 0.05  # probability more than now that the true cause is given
 _AS_GOOD = 0.8  # of the best one's worth: of these the quickest is proposed
 _MOST_CAUSES, _SEARCHED = 6, 3
 _LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
@@ -69,44 +69,6 @@ _SETUP = 5.0  # minutes until the bench is cold and recorded again
 # Of the most that any drive tells. One that tells much more settles less: of a large gain equations
 # are off by their share.
 _PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))
-
-
-@dataclass(frozen=True)
-class NextExperiment:
-    """What to do next.
-
-    Attributes:
-        kind: protocol, sensor, DSC, or E1 to E9.
-        why: what it is for; separates: the causes; protocol: as a protocol file holds it, empty
-            for a test of the paper; minutes: that it takes, on the bench or at the instrument.
-        chance: that the verdict names the true cause after it.
-        worth: probability more than now that the true cause will be given.
-        parameters: that a test of the paper measures, with its standard deviations.
-        quantities: that the protocol needs measured, if not those of the records.
-    """
-
-    kind: str
-    why: str
-    separates: tuple[str, ...]
-    protocol: Mapping[str, Any]
-    minutes: float
-    chance: float
-    worth: float
-    parameters: Mapping[str, float] | None = None
-    quantities: tuple[str, ...] = ()
-
-    @property
-    def settles(self) -> bool:
-        """Whether it is worth the bench's time."""
-        return self.worth >= WORTH
-
-    def to_json(self) -> dict[str, Any]:
-        """As in the contract."""
-        return {
-            "kind": self.kind, "why": self.why, "separates": list(self.separates),
-            "chance": self.chance, "minutes": self.minutes, "protocol": dict(self.protocol),
-            "parameters": dict(self.parameters or {}), "quantities": list(self.quantities),
-        }
 
 
 # --- What is proposed.

@@ -12,12 +12,13 @@ fitted to drives of another kind in the development split of the withheld-effect
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sma_bench.diagnose.result import Shrinkage
 from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
@@ -35,23 +36,6 @@ _BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
 _STATE_STEP, _MOST_STATES = 0.25, 4000  # s
 _STATE = 4  # numbers of a wire's state
 _KNOWN_STATE = 0.15  # of the fitted records' range
-
-
-@dataclass(frozen=True)
-class Shrinkage:
-    """Root mean squares in the signal's unit over the samples of the held-out data: with the
-    parameters as believed, with the best ones of the model without an effect, with the effect.
-
-    `fraction` of the gap beyond `noise_floor` that is gone; `ci90` its interval, from blocks of
-    time drawn anew and the spread between drives of different kinds.
-    """
-
-    rmse_before: float
-    rmse_recalibrated: float
-    rmse_after: float
-    fraction: float
-    ci90: tuple[float, float]
-    noise_floor: float
 
 
 def shrinkage(
@@ -148,9 +132,8 @@ def _of(parts: list[tuple[Array, Array, float]]) -> Shrinkage:
     total = float(counts.sum())
     before, recalibrated, after = np.sqrt(squares.sum(axis=0) / total).tolist()
     return Shrinkage(
-        before, recalibrated, after, value,
-        (float(min(low, value)), float(min(max(high, value), 1.0))),
-        float(np.sqrt((counts * floors).sum() / total)),
+        before, after, value, (float(min(low, value)), float(min(max(high, value), 1.0))),
+        float(np.sqrt((counts * floors).sum() / total)), recalibrated,
     )
 
 

@@ -1,11 +1,11 @@
 """How large a gap is in the noise of the sensors, and where it lies."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.diagnose.result import Cell
 from sma_bench.estimation.residual import DRIFT_EFFECT, Block, Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
@@ -14,22 +14,6 @@ from sma_bench.physics.effects import EFFECTS
 Array = NDArray[np.float64]
 
 INITIAL, DRIVE, REST = "initial", "drive", "rest"
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One signal in one phase on one side.
-
-    `gap` is the root mean square over the noise of a sample; `share` of the squared gap over noise
-    of all samples of all records; `rms` in the signal's unit.
-    """
-
-    signal: str
-    phase: str
-    side: str
-    gap: float
-    share: float
-    rms: float
 
 
 def without_effects(parameters: Parameters, names: Iterable[str]) -> Parameters:

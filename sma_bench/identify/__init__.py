@@ -1,6 +1,7 @@
 """Parameters from records, one file an experiment of the paper."""
 
-from sma_bench.identify.estimate import Estimate, Experiment
-from sma_bench.identify.identification import EXPERIMENTS, Identification, identify
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.identify.identification import EXPERIMENTS, identify
+from sma_bench.identify.result import Experiment, Identification
 
 __all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Identification", "identify"]

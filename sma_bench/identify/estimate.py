@@ -3,16 +3,15 @@ least squares for models that are linear in their parameters.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cholesky, solve_triangular
 
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding
+from sma_bench.estimation.estimate import Estimate
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -21,109 +20,6 @@ Mask = npt.NDArray[np.bool_]
 _CONTRADICTS = 3.0  # standard errors
 # A file states errors by two digits: one that is as large may be this measurement's own.
 _ROUNDED = 1.06
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number with one standard deviation, both in `unit`; `n` measured points stand behind it.
-
-    `systematic` is the part of `std` that more of the same records would not lower; `informed` the
-    share of the number's information that came from the records; `shares` of the systematic part,
-    in `unit`, by what is behind them, which other numbers may share.
-    """
-
-    value: float
-    std: float
-    unit: str
-    method: str
-    n: int
-    systematic: float = 0.0
-    informed: float = 1.0
-    shares: Mapping[str, float] = field(default_factory=dict)
-
-    def with_shares(self, shares: Mapping[str, float]) -> "Estimate":
-        """The same with these systematic errors, one standard deviation each, and no others."""
-        systematic = math.hypot(*shares.values())
-        std = math.hypot(self.statistical, systematic) if systematic else self.statistical
-        return replace(self, std=std, systematic=systematic, shares=dict(shares))
-
-    def capped(self, std: float) -> "Estimate":
-        """The same, no less sure than `std`."""
-        if self.std <= std:
-            return self
-        statistical = min(self.statistical, std)
-        systematic = _beside(statistical, std)
-        ratio = systematic / self.systematic if self.systematic else 0.0
-        shares = {name: ratio * share for name, share in self.shares.items()}
-        return replace(self, std=std, systematic=systematic, shares=shares)
-
-    @property
-    def statistical(self) -> float:
-        """Standard deviation without the systematic part."""
-        if not self.systematic:
-            return self.std
-        return _beside(self.systematic, self.std)
-
-    @property
-    def relative_std(self) -> float:
-        """Standard deviation over the value's size."""
-        return self.std / abs(self.value) if self.value else math.inf
-
-    def to_json(self) -> dict[str, Any]:
-        """The entry of the result file (contract, section 5)."""
-        return {
-            "value": float(self.value),
-            "std": float(self.std),
-            "statistical": float(self.statistical),
-            "systematic": float(self.systematic),
-            "informed": float(self.informed),
-            "unit": self.unit,
-            "method": self.method,
-            "n": int(self.n),
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Correlation:
-    """(k, k) correlations of the errors of k numbers."""
-
-    names: tuple[str, ...]
-    matrix: Array
-
-    def to_json(self) -> dict[str, Any]:
-        """As in the contract, section 5."""
-        return {"names": list(self.names), "matrix": np.round(self.matrix, 6).tolist()}
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """One experiment of the paper as far as the records hold it.
-
-    `estimates` maps parameter names of the contract to what goes into a parameter file;
-    `details` holds further numbers (one direction, one heating rate, another method) under
-    names of their own; `curves` holds the arrays of its figure, never written to JSON;
-    `correlation` is that of the errors of estimates which one fit gave together.
-    """
-
-    name: str
-    title: str
-    estimates: dict[str, Estimate]
-    findings: tuple[Finding, ...] = ()
-    curves: dict[str, Array] = field(default_factory=dict)
-    source: str = ""
-    details: dict[str, Estimate] = field(default_factory=dict)
-    correlation: Correlation | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything but the curves."""
-        return {
-            "name": self.name,
-            "title": self.title,
-            "source": self.source,
-            "estimates": {name: e.to_json() for name, e in self.estimates.items()},
-            "details": {name: e.to_json() for name, e in self.details.items()},
-            "findings": [finding.to_json() for finding in self.findings],
-        }
 
 
 def combine(estimates: Sequence[Estimate]) -> Estimate:
@@ -179,11 +75,6 @@ def mean_of_repeats(
     excess = max(scatter - own, 0.0)
     grown = stdtrit(freedom, 0.95) / stdtrit(math.inf, 0.95) if freedom else 1.0
     return float(np.mean(values)), math.sqrt(own / n), math.sqrt(excess / n) * float(grown)
-
-
-def _beside(part: float, whole: float) -> float:
-    """The other part of a standard deviation; what a hostile file holds overflows as a square."""
-    return math.sqrt(max(whole - part, 0.0)) * math.sqrt(whole + part)
 
 
 def with_prior(measured: Estimate, prior: Estimate) -> tuple[Estimate, str]:

@@ -6,8 +6,6 @@ range (every real bench is), `misfit` beyond.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +16,14 @@ from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit
 from sma_bench.estimation.unknowns import Unknowns
+from sma_bench.identify.result import FitVerdict, SignalFit
 from sma_bench.parameters import Parameters
 
 Array = NDArray[np.float64]
-FitVerdict = Literal["ok", "imperfect", "misfit"]
 
 WITHIN_NOISE = 1.1  # rms over the noise of a sample, which is itself known to some 5 %
 USABLE = 0.05  # of the signal's range
 _ORDER: tuple[FitVerdict, ...] = ("ok", "imperfect", "misfit")
-
-
-@dataclass(frozen=True)
-class SignalFit:
-    """How the model fits one signal: `rms` of measured less predicted samples and `noise` of a
-    sample, both in `unit`."""
-
-    verdict: FitVerdict
-    rms: float
-    noise: float
-    unit: str
 
 
 def judged(rms: float, noise: float, reach: float, unit: str) -> SignalFit:

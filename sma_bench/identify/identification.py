@@ -1,29 +1,18 @@
 """From records to parameters: finds out what each record holds and runs the experiments."""
 
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from sma_bench.cards import identification_html, identification_text
-from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
 from sma_bench.identify import load_frame, whole_model
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
-from sma_bench.identify.estimate import Correlation, Estimate, Experiment
-from sma_bench.identify.fit_verdict import (
-    SignalFit,
-    fits_of_curves,
-    fits_of_observations,
-    worst,
-)
+from sma_bench.identify.fit_verdict import fits_of_curves, fits_of_observations, worst
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
@@ -31,6 +20,7 @@ from sma_bench.identify.instruments.transition_temperatures import (
     identify_heating_rates,
     identify_transition_temperatures,
 )
+from sma_bench.identify.result import Correlation, Experiment, Identification, SignalFit
 from sma_bench.identify.run import (
     COEFFICIENT,
     RESISTANCE,
@@ -52,7 +42,6 @@ from sma_bench.records.check import check_record
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.tensile import Phase, TensileRecord
-from sma_bench.results import IdentifyResult, identification_from, json_text
 
 NEEDS = {
     "E1": f"E1 a staircase of {FEWEST_LEVELS} voltages or more with current",
@@ -76,114 +65,30 @@ _JOINT = 0.3
 _TRIED_ON_CHANCE = frozenset({"E8"})
 
 
-@dataclass(frozen=True, repr=False)
-class Identification(Reported):
-    """Everything the records gave.
-
-    `estimates` by parameter name, `parameters` the given ones with these put in, both ready for a
-    parameter file; `experiments` one each record and channel, with curves; `notes` what could not
-    be identified and why, and what the reader of the records remarked. `fit`: how the model with
-    these parameters fits every signal that they were identified from; `stated`: value and standard
-    deviation of what the parameter file states, by name.
-    """
-
-    writer = ("collected_report", "write_identification_report")
-
-    parameters: Parameters
-    estimates: dict[str, Estimate]
-    experiments: tuple[Experiment, ...]
-    notes: tuple[Finding, ...] = ()
-    fit: dict[str, SignalFit] = field(default_factory=dict)
-    stated: dict[str, tuple[float, float]] = field(default_factory=dict)
-
-    def origin(self, name: str) -> str:
-        """Name of the experiment that the estimate of a parameter is from."""
-        holding = [e for e in self.experiments if name in e.estimates]
-        taken = self.estimates[name]
-        same = [
-            e for e in holding
-            if (e.estimates[name].value, e.estimates[name].n) == (taken.value, taken.n)
+def _correlation(
+    estimates: Mapping[str, Estimate], experiments: Sequence[Experiment]
+) -> Correlation:
+    """Of the errors of all estimates; between those of different experiments as far as the same
+    sensors are behind them."""
+    names, every = list(estimates), list(estimates.values())
+    sources = sorted({source for e in every for source in e.shares})
+    matrix = np.eye(len(names))
+    for own in (e for e in experiments if e.correlation is not None):
+        assert own.correlation is not None
+        chosen = [
+            (k, names.index(name)) for k, name in enumerate(own.correlation.names)
+            if name in names and own.estimates.get(name) == estimates[name]
         ]
-        return (same or holding)[-1].name
-
-    @property
-    def correlation(self) -> Correlation:
-        """Of the errors of all estimates; between those of different experiments as far as the
-        same sensors are behind them."""
-        names = list(self.estimates)
-        estimates = list(self.estimates.values())
-        sources = sorted({source for e in estimates for source in e.shares})
-        matrix = np.eye(len(names))
-        for own in (e for e in self.experiments if e.correlation is not None):
-            assert own.correlation is not None
-            chosen = [
-                (k, names.index(name)) for k, name in enumerate(own.correlation.names)
-                if name in names and own.estimates.get(name) == self.estimates[name]
-            ]
-            if chosen:
-                here, there = np.array(chosen).T
-                matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
-        std = np.array([max(e.std, 1e-300) for e in estimates])
-        own_parts = np.array([e.statistical for e in estimates]) / std
-        shares = [[e.shares.get(s, 0.0) for s in sources] for e in estimates]
-        common = np.array(shares).reshape(len(estimates), len(sources)) / std[:, np.newaxis]
-        matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
-        np.fill_diagonal(matrix, 1.0)
-        return Correlation(tuple(names), matrix)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Everything a careful reader should know before using the numbers."""
-        return tuple(dict.fromkeys(_line(f, own) for f, own in self._warned()))
-
-    @property
-    def doubts(self) -> dict[str, tuple[str, ...]]:
-        """Of every estimate the warnings that concern it."""
-        found: dict[str, list[str]] = {name: [] for name in self.estimates}
-        for finding, own in self._warned():
-            for name in concerned(finding, own, self.experiments):
-                if name in found:
-                    found[name].append(_line(finding, own))
-        return {name: tuple(dict.fromkeys(lines)) for name, lines in found.items()}
-
-    def _warned(self) -> list[tuple[Finding, Experiment | None]]:
-        every: list[tuple[Finding, Experiment | None]] = [(note, None) for note in self.notes]
-        every += [(f, e) for e in self.experiments for f in e.findings]
-        return [(f, e) for f, e in every if f.severity != "info"]
-
-    def __str__(self) -> str:
-        """The card: a number a line."""
-        return identification_text(self.shown)
-
-    def _repr_html_(self) -> str:
-        """The card in a notebook."""
-        return identification_html(self.shown)
-
-    @cached_property
-    def shown(self) -> IdentifyResult:
-        """As its result file would be read back."""
-        document = json.loads(json_text(self.to_json()))
-        return identification_from(Path("identification"), document)
-
-    def to_json(self) -> dict[str, Any]:
-        """The result file of the contract, section 5."""
-        doubts = self.doubts
-        return {
-            "parameters": {
-                name: {**e.to_json(), **self._stated(name), "warnings": list(doubts[name])}
-                for name, e in self.estimates.items()
-            },
-            "fit": {name: asdict(one) for name, one in self.fit.items()},
-            "correlation": self.correlation.to_json(),
-            "experiments": [experiment.to_json() for experiment in self.experiments],
-            "warnings": list(self.warnings),
-        }
-
-    def _stated(self, name: str) -> dict[str, Any]:
-        if name not in self.stated:
-            return {}
-        value, std = self.stated[name]
-        return {"stated": {"value": value, "std": std}}
+        if chosen:
+            here, there = np.array(chosen).T
+            matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
+    std = np.array([max(e.std, 1e-300) for e in every])
+    own_parts = np.array([e.statistical for e in every]) / std
+    shares = [[e.shares.get(s, 0.0) for s in sources] for e in every]
+    common = np.array(shares).reshape(len(every), len(sources)) / std[:, np.newaxis]
+    matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
+    np.fill_diagonal(matrix, 1.0)
+    return Correlation(tuple(names), matrix)
 
 
 # What an experiment on bags reads, and what its numbers go with.
@@ -277,13 +182,33 @@ def identify(
     run.keep_order()
     _report_missing(run, records, drives)
     improved = run.improved()
-    stated = {
-        name: (float(parameters[name]), parameters.std(name)) for name in run.estimates
-        if name in parameters.given
+    return _result(run, improved, _fit(run, bags, drives, improved))
+
+
+def _result(
+    run: IdentificationRun, improved: Parameters, fit: dict[str, SignalFit]
+) -> Identification:
+    """The estimates with what was stated of them and what is to be said of each."""
+    every: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
+    every += [(f, e) for e in run.experiments for f in e.findings]
+    warned = [(f, own) for f, own in every if f.severity != "info"]
+    doubts: dict[str, dict[str, None]] = {name: {} for name in run.estimates}
+    for finding, own in warned:
+        for name in concerned(finding, own, run.experiments):
+            doubts.get(name, {})[_line(finding, own)] = None
+    given = run.given
+    estimates = {
+        name: replace(
+            e, warnings=tuple(doubts[name]),
+            stated=Estimate(float(given[name]), given.std(name), e.unit)
+            if name in given.given else None,
+        )
+        for name, e in run.estimates.items()
     }
     return Identification(
-        improved, run.estimates, tuple(run.experiments), tuple(run.notes),
-        _fit(run, bags, drives, improved), stated,
+        improved, estimates, tuple(run.experiments), tuple(run.notes), fit,
+        _correlation(run.estimates, run.experiments),
+        tuple(dict.fromkeys(_line(f, own) for f, own in warned)),
     )
 
 

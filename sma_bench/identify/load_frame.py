@@ -11,13 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.load_frame import find_pulls, has_load_frame, is_clamped
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import find_rig
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Estimate, Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tensile import about_length
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.whole_model import fit_experiment, observe_all
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length

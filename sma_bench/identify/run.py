@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.unknowns import MATERIAL
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Estimate, Experiment, combine, with_prior
+from sma_bench.identify.estimate import combine, with_prior
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import (
     ChannelDrive,
     Staircase,

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.load_frame import LOAD_FRAME
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import DELAY
@@ -34,7 +35,7 @@ from sma_bench.estimation.unknowns import (
     unknowns_of_records,
 )
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Correlation, Estimate, Experiment
+from sma_bench.identify.result import Correlation, Experiment
 from sma_bench.identify.thermal.resistance import LEADS, lead_std
 from sma_bench.identify.thermal.resistance import PARAMETER as RESISTANCE
 from sma_bench.identify.thermal.specific_heat import CAMERA_LAG, LAG

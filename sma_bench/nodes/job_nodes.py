@@ -19,7 +19,6 @@ from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import BenchNode
-from sma_bench.results import gap_states
 from sma_bench.ros.node import LATCHED
 from sma_bench.tasks.jobs import CANCELLED, Task, Worker, busy, diagnose, identify, output_inside
 
@@ -131,11 +130,12 @@ class DiagnosisNode(JobNode):
         """Publish the gap."""
         message = DiagnosticArray()
         message.header.stamp = self.stamp()
-        for gap in gap_states(json.loads(result)):
-            level = DiagnosticStatus.WARN if gap.is_gap else DiagnosticStatus.OK
-            values = [KeyValue(key=key, value=value) for key, value in gap.values.items()]
+        for gap in json.loads(result)["gap"]:
+            level = DiagnosticStatus.WARN if gap["is_gap"] else DiagnosticStatus.OK
+            values = [KeyValue(key=key, value=value) for key, value in gap["values"].items()]
             message.status.append(DiagnosticStatus(
-                level=level, name=f"diagnosis: {gap.name}", message=gap.message, values=values,
+                level=level, name=f"diagnosis: {gap['name']}", message=gap["message"],
+                values=values,
             ))  # fmt: skip
         self._gap.publish(message)
         self.get_logger().info(message.status[0].message)

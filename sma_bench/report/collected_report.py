@@ -2,25 +2,25 @@
 the report of an identification: its card, and measured against model under it.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sma_bench.cards import identification_card, verdict_card
+from sma_bench.border import read_json, read_text
+from sma_bench.cards import card, sentences
+from sma_bench.diagnose.result import DiagnosisResult, diagnosis_from
+from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.identify import Identification
-from sma_bench.identify.estimate import Experiment
+from sma_bench.identify.result import Experiment, Identification, identification_from
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import TABLE
 from sma_bench.progress import Report, silent
 from sma_bench.records import Record, describe, open_record
 from sma_bench.records.open import AnyRecord
-from sma_bench.report.diagnosis_words import result_tables
 from sma_bench.report.drawing import PaperColumn
 from sma_bench.report.experiment_figures import experiment_pictures
-from sma_bench.report.page import Made, Section, Table, digest, versions, write_report
+from sma_bench.report.page import Made, Section, digest, versions, write_report
 from sma_bench.report.plots import (
     agreement_picture,
     candidate_bars,
@@ -28,7 +28,8 @@ from sma_bench.report.plots import (
     correlation_picture,
     record_picture,
 )
-from sma_bench.results import DiagnoseResult, IdentifyResult, ShownNumber, read_result, with_error
+from sma_bench.report.tables import Table, diagnosis_tables, estimate_table
+from sma_bench.results import LARGEST
 
 # --- Each input, and all together.
 
@@ -58,14 +59,15 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
     name, answer = f"input_{number}", None
     if path.endswith(_RESULT):
         result = read_result(path)
-        if isinstance(result, IdentifyResult):
-            kind, (section, said) = "identification", identify_section(result, name)
-            card = identification_card(result)
+        if isinstance(result, Identification):
+            kind, section = "identification", identify_section(result, name)
+            warnings = [*result.warnings]
         else:
-            kind, (section, said) = "diagnosis", diagnose_section(result, name)
-            card = verdict_card(result)
-        answer = Section(path, card=card)
-        worth = [f"{path}: {text}" for text in result.warnings if not text.startswith("info:")]
+            kind, section = "diagnosis", diagnose_section(result, name)
+            warnings = [str(f) for f in result.findings if f.severity != "info"]
+        (said,) = sentences(result, "headline")
+        answer = Section(path, card=card(result, numbers=True))
+        worth = [f"{path}: {text}" for text in warnings]
     else:
         record = open_record(path, namespace)
         kind = "bag" if isinstance(record, Record) else "instrument file"
@@ -203,81 +205,55 @@ def _cell(value: Any, form: str) -> str:
 
 # --- The parts of a report that show result files of `identify` and `diagnose`.
 
-_NUMBER_HEADER = (
-    "parameter", "value", "statistical", "systematic", "unit", "informed", "points", "method",
-)
+def read_result(path: str | Path) -> Identification | DiagnosisResult:
+    """Read a result file, whichever command has written it.
 
-
-def identify_section(result: IdentifyResult, name: str) -> tuple[Section, str]:
-    """How the numbers agree with what is known, how their errors hang together, and what each
-    experiment gave beside them.
-
-    Returns:
-        The section and a sentence for the summary.
+    Raises:
+        InputError: unreadable, not JSON, or not a result; one line that names what is missing.
     """
-    tables = [detail_table(result.parameters, f"{name}_parameters", "Parameters")]
-    for k, (title, source, numbers) in enumerate(result.experiments, 1):
-        own = [number for number in numbers if _is_new(number, result.parameters)]
+    document = read_json(read_text(path, LARGEST), str(path), LARGEST)
+    if not isinstance(document, dict) or not {"verdict", "parameters"} & {*document}:
+        raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
+                         "verdict in it")
+    if "verdict" in document:
+        return diagnosis_from(document, str(path))
+    return identification_from(document, str(path))
+
+
+def identify_section(result: Identification, name: str) -> Section:
+    """How the numbers agree with what is known, how their errors hang together, and what each
+    experiment gave beside them."""
+    tables = [estimate_table(result.estimates, f"{name}_parameters", "Parameters")]
+    for k, e in enumerate(result.experiments, 1):
+        own = {key: n for key, n in {**e.estimates, **e.details}.items()
+               if (n.value, n.std) != _told(result, key)}
         if own:
-            tables.append(detail_table(own, f"{name}_experiment_{k}", f"{title}, from {source}"))
+            title = f"{e.name} {e.title}, from {e.source}"
+            tables.append(estimate_table(own, f"{name}_experiment_{k}", title))
     drawn = (
         agreement_picture(result, f"{name}_agreement"),
         correlation_picture(result, f"{name}_correlation"),
     )
-    section = Section(
+    return Section(
         f"Identification {result.path}", [], result.warnings, tables,
         [picture for picture in drawn if picture is not None], pictures_first=True,
     )
-    done = ", ".join(dict.fromkeys(title.split()[0] for title, _, _ in result.experiments))
-    return section, f"{len(result.parameters)} parameters identified by {done or 'no experiment'}"
 
 
-def _is_new(number: ShownNumber, known: Sequence[ShownNumber]) -> bool:
-    """Whether it is not told already, as a parameter of the same value and error."""
-    return all((n.name, n.value, n.std) != (number.name, number.value, number.std) for n in known)
+def _told(result: Identification, name: str) -> tuple[float, float] | None:
+    """Value and error of a parameter, as the result has it."""
+    known = result.estimates.get(name)
+    return None if known is None else (known.value, known.std)
 
 
-def diagnose_section(result: DiagnoseResult, name: str) -> tuple[Section, str]:
-    """Verdict, candidates, where, and how far the gap shrinks.
-
-    Returns:
-        The section and a sentence for the summary.
-    """
-    said = verdict(result)
-    tables = [
-        Table(t.header, t.rows, t.numeric, f"{name}_{t.name}", t.title)
-        for t in result_tables(result)
-    ]
+def diagnose_section(result: DiagnosisResult, name: str) -> Section:
+    """Candidates, where, and how far the gap shrinks."""
+    tables = [replace(t, name=f"{name}_{t.name}") for t in diagnosis_tables(result).values()]
     pictures = [candidate_bars(result, f"{name}_candidates")]
-    if result.chain:
+    if result.where.chain:
         pictures.append(chain_picture(result, f"{name}_chain"))
-    section = Section(
-        f"Diagnosis {result.path}", result.why, result.warnings, tables, pictures
-    )
-    return section, said
-
-
-def verdict(result: DiagnoseResult) -> str:
-    """Verdict, cause and the probability of the first candidate, in one line."""
-    cause = f" {' and '.join(result.cause)}" if result.cause else ""
-    stage = f", {result.stage} stage" if result.stage and result.cause else ""
-    first = result.candidates[0] if result.candidates else None
-    sure = f" ({first.name} has probability {100 * first.probability:.0f} %)" if first else ""
-    return f"{result.verdict}{cause}{stage}{sure}"
-
-
-def detail_table(numbers: Sequence[ShownNumber], name: str, title: str = "") -> Table:
-    """Numbers with all that is known of them, a plain number a cell."""
-    rows = [
-        (
-            n.name, with_error(n.value, n.statistical).partition(" ")[0], f"{n.statistical:.2g}",
-            f"{n.systematic:.2g}" if n.systematic else "", n.unit,
-            f"{n.informed:.3f}" if math.isfinite(n.informed) else "", str(n.n) if n.n else "",
-            n.method,
-        )
-        for n in numbers
-    ]
-    return Table(_NUMBER_HEADER, rows, frozenset({1, 2, 3, 5, 6}), name, title)
+    findings = [str(f) for f in result.findings]
+    return Section(f"Diagnosis {result.path}", result.why, findings, tables, pictures)
 
 
 def parameter_section(parameters: Parameters, path: str) -> Section:
@@ -311,16 +287,16 @@ def write_identification_report(
     Raises:
         InputError: the folder cannot be written.
     """
-    shown, made = result.shown, made or Made("sma_bench.identify")
-    drawn = (agreement_picture(shown, "agreement"), correlation_picture(shown, "correlation"))
+    made = made or Made("sma_bench.identify")
+    drawn = (agreement_picture(result, "agreement"), correlation_picture(result, "correlation"))
     sections = [
         Section(
             "", notes=_lines(result.notes),
             pictures=[picture for picture in drawn if picture is not None],
-            card=identification_card(shown),
+            card=card(result, numbers=True),
         ),
         *(experiment_section(experiment) for experiment in result.experiments),
-        Section("How each number was found", tables=[detail_table(shown.parameters, "numbers")]),
+        Section("How each number was found", tables=[estimate_table(result.estimates, "numbers")]),
         made.section(),
     ]
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
-from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, Cell, locate, sample_noise
-from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.diagnose.result import Cell
+from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, locate, sample_noise
+from sma_bench.estimation.observation import QUANTITIES, BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.simulate import Simulation
 from sma_bench.protocols import parse_protocol
-from sma_bench.report.diagnosis_words import at_noise, in_order, worst_first
 from sma_bench.report.drawing import (
     FAINT,
     MEASURED,
@@ -53,7 +53,7 @@ _PROTOCOL_STEP = 0.05  # s
 def signal_pictures(result: Diagnosis) -> list[Picture]:
     """Measured against simulated, before and after: a picture a quantity of the held-out data."""
     pictures = []
-    for quantity, _ in in_order(result):
+    for quantity, _ in result.worst_first:
         obs = next(v for v in result.held_out if quantity in v.quantities)
         pictures.append(_signals_over_time(result, obs, quantity))
     return pictures
@@ -66,7 +66,7 @@ def candidate_picture(result: Diagnosis) -> Picture:
         if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= _LEAST_SHOWN)
     ]
     figure, (ax,) = new_figure(height=1.2 + 0.32 * len(shown))
-    credible = {c.name for c in result.decision.credible}
+    credible = set(result.credible)
     place = np.arange(len(shown))[::-1]
     colours = [_colour(c.effects) for c in shown]
     ax.barh(place, [c.probability for c in shown], color=colours, height=0.7)
@@ -120,7 +120,7 @@ def evidence_picture(result: Diagnosis) -> Picture:
 
 def shrinkage_picture(result: Diagnosis) -> Picture:
     """Errors before and after against the noise, and the share of the gap that is gone."""
-    names, found = zip(*in_order(result), strict=True)
+    names, found = zip(*result.worst_first, strict=True)
     figure = Figure(figsize=(7.2, 1.4 + 0.6 * len(names)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(names))[::-1]
@@ -138,7 +138,7 @@ def shrinkage_picture(result: Diagnosis) -> Picture:
     left.legend(fontsize=8)
     left.set_xlim(left=0.7)
     for y, s in zip(place, found, strict=True):
-        if at_noise(s):
+        if s.at_noise:
             right.text(50.0, y, "was at its noise", ha="center", va="center", fontsize=8)
             continue
         ends = np.abs(np.array(s.ci90) - s.fraction)[:, np.newaxis]
@@ -357,15 +357,21 @@ def _explanation(result: Diagnosis) -> tuple[str, list[Cell]]:
         return "what is missing: left\nby recalibration", cells
     names = result.model.unknowns.effects
     if not names:
-        return "what recalibration\nchanges", list(result.where)
+        return "what recalibration\nchanges", list(result.where.table)
     verb = "does" if len(names) == 1 else "do"
-    return "what " + "\nand ".join(names) + f" {verb}", list(result.where)
+    return "what " + "\nand ".join(names) + f" {verb}", list(result.where.table)
 
 
 def _quantities(result: Diagnosis) -> list[str]:
     """Those that were compared, the worst first."""
     compared = {quantity for view in result.observations for quantity in view.quantities}
-    return [quantity for quantity in worst_first(result) if quantity in compared]
+    return [q for q in _by_error(result) if q in compared]
+
+
+def _by_error(result: Diagnosis) -> list[str]:
+    """Quantities, those that the belief misses most first."""
+    held_out = [quantity for quantity, _ in result.worst_first]
+    return held_out + [q for q in QUANTITIES if q not in held_out]
 
 
 def _row(cell: Cell) -> str:

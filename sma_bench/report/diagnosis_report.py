@@ -3,13 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-from sma_bench.cards import verdict_card
+from sma_bench.cards import card, sentences
 from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.chain import reading_of
 from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
 from sma_bench.diagnose.sizes import sample_noise
+from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.findings import fold_audit
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics.effects import EFFECTS
 from sma_bench.progress import Report, silent
 from sma_bench.report.diagnosis_figures import (
     candidate_picture,
@@ -21,20 +22,10 @@ from sma_bench.report.diagnosis_figures import (
     signal_pictures,
     stage_picture,
 )
-from sma_bench.report.diagnosis_words import (
-    estimates,
-    how_far,
-    is_there_a_gap,
-    what_next,
-    where_is_it,
-    which_effect,
-    worst_first,
-)
 from sma_bench.report.drawing import PaperColumn
-from sma_bench.report.page import Made, Picture, Section, Table, write_report
-from sma_bench.results import in_print, scale_of, signed, with_error
-
-_LEAST_SHOWN = 0.005
+from sma_bench.report.page import Made, Picture, Section, write_report
+from sma_bench.report.tables import Table, diagnosis_tables
+from sma_bench.results import scale_of, signed, with_error
 
 
 def write_diagnosis_report(
@@ -56,7 +47,7 @@ def write_diagnosis_report(
         sections.append(_missing(result))
     sections += [_how_far(result), _next(result), _looked_at(result)]
     numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
-    answer = Section("", card=verdict_card(result.shown))
+    answer = Section("", card=card(result))
     sources = list(dict.fromkeys(v.path for v in result.observations))
     made = made or Made("sma_bench.diagnose", sources)
     title = "The gap between simulation and bench"
@@ -68,28 +59,24 @@ def write_diagnosis_report(
 
 def _gap(result: Diagnosis) -> Section:
     return Section(
-        "Is there a gap beyond the noise?", is_there_a_gap(result), tables=[_noise(result)],
+        "Is there a gap beyond the noise?", sentences(result, "is_there"), tables=[_noise(result)],
         pictures=signal_pictures(result),
     )
 
 
 def _where(result: Diagnosis) -> Section:
-    rows = [
-        (link.block, f"{link.gap:.2f}", f"{link.ci90[0]:.2f} to {link.ci90[1]:.2f}",
-         in_print(link.block.rpartition(" ")[2], link.rms))
-        for link in result.chain
-    ]
-    header = ("block, driven by what was measured", "gap over noise", "90 % interval", "rms")
+    chain = diagnosis_tables(result).get("chain")
+    reading = reading_of(result.where.chain) if result.cause else ""
     return Section(
-        "Where is it?", where_is_it(result), tables=[Table(header, rows, frozenset({1, 2, 3}))],
-        pictures=[gap_picture(result), stage_picture(result)],
+        "Where is it?", [*sentences(result, "where"), *[reading] * bool(reading)],
+        tables=[chain] if chain else [], pictures=[gap_picture(result), stage_picture(result)],
     )
 
 
 def _which(result: Diagnosis) -> Section:
     return Section(
-        "Which effect, and how sure?", which_effect(result),
-        tables=[_candidates(result)],
+        "Which effect, and how sure?", [*sentences(result, "which"), *result.why],
+        tables=[diagnosis_tables(result)["candidates"]],
         pictures=[candidate_picture(result), evidence_picture(result)],
     )
 
@@ -105,7 +92,7 @@ def _missing(result: Diagnosis) -> Section:
 def _how_far(result: Diagnosis) -> Section:
     tables = [] if result.decision.verdict == NO_GAP else [_improved(result)]
     return Section(
-        "How far does it shrink?", how_far(result), tables=tables,
+        "How far does it shrink?", sentences(result, "how_far"), tables=tables,
         pictures=[shrinkage_picture(result)],
     )
 
@@ -115,7 +102,7 @@ def _next(result: Diagnosis) -> Section:
     picture = next_experiment_picture(result, result.parameters)
     if picture is not None:
         pictures.append(picture)
-    return Section("What next?", what_next(result), pictures=pictures)
+    return Section("What next?", sentences(result, "next", None), pictures=pictures)
 
 
 def _looked_at(result: Diagnosis) -> Section:
@@ -138,7 +125,8 @@ def _looked_at(result: Diagnosis) -> Section:
 def _noise(result: Diagnosis) -> Table:
     rows = []
     problem = result.model.problem
-    order = worst_first(result)
+    order = [q for q, _ in result.worst_first]
+    order += [q for q in QUANTITIES if q not in order]
     for name, noise in sorted(
         problem.noise.items(), key=lambda item: order.index(item[0].rpartition(".")[2])
     ):
@@ -151,20 +139,6 @@ def _noise(result: Diagnosis) -> Table:
         ))
     header = ("sensor", "noise of a sample", "slow part", "its memory [s]")
     return Table(header, rows, frozenset({1, 2, 3}))
-
-
-def _candidates(result: Diagnosis) -> Table:
-    rows = [
-        (
-            c.name, "+".join(dict.fromkeys(EFFECTS[n].stage for n in c.effects)),
-            f"{c.probability:.3f}", f"{c.gap:.2f}", f"{c.gain:+.1f}" if c.effects else "",
-            "; ".join(estimates(c)),
-        )
-        for c in result.decision.candidates
-        if c.probability >= _LEAST_SHOWN or not c.effects
-    ]
-    header = ("candidate", "stage", "probability", "gap over noise", "log evidence", "numbers")
-    return Table(header, rows, frozenset({2, 3, 4}))
 
 
 def _improved(result: Diagnosis) -> Table:

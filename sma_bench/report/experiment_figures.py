@@ -8,9 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.identify.estimate import Array
 from sma_bench.identify.instruments.tensile import MODULUS, SYMBOL
 from sma_bench.identify.instruments.thermal_expansion import PARAMETER
+from sma_bench.identify.result import Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.simulate import simulate

@@ -34,6 +34,7 @@ from sma_bench.report.drawing import (
     policy,
     script,
 )
+from sma_bench.report.tables import Table
 
 _SHORT, _LONG = 24, 48
 """letters of a table's cell"""
@@ -181,20 +182,6 @@ srcset="data:image/png;base64,{{ picture.dark }}">{% endif -%}
 {% endif %}</body>
 </html>
 """
-
-
-@dataclass(frozen=True)
-class Table:
-    """Header and rows of text; `numeric` are the columns set flush right.
-
-    A table with a `name` is written as CSV beside the page too; its `title` stands above it.
-    """
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numeric: frozenset[int] = frozenset()
-    name: str = ""
-    title: str = ""
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Estimate, Experiment
+from sma_bench.identify.result import Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import (
     BY_NAME,

@@ -14,6 +14,7 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.result import DiagnosisResult
 from sma_bench.errors import InputError
 from sma_bench.identify import Identification
 from sma_bench.physics import Simulation
@@ -45,7 +46,6 @@ from sma_bench.report.drawing import (
     thinned,
 )
 from sma_bench.report.page import Picture
-from sma_bench.results import DiagnoseResult, IdentifyResult, ShownNumber
 
 Array = NDArray[np.float64]
 Curves = Sequence[tuple[str, Array, Array]]
@@ -69,8 +69,8 @@ def picture_of(thing: Any, *what: str) -> Picture:
         return overlay_picture(thing, "overlay", what)
     if isinstance(thing, Identification):
         return _chosen(what, {
-            "agreement": lambda: agreement_picture(thing.shown, "agreement"),
-            "correlation": lambda: correlation_picture(thing.shown, "correlation"),
+            "agreement": lambda: agreement_picture(thing, "agreement"),
+            "correlation": lambda: correlation_picture(thing, "correlation"),
         })  # fmt: skip
     if isinstance(thing, Diagnosis):
         return _chosen(what, {
@@ -350,27 +350,28 @@ _MOST_BARS = 12
 _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
 
 
-def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
+def agreement_picture(result: Identification, name: str) -> Picture | None:
     """How far each number is off what the parameter file states, with its errors, and the share of
     its information that the records gave; of what it does not state the errors alone. None where
     there is no number."""
-    known = [(n, n.stated[0] if n.stated else n.value) for n in result.parameters]
-    shown = [(n, value) for n, value in known if value and np.isfinite(value)]
-    if not shown:
+    known = {key: (n, (n.stated or n).value) for key, n in result.estimates.items()}
+    names = [key for key, (_, value) in known.items() if value and np.isfinite(value)]
+    if not names:
         return None
+    shown = [known[name] for name in names]
     figure = Figure(figsize=(7.2, 1.3 + 0.32 * len(shown)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.6, 1.0))
     place = np.arange(len(shown))[::-1]
     scale = np.array([100.0 / abs(ref) for _, ref in shown])
     off = scale * [n.value - ref for n, ref in shown]
-    parts = ([n.std for n, _ in shown], [_statistical(n) for n, _ in shown])
+    parts = ([n.std for n, _ in shown], [n.statistical for n, _ in shown])
     whole, random = (scale * np.nan_to_num(np.array(part)) for part in parts)
     left.errorbar(off, place, xerr=whole, fmt="none", ecolor=FAINT, elinewidth=1.2, capsize=3,
                   label="with the systematic error")
     left.errorbar(off, place, xerr=random, fmt="o", color=MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
     left.axvline(0.0, color=MODEL, lw=1.0, ls="--")
-    labels = [n.name if n.stated else f"{n.name} *" for n, _ in shown]
+    labels = [name if known[name][0].stated else f"{name} *" for name in names]
     left.set_yticks(place, labels, fontsize=8)
     left.set_ylim(-0.6, len(shown) - 0.4)
     left.set_xlabel("off what was stated [%]")
@@ -388,16 +389,11 @@ def agreement_picture(result: IdentifyResult, name: str) -> Picture | None:
     return Picture(name, "Agreement with what was stated", caption, plain(figure))
 
 
-def _statistical(number: ShownNumber) -> float:
-    return number.statistical if np.isfinite(number.std) else np.nan
-
-
-def correlation_picture(result: IdentifyResult, name: str) -> Picture | None:
+def correlation_picture(result: Identification, name: str) -> Picture | None:
     """The correlation matrix as a map; None where it is not known or all stand alone."""
-    names, rows = result.correlation
+    names, matrix = result.correlation.names, result.correlation.matrix
     if len(names) < 2:
         return None
-    matrix = np.array(rows)
     short = [n.partition(".")[2] or n for n in names]
     size = 2.2 + 0.26 * len(names)
     figure = Figure(figsize=(size + 1.6, size), layout="constrained")
@@ -422,7 +418,7 @@ def correlation_picture(result: IdentifyResult, name: str) -> Picture | None:
     return Picture(name, "Which errors hang together", caption, plain(figure), shaded=True)
 
 
-def candidate_bars(result: DiagnoseResult, name: str) -> Picture:
+def candidate_bars(result: DiagnosisResult, name: str) -> Picture:
     """Probabilities, from a result file."""
     shown = [c for c in result.candidates if c.probability >= _LEAST_SHOWN][:_MOST_BARS]
     figure, (ax,) = new_figure(height=1.2 + 0.32 * max(len(shown), 1))
@@ -437,18 +433,19 @@ def candidate_bars(result: DiagnoseResult, name: str) -> Picture:
     return Picture(name, "Candidates", f"From {result.path}.", plain(figure))
 
 
-def chain_picture(result: DiagnoseResult, name: str) -> Picture:
+def chain_picture(result: DiagnosisResult, name: str) -> Picture:
     """The gap of every block of the chain."""
-    figure, (ax,) = new_figure(height=1.2 + 0.4 * len(result.chain))
-    place = np.arange(len(result.chain))[::-1]
-    gap = np.array([link[1] for link in result.chain])
-    low, high = (np.array([link[k] for link in result.chain]) for k in (2, 3))
+    chain = result.where.chain
+    figure, (ax,) = new_figure(height=1.2 + 0.4 * len(chain))
+    place = np.arange(len(chain))[::-1]
+    gap = np.array([link.gap for link in chain])
+    low, high = np.array([link.ci90 for link in chain]).T
     error = np.maximum([gap - low, high - gap], 0.0)
     ax.errorbar(gap, place, xerr=error, fmt="o", color=MEASURED, capsize=4)
     ax.axvline(0.0, color=FAINT, lw=0.8)
     ax.axvline(1.0, color=SECOND, lw=0.8, ls="--")
-    ax.set_yticks(place, [link[0] for link in result.chain], fontsize=8)
-    ax.set_ylim(-0.6, len(result.chain) - 0.4)
+    ax.set_yticks(place, [link.block for link in chain], fontsize=8)
+    ax.set_ylim(-0.6, len(chain) - 0.4)
     ax.set_xlabel("gap over noise, 90 % interval")
     caption = "Each block of the model driven by what was measured before it; dashed: the noise."
     return Picture(name, "Where the chain breaks", caption, plain(figure))

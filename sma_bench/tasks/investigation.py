@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from sma_bench.border import MEGABYTE, read_json, read_text
-from sma_bench.cards import verdict_card
+from sma_bench.cards import card
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED
 from sma_bench.diagnose.drives import FIRST
+from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
@@ -28,7 +29,7 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import Report, silent
 from sma_bench.protocols import Protocol, load_protocol
 from sma_bench.report.page import Made, Section, Table, write_report
-from sma_bench.results import diagnosis_from, percent
+from sma_bench.results import percent
 from sma_bench.tasks.work import diagnose_files, write_improved
 
 BELIEVED, STORY = "believed.yaml", "investigation.json"
@@ -204,8 +205,8 @@ class Investigation:
         """The story as a page, by this command; its path."""
         made = Made(command, self.records)
         last = self.folder / f"diagnosis_{len(self.chapters)}.json"
-        result = diagnosis_from(last, read_json(read_text(last, _CHAPTER), str(last), _CHAPTER))
-        answer = Section("", card=verdict_card(result))
+        document = read_json(read_text(last, _CHAPTER), str(last), _CHAPTER)
+        answer = Section("", card=card(diagnosis_from(document, str(last))))
         sections = [
             Section(f"After {c.records} record{'s' if c.records != 1 else ''}", [*c.why],
                     notes=[c.proposed["why"]] if c.proposed else [])

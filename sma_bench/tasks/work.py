@@ -100,10 +100,8 @@ def write_identified(
     Raises:
         InputError: the file cannot be written.
     """
-    from sma_bench.cards import fit_line
-
     comment = f"Identified by {author} from {', '.join(sources)}".replace("\n", " ")
-    if said := fit_line(result.shown):
+    if said := result.fit_line:
         comment = f"{said}.\n{comment}"
     origins = {name: f"identified, {result.origin(name)}" for name in result.estimates}
     write_parameters(

@@ -13,6 +13,7 @@ from sma_bench.dashboard.live_state import (
     Seen,
     Trace,
     diagnosis_summary,
+    identification_summary,
     shown_limits,
 )
 
@@ -91,35 +92,29 @@ def test_limits_are_shown_in_the_units_of_the_signals():
 
 def diagnosis(**changes):
     return json.dumps({
-        "verdict": "effect", "cause": ["side_heat_coupling"],
-        "candidates": [
-            {"name": "side_heat_coupling", "stage": "thermal", "probability": 0.93,
-             "parameters": {}},
-            {"name": "recalibration", "stage": "", "probability": 0.001, "parameters": {}},
-        ],
-        "where": {"stage": "thermal", "table": []},
-        "shrinkage": {"deflection": {"rmse_before": 1.2e-3, "rmse_after": 2e-4, "fraction": 0.9,
-                                     "ci90": [0.8, 0.95], "noise_floor": 1e-4}},
-        "next_experiment": {"why": "drive one side"}, **changes,
+        "verdict": "effect",
+        "candidates": [{"name": "slack", "probability": 0.93}, {"name": "x", "probability": 1e-3}],
+        "card": [["", "slack explains it"], ["cause", "slack: play"], ["", "more"]], **changes,
     })  # fmt: skip
 
 
-def test_the_last_diagnosis_is_its_verdict_candidates_and_shrinkage():
+def test_the_last_diagnosis_is_its_card_and_candidates():
     said = diagnosis_summary(diagnosis())
-    assert said["title"] == "side_heat_coupling explains the gap (probability 93 %)"
-    assert said["candidates"] == [{"name": "side_heat_coupling", "probability": 0.93}]
-    cause, error, following = said["lines"]
-    assert cause.startswith("cause: side_heat_coupling: ") and "(thermal stage)" in cause
-    assert error == (
-        "error: deflection 1.2 mm as believed -> 0.2 mm with the effect, noise 0.1 mm: 90 % "
-        "[80, 95] of the gap gone"
-    )
-    assert following == "next: drive one side"
+    assert said["title"] == "slack explains it"
+    assert said["candidates"] == [{"name": "slack", "probability": 0.93}]
+    assert said["lines"] == ["cause: slack: play", "more"]
+
+
+def test_the_last_identification_is_its_card_and_numbers():
+    numbers = {"wire.resistance": {"value": 2.7, "std": 0.01, "unit": "ohm"}, "odd": 3}
+    said = identification_summary(diagnosis(parameters=numbers))
+    assert said["title"] == "slack explains it"
+    assert said["rows"] == [("wire.resistance", "2.7 ± 0.01 ohm"), ("odd", "")]
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{", '{"verdict": 3}', diagnosis(candidates=3), diagnosis(shrinkage={
-        "smell": json.loads(diagnosis())["shrinkage"]["deflection"]})],
+    "text", ["", "[]", "{", '{"verdict": 3}', diagnosis(candidates=3), diagnosis(card=[["a"]]),
+             diagnosis(card=[])],
 )  # fmt: skip
 def test_what_is_no_diagnosis_is_said_to_be_none(text):
     assert set(diagnosis_summary(text)) == {"problem"}

@@ -93,7 +93,7 @@ def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_diagnosis):
     assert wire_diagnosis.decision.cause == ("supply_drop",)
     found = wire_diagnosis.improved["effect.supply_drop.resistance"]
     assert found == pytest.approx(0.3, abs=0.05)
-    assert {c.signal for c in wire_diagnosis.where} == {"wire.current", "wire.temperature"}
+    assert {c.signal for c in wire_diagnosis.where.table} == {"wire.current", "wire.temperature"}
 
 
 def test_a_single_record_holds_out_its_own_end(wire_diagnosis):
@@ -109,9 +109,7 @@ def test_a_sensor_that_is_missing_is_named_with_what_it_would_add(tmp_path):
     record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
     with few_effects(("residual_strain",)):
         result = diagnose([record], believed())
-    missing = {f.subject: f.text for f in result.findings if f.text.startswith("not compared")}
-    assert set(missing) == {"current", "temperature"}
-    assert "thermal and mechanical" in missing["temperature"]
+    assert result.not_compared == ("current", "temperature")
 
 
 def test_records_of_different_sensors_are_diagnosed_together(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
+from sma_bench.diagnose import result as diagnosis_result
 from sma_bench.diagnose.decision import weigh
 from sma_bench.diagnose.drives import TESTS
 from sma_bench.errors import InputError
@@ -57,7 +58,8 @@ def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
 
 def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
     # As if only far more than the best drive tells were worth the minutes.
-    monkeypatch.setattr(next_experiment, "WORTH", 0.3)
+    for module in (next_experiment, diagnosis_result):
+        monkeypatch.setattr(module, "WORTH", 0.3)
     tied = diagnosed([short_record])
     assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
     (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]

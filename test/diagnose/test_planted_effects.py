@@ -63,10 +63,10 @@ def test_sides_that_heat_each_other_are_found_with_every_sensor(planted_diagnosi
 def test_the_place_of_a_thermal_effect_is_found(planted_diagnosis):
     where = planted_diagnosis.to_json()["where"]
     assert where["stage"] == "thermal"
-    currents = [c for c in planted_diagnosis.where if c.signal.endswith("current")]
-    warm = [c for c in planted_diagnosis.where if c.signal.endswith("temperature")]
+    currents = [c for c in planted_diagnosis.where.table if c.signal.endswith("current")]
+    warm = [c for c in planted_diagnosis.where.table if c.signal.endswith("temperature")]
     assert max(c.gap for c in currents) < 0.05 < 2.0 < max(c.gap for c in warm)
-    assert sum(c.share for c in planted_diagnosis.where) == pytest.approx(1.0)
+    assert sum(c.share for c in planted_diagnosis.where.table) == pytest.approx(1.0)
 
 
 def test_the_gap_shrinks_on_the_record_that_was_held_out(planted_diagnosis):

@@ -9,8 +9,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from sma_bench.diagnose import diagnose
-from sma_bench.diagnose.argument import _kinetics
 from sma_bench.diagnose.drives import measured
+from sma_bench.diagnose.facts import smoother_kinetics
 from sma_bench.diagnose.tails import MEASURED, RARE, WIDE, gain_of_tails
 from sma_bench.parameters import Parameters
 
@@ -87,17 +87,16 @@ def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewi
     with few_effects(("stress_dependent_transition", "side_heat_coupling")):
         result = diagnose([record], lab)
     assert result.decision.verdict == "recalibration" and name in result.search.off
-    (said,) = [sentence for sentence in result.why if "parameters off" in sentence]
-    assert name in said
+    assert name in {moved.name for moved in result.moved}
     assert result.improved[name] == pytest.approx(bench[name], abs=2.0 * lab.std(name))
 
 
 def test_kinetics_that_are_surely_smoother_than_the_cosines_are_said_to_be_no_effect():
     names = ("wire.transition_spread", "wire.transition_tail")
 
-    def said(values, stds):
+    def smoother(values, stds):
         unknowns = SimpleNamespace(names=names, values=lambda x: np.array(values))
-        return _kinetics(SimpleNamespace(unknowns=unknowns, x=None, std=np.array(stds)))
+        return smoother_kinetics(SimpleNamespace(unknowns=unknowns, x=None, std=np.array(stds)))
 
-    assert "no effect: transition spread 0.47 ± 0.02 K" in said((0.47, 0.01), (0.02, 0.02))
-    assert said((0.47, 0.01), (0.3, 0.02)) == ""
+    assert list(smoother((0.47, 0.01), (0.02, 0.02))) == ["wire.transition_spread"]
+    assert smoother((0.47, 0.01), (0.3, 0.02)) == {}

@@ -8,8 +8,8 @@ import pytest
 from page_runner import ROOT, PageRunner, blocks_of, is_command, runs_in_a_test
 
 from sma_bench import compiled
-from sma_bench.cards import verdict_card
-from sma_bench.results import diagnosis_from
+from sma_bench.cards import card
+from sma_bench.diagnose.result import diagnosis_from
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Pages that another test plays, or whose text a command writes, which cannot carry comments.
@@ -67,10 +67,10 @@ def test_page_can_be_played(page, tmp_path, monkeypatch, left_by):
     if name_of(page) == "docs/tutorials/first_diagnosis.md":
         answer = json.loads(Path("gap.json").read_text())
         check_first_diagnosis(answer)
-        card = verdict_card(diagnosis_from(Path.cwd(), answer))
-        place = dict(card.rows)["where"].partition(",")[0]
+        told = card(diagnosis_from(answer, "gap.json"))
+        place = dict(told.rows)["where"].partition(",")[0]
         for shown in (page, ROOT / "README.md"):
-            assert card.title in shown.read_text()
+            assert told.title in shown.read_text()
             assert f"where   {place}," in shown.read_text()
 
 

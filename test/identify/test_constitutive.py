@@ -10,8 +10,8 @@ import pytest
 from sma_bench.errors import InputError
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
 from sma_bench.identify.constitutive.law import elastic, make_loops, martensite_fractions, strain_of
-from sma_bench.identify.estimate import Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
+from sma_bench.identify.result import Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 from sma_bench.physics.material import (

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.estimate import Experiment
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.instruments.tangents import strain_tangents
+from sma_bench.identify.result import Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import (
     autocorrelation,
     inflation,
     quantisation_variance,
     resolution,
 )
-from sma_bench.identify.estimate import Estimate, combine
+from sma_bench.identify.estimate import combine
 
 
 def coloured(rng, n, keep):

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.result import result_of
 from sma_bench.estimation.unknowns import unknowns_of
-from sma_bench.identify.estimate import Estimate, with_prior
+from sma_bench.identify.estimate import with_prior
 from sma_bench.identify.run import IdentificationRun
 from sma_bench.parameters import Parameters
 

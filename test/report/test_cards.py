@@ -1,201 +1,220 @@
-"""The card of a diagnosis: made from the result file, the same wherever it is shown."""
+"""Cards of results: made from facts by templates, the same wherever they are shown."""
 
 import copy
-from pathlib import Path
+import json
+import shutil
 
 import pytest
 
-from sma_bench.cards import (
-    card_html,
-    card_text,
-    identification_html,
-    identification_text,
-    verdict_card,
-)
+from sma_bench import cards
+from sma_bench.cards import card, card_html, card_text, number_rows, two_errors
 from sma_bench.commands.identify import print_result
+from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
-from sma_bench.results import Invocation, diagnosis_from, identification_from
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.identify.result import identification_from
+from sma_bench.results import Invocation, json_text, percent, with_error
 
 NUMBER = "effect.supply_drop.resistance"
-RESULT = {
+PLACE = {"signal": "wire.current", "phase": "drive", "side": "front", "gap": 12.0, "share": 0.8,
+         "rms": 0.05}  # fmt: skip
+DIAGNOSED = {
     "verdict": "effect",
     "cause": ["supply_drop"],
     "candidates": [
-        {"name": "supply_drop", "stage": "electrical", "probability": 0.91,
+        {"name": "supply_drop", "stage": "electrical", "probability": 0.91, "log_evidence": 90.0,
          "parameters": {NUMBER: {"value": 0.3012, "std": 0.0021, "unit": "ohm"}}},
         {"name": "unexplained", "stage": "", "probability": 0.07, "parameters": {}},
-        {"name": "slack", "stage": "mechanical", "probability": 0.004, "parameters": {}},
+        {"name": "slack", "stage": "mechanical", "probability": 0.004, "log_evidence": 2.0},
+        {"name": "recalibration", "stage": "", "probability": 0.004, "gap_over_noise": 1.0},
     ],
-    "where": {
-        "signal": "wire.current", "phase": "drive", "side": "front", "stage": "electrical",
-        "table": [{"signal": "wire.current", "phase": "drive", "side": "front", "gap": 12.0,
-                   "share": 0.8, "rms": 0.05}],
-    },
+    "where": {"signal": "wire.current", "phase": "drive", "side": "front", "stage": "electrical",
+              "stages": {"electrical": 1.0}, "table": [PLACE]},
     "shrinkage": {
         "temperature": {"rmse_before": 0.2, "rmse_recalibrated": 0.2, "rmse_after": 0.2,
                         "fraction": 0.0, "ci90": [0.0, 0.0], "noise_floor": 0.2},
         "current": {"rmse_before": 0.05, "rmse_recalibrated": 0.02, "rmse_after": 0.005,
                     "fraction": 0.98, "ci90": [0.95, 0.99], "noise_floor": 0.004},
     },
-    "why": ["Its log evidence is +90.0 nats over moving the parameters alone.",
-            "supply_drop and slack, each at its best, differ most in x: by 3 times the noise.",
-            "It needs no parameter farther than two of its standard deviations from where it is "
-            "believed.",
-            "That something else is at work keeps 7 %: a single event stands out."],
+    "difference": {"between": ["supply_drop", "slack"], "place": PLACE},
+    "left": {"by": "the best model", "gain": 0.4},
+    "unexplained_sign": "a single event stands out",
+    "not_compared": ["deflection"],
     "next_experiment": None,
+    "findings": ["warning: wire.mass: odd"],
+}  # fmt: skip
+IDENTIFIED = {
+    "parameters": {
+        "wire.resistance": {"value": 2.8, "std": 0.025, "statistical": 0.007, "systematic": 0.024,
+                            "informed": 0.98, "unit": "ohm", "method": "line", "n": 25,
+                            "stated": {"value": 2.7, "std": 0.01}, "warnings": ["E2: odd"]},
+        "environment.ambient_temperature": {"value": 296.4, "std": 0.5, "unit": "K", "n": 25,
+                                            "method": "<b>"},
+    },
+    "fit": {"current": {"verdict": "ok", "rms": 0.1, "noise": 0.1, "unit": "A"}},
+    "correlation": {"names": ["wire.resistance", "environment.ambient_temperature"],
+                    "matrix": [[1.0, -0.7], [-0.7, 1.0]]},
+    "experiments": [{"name": "E1", "title": "Resistance", "source": "monday", "details": {},
+                     "estimates": {"wire.resistance": {"value": 2.8, "std": 0.02, "unit": "ohm",
+                                                       "n": 25}}}],
+    "warnings": ["E2: not settled"],
 }  # fmt: skip
 
 
-def shown(**changes):
-    return diagnosis_from(Path("result"), copy.deepcopy(RESULT) | changes)
+def diagnosed(**changes):
+    return diagnosis_from(copy.deepcopy(DIAGNOSED) | changes, "gap.json")
 
 
-def rows(result):
+def identified(**changes):
+    return identification_from(copy.deepcopy(IDENTIFIED) | changes, "found.json")
+
+
+def rows(result, asked=None):
     found, last = {}, ""
-    for label, text in verdict_card(result).rows:
+    for label, text in card(result, asked).rows:
         last = label or last
         found.setdefault(last, []).append(text)
     return found
 
 
-def test_an_effect_stands_with_its_size_its_place_and_what_it_takes_away():
-    card = verdict_card(shown())
-    assert card.title == "supply_drop explains the gap (probability 91 %)"
-    found = rows(shown())
-    assert found["cause"] == [
-        "supply_drop: leads and contacts between the voltage that is measured and the wire "
-        "(electrical stage). resistance 0.3012 ± 0.0021 ohm"
-    ]
-    assert found["where"] == [
-        "wire.current while driven, front side: 80 % of it (50 mA rms, 12 times the noise of a "
-        "reading)"
-    ]
-    assert found["error"] == [  # the worst first
-        "current 50 mA as believed -> 20 mA recalibrated -> 5 mA with the effect, noise 4 mA: "
-        "98 % [95, 99] of the gap gone",
-        "temperature within its noise as believed (0.2 K)",
-    ]
-    assert found["rivals"] == [f"unexplained (7 %). {RESULT['why'][1]}"]
-    assert found["left"] == [RESULT["why"][3]]
-    assert "moved" not in found
+def test_a_card_carries_the_facts_of_a_diagnosis():
+    found = rows(diagnosed())
+    assert list(found) == ["cause", "where", "error", "rivals", "left", "missing", "next"]
+    assert "0.3012 ± 0.0021 ohm" in found["cause"][0] and "80 %" in found["where"][0]
+    worst, quiet = found["error"]
+    assert worst.startswith("current") and "98 % [95, 99]" in worst and "temperature" in quiet
+    moved = {"name": "wire.mass", "change": 1e-6, "unit": "kg", "deviations": 4.0}
+    assert "wire.mass" in rows(diagnosed(moved=[moved]))["moved"][0]
 
 
-@pytest.mark.parametrize(
-    ("verdict", "title"),
-    [("ambiguous", "not settled by these records: supply_drop (91 %), unexplained (7 %)"),
-     ("no_gap", "no gap beyond the noise (probability 91 %)"),
-     ("recalibration", "no effect is missing, the parameters are off (probability 91 %)"),
-     ("unexplained", "a gap that no known effect explains (probability 91 %)")],
-)  # fmt: skip
-def test_every_verdict_has_its_title_and_a_next_step(verdict, title):
-    result = shown(verdict=verdict, cause=[])
-    assert verdict_card(result).title == title
+@pytest.mark.parametrize("verdict", ["ambiguous", "no_gap", "recalibration", "unexplained"])
+def test_every_verdict_has_a_title_of_its_own_and_a_next_step(verdict):
+    result = diagnosed(verdict=verdict, cause=[])
+    assert card(result).title != card(diagnosed()).title
     found = rows(result)
     assert len(found["next"]) == 1 and "cause" not in found
     assert ("where" in found) == (verdict != "no_gap")
-    assert ("moved" in found) == (verdict == "recalibration")
 
 
 def test_a_proposed_experiment_is_the_next_step():
-    proposed = {"why": "w", "separates": ["slack", "residual_strain"], "chance": 0.8,
-                "minutes": 2.5, "protocol": {"name": "long_rests"}}  # fmt: skip
-    assert rows(shown(next_experiment=proposed))["next"] == [
-        "record long_rests (2.5 min) to separate slack, residual_strain; it settles the matter "
-        "with a probability of 80 %"
-    ]
-    test = proposed | {"kind": "E6", "why": "isobaric tests", "protocol": {}}
-    (said,) = rows(shown(next_experiment=test))["next"]
-    assert said.startswith("E6 (2.5 min) to separate") and said.endswith("80 %; isobaric tests")
+    proposed = {"kind": "E6", "why": "isobaric tests", "separates": ["slack", "supply_drop"],
+                "chance": 0.8, "minutes": 2.5}  # fmt: skip
+    (said,) = rows(diagnosed(next_experiment=proposed))["next"]
+    for fact in ("E6", "isobaric tests", "slack", "80 %", "2.5 min"):
+        assert fact in said
 
 
-def test_a_result_of_an_older_version_has_its_card_too():
-    old = copy.deepcopy(RESULT)
-    del old["why"]
-    for quantity in old["shrinkage"].values():
-        del quantity["rmse_recalibrated"]
-    found = rows(diagnosis_from(Path("result"), old))
-    assert "50 mA as believed -> 5 mA with the effect" in found["error"][0]
-    assert found["rivals"] == ["unexplained (7 %)"] and "left" not in found
+@pytest.mark.parametrize("verdict", ["effect", "recalibration", "unexplained"])
+def test_advice_knows_what_was_given(verdict):
+    cause = ["supply_drop"] if verdict == "effect" else []
+    result = diagnosed(verdict=verdict, cause=cause)
+    plain, given = Invocation(("a bag",)), Invocation(("a bag",), "", "better.yaml", "page")
+    (before,), (after,), (nothing,) = (rows(result, i)["next"] for i in (plain, given, None))
+    option = "--report" if verdict == "unexplained" else "--out"
+    assert option in before and option not in after.replace("--out simulated", "")
+    assert option not in nothing.replace("--out simulated", "")
+    assert ("page" if verdict == "unexplained" else "better.yaml") in after
+
+
+def test_numbers_stand_with_their_errors_apart_and_what_was_stated():
+    resistance, ambient = number_rows(identified())
+    assert resistance == ("wire.resistance", "2.8 ± 0.007 ± 0.024 ohm", "98 %", "2.7 ± 0.01",
+                          "+3.7 % (+3.7 std)", "E1, warned")  # fmt: skip
+    assert ambient == ("environment.ambient_temperature", "296.4 ± 0.5 K", "", "", "", "")
+    found = rows(identified())
+    assert "wire.resistance" in found["off"][0] and "-0.70" in found["linked"][0]
+    assert two_errors(Estimate(2.0, 0.0)) == "2"
+
+
+def test_a_result_that_is_read_back_shows_what_the_fresh_one_did():
+    for result, read in ((diagnosed(), diagnosis_from), (identified(), identification_from)):
+        again = read(json.loads(json_text(result.to_json())), "again.json")
+        assert str(again) == str(result)
+        assert json_text(again.to_json()) == json_text(result.to_json())
+        assert again.to_json()["card"][0] == ["", card(result).title]
+
+
+def reworded(folder, target):
+    """The templates with every word of their own replaced by another."""
+    shutil.copytree(folder, target)
+    for path in target.glob("*.j2"):
+        tokens = cards._templates(folder).lex(path.read_text())
+        path.write_text("".join(
+            "".join("ж" if letter.isalpha() else letter for letter in text)
+            if kind == "data" else text for _, kind, text in tokens
+        ))  # fmt: skip
+    return target
+
+
+def test_no_program_reads_a_sentence(tmp_path, monkeypatch):
+    before = [r.to_json() for r in (diagnosed(), identified())]
+    monkeypatch.setattr(cards, "TEMPLATES", reworded(cards.TEMPLATES, tmp_path / "other"))
+    after = [r.to_json() for r in (diagnosed(), identified())]
+    for one, other in zip(before, after, strict=True):
+        assert one["card"] != other["card"]
+        told = {"card", "gap", "why"}  # what is shown and no more
+        assert {k: v for k, v in one.items() if k not in told} == {
+            k: v for k, v in other.items() if k not in told}
+    states = [(s["is_gap"], s["values"]) for s in after[0]["gap"]]
+    assert states == [(s["is_gap"], s["values"]) for s in before[0]["gap"]]
+    assert diagnosis_from(after[0], "r").verdict == "effect"
+    for result in (diagnosed(), identified()):
+        assert "ж" in card_text(result) and "ж" in card_html(result)
 
 
 def test_text_and_page_hold_the_same_and_no_markup_of_a_name():
-    hostile = shown(cause=["<b>x\x1b[2J"])
+    hostile = diagnosed(cause=["<b>x\x1b[2J\n| y"])
     text, page = card_text(hostile), card_html(hostile)
     assert "\x1b" not in text and "<b>" not in page and "&lt;b&gt;" in page
-    lines = card_text(shown()).splitlines()
-    assert max(map(len, lines)) <= 96
-    narrow = card_text(shown(), 60).splitlines()
-    assert max(map(len, narrow)) <= 60 and " ".join(narrow).split() == " ".join(lines).split()
-    assert " ".join(" ".join(lines).split()).startswith("supply_drop explains the gap")
-
-
-def test_a_sensor_that_is_missing_stands_on_the_card():
-    found = rows(shown(findings=[
-        "info: deflection: not compared: nothing mechanical could be seen", "info: mass: odd",
-    ]))  # fmt: skip
-    assert found["missing"] == ["deflection was not compared: nothing mechanical could be seen"]
-
-
-IDENTIFIED = {
-    "parameters": {
-        "wire.resistance": {"value": 2.8, "std": 0.025, "statistical": 0.007, "systematic": 0.024,
-                            "informed": 0.98, "unit": "ohm", "method": "line", "n": 25,
-                            "stated": {"value": 2.7, "std": 0.01}},
-        "environment.ambient_temperature": {"value": 296.4, "std": 0.5, "unit": "K", "n": 25,
-                                            "method": "<b>"},
-    },
-    "correlation": {"names": ["wire.resistance", "environment.ambient_temperature"],
-                    "matrix": [[1.0, -0.7], [-0.7, 1.0]]},
-    "experiments": [{"name": "E1", "title": "Resistance", "source": "monday", "details": {},
-                     "estimates": {"wire.resistance": {"value": 2.8, "std": 0.02, "unit": "ohm"}}}],
-    "warnings": ["E2: not settled"],
-}  # fmt: skip
-
-
-def test_an_identification_has_its_errors_apart_and_says_what_surprises_and_hangs_together():
-    result = identification_from(Path("r.json"), copy.deepcopy(IDENTIFIED))
-    title, head, resistance, ambient, *below = identification_text(result).splitlines()
-    assert title == "2 parameters identified by E1" and head.startswith("parameter")
-    assert " ".join(resistance.split()) == (
-        "wire.resistance 2.8 ± 0.007 ± 0.024 ohm 98 % 2.7 ± 0.01 +3.7 % (+3.7 std) E1"
-    )
-    assert " ".join(ambient.split()) == (
-        "environment.ambient_temperature 296.4 ± 0.5 K"
-    )
-    assert below[0] == "off     wire.resistance +3.7 % (+3.7 std)"
-    linked = "errors of environment.ambient_temperature and wire.resistance (-0.70)"
-    assert below[1] == f"linked  {linked}"
-    assert below[2] == "beware  1 warning, the first: E2: not settled"
-    page = identification_html(result)
-    assert linked in page and "2.8 ± 0.007 ± 0.024 ohm" in page and "<b>" not in page
+    assert len(rows(hostile)) == len(rows(diagnosed()))
+    assert "<b>" not in card_html(identified())
+    lines = card_text(diagnosed()).splitlines()
+    narrow = card_text(diagnosed(), 60).splitlines()
+    assert max(map(len, lines)) <= 96 and max(map(len, narrow)) <= 60
+    assert " ".join(narrow).split() == " ".join(lines).split()
 
 
 @pytest.mark.parametrize("columns", [80, 200])
 def test_numbers_fit_the_terminal(columns, capsys, monkeypatch):
-    class Identified:
-        shown = identification_from(Path("r.json"), copy.deepcopy(IDENTIFIED))
-        notes = experiments = ()
-
-        def __str__(self):
-            return identification_text(self.shown)
-
     monkeypatch.setenv("COLUMNS", str(columns))
-    print_result(Identified(), Invocation())
+    print_result(identified(), Invocation())
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= columns
-    said = " ".join(printed.split())
-    assert "2.8 ± 0.007 ± 0.024 ohm" in said and "off wire.resistance +3.7 % (+3.7 std)" in said
+    assert "2.8 ± 0.007 ± 0.024 ohm" in " ".join(printed.split())
 
 
 def test_what_is_rounded_to_nothing_has_no_sign():
-    found = copy.deepcopy(IDENTIFIED)
-    found["parameters"]["environment.ambient_temperature"] |= {
+    near = IDENTIFIED["parameters"]["environment.ambient_temperature"] | {
         "value": 296.15 - 1e-4, "stated": {"value": 296.15, "std": 0.5}}
-    said = identification_text(identification_from(Path("r.json"), found))
-    assert "(0.0 std)" in said and "-0.0 " not in said and "+0.0 " not in said
+    (row,) = number_rows(identified(parameters={"environment.ambient_temperature": near}))
+    assert "(0.0 std)" in row[4]
+    assert (percent(0.001), percent(0.5), percent(0.9999)) == ("below 1 %", "50 %", "above 99 %")
 
 
-def test_a_correlation_that_is_no_matrix_is_one_line():
-    damaged = IDENTIFIED | {"correlation": {"names": ["a"], "matrix": [[1.0, 0.5]]}}
-    with pytest.raises(InputError, match=r"r\.json: damaged result: correlation of 1 names"):
-        identification_from(Path("r.json"), damaged)
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [(3.11755, 0.0004, "3.11755 ± 0.0004"), (0.25, 0.65, "0.25 ± 0.65"),
+     (57.61e9, 1.6e9, "5.76e+10 ± 1.6e+09"), (1.5, 0.0, "1.5"), (2.0, float("nan"), "2")],
+)  # fmt: skip
+def test_a_value_is_printed_to_the_digits_that_its_error_leaves(value, std, text):
+    assert with_error(value, std) == text
+
+
+@pytest.mark.parametrize(
+    ("read", "document", "named"),
+    [
+        (identification_from, IDENTIFIED | {"correlation": {"names": ["a"], "matrix": [[1, 0]]}},
+         "correlation"),
+        (identification_from, IDENTIFIED | {"parameters": {"a": {"value": "2", "std": 1}}},
+         "value"),
+        (diagnosis_from, DIAGNOSED | {"verdict": "guilty"}, "verdict"),
+        (diagnosis_from, DIAGNOSED | {"where": 3}, "where"),
+        (diagnosis_from, DIAGNOSED | {"cause": [1e200]}, "1e+200"),
+        (diagnosis_from, [], "damaged"),
+    ],
+)  # fmt: skip
+def test_a_damaged_result_is_one_line_that_names_the_field(read, document, named):
+    with pytest.raises(InputError) as refused:
+        read(document, "r.json")
+    line = str(refused.value)
+    assert line.startswith("r.json: ") and named in line and "\n" not in line

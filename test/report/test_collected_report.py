@@ -16,10 +16,9 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.records import Signal, open_record
 from sma_bench.records.bag_writer import write_record
-from sma_bench.report.collected_report import record_section
+from sma_bench.report.collected_report import read_result, record_section
 from sma_bench.report.drawing import script, thinned
 from sma_bench.report.page import digest
-from sma_bench.results import read_result
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
 IDENTIFIED = {
@@ -230,13 +229,13 @@ def with_value(value, *keys):
     ("document", "spoil", "said"),
     [
         (IDENTIFIED, without("parameters"), "not a result"),
-        (IDENTIFIED, without("parameters", "wire.resistance", "std"), "no std"),
-        (IDENTIFIED, with_value("2.7", "parameters", "wire.resistance", "value"), "not a number"),
+        (IDENTIFIED, without("parameters", "wire.resistance", "std"), "std"),
+        (IDENTIFIED, with_value("2.7", "parameters", "wire.resistance", "value"), "value"),
         (IDENTIFIED, with_value([], "parameters"), "damaged result"),
-        (IDENTIFIED, with_value("none", "warnings"), "not a list"),
-        (DIAGNOSED, without("where", "table"), "no table"),
+        (IDENTIFIED, with_value("none", "warnings"), "warnings"),
+        (DIAGNOSED, without("where", "signal"), "signal"),
         (DIAGNOSED, with_value([1.0], "shrinkage", "deflection", "ci90"), "damaged result"),
-        (DIAGNOSED, with_value(3, "verdict"), "not a text"),
+        (DIAGNOSED, with_value(3, "verdict"), "verdict"),
         (DIAGNOSED, with_value(None, "where"), "damaged result"),
     ],
 )
@@ -256,7 +255,7 @@ def test_a_damaged_result_is_one_line_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.json", "{", "not JSON"), ("a.json", "[1]", "expected an object"),
+        ("a.json", "{", "not JSON"), ("a.json", "[1]", "not a result"),
         ("a.json", b"\xff\xfe", "not a text file"), ("a.txt", "hello", "neither a bag"),
         ("none.json", None, "cannot read"),
     ],

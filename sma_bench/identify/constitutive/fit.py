@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding, Severity
 from sma_bench.identify.constitutive.law import (
@@ -16,7 +17,7 @@ from sma_bench.identify.constitutive.law import (
     strain_of,
     without_free_parts,
 )
-from sma_bench.identify.estimate import Array, Estimate
+from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
 from sma_bench.progress import Report, in_turn, silent

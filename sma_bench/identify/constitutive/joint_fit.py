@@ -7,13 +7,15 @@ from typing import Literal
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
 from sma_bench.identify.constitutive import fit as remarks
 from sma_bench.identify.constitutive.fit import LawFit, LawNumber, fit_law, has_several_stresses
 from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, Loop, make_loops
-from sma_bench.identify.estimate import Array, Correlation, Estimate, Experiment
+from sma_bench.identify.estimate import Array
 from sma_bench.identify.instruments.isobaric import with_scales
 from sma_bench.identify.instruments.tangents import strain_tangents
+from sma_bench.identify.result import Correlation, Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, part, silent

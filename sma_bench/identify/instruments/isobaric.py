@@ -14,8 +14,9 @@ from typing import Literal
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment, mean_of_repeats
+from sma_bench.identify.estimate import Array, mean_of_repeats
 from sma_bench.identify.instruments.stress_temperature import (
     SMALLEST_STRESS_RANGE,
     BranchCosine,
@@ -27,6 +28,7 @@ from sma_bench.identify.instruments.stress_temperature import (
     stress_range,
 )
 from sma_bench.identify.instruments.tangents import StrainTangents, strain_tangents
+from sma_bench.identify.result import Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.records.isobaric import STRONGEST, Branch, IsobaricRecord

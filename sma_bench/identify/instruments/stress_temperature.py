@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import autocorrelation, inflation
-from sma_bench.identify.estimate import Array, Estimate, fit_linear
+from sma_bench.identify.estimate import Array, fit_linear
 from sma_bench.identify.instruments.tangents import Line, StrainTangents, gap_at
 from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import Branch

@@ -17,10 +17,12 @@ from fnmatch import fnmatch
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment, mean_of_repeats
+from sma_bench.identify.estimate import Array, mean_of_repeats
 from sma_bench.identify.instruments.isobaric import GAUGE, diameter_error, mean_and_deviation
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import Piece, fit_piece, straight_pieces
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import NITI_DENSITY, wire_length

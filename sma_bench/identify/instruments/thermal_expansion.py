@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment, fit_linear
+from sma_bench.identify.estimate import Array, fit_linear
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import CAMERA, means
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import (
-    Array,
-    Estimate,
-    Experiment,
-    fit_linear,
-    mean_of_repeats,
-)
+from sma_bench.identify.estimate import Array, fit_linear, mean_of_repeats
 from sma_bench.identify.instruments.tangents import (
     Onset,
     Scan,
@@ -22,6 +17,7 @@ from sma_bench.identify.instruments.tangents import (
     find_transformation,
     make_scan,
 )
+from sma_bench.identify.result import Experiment
 from sma_bench.records import DscRecord, DscSegment
 
 # A calorimeter is calibrated with indium to some tenths of a kelvin, which melts within seconds; a

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment, LinearFit, Mask, fit_linear
+from sma_bench.identify.estimate import Array, LinearFit, Mask, fit_linear
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import AVERAGE, SETTLE, Means, Staircase, means, same_level
 from sma_bench.parameters import Parameters
 from sma_bench.physics.heat import heated_resistance

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.observation import Observation, observe, shared_bin
 from sma_bench.estimation.residual import Block, Problem
@@ -15,7 +16,8 @@ from sma_bench.estimation.result import Number, Off, Result, result_of
 from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import Unknown, Unknowns
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, Estimate, Experiment
+from sma_bench.identify.estimate import Array
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import ChannelDrive
 from sma_bench.identify.thermal.heat_transfer import scale_of_gain
 from sma_bench.identify.thermal.ramps import (

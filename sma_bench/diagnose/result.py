@@ -1,0 +1,320 @@
+"""The result of a diagnosis as plain facts: what its file holds, and what every card, page and
+topic is made from (`templates/diagnosis.j2`)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar, Literal
+
+from sma_bench.cards import card_html, card_rows, card_text, cells, sentences
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.findings import Finding
+from sma_bench.results import decoded
+
+Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
+SET_MASS = 0.9  # probability that the credible candidates make together
+AT_NOISE = 1.05  # rms of the error over the noise of a sample: nothing to shrink
+WORTH = 0.05  # probability more than now that the true cause is given
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One signal in one phase on one side.
+
+    `gap` is the root mean square over the noise of a sample; `share` of the squared gap over noise
+    of all samples of all records; `rms` in the signal's unit.
+    """
+
+    signal: str
+    phase: str
+    side: str
+    gap: float
+    share: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Link:
+    """One block of the chain, from what drives it to the signal that it is held to.
+
+    `gap` is the root mean square misfit over the white noise of a sample, which is taken off;
+    `ci90` from blocks of time drawn anew; `rms` in the signal's unit.
+    """
+
+    block: str
+    gap: float
+    ci90: tuple[float, float]
+    rms: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """Root mean squares in the signal's unit over the samples of the held-out data: with the
+    parameters as believed, with the best ones of the model without an effect, with the effect.
+
+    `fraction` of the gap beyond `noise_floor` that is gone; `ci90` its interval, from blocks of
+    time drawn anew and the spread between drives of different kinds.
+    """
+
+    rmse_before: float
+    rmse_after: float
+    fraction: float
+    ci90: tuple[float, float]
+    noise_floor: float
+    rmse_recalibrated: float = math.nan
+
+    @property
+    def times_noise(self) -> float:
+        """Error as stated over the noise of a sample; 0 where that is not known."""
+        times = self.rmse_before / self.noise_floor if self.noise_floor > 0.0 else 0.0
+        return times if math.isfinite(times) else 0.0
+
+    @property
+    def at_noise(self) -> bool:
+        """Whether there was nothing to shrink."""
+        return self.times_noise < AT_NOISE
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """What to do next.
+
+    Attributes:
+        kind: protocol, sensor, DSC, or E1 to E9.
+        why: what it is for; separates: the causes; protocol: as a protocol file holds it, empty
+            for a test of the paper; minutes: that it takes, on the bench or at the instrument.
+        chance: that the verdict names the true cause after it.
+        worth: probability more than now that the true cause will be given.
+        parameters: that a test of the paper measures, with its standard deviations.
+        quantities: that the protocol needs measured, if not those of the records.
+    """
+
+    kind: str = "protocol"
+    why: str = ""
+    separates: tuple[str, ...] = ()
+    protocol: Mapping[str, Any] = field(default_factory=dict)
+    minutes: float = math.nan
+    chance: float = math.nan
+    worth: float = 0.0
+    parameters: Mapping[str, float] | None = None
+    quantities: tuple[str, ...] = ()
+
+    @property
+    def settles(self) -> bool:
+        """Whether it is worth the bench's time."""
+        return self.worth >= WORTH
+
+    def to_json(self) -> dict[str, Any]:
+        """As in the contract."""
+        return {
+            "kind": self.kind, "why": self.why, "separates": list(self.separates),
+            "chance": self.chance, "minutes": self.minutes, "protocol": dict(self.protocol),
+            "parameters": dict(self.parameters or {}), "quantities": list(self.quantities),
+        }
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A candidate: an effect, two joined by +, or recalibration, no_gap, unexplained. `parameters`
+    are the numbers of its effects, `gap_over_noise` what these do, `log_evidence` [nats] over
+    recalibration."""
+
+    name: str
+    probability: float
+    stage: str = ""
+    parameters: dict[str, Estimate] = field(default_factory=dict)
+    gap_over_noise: float = math.nan
+    log_evidence: float = math.nan
+
+
+@dataclass(frozen=True)
+class Where:
+    """The place of the gap: its largest cell, all cells in `table`, stages with their
+    probabilities, the most probable first, and the blocks of the chain, each driven by what was
+    measured before it."""
+
+    signal: str
+    phase: str
+    side: str
+    stage: str
+    stages: dict[str, float] = field(default_factory=dict)
+    table: tuple[Cell, ...] = ()
+    chain: tuple[Link, ...] = ()
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter that the best model needs far from what was stated: `change` in `unit`, and in
+    standard deviations."""
+
+    name: str
+    change: float
+    unit: str
+    deviations: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where two explanations, each at its best, differ most."""
+
+    between: tuple[str, str]
+    place: Cell
+
+
+@dataclass(frozen=True)
+class LeftOver:
+    """What the model `by` leaves: nats that a smooth response would `gain`, and as far as it is no
+    noise, how much more `signal` scatters in motion than at rest and how far a single event stands
+    out, in standard deviations; `free_form`: whether the gain is more than noise gives."""
+
+    by: str
+    gain: float
+    signal: str = ""
+    ratio: float = 0.0
+    outlier: float = 0.0
+    free_form: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class DiagnosisResult:
+    """What diagnose has found, or its file holds.
+
+    Attributes:
+        candidates: the most probable first; cause: effects, empty unless the verdict is effect.
+        shrinkage: by quantity, on data that no fit saw.
+        moved, smoother: what the best model needs elsewhere than stated, and shapes of its kinetics
+            beside the cosine's; difference: of the two best; left: what the best model leaves.
+        unexplained_sign: what speaks most for a cause outside the library, "" without a sign.
+        not_compared: quantities that no record holds; findings: remarks on records and parameters.
+        path: of the result file.
+    """
+
+    template: ClassVar[str] = "diagnosis.j2"
+
+    verdict: Verdict
+    cause: tuple[str, ...]
+    candidates: tuple[Explanation, ...]
+    where: Where
+    shrinkage: dict[str, Shrinkage]
+    moved: tuple[Moved, ...] = ()
+    smoother: dict[str, Estimate] = field(default_factory=dict)
+    difference: Difference | None = None
+    left: LeftOver | None = None
+    unexplained_sign: str = ""
+    not_compared: tuple[str, ...] = ()
+    next_experiment: NextExperiment | None = None
+    findings: tuple[Finding, ...] = ()
+    path: str = "diagnosis"
+
+    @property
+    def worst_first(self) -> list[tuple[str, Shrinkage]]:
+        """Held-out quantities by what the belief misses of them, over the noise."""
+        return sorted(self.shrinkage.items(), key=lambda item: -item[1].times_noise)
+
+    @property
+    def why(self) -> tuple[str, ...]:
+        """What speaks for the verdict and against it, in sentences."""
+        return tuple(sentences(self, "why"))
+
+    @property
+    def credible(self) -> tuple[str, ...]:
+        """Names of the fewest candidates that make 90 % together."""
+        total, chosen = 0.0, []
+        for candidate in self.candidates:
+            chosen.append(candidate.name)
+            total += candidate.probability
+            if total >= SET_MASS:
+                break
+        return tuple(chosen)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:400]}>"
+
+    def __str__(self) -> str:
+        """The verdict card."""
+        return card_text(self)
+
+    def _repr_html_(self) -> str:
+        """The verdict card in a notebook."""
+        return card_html(self)
+
+    def _gap(self) -> list[dict[str, Any]]:
+        """Lines of the topic `~/gap`: the gap as a whole, and one a measured quantity."""
+        whole: dict[str, Any] = {
+            "verdict": self.verdict, "probability": f"{self.candidates[0].probability:.3f}",
+            "signal": self.where.signal, "phase": self.where.phase, "side": self.where.side,
+            "stage": self.where.stage,
+        }
+        keys = ("rmse_before", "rmse_after", "noise_floor", "fraction")
+        values = [whole, *({k: f"{getattr(s, k):.4g}" for k in keys}
+                           for s in self.shrinkage.values())]
+        return [
+            {"name": name, "is_gap": is_gap == "True", "message": message, "values": own}
+            for (name, is_gap, message), own in zip(cells(self, "gap"), values, strict=True)
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """The diagnosis result of contract section 5."""
+        first = self.candidates[0].parameters if self.candidates else {}
+        return {
+            "verdict": self.verdict,
+            "cause": list(self.cause),
+            "candidates": [
+                {**vars(c), "parameters": _numbers(c.parameters)} for c in self.candidates
+            ],
+            "credible": list(self.credible),
+            "card": card_rows(self),
+            "gap": self._gap(),
+            "where": asdict(self.where),
+            "shrinkage": {name: asdict(s) for name, s in self.shrinkage.items()},
+            "why": list(self.why),
+            "size": {
+                name: _numbers({n: e for n, e in first.items() if n.startswith(f"effect.{name}.")})
+                for name in self.cause
+            },
+            "moved": [asdict(m) for m in self.moved],
+            "smoother": _numbers(self.smoother),
+            "difference": asdict(self.difference) if self.difference else None,
+            "left": asdict(self.left) if self.left else None,
+            "unexplained_sign": self.unexplained_sign,
+            "not_compared": list(self.not_compared),
+            "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
+            "findings": [str(f) for f in self.findings],
+        }
+
+
+def _numbers(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in estimates.items()}
+
+
+@dataclass(frozen=True)
+class _File:
+    """A result file as it is written."""
+
+    verdict: Verdict
+    cause: tuple[str, ...]
+    candidates: tuple[Explanation, ...]
+    where: Where
+    shrinkage: dict[str, Shrinkage]
+    moved: tuple[Moved, ...] = ()
+    smoother: dict[str, Estimate] = field(default_factory=dict)
+    difference: Difference | None = None
+    left: LeftOver | None = None
+    unexplained_sign: str = ""
+    not_compared: tuple[str, ...] = ()
+    next_experiment: NextExperiment | None = None
+    findings: tuple[str, ...] = ()
+
+
+def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
+    """A diagnosis from what its JSON held.
+
+    Raises:
+        InputError: one line that begins with `where` and names the field.
+    """
+    if isinstance(document, dict):  # null stands for none here, for no number elsewhere
+        document = {name: value for name, value in document.items() if value is not None}
+    found = decoded(_File, document, where)
+    facts = {name: getattr(found, name) for name in _File.__dataclass_fields__}
+    findings = tuple(Finding.read(line) for line in found.findings)
+    return DiagnosisResult(**{**facts, "findings": findings, "path": where})
