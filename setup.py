@@ -51,6 +51,9 @@ REQUIRED = [
     "tornado",
 ]
 
+# Files of the package beside its Python, by their ending.
+KINDS = ("html", "css", "svg", "js", "j2")
+
 # Of `setup.py install` and `develop`, which colcon runs: setuptools' own searches the metadata of
 # everything installed first, and a Ctrl-C during that is a traceback.
 SCRIPT = f"""\
@@ -119,7 +122,7 @@ setup(
     license=MANIFEST.findtext("license"),
     python_requires=">=3.11",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "**/*.html", "**/*.css", "**/*.js", "**/*.j2"]},
+    package_data={PACKAGE: ["py.typed", *(f"**/*.{kind}" for kind in KINDS)]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

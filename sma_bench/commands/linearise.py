@@ -76,8 +76,8 @@ def run(args: SimpleNamespace) -> int:
     output_console().print()
     print_table(output_console(), names, rows, right=(2, 3))
     if args.report:
+        from sma_bench.report.composite_figures import operating_point_picture
         from sma_bench.report.page import Made, Section, Table, write_report
-        from sma_bench.report.setup_figures import operating_point_picture
 
         made = Made(args.command_line, [*filter(None, [args.params])])
         tables = [

@@ -25,7 +25,6 @@ from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import find_drives
 from sma_bench.identify.whole_model import moves
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import load_kind
 from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
@@ -286,13 +285,8 @@ def paper_page(
     return PaperPage(
         outcomes, drawn, validation is None, runs, not is_drawn,
         {name: table_rows(name, outcomes) for name in TABLES}, paper_errata(),
-        parameters if _bends(parameters) else composite_rig(parameters), notes,
-        bool(paper.given),
+        notes, bool(paper.given),
     )
-
-
-def _bends(parameters: Parameters) -> bool:
-    return load_kind(parameters) == "beam" and "front" in parameters["bench.channel_sides"]
 
 
 def _synthetic_outcomes(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
+from sma_bench.errors import InputError
 from sma_bench.estimation.observation import find_rig
 from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
@@ -14,6 +15,8 @@ from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import bending, material, simulate
 from sma_bench.physics import linear_coefficients as linear
 from sma_bench.physics.bending import Beam
+from sma_bench.physics.linearised import Linearised
+from sma_bench.physics.operating_point import Branch, OperatingPoint
 from sma_bench.records.record import Record
 from sma_bench.records.samples import drive_of
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
@@ -253,3 +256,46 @@ def _integrated_twice(strain: float, beam: Beam) -> float:
     x = np.linspace(0.0, beam.length, 401)
     slope = bending.curvature(strain, beam) * x
     return float(np.sum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x)))
+
+
+# --- E11: the linearised model, a tangent of the steady states of its branch.
+
+_AROUND = 12.0  # K
+
+
+def operating_point_picture(model: Linearised) -> Picture:
+    """Steady deflection (or its kin) over the temperature of the warmest wire, both branches, and
+    the tangent of eqs. (18) to (23)."""
+    point = model.point
+    wire = int(np.argmax(point.temperature))
+    kelvin = float(point.temperature[wire])
+    together = np.isclose(point.temperature, kelvin)
+    slope = float(model.deflection_per_kelvin[together].sum())
+    around = np.linspace(max(kelvin - _AROUND, point.parameters[
+        "environment.ambient_temperature"]), kelvin + _AROUND, 121)
+    figure, (ax,) = new_figure(height=4.2)
+    branches: tuple[tuple[Branch, str], ...] = (("heating", SECOND), ("cooling", MEASURED))
+    for branch, colour in branches:
+        steady = [_steady(point, together, t, branch) for t in around]
+        ax.plot(around, 1e3 * np.array(steady), color=colour, lw=1.6, label=f"steady, {branch}")
+    drawn = 1e3 * (point.deflection + slope * (around - kelvin))
+    here = np.abs(drawn - 1e3 * point.deflection) < 0.7 * max(np.ptp(drawn), 1e-9)
+    ax.plot(around[here], drawn[here], "--", color=MODEL, lw=1.4, label="linearised")
+    ax.plot([kelvin], [1e3 * point.deflection], "o", color=MODEL, ms=6)
+    ax.set(xlabel="temperature of the driven wires [K]", ylabel="deflection [mm]")
+    ax.legend(fontsize=8)
+    caption = (
+        f"About {point.voltage[wire]:.4g} V on the {point.branch} branch: "
+        f"{1e3 * slope:.4g} mm per kelvin of the wires that share {kelvin:.2f} K. "
+        "Data: none, computed from the parameters."
+    )
+    return Picture("linearised", "Steady states and their tangent", caption, figure)
+
+
+def _steady(point: OperatingPoint, together: np.ndarray, kelvin: float, branch: Branch) -> float:
+    temperature = np.where(together, kelvin, point.temperature)
+    try:
+        at = OperatingPoint.at_temperature(point.parameters, temperature, branch)
+    except InputError:
+        return float("nan")
+    return at.deflection

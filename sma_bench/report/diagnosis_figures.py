@@ -288,7 +288,7 @@ def gap_picture(result: Diagnosis) -> Picture:
         "clock delays and the moments of the jumps are taken off first and last; the middle is "
         "between two simulations."
     )
-    return Picture("diagnosis_where", "Where the gap lies", caption, figure, shaded=True)
+    return Picture("diagnosis_where", "Where the gap lies", caption, figure)
 
 
 def stage_picture(result: Diagnosis) -> Picture:
@@ -324,7 +324,7 @@ def stage_picture(result: Diagnosis) -> Picture:
         "that the best model leaves. An effect of the wrong stage gains in one signal what it "
         "loses in another, or little anywhere."
     )
-    return Picture("diagnosis_stages", "What each stage explains", caption, figure, shaded=True)
+    return Picture("diagnosis_stages", "What each stage explains", caption, figure)
 
 
 def _best_of_stages(result: Diagnosis) -> dict[str, tuple[str, Fit]]:

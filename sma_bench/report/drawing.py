@@ -1,11 +1,12 @@
-"""Figures: the look that all share, as data for the page's script and for a table, in the width of
-a paper's column, and on dark paper."""
+"""Figures: the look that all share, as data for the page's script and for a table, and in the width
+of a paper's column."""
 
 import base64
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple
 
@@ -104,28 +105,51 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
 
     Returns:
         Of each axes `title`, `x_label`, `marks` (vertical lines), `bands` (lowest and highest) and
-        `lines`: `label`, `colour` (#rrggbb), `dash` (pixels), `mark`, `wide`, `x` and `y`, in which
-        None is a gap.
+        `lines`: `label`, `colour` (#rrggbb), `dash` (pixels), `wide`, `x` and `y`, in which None is
+        a gap.
     """
-    curves: list[dict[str, Any]] = [
-        {"title": _title(ax), "x_label": ax.get_xlabel(), "lines": list(_lines(ax)),
-         "marks": list(_marks(ax)), "bands": list(_bands(ax))}
-        for ax in figure.axes
-    ]
-    labels = {
-        (line["colour"], str(line["dash"])): line["label"]
-        for part in reversed(curves) for line in part["lines"] if line["label"]
-    }  # fmt: skip
-    for part in curves:
-        for line in part["lines"]:
-            look = (line["colour"], str(line["dash"]))
-            line["label"] = line["label"] or labels.get(look, "")
-    return [part for part in curves if part["lines"]]
+    curves: list[dict[str, Any]] = []
+    labels: dict[str, str] = {}  # of lines alike in the axes above
+    for ax in figure.axes:
+        lines, marks = [], []
+        for line in ax.lines:
+            x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+            if line.get_transform() != ax.transData:
+                marks += [float(f"{x[0]:.6g}")] if len(set(x)) == 1 else []
+            if len(x) < 2 or line.get_transform() != ax.transData:
+                continue  # a mark on another line, or across the axes
+            x, y = thinned(x, y, MOST_POINTS)
+            style, colour = str(line.get_linestyle()), to_hex(line.get_color())
+            look = colour + style
+            labels.setdefault(look, _label(line))
+            lines.append({
+                "label": _label(line) or labels[look], "colour": colour,
+                "dash": [] if style in ("-", "None", "") else _DASHES.get(style, [2.0, 2.0]),
+                "wide": line.get_linewidth() > _WIDE, "x": [float(f"{value:.6g}") for value in x],
+                "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y],
+            })  # fmt: skip
+        if lines:
+            curves.append({
+                "title": _title(ax), "x_label": ax.get_xlabel(), "lines": lines, "marks": marks,
+                "bands": list(_bands(ax)),
+            })  # fmt: skip
+    return curves
 
 
+@cache
 def script() -> str:
-    """The script that draws them, to stand in a page."""
-    return resources.files("sma_bench.report").joinpath("curves.js").read_text(encoding="utf-8")
+    """The script that draws them, to stand in a page: the dashboard's own uPlot, and its use."""
+    own = resources.files("sma_bench.report").joinpath("curves.js").read_text(encoding="utf-8")
+    return f"{_of_dashboard('uPlot.min.js')}\n{own}"
+
+
+def plot_style() -> str:
+    """The style sheet of uPlot."""
+    return _of_dashboard("uPlot.min.css")
+
+
+def _of_dashboard(name: str) -> str:
+    return resources.files("sma_bench.dashboard").joinpath(name).read_text(encoding="utf-8")
 
 
 def policy() -> str:
@@ -155,22 +179,6 @@ _DASHES = {"--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0]}
 _WIDE = 2.0
 
 
-def _lines(ax: Axes) -> Iterator[dict[str, Any]]:
-    for line in _curves(ax):
-        x, y = (np.asarray(values, dtype=float) for values in line.get_data())
-        if len(x) < 2:
-            continue  # a mark on another line
-        x, y = thinned(x, y, MOST_POINTS)
-        mark = str(line.get_marker())
-        yield {
-            "label": _label(line), "colour": to_hex(line.get_color()), "dash": _dash(line),
-            "mark": mark if mark in "os^Dv" and line.get_markevery() else "",
-            "wide": line.get_linewidth() > _WIDE,
-            "x": [float(f"{value:.6g}") for value in x],
-            "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y],
-        }  # fmt: skip
-
-
 def _curves(ax: Axes) -> Iterator[Line2D]:
     """Lines of data; a mark across the axes is none."""
     yield from (line for line in ax.lines if line.get_transform() == ax.transData)
@@ -179,13 +187,6 @@ def _curves(ax: Axes) -> Iterator[Line2D]:
 def _label(line: Line2D) -> str:
     label = str(line.get_label())
     return "" if label.startswith("_") else label
-
-
-def _marks(ax: Axes) -> Iterator[float]:
-    for line in ax.lines:
-        x = np.asarray(line.get_xdata(), dtype=float)
-        if line.get_transform() != ax.transData and len(set(x)) == 1:
-            yield float(f"{x[0]:.6g}")
 
 
 def _bands(ax: Axes) -> Iterator[list[float]]:
@@ -197,11 +198,6 @@ def _bands(ax: Axes) -> Iterator[list[float]]:
 
 def _title(ax: Axes) -> str:
     return " ".join(f"{ax.get_title(loc='left')} {ax.get_ylabel()}".split())
-
-
-def _dash(line: Line2D) -> list[float]:
-    style = str(line.get_linestyle())
-    return [] if style in ("-", "None", "") else _DASHES.get(style, [2.0, 2.0])
 
 
 # --- A figure as a table: everything that is drawn, in plain numbers.
@@ -270,7 +266,7 @@ def _plain(value: float | str) -> str:
     return f"{float(value):.8g}" if np.isfinite(value) else ""
 
 
-# --- The same figure for a column of print, and on dark paper.
+# --- The same figure for a column of print.
 
 _INCH = 25.4  # mm
 _LEAST_FONT = 5.0
@@ -314,35 +310,3 @@ def in_column(figure: Figure, column: PaperColumn) -> Iterator[None]:
             text.set_fontsize(size)
         for legend, own in zip(legends, columns, strict=True):
             legend.set_ncols(own)
-
-
-_INK, _PAPER = "#ededed", "#121212"
-
-
-@contextmanager
-def on_dark_paper(figure: Figure) -> Iterator[None]:
-    """Letters and axes light, paper dark, colours of what is drawn as they are."""
-    inside = {text for ax in figure.axes for text in ax.texts}
-    texts = [
-        text for text in figure.findobj(Text) if isinstance(text, Text) and text not in inside
-    ]
-    spines = [spine for ax in figure.axes for spine in ax.spines.values()]
-    marks = [
-        mark for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)
-        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks())
-        for mark in (tick.tick1line, tick.tick2line)
-    ]
-    kept: list[tuple[Any, str, Any]] = [
-        *((text, "color", text.get_color()) for text in texts),
-        *((spine, "edgecolor", spine.get_edgecolor()) for spine in spines),
-        *((mark, "color", mark.get_color()) for mark in marks),
-        *((patch, "facecolor", patch.get_facecolor())
-          for patch in (figure.patch, *(ax.patch for ax in figure.axes))),
-    ]
-    try:
-        for thing, what, _ in kept:
-            thing.set(**{what: _PAPER if what == "facecolor" else _INK})
-        yield
-    finally:
-        for thing, what, value in kept:
-            thing.set(**{what: value})

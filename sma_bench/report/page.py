@@ -13,13 +13,14 @@ from datetime import UTC, datetime
 from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
+from typing import ClassVar
 
 import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from sma_bench.border import csv_cell, is_inside, printable, read_bytes, write_files
-from sma_bench.cards import Card
+from sma_bench.cards import TEMPLATES, Card
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
@@ -30,7 +31,7 @@ from sma_bench.report.drawing import (
     curves_of,
     drawn_rows,
     in_column,
-    on_dark_paper,
+    plot_style,
     policy,
     script,
 )
@@ -44,176 +45,29 @@ _PAGE = "index.html"
 _MARK = '<meta name="generator" content="sma_bench">'
 _LARGEST_PAGE = 1 << 30
 
-_TEMPLATE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="generator" content="sma_bench">
-<meta http-equiv="Content-Security-Policy" content="{{ policy }}">
-<title>{{ title }}</title>
-<style>
-:root {
-  color-scheme: light dark; --line: #8884; --soft: #8881; --accent: #1f77b4; --paper: #fff;
-  --shade: #0004;
-}
-@media (prefers-color-scheme: dark) { :root { --paper: #121212; --shade: #fff6; } }
-body {
-  background: var(--paper); font: 16px/1.5 system-ui, sans-serif; margin: 0 auto;
-  max-width: 62rem; overflow-wrap: anywhere; padding: 1rem;
-}
-h1 { font-size: 1.7rem; line-height: 1.2; margin: .5rem 0; }
-h2 { border-bottom: 1px solid var(--line); margin-top: 2.5rem; }
-/* What is too wide scrolls in itself; a shade at its edge says that there is more. */
-table, .wide {
-  background:
-    linear-gradient(to right, var(--paper) 1rem, #0000) left / 2rem 100% no-repeat local,
-    linear-gradient(to left, var(--paper) 1rem, #0000) right / 2rem 100% no-repeat local,
-    linear-gradient(to right, var(--shade), #0000) left / .6rem 100% no-repeat,
-    linear-gradient(to left, var(--shade), #0000) right / .6rem 100% no-repeat;
-  overflow-x: auto;
-}
-table { border-collapse: collapse; display: block; overflow-wrap: normal; }
-th, td { border-bottom: 1px solid var(--line); padding: .3rem .8rem; text-align: left; }
-th { vertical-align: bottom; }
-td.number, th.number { text-align: right; }
-td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
-td.short { white-space: nowrap; } td.long { min-width: 11rem; overflow-wrap: anywhere; }
-table.many { font-size: .85rem; } .many th, .many td { padding: .3rem .45rem; }
-caption { font-weight: 600; padding: .8rem 0 .3rem; text-align: left; }
-figure { margin: 1.5rem 0; } figcaption { font-size: .9rem; opacity: .85; }
-figure img { background: #fff; border-radius: 6px; display: block; height: auto; max-width: 100%; }
-.note { background: var(--soft); border-left: 4px solid var(--accent); padding: .5rem 1rem; }
-.card { background: var(--soft); border-left: 6px solid var(--accent); padding: .5rem 1rem; }
-.card p { font-size: 1.15rem; margin: .3rem 0; }
-.card dl {
-  display: grid; gap: .2rem 1rem; grid-template-columns: max-content 1fr; margin: .5rem 0;
-}
-.keep { white-space: nowrap; } .card dt { font-weight: 600; } .card dt + dd { margin: 0; }
-details { background: var(--soft); margin: .5rem 0; padding: .3rem 1rem; }
-.view canvas { display: block; height: 10rem; touch-action: pan-y; width: 100%; }
-.view .legend { display: flex; flex-wrap: wrap; font-size: .85rem; gap: 0 1rem; }
-.view canvas.swatch {
-  display: inline-block; height: 10px; margin-right: .3rem; vertical-align: middle; width: 34px;
-}
-.view .band { background: #8884; padding: 0 .4rem; }
-/* Of one width, lest the figure moves under the pointer when a value appears. */
-.view .value {
-  display: inline-block; font-variant-numeric: tabular-nums; min-width: 5.5em; padding-left: .3em;
-}
-.view .hint { font-size: .85rem; margin: .2rem 0; opacity: .85; }
-@media screen { .drawn .wide { display: none; } }
-/* Figures are drawn on white, for papers: light and dark change places, hues stay, and white
-   becomes the page's own #121212. */
-@media screen and (prefers-color-scheme: dark) {
-  figure img { filter: invert(.93) hue-rotate(180deg); }
-  figure picture img { background: none; filter: none; }
-}
-@media screen and (max-width: 44rem) {
-  th, td { padding: .25rem .5rem; } table { font-size: .9rem; }
-  body { padding: .6rem; } h1 { font-size: 1.25rem; margin: .2rem 0; } .head { margin: .3rem 0; }
-  .card { font-size: .85rem; line-height: 1.3; padding: .3rem .6rem; }
-  .card dl.tall { display: block; } .card dl.tall dd { margin: 0 0 .2rem; }
-  .card p { font-size: 1rem; } .card dl { gap: .15rem .6rem; margin: .2rem 0; }
-  .wide img { max-width: none; width: 40rem; }
-  .view .hint { min-height: 3em; }
-}
-@media print {
-  .view { display: none; }
-  :root { color-scheme: light; --paper: #fff; --shade: #0000; } table, .wide { background: none; }
-  body { font-size: 10pt; max-width: none; padding: 0; }
-  table { display: table; font-size: 8.5pt; width: 100%; } thead { display: table-header-group; }
-  th, td { padding: .15rem .4rem; } td { overflow-wrap: anywhere; }
-  td.number { white-space: nowrap; } figure, tr { break-inside: avoid; } h2 { break-after: avoid; }
-}
-</style>
-</head>
-<body>
-<h1>{{ title }}</h1>
-<p class="head">{{ summary }}</p>
-{% macro tables_of(section) -%}
-{% for table in section.tables %}
-<table{% if table.header | length > 6 %} class="many"{% endif %}>
-{% if table.title %}<caption>{{ table.title }}</caption>{% endif %}
-<thead><tr>{% for head in table.header -%}
-<th{% if loop.index0 in table.numeric %} class="number"{% endif %}>{{ head }}</th>
-{%- endfor %}</tr></thead>
-<tbody>{% for row in table.rows %}<tr>{% for cell in row -%}
-<td class="{{ 'number' if loop.index0 in table.numeric else width_of(cell) }}"
->{{ together(cell) | safe }}</td>
-{%- endfor %}</tr>
-{% endfor %}</tbody></table>
-{% endfor %}
-{% endmacro %}
-{% for section in sections %}
-{% if section.title %}<h2>{{ section.title }}</h2>
-{% endif %}
-{% if section.card %}<div class="card">
-<p><strong>{{ together(section.card.title) | safe }}</strong></p>
-<dl{% if is_tall(section.card) %} class="tall"{% endif %}>
-{% for label, text in section.card.rows %}<dt>{{ label }}</dt><dd>{{ together(text) | safe }}</dd>
-{% endfor %}</dl>
-</div>
-{% endif %}
-{% for paragraph in section.paragraphs %}<p>{{ together(paragraph) | safe }}</p>
-{% endfor %}
-{% for note in section.notes %}<p class="note">{{ together(note) | safe }}</p>
-{% endfor %}
-{% if section.folded %}<details><summary>{{ section.folded[0] }}</summary><ul>
-{% for line in section.folded[1:] %}<li>{{ together(line) | safe }}</li>
-{% endfor %}</ul></details>
-{% endif %}
-{% if not section.pictures_first %}{{ tables_of(section) }}{% endif %}
-{% for picture in section.pictures %}
-<figure{% if picture.over_time %} class="curves"{% endif %}><div class="wide" tabindex="0"
->{% if picture.shaded %}<picture><source media="screen and (prefers-color-scheme: dark)"
-srcset="data:image/png;base64,{{ picture.dark }}">{% endif -%}
-<img alt="{{ picture.title }}" src="data:image/png;base64,{{ picture.base64 }}">
-{%- if picture.shaded %}</picture>{% endif %}</div>
-<figcaption><strong>{{ picture.title }}.</strong>
-{{ together(picture.caption) | safe }}</figcaption>
-{% if picture.over_time -%}
-<script type="application/json">{{ curves_of(picture.figure) | tojson }}</script>
-{%- endif %}</figure>
-{% endfor %}
-{% if section.pictures_first %}{{ tables_of(section) }}{% endif %}
-{% endfor %}
-{% if script %}<script>{{ script | safe }}</script>
-{% endif %}</body>
-</html>
-"""
-
-
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its file name, title and caption (equation and data source).
-
-    One that is `over_time` answers to the pointer where the page may run its script; one that is
-    `shaded` has colours that mean numbers, which dark paper must not turn.
-    """
+    """A figure with its file name, title and caption (equation and data source); one that is
+    `over_time` answers to the pointer where the page may run its script."""
 
     name: str
     title: str
     caption: str
     figure: Figure
     over_time: bool = False
-    shaded: bool = False
+
+    kind: ClassVar[str] = "png"
+    mime: ClassVar[str] = "image/png"
 
     @cached_property
-    def png(self) -> bytes:
+    def content(self) -> bytes:
         """The figure as a PNG file; drawing takes its time, so it is drawn once."""
         return self._file("png")
 
     @property
     def base64(self) -> str:
-        """The PNG file as text."""
-        return base64.b64encode(self.png).decode("ascii")
-
-    @property
-    def dark(self) -> str:
-        """The same for dark paper."""
-        with on_dark_paper(self.figure):
-            return base64.b64encode(self._file("png")).decode("ascii")
+        """The file as text."""
+        return base64.b64encode(self.content).decode("ascii")
 
     def files(self, column: PaperColumn) -> dict[str, bytes]:
         """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
@@ -248,7 +102,7 @@ class Picture:
 
     def _repr_png_(self) -> bytes:
         """What a notebook shows."""
-        return self.png
+        return self.content
 
     def _file(self, kind: str, dpi: float = 130) -> bytes:
         buffer = io.BytesIO()
@@ -256,6 +110,29 @@ class Picture:
         with rc_context({"svg.fonttype": "none", "svg.hashsalt": self.name, "pdf.fonttype": 42}):
             self.figure.savefig(buffer, format=kind, dpi=dpi, metadata=dates.get(kind))
         return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawing that ships with the package as SVG."""
+
+    name: str
+    title: str
+    caption: str
+    content: bytes
+
+    over_time: ClassVar[bool] = False
+    kind: ClassVar[str] = "svg"
+    mime: ClassVar[str] = "image/svg+xml"
+
+    @property
+    def base64(self) -> str:
+        """The file as text."""
+        return base64.b64encode(self.content).decode("ascii")
+
+    def files(self, _: PaperColumn) -> dict[str, bytes]:
+        """Nothing more: it has no size of its own."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -267,7 +144,7 @@ class Section:
     paragraphs: Sequence[str] = ()
     notes: Sequence[str] = ()
     tables: Sequence[Table] = ()
-    pictures: Sequence[Picture] = field(default_factory=tuple)
+    pictures: Sequence[Picture | Drawing] = ()
     card: Card | None = None
     folded: Sequence[str] = ()
     pictures_first: bool = False
@@ -304,12 +181,12 @@ def write_report(
     pictures = [picture for section in sections for picture in section.pictures]
     files = {}
     for picture in in_turn(pictures, report, lambda p: p.title):
-        files[f"{picture.name}.png"] = picture.png
+        files[f"{picture.name}.{picture.kind}"] = picture.content
         if column is not None:
             files |= picture.files(column)
     page = _template().render(
         title=title, summary=summary, sections=sections, width_of=_width, together=_together,
-        is_tall=_is_tall, curves_of=curves_of, policy=policy(),
+        is_tall=_is_tall, curves_of=curves_of, policy=policy(), plot_style=plot_style(),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
     if column is not None:
@@ -322,10 +199,11 @@ def write_report(
 @cache
 def _template() -> jinja2.Template:
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined,
+        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True,
+        undefined=jinja2.StrictUndefined,
         finalize=lambda shown: _shown(shown) if type(shown) is str else shown,
     )
-    return environment.from_string(_TEMPLATE)
+    return environment.get_template("page.html.j2")
 
 
 def _width(cell: str) -> str:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields, replace
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
 from sma_bench.identify.result import Experiment
-from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import (
     BY_NAME,
     DSC_CYCLES,
@@ -42,8 +41,8 @@ from sma_bench.report.experiment_figures import (
     thermal_expansion_picture,
     upfr_picture,
 )
-from sma_bench.report.page import Picture, Section, Table
-from sma_bench.report.setup_figures import setup_pictures
+from sma_bench.report.page import Drawing, Picture, Section, Table
+from sma_bench.report.setup_drawings import setup_drawings
 
 # --- What the figures and tables of the paper are drawn from: records in, experiments out.
 
@@ -398,7 +397,6 @@ class PaperPage:
         composite: runs of Figs. 15 and 16; composite_synthetic: whether they are.
         tables: rows by name of TABLES.
         errata, notes: at the end and at the beginning.
-        drawn_from: parameters of the composite in Figs. 1 and 11 to 14.
         own: whether the synthetic data are of another wire than the paper's.
     """
 
@@ -409,13 +407,12 @@ class PaperPage:
     composite_synthetic: bool
     tables: Mapping[str, Sequence[Row]]
     errata: Sequence[Erratum]
-    drawn_from: Parameters
     notes: Sequence[Finding] = ()
     own: bool = False
 
-    def pictures(self) -> dict[int, list[Picture]]:
+    def pictures(self) -> dict[int, list[Picture | Drawing]]:
         """Pictures by figure number of the paper, captions with equation and data source."""
-        found: dict[int, list[Picture]] = {}
+        found: dict[int, list[Picture | Drawing]] = {}
         for number, kind, _, draw in EXPERIMENT_FIGURES:
             outcome = self.outcomes[kind]
             drawn = [draw(experiment) for experiment in outcome.experiments]
@@ -424,8 +421,7 @@ class PaperPage:
                 for k, picture in enumerate(drawn)
             ]
         found[6] = [captioned(6, self.validation, self.validation_synthetic)]
-        for number, drawing in setup_pictures(self.drawn_from).items():
-            found[number] = [replace(drawing, title=f"Fig. {number}: {drawing.title}")]
+        found |= {number: [drawing] for number, drawing in setup_drawings().items()}
         for number, draw_runs in (
             (15, composite_voltage_picture), (16, composite_deflection_picture),
         ):
@@ -450,7 +446,7 @@ class PaperPage:
         errata[0] = replace(errata[0], pictures=[errata_picture()])
         return sections + errata
 
-    def _contents(self, pictures: Mapping[int, Sequence[Picture]]) -> Section:
+    def _contents(self, pictures: Mapping[int, Sequence[Picture | Drawing]]) -> Section:
         rows = []
         equations = {number: text for number, _, text, _ in EXPERIMENT_FIGURES}
         equations |= {
@@ -463,8 +459,8 @@ class PaperPage:
                          data))
         return Section(
             "Contents", tables=[Table(("", "shows", "of", "data"), rows)],
-            paragraphs=["Figures 1 and 11 to 14 show set-ups and diagrams, drawn from the "
-                        "parameters. Tables are written as CSV, figures as PNG beside this page."],
+            paragraphs=["Figures 1 and 11 to 14 show set-ups and diagrams of the paper's own "
+                        "rigs. Tables are written as CSV, figures as PNG beside this page."],
             notes=[str(note) for note in self.notes],
         )
 

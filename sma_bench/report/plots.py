@@ -415,7 +415,7 @@ def correlation_picture(result: Identification, name: str) -> Picture | None:
         "difference than one by one. Numbers of different experiments share what the "
         "scales of their sensors may be off by."
     )
-    return Picture(name, "Which errors hang together", caption, plain(figure), shaded=True)
+    return Picture(name, "Which errors hang together", caption, plain(figure))
 
 
 def candidate_bars(result: DiagnosisResult, name: str) -> Picture:
