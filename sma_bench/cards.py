@@ -66,7 +66,7 @@ def card(result: Any, asked: Invocation | None = None, numbers: bool = False) ->
         asked: the command that made it; numbers: with a row for each, where no table has them.
     """
     (_, title), *rows = (_row(line) for line in sentences(result, "card", asked))
-    if numbers:
+    if numbers and getattr(result, "estimates", None):
         rows = [*map(_row, sentences(result, "number_lines")), *rows]
     above = ["", *(label for label, _ in rows)]
     return Card(title, tuple(

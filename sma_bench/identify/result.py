@@ -176,20 +176,18 @@ def identification_from(document: Any, where: str) -> Identification:
         InputError: one line that begins with `where` and names the field.
     """
     found = decoded(_File, document, where)
-    names = tuple(found.correlation.get("names", ()))
-    matrix = np.array(found.correlation.get("matrix", []), dtype=object)
-    if matrix.shape not in ((len(names), len(names)), (0,)):
+    names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
+    try:
+        numbers = np.array(matrix, dtype=np.float64).reshape(len(names), len(names))
+    except (TypeError, ValueError):
         raise InputError(f"{where}: damaged result: correlation of {len(names)} names is not as "
-                         "many rows and columns")
+                         "many rows and columns of numbers") from None
     estimates = {
         name: e if "informed" in document["parameters"][name] else replace(e, informed=np.nan)
         for name, e in found.parameters.items()
     }
-    try:
-        correlation = Correlation(names, matrix.reshape(len(names), -1).astype(float))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: damaged result: correlation: {error}") from None
     return Identification(
-        Parameters.defaults(), estimates, found.experiments, (), found.fit, correlation,
+        Parameters.defaults(), estimates, found.experiments, (), found.fit,
+        Correlation(tuple(map(str, names)), numbers),
         found.warnings, where,
     )

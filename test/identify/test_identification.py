@@ -54,7 +54,7 @@ def test_staircase_and_ramps_in_two_bags_give_the_whole_of_table_one(staircase, 
 
 def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     document = identify([staircase(), ramp()], DEFAULTS).to_json()
-    assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit"}
+    assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit", "card"}
     assert set(document["parameters"][R]) == {
         "value", "std", "unit", "method", "n", "statistical", "systematic", "informed",
         "warnings", "stated",
