@@ -81,7 +81,8 @@ def test_python_and_the_service_answer_the_same(staircase):
 
 def test_a_lag_of_the_thermometer_has_a_line_of_its_own(ramp, staircase):
     # Two time constants in a row: what is stated of c_p says which is the wire's.
-    stated = {"wire.specific_heat": 350.0, "uncertainty.wire.specific_heat": 20.0}
+    stated = {"wire.specific_heat": 350.0, "wire.heat_transfer_coefficient": 410.0,
+              "wire.resistance": 2.75}  # fmt: skip
     found = sma_bench.identify(ramp(lag=0.3), stated)
     lag = found.estimates[LAG]
     assert abs(lag.value - 0.3) < 3.0 * lag.std < 0.05

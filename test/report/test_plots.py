@@ -184,7 +184,7 @@ def test_records_and_models_are_compared_by_the_command(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(["--column", "wide"], "'wide', expected single, double or a width of 30 to 500 mm"),
+    [(["--column", "wide"], "--column wide"),
      (["--font", "8"], "--font is 8 pt, expected 4 to 24 pt, and --column with it"),
      ([], "1 record or model given, expected two or more")],
 )
