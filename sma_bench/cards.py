@@ -90,7 +90,7 @@ def card_rows(result: Any) -> list[list[str]]:
 def _templates(folder: Path) -> "jinja2.Environment":
     import jinja2  # a tenth of a second that only those who read a result wait for
 
-    environment = jinja2.Environment(  # noqa: S701, text for a terminal: pages escape it
+    environment = jinja2.Environment(  # noqa: S701 (no HTML: pages escape it)
         loader=jinja2.FileSystemLoader(folder), trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
         # What comes from a file begins no row and no cell of its own.
