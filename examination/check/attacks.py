@@ -7,23 +7,14 @@ warning is on that number, or it is silently wrong. Clean ones must raise no war
     ./bench check attacks [--only WORD] [--seeds 5] [--clean 50] [--processes 2] [--json FILE]
 """
 
-import argparse
-import json
-import os
 import sys
-import time
 from collections.abc import Sequence
-from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
 from examination.attack_lab.cases import ATTACKS, Attack, Case, clean_bag, clean_tables
+from examination.pieces import in_pieces, parser_of
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 
@@ -63,9 +54,13 @@ def run_attack(attack: Attack, seeds: Sequence[int]) -> list[dict[str, Any]]:
     return [judge(attack.make(np.random.default_rng(7000 + seed), seed)) for seed in seeds]
 
 
-def run_numbered(number: int, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """Of ATTACKS, by its place: what an attack does to records cannot be sent to a process."""
-    return run_attack(ATTACKS[number], seeds)
+def run_numbered(job: tuple[str, int, int]) -> Any:
+    """An attack by its place in ATTACKS, with so many seeds, or a clean set of this kind and seed:
+    what an attack does to records cannot be sent to a process."""
+    what, number, seeds = job
+    if what == "clean":
+        return run_clean((number, seeds))
+    return run_attack(ATTACKS[number], range(seeds))
 
 
 CLEAN = (clean_bag, clean_tables)
@@ -91,51 +86,37 @@ def row(attack: Attack, results: Sequence[dict[str, Any]]) -> tuple[str, int]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; 0 if nothing is silently wrong and clean records raise no alarm."""
-    options = _options(argv)
-    words = [f"{a.experiment} {a.name}" for a in ATTACKS]
-    chosen = [k for k, word in enumerate(words) if options.only.lower() in word.lower()]
-    print(f"{len(chosen)} attacks, {options.seeds} seeds each: every number right within "
-          f"{LIMIT:g} standard errors, warned of, or silently wrong\n")
-    print(ROW.format(*TITLES))
-    started, silent, document = time.monotonic(), 0, {}
-    clean = [(kind, seed) for kind in range(len(CLEAN)) for seed in range(options.clean)]
-    alarms = []
-    with get_context("spawn").Pool(options.processes) as pool:
-        attacked = pool.imap(partial(run_numbered, seeds=range(options.seeds)), chosen)
-        for number, results in zip(chosen, attacked, strict=True):
-            line, wrong = row(ATTACKS[number], results)
-            print(line, flush=True)
-            silent += wrong
-            document[words[number]] = results
-        for (kind, seed), result in zip(clean, pool.imap(run_clean, clean), strict=True):
-            wrong_here = [n for n, x in result["numbers"].items() if verdict(x) == "silent"]
-            silent += len(wrong_here)
-            if result["warnings"] or result["refused"] or wrong_here:
-                alarms.append(result)
-                print(f"clean {CLEAN[kind].__name__} {seed}:", *result["warnings"],
-                      result["refused"],
-                      *(f"{n} z {result['numbers'][n]['z']:+.1f}" for n in wrong_here),
-                      sep="\n    ", flush=True)
-    document["clean"] = alarms
-    false = sum(bool(r["warnings"] or r["refused"]) for r in alarms)
-    print(f"\nsilently wrong: {silent}; false warnings on {false} of {len(clean)} clean sets; "
-          f"{time.monotonic() - started:.0f} s")
-    if options.json:
-        Path(options.json).write_text(json.dumps(document, indent=1))
-    passed = silent == 0 and false <= FALSE_ALARMS * len(clean)
-    print("PASSED" if passed else "FAILED")
-    return 0 if passed else 1
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="bench check attacks", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = parser_of("attacks", __doc__)
     parser.add_argument("--only", default="", metavar="WORD", help="attacks with this in the name")
     parser.add_argument("--seeds", type=int, default=5, help="of each attack (default 5)")
     parser.add_argument("--clean", type=int, default=50, help="clean sets of each kind (50)")
-    parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
-    parser.add_argument("--json", metavar="FILE", help="write every number and every warning")
-    return parser.parse_args(argv)
+    options = parser.parse_args(argv)
+    words = [f"{a.experiment} {a.name}" for a in ATTACKS]
+    chosen = [k for k, word in enumerate(words) if options.only.lower() in word.lower()]
+    jobs = [("attack", k, options.seeds) for k in chosen]
+    jobs += [("clean", kind, seed) for kind in range(len(CLEAN)) for seed in range(options.clean)]
+    found = in_pieces(run_numbered, jobs, options)
+    print(f"{len(chosen)} attacks, {options.seeds} seeds each: every number right within "
+          f"{LIMIT:g} standard errors, warned of, or silently wrong\n")  # fmt: skip
+    print(ROW.format(*TITLES))
+    silent, false = 0, 0
+    for number, results in zip(chosen, found[: len(chosen)], strict=True):
+        line, wrong = row(ATTACKS[number], results)
+        print(line)
+        silent += wrong
+    for (_, kind, seed), result in zip(jobs[len(chosen) :], found[len(chosen) :], strict=True):
+        wrong_here = [n for n, x in result["numbers"].items() if verdict(x) == "silent"]
+        silent += len(wrong_here)
+        false += bool(result["warnings"] or result["refused"])
+        if result["warnings"] or result["refused"] or wrong_here:
+            print(f"clean {CLEAN[kind].__name__} {seed}:", *result["warnings"], result["refused"],
+                  *(f"{n} z {result['numbers'][n]['z']:+.1f}" for n in wrong_here),
+                  sep="\n    ")  # fmt: skip
+    clean = len(jobs) - len(chosen)
+    print(f"\nsilently wrong: {silent}; false warnings on {false} of {clean} clean sets")
+    passed = silent == 0 and false <= FALSE_ALARMS * clean
+    print("PASSED" if passed else "FAILED")
+    return 0 if passed else 1
 
 
 if __name__ == "__main__":

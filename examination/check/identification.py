@@ -7,34 +7,23 @@ simulated in this process (the physics that the simulator node steps), not over 
     ./bench check identification --draws 50 --seed 0 --json result.json
 """
 
-import argparse
-import json
 import math
-import os
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-# Two processes share the machine: linear algebra with threads of its own would only wait.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
+from examination.pieces import Z_95, in_pieces, parser_of
 from examination.simulated_lab.drawn_bench import EXACT, IDENTIFIED, draw_bench
 from examination.simulated_lab.experiments import EXPERIMENTS, record_everything
 from sma_bench.identify import identify
 from sma_bench.records import read_record
 
-PROCESSES = 2
-NOMINAL = 0.95
 BAND = (0.88, 0.99)
-Z_LIMIT = 1.959964
 
 HEADER = """\
 identification of {draws} benches drawn at random (seed {seed})
@@ -50,30 +39,9 @@ ROW = "{:44s} {:>8s} {:>6s} {:>8s}  {:12s} {:>7s}"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the campaign; 0 if the stated errors are true, 1 if not."""
-    options = _options(argv)
-    bags = ", ".join(EXPERIMENTS)
-    exact = ", ".join(EXACT)
-    print(HEADER.format(draws=options.draws, seed=options.seed, bags=bags, exact=exact))
-    started = time.monotonic()
-    results = list(_with_progress(_campaign(options.seed, options.draws), options.draws))
-    results.sort(key=lambda result: result["seed"])
-    summary = summarise(results, options.error_scale)
-    for line in table(summary):
-        print(line)
-    elapsed = time.monotonic() - started
-    print(f"\n{elapsed:.0f} s, {elapsed * PROCESSES / options.draws:.1f} s a bench and process")
-    if options.json:
-        document = {"summary": summary, "draws": results}
-        Path(options.json).write_text(json.dumps(document, indent=1))
-    return 0 if summary["passed"] else 1
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="bench check identification", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = parser_of("identification", __doc__)
     parser.add_argument("--draws", type=int, default=50, help="benches (default 50)")
     parser.add_argument("--seed", type=int, default=0, help="of the first bench (default 0)")
-    parser.add_argument("--json", metavar="FILE", help="write every estimate and the summary")
     parser.add_argument(
         "--error-scale", type=float, default=1.0, metavar="FACTOR",
         help="judge as if the stated errors were this many times as large: 0.3 must fail",
@@ -81,7 +49,14 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(argv)
     if options.draws < 1 or options.error_scale <= 0.0:
         parser.error("--draws and --error-scale must be positive")
-    return options
+    bags = ", ".join(EXPERIMENTS)
+    exact = ", ".join(EXACT)
+    print(HEADER.format(draws=options.draws, seed=options.seed, bags=bags, exact=exact))
+    results = in_pieces(run_draw, range(options.seed, options.seed + options.draws), options)
+    summary = summarise(results, options.error_scale)
+    for line in table(summary):
+        print(line)
+    return 0 if summary["passed"] else 1
 
 
 def run_draw(seed: int) -> dict[str, Any]:
@@ -106,31 +81,6 @@ def run_draw(seed: int) -> dict[str, Any]:
     return {"seed": seed, "parameters": parameters, "warnings": list(found.warnings)}
 
 
-def _campaign(seed: int, draws: int) -> Iterator[dict[str, Any]]:
-    seeds = range(seed, seed + draws)
-    if draws == 1:
-        yield run_draw(seed)
-        return
-    # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
-    with get_context("spawn").Pool(PROCESSES) as pool:
-        yield from pool.imap_unordered(run_draw, seeds)
-
-
-def _with_progress(results: Iterator[dict[str, Any]], total: int) -> Iterator[dict[str, Any]]:
-    live = sys.stderr.isatty()
-    started = time.monotonic()
-    for done, result in enumerate(results, start=1):
-        left = (time.monotonic() - started) / done * (total - done)
-        bar = "#" * round(30 * done / total)
-        text = f"[{bar:30s}] {done}/{total}, {left:.0f} s left"
-        if live:
-            sys.stderr.write("\r\033[K" + text + ("\n" if done == total else ""))
-            sys.stderr.flush()
-        elif done % 5 == 0 or done == total:
-            print(text, file=sys.stderr, flush=True)
-        yield result
-
-
 def summarise(results: Sequence[dict[str, Any]], error_scale: float = 1.0) -> dict[str, Any]:
     """Figures of every parameter and of all together.
 
@@ -149,7 +99,7 @@ def summarise(results: Sequence[dict[str, Any]], error_scale: float = 1.0) -> di
         "n": n,
         "missing": missing,
         "coverage": coverage,
-        "interval": clopper_pearson(inside, n),
+        "interval": interval_of(inside, n),
         "passed": missing == 0 and BAND[0] <= coverage <= BAND[1],
     }
 
@@ -157,23 +107,21 @@ def summarise(results: Sequence[dict[str, Any]], error_scale: float = 1.0) -> di
 def _row(results: Sequence[dict[str, Any]], name: str, error_scale: float) -> dict[str, Any]:
     found = [r["parameters"][name] for r in results if name in r["parameters"]]
     z = np.array([(p["value"] - p["truth"]) / (error_scale * p["std"]) for p in found])
-    inside = int(np.sum(np.abs(z) < Z_LIMIT))
+    inside = int(np.sum(np.abs(z) < Z_95))
     return {
         "n": len(z),
         "bias": float(z.mean()) if len(z) else math.nan,
         "rms": float(np.sqrt(np.mean(z**2))) if len(z) else math.nan,
         "inside": inside,
-        "interval": clopper_pearson(inside, len(z)),
+        "interval": interval_of(inside, len(z)),
         "gain": float(np.median([p["prior_std"] / p["std"] for p in found])) if len(z) else 0.0,
     }
 
 
-def clopper_pearson(inside: int, n: int, level: float = NOMINAL) -> tuple[float, float]:
-    """Exact interval of a share, `inside` of `n`."""
-    tail = 0.5 * (1.0 - level)
-    low = float(beta.ppf(tail, inside, n - inside + 1)) if inside else 0.0
-    high = float(beta.ppf(1.0 - tail, inside + 1, n - inside)) if inside < n else 1.0
-    return low, high
+def interval_of(inside: int, n: int) -> tuple[float, float]:
+    """Exact 95 % interval of a share (Clopper and Pearson)."""
+    low, high = binomtest(inside, n).proportion_ci(method="exact") if n else (0.0, 1.0)
+    return float(low), float(high)
 
 
 def table(summary: dict[str, Any]) -> Iterator[str]:

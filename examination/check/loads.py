@@ -12,18 +12,10 @@ when the wire cools, a room that warms and cools.
     ./bench check loads --benches 20 --seed 0 --json result.json
 """
 
-import argparse
-import json
-import os
 import sys
-import time
-from collections.abc import Iterator, Sequence
-from multiprocessing import get_context
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
@@ -38,6 +30,7 @@ from examination.blind.rigs import (
     world_of,
 )
 from examination.blind.sensors import Noise, Sensors, measure
+from examination.pieces import Z_95, in_pieces, parser_of
 from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
@@ -46,10 +39,8 @@ from sma_bench.records import Record
 
 LOADS = ("force", "spring", "antagonist")
 UNSEEN = 5
-PROCESSES = 2
 MEDIAN, TAIL = 0.02, 0.04  # of the stroke
 BAND = (0.88, 0.99)
-Z_LIMIT = 1.959964
 NOISE = {"voltage": 2e-3, "current": 5e-3, "temperature": 0.2, "deflection": 2e-5}
 MILD = {"grain_spread": (0.0, 2.0), "kinetics_smoothness": (0.0, 0.5),
         "return_point_memory": (0.0, 0.2)}  # fmt: skip
@@ -64,25 +55,7 @@ BENCHES = {"mild": MILD, "rich": MILD | RICH, "hard": MILD | HARD}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the campaign; 0 if predictions and stated errors are good enough, 1 if not."""
-    options = _options(argv)
-    started = time.monotonic()
-    jobs = [
-        (load, options.seed + k, options.kind) for k in range(options.benches)
-        for load in options.load
-    ]
-    with get_context("spawn").Pool(options.processes) as pool:
-        results = list(_told(pool.imap_unordered(try_bench, jobs), len(jobs)))
-    results.sort(key=lambda result: (LOADS.index(result["load"]), result["seed"]))
-    passed = report(results)
-    print(f"\n{len(jobs)} benches in {time.monotonic() - started:.0f} s")
-    if options.json:
-        Path(options.json).write_text(json.dumps(results, indent=1))
-    return 0 if passed else 1
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="bench check loads", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = parser_of("loads", __doc__)
     parser.add_argument("--benches", type=int, default=20, help="of each load (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="of the first bench (default 0)")
     parser.add_argument("--load", nargs="+", choices=LOADS, default=LOADS, help="which loads")
@@ -91,9 +64,10 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
             f"--{kind}", dest="kind", action="store_const", const=kind, default="mild",
             help=f"with {text}",
         )
-    parser.add_argument("--processes", type=int, default=PROCESSES, help="at a time (default 2)")
-    parser.add_argument("--json", metavar="FILE", help="write every error and estimate")
-    return parser.parse_args(argv)
+    options = parser.parse_args(argv)
+    jobs = [(load, options.seed + k, options.kind) for load in options.load
+            for k in range(options.benches)]  # fmt: skip
+    return 0 if report(in_pieces(try_bench, jobs, options)) else 1
 
 
 def try_bench(job: tuple[str, int, str]) -> dict[str, Any]:
@@ -143,16 +117,6 @@ def _error(world: World, parameters: Parameters, drive: Drive) -> float:
     return float(np.sqrt(np.mean(np.square(left))) / np.ptp(played.deflection))
 
 
-def _told(results: Iterator[dict[str, Any]], count: int) -> Iterator[dict[str, Any]]:
-    for number, result in enumerate(results, 1):
-        unseen = 100.0 * float(np.median(result["unseen"]))
-        print(
-            f"{number}/{count} {result['load']} {result['seed']}: unseen {unseen:.2f} % of stroke",
-            file=sys.stderr, flush=True,
-        )
-        yield result
-
-
 def report(results: Sequence[dict[str, Any]]) -> bool:
     """Print a line a load, and the numbers that are off; whether all is within the limits."""
     print("unseen error in % of stroke; truth in the stated 95 % interval")
@@ -164,7 +128,7 @@ def report(results: Sequence[dict[str, Any]]) -> bool:
         believed = float(np.median(np.concatenate([r["believed"] for r in own])))
         median, tail = float(np.median(unseen)), float(np.quantile(unseen, 0.9))
         inside = [
-            abs(value - true) <= Z_LIMIT * std
+            abs(value - true) <= Z_95 * std
             for r in own for value, std, true, _ in r["estimates"].values() if std > 0.0
         ]
         share = float(np.mean(inside))
@@ -185,7 +149,7 @@ def _print_numbers(results: Sequence[dict[str, Any]]) -> None:
         rows = np.array([r["estimates"][name] for r in results if name in r["estimates"]])
         rows = rows[rows[:, 1] > 0.0]
         z = (rows[:, 0] - rows[:, 2]) / rows[:, 1]
-        inside = np.abs(z) <= Z_LIMIT
+        inside = np.abs(z) <= Z_95
         print(
             f"{name:44s}{100 * inside.mean():8.0f}{np.sqrt(np.mean(z**2)):8.2f}"
             f"{np.median(rows[:, 3]):10.2f}"

@@ -10,7 +10,6 @@ cannot be; no exception, no warning of a library, and no "nothing to identify".
 A piece is `--draws 50 --seed 100`: draw k is the same whatever it is drawn beside.
 """
 
-import argparse
 import json
 import math
 import time
@@ -19,12 +18,12 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import sma_bench
+from examination.pieces import in_pieces, parser_of
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BENDING, HEAT, LOADS, MATERIAL, TEMPERATURES
 from sma_bench.parameters import Parameters
@@ -41,22 +40,17 @@ FINE, REFUSED, HIDDEN, RAISED = "finite", "refused", "nothing to identify", "exc
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw and try; 0 if nothing failed, 1 if something did."""
-    parser = argparse.ArgumentParser(prog="bench check rigs", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = parser_of("rigs", __doc__)
     parser.add_argument("--draws", type=int, default=20, help="how many rigs (default 20)")
     parser.add_argument("--seed", type=int, default=0, help="of the first rig (default 0)")
-    parser.add_argument("--json", metavar="FILE", help="write every outcome")
     options = parser.parse_args(argv)
-    found = []
-    for seed in range(options.seed, options.seed + options.draws):
-        found.append(try_rig(seed))
-        said = ", ".join(f"{work} {found[-1][work]}" for work in WORK)
-        print(f"{seed}: {found[-1]['load']}: {said} ({found[-1]['seconds']:.0f} s)", flush=True)
+    found = in_pieces(try_rig, range(options.seed, options.seed + options.draws), options)
+    for one in found:
+        said = ", ".join(f"{work} {one[work]}" for work in WORK)
+        print(f"{one['seed']}: {one['load']}: {said} ({one['seconds']:.0f} s)")
         for work in WORK:
-            if found[-1][work] != FINE:
-                print(f"    {work}: {found[-1][f'{work} said']}", flush=True)
-    if options.json:
-        Path(options.json).write_text(json.dumps(found, indent=1))
+            if one[work] != FINE:
+                print(f"    {work}: {one[f'{work} said']}")
     print(table(found))
     return 0 if all(one[work] in (FINE, REFUSED) for one in found for work in WORK) else 1
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from examination import pieces
 from examination.check import identification as campaign
 
 
@@ -44,13 +45,6 @@ def test_a_missing_estimate_fails():
     assert summary["parameters"]["wire.resistance"]["n"] == 49
 
 
-def test_clopper_pearson_is_the_exact_interval():
-    # 47 of 50: the table of Clopper and Pearson (1934), continued.
-    assert campaign.clopper_pearson(47, 50) == pytest.approx((0.8345, 0.9875), abs=1e-4)
-    assert campaign.clopper_pearson(50, 50)[1] == 1.0
-    assert campaign.clopper_pearson(0, 50)[0] == 0.0
-
-
 @pytest.mark.slow
 def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
     from examination.simulated_lab.instruments import Instruments
@@ -64,10 +58,26 @@ def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
     assert "not over DDS" in out
     assert "wire.mass, wire.surface_area, wire.diameter" in out
     assert "1/1" in err
-    results = json.loads(file.read_text())["draws"]
+    results = [*json.loads(file.read_text()).values()]
     summary = campaign.summarise(results)
     assert summary["missing"] == 0
     assert summary["n"] == 17
     assert summary["coverage"] > 0.75
     # The same errors, stated ten times too small, are caught.
     assert campaign.summarise(results, error_scale=0.1)["coverage"] < 0.6
+
+
+def halved(job):
+    return job[1] / 2
+
+
+def test_a_check_in_pieces_goes_on_where_it_was_left(tmp_path, capsys):
+    file = tmp_path / "kept.json"
+    options = pieces.parser_of("halves", None).parse_args(["--processes", "1", "--json", str(file)])
+    jobs = [("a", 4), ("b", 6)]
+    file.write_text(json.dumps({str(jobs[0]): 7.0}))
+    assert pieces.in_pieces(halved, jobs, options) == [7.0, 3.0]
+    assert json.loads(file.read_text()) == {str(jobs[0]): 7.0, str(jobs[1]): 3.0}
+    options.processes = 2
+    file.unlink()
+    assert pieces.in_pieces(halved, jobs, options) == [2.0, 3.0]
