@@ -162,7 +162,8 @@ def judge(bag: NumberedBag, copy: Path, whole: set[int]) -> Verdict:
         return Verdict(f"{type(error).__name__}: {error!s:.80}")
     found = numbers_in(record)
     right = {number for number, value in found.items() if value == number}
-    stated = any(finding.severity != "info" for finding in record.findings)
+    # A number that became NaN is one that was not measured, of which there is an info.
+    stated = any(f.severity != "info" or "nan" in f.numbers for f in record.findings)
     if missed := whole - right:
         return Verdict(f"{len(missed)} messages before the damage not read, {min(missed)} first")
     # What was read with another stamp is altered too.

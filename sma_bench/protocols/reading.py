@@ -199,13 +199,18 @@ def parse_levels(
         once += _segments(step, number, parameters, quantity, where)
         _require_count(len(once), where)
     _require_count(len(once) * times, where)
-    _require_length(sum(segment.duration for segment in once) * times, where)
+    seconds = sum(segment.duration for segment in once) * times
+    if seconds > MAXIMUM_SECONDS:
+        raise InputError(f"{where}: lasts {seconds:g} s, expected at most {MAXIMUM_SECONDS:g} s")
+    load = _text(document, "load", where)
+    if load and load not in LOAD_KINDS:
+        raise InputError(f"{where}: load is {load!r}, expected {', '.join(LOAD_KINDS)}")
     protocol = Protocol(
         name=_text(document, "name", where) or name,
         channels=quantity.targets(parameters)[0],
         segments=tuple(_numbered(once, times)),
         description=_text(document, "description", where),
-        load=_load(document, where),
+        load=load,
         rest=quantity.rest(parameters),
     )
     if protocol.pulls and (protocol.load != "force" or protocol.waits):
@@ -213,13 +218,6 @@ def parse_levels(
             f"{where}: a step has a force, expected load: force beside the steps, and no until"
         )
     return protocol
-
-
-def _load(document: Any, where: str) -> str:
-    load = _text(document, "load", where)
-    if load and load not in LOAD_KINDS:
-        raise InputError(f"{where}: load is {load!r}, expected {', '.join(LOAD_KINDS)}")
-    return load
 
 
 def _folder(quantity: Quantity) -> Path:
@@ -255,12 +253,23 @@ def locate(name_or_path: str | Path, quantity: Quantity) -> Path:
 def _segments(
     step: Any, number: int, parameters: Parameters, quantity: Quantity, where: str
 ) -> list[Segment]:
+    """The straight segments of one step."""
     where = f"{where}: step {number}"
     if not isinstance(step, dict):
         raise InputError(f"{where}: is {step!r}, expected a mapping with a kind")
     name = _text(step, "name", where) or str(step.get("kind"))
     where = f"{where} ({name})"
-    kind = _kind(step, where)
+
+    # Its kind, and the numbers that such a step has.
+    if not isinstance(step.get("kind"), str) or step["kind"] not in KINDS:
+        raise InputError(
+            f"{where}: kind is {step.get('kind')!r}, expected one of {', '.join(KINDS)}"
+        )
+    kind = KINDS[step["kind"]]
+    required = (*kind.levels, *kind.seconds)
+    _require_keys(step, (*STEP_KEYS, *required), required, where)
+    if not kind.drives and "drive" in step:
+        raise InputError(f"{where}: drive: a {step['kind']} drives nothing")
     numbers = {key: _number(step, key, quantity.unit, where) for key in kind.levels}
     numbers |= {key: _number(step, key, "s", where) for key in kind.seconds}
     for key in kind.seconds:
@@ -268,6 +277,8 @@ def _segments(
             raise InputError(f"{where}: {key} is {numbers[key]:g} s, expected more than 0")
     for key in kind.levels:
         quantity.require(key, numbers[key], parameters, where)
+
+    # Its lines, of the channels that it drives.
     scale = Scale(quantity.unit, quantity.rest(parameters))
     try:
         lines = kind.lines(numbers, scale)
@@ -277,20 +288,26 @@ def _segments(
     _require_count(len(lines) * times, where)
     driven = _driven(step, kind, quantity.targets(parameters), where)
     until = _until(step["until"], kind, parameters, where) if "until" in step else None
-    segments = [_segment(name, line, driven, scale.rest, until) for line in lines]
-    if "force" in step:
-        segments = [_pulled(step, segments, where)]
-    return _numbered(segments, times)
-
-
-def _pulled(step: dict[str, Any], segments: list[Segment], where: str) -> Segment:
-    force = _number(step, "force", "N", where)
-    if not 0.0 <= force <= _LARGEST_FORCE or len(segments) > 1:
-        raise InputError(
-            f"{where}: force is {force:g} N, expected 0 to {_LARGEST_FORCE:g} N in a step of one "
-            "line"
+    segments = [
+        Segment(
+            step=f"{name} {label}".strip(),
+            duration=duration,
+            start=tuple(start if on else scale.rest for on in driven),
+            stop=tuple(stop if on else scale.rest for on in driven),
+            until=until,
         )
-    return replace(segments[0], step=f"{segments[0].step} to {force:g} N", force=force)
+        for label, duration, start, stop in lines
+    ]
+    if "force" in step:
+        force = _number(step, "force", "N", where)
+        if not 0.0 <= force <= _LARGEST_FORCE or len(segments) > 1:
+            raise InputError(
+                f"{where}: force is {force:g} N, expected 0 to {_LARGEST_FORCE:g} N in a step of "
+                "one line"
+            )
+        own = segments[0]
+        segments = [replace(own, step=f"{own.step} to {force:g} N", force=force)]
+    return _numbered(segments, times)
 
 
 def _until(given: Any, kind: StepKind, parameters: Parameters, where: str) -> Until:
@@ -321,31 +338,6 @@ def _until(given: Any, kind: StepKind, parameters: Parameters, where: str) -> Un
     if not any((*found.values(), names[settled])):
         raise InputError(f"{where}: says nothing, expected {', '.join(_THRESHOLDS)} or settled")
     return Until(found["above"], found["below"], names[settled], over)
-
-
-def _kind(step: dict[str, Any], where: str) -> StepKind:
-    kind = step.get("kind")
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"{where}: kind is {kind!r}, expected one of {', '.join(KINDS)}")
-    row = KINDS[kind]
-    required = (*row.levels, *row.seconds)
-    _require_keys(step, (*STEP_KEYS, *required), required, where)
-    if not row.drives and "drive" in step:
-        raise InputError(f"{where}: drive: a {kind} drives nothing")
-    return row
-
-
-def _segment(
-    name: str, line: Line, driven: tuple[bool, ...], rest: float, until: Until | None
-) -> Segment:
-    label, duration, start, stop = line
-    return Segment(
-        step=f"{name} {label}".strip(),
-        duration=duration,
-        start=tuple(start if on else rest for on in driven),
-        stop=tuple(stop if on else rest for on in driven),
-        until=until,
-    )
 
 
 def _numbered(segments: list[Segment], times: int) -> list[Segment]:
@@ -434,11 +426,6 @@ def _require_keys(
 def _require_count(segments: int, where: str) -> None:
     if segments > MAXIMUM_SEGMENTS:
         raise InputError(f"{where}: more than {MAXIMUM_SEGMENTS} segments")
-
-
-def _require_length(seconds: float, where: str) -> None:
-    if seconds > MAXIMUM_SECONDS:
-        raise InputError(f"{where}: lasts {seconds:g} s, expected at most {MAXIMUM_SECONDS:g} s")
 
 
 def _number(step: Mapping[str, Any], key: str, unit: str, where: str) -> float:

@@ -109,7 +109,8 @@ def _take_columns(samples: Samples, batches: list[cdr.Batch], budget: Budget) ->
         for batch in batches:
             names, found = batch.texts["name"] if joint else ("",), batch.columns[name]
             if joint in names and names.index(joint) < found.shape[1]:
-                values[batch.rows] = found[:, names.index(joint)]
+                with np.errstate(invalid="ignore"):  # a NaN of another kind than Python's
+                    values[batch.rows] = found[:, names.index(joint)]
         return values
 
     if samples.type == contract.STRING:
