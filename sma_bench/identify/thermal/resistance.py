@@ -94,8 +94,10 @@ def identify_resistance(
         findings.append(Finding(
             "warning" if noticed else "info", PARAMETER,
             f"{heating:.4f} ohm heating, {cooling:.4f} ohm cooling: they differ by "
-            f"{difference:+.4f} +- {error:.4f} ohm" + "; R depends on the phase" * noticed,
-            {"difference": difference, "difference_std": error},
+            f"{difference:+.4f} +- {error:.4f} ohm ({100.0 * difference / heating:+.2f} %)"
+            + "; the resistance depends on the phase or on the temperature" * noticed,
+            {"heating": heating, "cooling": cooling, "difference": difference,
+             "difference_std": error},
         ))
         if abs(difference) > 2.0 * error:
             ohm, std = heating, math.hypot(float(each.std[2]), 0.5 * difference)
@@ -113,8 +115,9 @@ def identify_resistance(
         std = math.hypot(std, bend / math.sqrt(12.0))  # of a slope uniform over its range
         findings.append(Finding(
             "warning", PARAMETER,
-            f"voltage over current is bent: the slope changes by {bend:+.4f} +- {error:.4f} ohm "
-            f"({100.0 * bend / ohm:+.1f} %); R depends on phase or temperature",
+            f"voltage over current is not a straight line: its slope changes by {bend:+.4f} +- "
+            f"{error:.4f} ohm ({100.0 * bend / ohm:+.1f} %); the resistance depends on the phase "
+            "or on the temperature",
             {"slope_change": bend, "slope_change_std": error},
         ))
     offset, offset_std = -intercept / ohm, details["intercept"].std / ohm
