@@ -21,19 +21,17 @@ LONGEST_FILE = 600
 
 # Every room (folder or file of the package) and the rooms that it may import.
 LEAVES = {
-    "errors", "border", "findings", "compiled", "progress", "lifeline", "worker_pool", "drawn",
-    "installation",
+    "errors", "border", "findings", "compiled", "progress", "lifeline", "drawn", "installation",
 }
 ARROWS = {
     "errors": set(),
     "border": {"errors"},
     "findings": set(),
     "drawn": set(),  # is given its room from above: what does not plot does not depend on it
-    "compiled": {"lifeline"},
+    "compiled": set(),
     "progress": set(),
     "lifeline": set(),
     "installation": {"errors"},
-    "worker_pool": {"errors", "lifeline", "installation"},
     "parameters": LEAVES,
     "protocols": LEAVES | {"parameters"},
     "physics": LEAVES | {"parameters"},

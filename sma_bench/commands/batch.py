@@ -15,10 +15,10 @@ from sma_bench.commands.terminal import (
 )
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
+from sma_bench.lifeline import interrupts_held
 from sma_bench.parameters import write_parameters
 from sma_bench.progress import counted
 from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
-from sma_bench.worker_pool import interrupts_held
 
 _BAD_INPUT = 2
 

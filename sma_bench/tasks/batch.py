@@ -1,16 +1,28 @@
 """Many records, each by itself: a task, and what came of it."""
 
+import logging
+import os
+import re
 import time
-from collections.abc import Generator, Sequence
-from contextlib import closing
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any
 
+import joblib
+from joblib.externals.loky import get_reusable_executor
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
+from sma_bench.lifeline import end_after, interrupts_held
 from sma_bench.parameters import Parameters
-from sma_bench.worker_pool import Lost, over_cluster, over_processes
 
 IDENTIFY, DIAGNOSE = "identify", "diagnose"
+
+_MOST_JOBS = 1024
+_CONNECTING = "4s"
 
 
 @dataclass(frozen=True)
@@ -79,22 +91,91 @@ def _diagnose(task: Task) -> tuple[dict[str, Any], Parameters]:
 _WORK = {IDENTIFY: _identify, DIAGNOSE: _diagnose}
 
 
-
 def do_tasks(
     tasks: Sequence[Task], jobs: int, cluster: str | None = None
 ) -> Generator[tuple[int, Outcome], None, None]:
     """(index of the task, outcome) as soon as each is done.
 
     Args:
-        jobs: processes of this machine.
-        cluster: address of the dask scheduler whose workers do them instead.
+        jobs: processes of this machine, which end with this one.
+        cluster: address of the dask scheduler whose workers do them instead; they have this
+            package installed and see files under the same paths.
+
+    Raises:
+        InputError: jobs out of range; no such cluster, or it is lost.
     """
-    if cluster:
-        done = over_cluster(run_task, tasks, cluster)
-    else:
-        done = over_processes(run_task, tasks, jobs)
-    with closing(done):
-        for k, found in done:
-            if isinstance(found, Lost):
-                found = Outcome(tasks[k].path, error=f"{tasks[k].path}: {found.why}")
-            yield k, found
+    if not 1 <= jobs <= _MOST_JOBS:
+        raise InputError(f"jobs {jobs}: expected 1 to {_MOST_JOBS}")
+    where = _on_cluster(cluster) if cluster else _on_processes()
+    left = dict(enumerate(tasks))
+    with where:
+        try:
+            for k, outcome in _side_by_side(left.items(), jobs):
+                del left[k]
+                yield k, outcome
+        except TerminatedWorkerError:  # by the one that hangs or takes all memory, whichever it is
+            for k, task in list(left.items()):
+                yield k, _alone(task)
+
+
+def _side_by_side(
+    tasks: Iterable[tuple[int, Task]], jobs: int
+) -> Generator[tuple[int, Outcome], None, None]:
+    work = (joblib.delayed(_numbered)(k, task) for k, task in tasks)
+    resource_tracker.ensure_running()  # its own start would let interrupts through
+    with interrupts_held():  # a process that just begins would answer with a traceback
+        done = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(work)
+    yield from done
+
+
+def _numbered(k: int, task: Task) -> tuple[int, Outcome]:
+    return k, run_task(task)
+
+
+def _alone(task: Task) -> Outcome:
+    """With a process of its own: if that is killed as well, it is this task's doing."""
+    try:
+        executor = get_reusable_executor(1, initializer=end_after, initargs=(os.getpid(),))
+        with interrupts_held():
+            done = executor.submit(run_task, task)
+        return done.result()
+    except TerminatedWorkerError:
+        return Outcome(task.path, error=f"{task.path}: its process was killed (out of memory?)")
+
+
+def _on_processes() -> AbstractContextManager[Any]:
+    return joblib.parallel_config("loky", initializer=end_after, initargs=(os.getpid(),))
+
+
+@contextmanager
+def _on_cluster(address: str) -> Iterator[None]:
+    """The workers of a dask scheduler, for joblib."""
+    if not re.fullmatch(r"(tcp|tls|ws|wss)://[^/\s]+:\d+", address):
+        raise InputError(f"--dask {address}: expected tcp://HOST:PORT (or tls, ws, wss)")
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            "a cluster needs dask.distributed, which is not installed: pip install distributed"
+        ) from None
+    logging.disable()  # what goes wrong is said in one line; their own accounts of it have hundreds
+    try:
+        with distributed.Client(address, timeout=_CONNECTING, set_as_default=False) as client:
+            for worker, version in client.run(_version, on_error="return").items():
+                if version != VERSION:
+                    raise InputError(f"dask worker {worker}: {version}, expected {VERSION}")
+            if not client.nthreads():
+                raise InputError(f"dask scheduler {address}: has no workers")
+            with joblib.parallel_config("dask", client=client):
+                yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"dask scheduler {address}: {reason}") from None
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _version() -> str:
+    return VERSION
