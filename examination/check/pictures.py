@@ -57,7 +57,8 @@ COLOURS = 128
 SHOWN_AT, PERIOD = 58.0, 0.02  # s of the protocol
 
 # Picture: page, window, scheme, element (the window where none), and the code that draws it.
-_DASHBOARD, _REPORT = ("sma_bench/dashboard/*",), ("sma_bench/report/*", "sma_bench/cards.py")
+_DASHBOARD = ("sma_bench/dashboard/*",)
+_REPORT = ("sma_bench/report/*", "sma_bench/cards.py", "sma_bench/templates/*")
 PICTURES: dict[str, tuple[str, tuple[int, int], str, str, tuple[str, ...]]] = {
     "dashboard.png": ("dashboard", DESKTOP, "light", "", _DASHBOARD),
     "dashboard_phone.png": ("dashboard", PHONE, "dark", "", _DASHBOARD),

@@ -18,13 +18,12 @@ from sma_bench.parameters.table import TABLE
 from sma_bench.progress import Report, silent
 from sma_bench.records import Record, describe, open_record
 from sma_bench.records.open import AnyRecord
+from sma_bench.report.diagnosis_figures import candidate_picture, chain_picture
 from sma_bench.report.drawing import PaperColumn
 from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.report.page import Made, Section, digest, versions, write_report
 from sma_bench.report.plots import (
     agreement_picture,
-    candidate_bars,
-    chain_picture,
     correlation_picture,
     record_picture,
 )
@@ -249,7 +248,7 @@ def _told(result: Identification, name: str) -> tuple[float, float] | None:
 def diagnose_section(result: DiagnosisResult, name: str) -> Section:
     """Candidates, where, and how far the gap shrinks."""
     tables = [replace(t, name=f"{name}_{t.name}") for t in diagnosis_tables(result).values()]
-    pictures = [candidate_bars(result, f"{name}_candidates")]
+    pictures = [candidate_picture(result, f"{name}_candidates")]
     if result.where.chain:
         pictures.append(chain_picture(result, f"{name}_chain"))
     findings = [str(f) for f in result.findings]

@@ -1,6 +1,6 @@
 """Figures of a diagnosis: signals, where the gap lies, candidates, evidence, what is missing."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
-from sma_bench.diagnose.result import Cell
+from sma_bench.diagnose.result import Cell, DiagnosisResult
 from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, locate, sample_noise
 from sma_bench.estimation.observation import QUANTITIES, BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
@@ -29,9 +29,11 @@ from sma_bench.report.drawing import (
     legend_above,
     new_figure,
     noise_band,
+    plain,
     plain_axes,
 )
 from sma_bench.report.page import Picture
+from sma_bench.report.tables import LEAST_SHOWN
 from sma_bench.results import scale_of
 
 Array = NDArray[np.float64]
@@ -43,7 +45,6 @@ STAGE_COLOURS = {
 _TWO_STAGES = "#4a4a4a"
 _RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
 _MOST_BARS = 10
-_LEAST_SHOWN = 0.005
 _LINEAR = 3.0  # nats, within which the axis of evidence is linear
 _FEW_DECADES = 200.0  # nats up to which there is a tick every half decade
 _AS_BAD = 20.0  # nats below recalibration, where bars are cut
@@ -59,27 +60,48 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
     return pictures
 
 
-def candidate_picture(result: Diagnosis) -> Picture:
+def candidate_picture(
+    result: DiagnosisResult, name: str = "diagnosis_candidates"
+) -> Picture:
     """Probabilities of the candidates."""
     shown = [
-        c for k, c in enumerate(result.decision.candidates)
-        if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= _LEAST_SHOWN)
+        c for k, c in enumerate(result.candidates)
+        if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)
     ]
     figure, (ax,) = new_figure(height=1.2 + 0.32 * len(shown))
-    credible = set(result.credible)
     place = np.arange(len(shown))[::-1]
-    colours = [_colour(c.effects) for c in shown]
-    ax.barh(place, [c.probability for c in shown], color=colours, height=0.7)
+    stages = [[part for part in c.stage.split(JOIN) if part] for c in shown]
+    ax.barh(place, [c.probability for c in shown], color=list(map(_colour, stages)), height=0.7)
     for y, c in zip(place, shown, strict=True):
         ax.text(c.probability + 0.01, y, f"{c.probability:.3f}", va="center", fontsize=8)
-    ax.set_yticks(place, [f"{c.name} *" if c.name in credible else c.name for c in shown])
+    ax.set_yticks(
+        place, [f"{c.name} *" if c.name in result.credible else c.name for c in shown], fontsize=8
+    )
     ax.set(xlabel="probability", xlim=(0.0, 1.12))
-    _stage_legend(ax, [c.effects for c in shown if c.effects])
+    _stage_legend(ax, filter(None, stages))
     caption = (
         "They sum to 1 over all effects, their pairs, and three rivals that name no effect. "
         "Marked *: the fewest that make 90 % together."
     )
-    return Picture("diagnosis_candidates", "Candidates", caption, figure)
+    return Picture(name, "Candidates", caption, plain(figure))
+
+
+def chain_picture(result: DiagnosisResult, name: str) -> Picture:
+    """The gap of every block of the chain."""
+    chain = result.where.chain
+    figure, (ax,) = new_figure(height=1.2 + 0.4 * len(chain))
+    place = np.arange(len(chain))[::-1]
+    gap = np.array([link.gap for link in chain])
+    low, high = np.array([link.ci90 for link in chain]).T
+    ax.errorbar(gap, place, xerr=np.maximum([gap - low, high - gap], 0.0), fmt="o", color=MEASURED,
+                capsize=4)  # fmt: skip
+    ax.axvline(0.0, color=FAINT, lw=0.8)
+    ax.axvline(1.0, color=SECOND, lw=0.8, ls="--")
+    ax.set_yticks(place, [link.block for link in chain], fontsize=8)
+    ax.set_ylim(-0.6, len(chain) - 0.4)
+    ax.set_xlabel("gap over noise, 90 % interval")
+    caption = "Each block of the model driven by what was measured before it; dashed: the noise."
+    return Picture(name, "Where the chain breaks", caption, plain(figure))
 
 
 def evidence_picture(result: Diagnosis) -> Picture:
@@ -95,9 +117,11 @@ def evidence_picture(result: Diagnosis) -> Picture:
     ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
     figure, (ax,) = new_figure(height=1.2 + 0.28 * len(ranked))
     place = np.arange(len(ranked))[::-1]
-    effects = [[part for part in n.split(JOIN) if part in EFFECTS] for n in ranked]
-    ax.barh(place, [gains[n] for n in ranked], color=[_colour(e) for e in effects], height=0.7)
-    _stage_legend(ax, effects)
+    stages = [
+        list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS)) for n in ranked
+    ]
+    ax.barh(place, [gains[n] for n in ranked], color=list(map(_colour, stages)), height=0.7)
+    _stage_legend(ax, filter(None, stages))
     left, right = max(min(gains.values()), -_AS_BAD), 1.5 * max(*gains.values(), _LINEAR)
     ax.set_xscale("symlog", linthresh=_LINEAR)
     ax.set_xlim(left, right)
@@ -237,18 +261,14 @@ def _error(ax: Axes, result: Diagnosis, row: tuple[BinnedSignal, Array, Array]) 
     ax.plot(signal.time, factor * signal.value - new, color=MODEL, lw=1.0)
 
 
-def _colour(effects: Sequence[str]) -> str:
-    stages = {EFFECTS[name].stage for name in effects}
+def _colour(stages: Sequence[str]) -> str:
     if not stages:
         return FAINT
-    return STAGE_COLOURS[stages.pop()] if len(stages) == 1 else _TWO_STAGES
+    return STAGE_COLOURS[stages[0]] if len(stages) == 1 else _TWO_STAGES
 
 
-def _stage_legend(ax: Axes, effects: Sequence[Sequence[str]]) -> None:
-    shown = {}
-    for names in effects:
-        stages = dict.fromkeys(EFFECTS[name].stage for name in names)
-        shown[" and ".join(stages)] = _colour(names)
+def _stage_legend(ax: Axes, stages: Iterable[Sequence[str]]) -> None:
+    shown = {" and ".join(own): _colour(own) for own in stages}
     for label, colour in shown.items():
         ax.barh([0.0], [0.0], color=colour, label=label)
     if shown:

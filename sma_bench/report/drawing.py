@@ -94,6 +94,14 @@ def legend_above(ax: Axes) -> None:
     )
 
 
+def plain(figure: Figure) -> Figure:
+    """Names from files are no formulas: a dollar sign stays one."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_parse_math(False)
+    return figure
+
+
 # --- Figures over time that answer to the pointer: their lines as data, and the script.
 
 MOST_POINTS = 1000

@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.result import DiagnosisResult
 from sma_bench.errors import InputError
 from sma_bench.identify import Identification
 from sma_bench.physics import Simulation
@@ -24,7 +22,6 @@ from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay
 from sma_bench.records.tensile import TensileRecord
 from sma_bench.report.diagnosis_figures import (
-    STAGE_COLOURS,
     candidate_picture,
     evidence_picture,
     gap_picture,
@@ -37,11 +34,11 @@ from sma_bench.report.drawing import (
     FAINT,
     MEASURED,
     MODEL,
-    SECOND,
     drawable,
     legend_above,
     line_style,
     new_figure,
+    plain,
     plain_axes,
     thinned,
 )
@@ -249,14 +246,6 @@ def _loops(
     return Picture(name, title, source, plain(figure))
 
 
-def plain(figure: Figure) -> Figure:
-    """Names from files are no formulas: a dollar sign stays one."""
-    for text in figure.findobj(Text):
-        assert isinstance(text, Text)
-        text.set_parse_math(False)
-    return figure
-
-
 # --- Simulations, and records and models over each other.
 
 _STATES: dict[str, tuple[str, float, Callable[[Simulation], Array]]] = {
@@ -345,8 +334,6 @@ def _overlay_signal(upper: Axes, lower: Axes, found: Overlay, signal: str) -> No
 
 # --- Results of `identify` and `diagnose`.
 
-_LEAST_SHOWN = 0.005
-_MOST_BARS = 12
 _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
 
 
@@ -416,36 +403,3 @@ def correlation_picture(result: Identification, name: str) -> Picture | None:
         "scales of their sensors may be off by."
     )
     return Picture(name, "Which errors hang together", caption, plain(figure))
-
-
-def candidate_bars(result: DiagnosisResult, name: str) -> Picture:
-    """Probabilities, from a result file."""
-    shown = [c for c in result.candidates if c.probability >= _LEAST_SHOWN][:_MOST_BARS]
-    figure, (ax,) = new_figure(height=1.2 + 0.32 * max(len(shown), 1))
-    place = np.arange(len(shown))[::-1]
-    colours = [STAGE_COLOURS.get(c.stage, FAINT) for c in shown]
-    ax.barh(place, [c.probability for c in shown], color=colours, height=0.7)
-    for y, c in zip(place, shown, strict=True):
-        label = f"{c.probability:.3f}" + (f"  {c.stage}" if c.stage else "")
-        ax.text(c.probability + 0.01, y, label, va="center", fontsize=8)
-    ax.set_yticks(place, [c.name for c in shown], fontsize=8)
-    ax.set(xlabel="probability", xlim=(0.0, 1.3), xticks=np.linspace(0.0, 1.0, 6))
-    return Picture(name, "Candidates", f"From {result.path}.", plain(figure))
-
-
-def chain_picture(result: DiagnosisResult, name: str) -> Picture:
-    """The gap of every block of the chain."""
-    chain = result.where.chain
-    figure, (ax,) = new_figure(height=1.2 + 0.4 * len(chain))
-    place = np.arange(len(chain))[::-1]
-    gap = np.array([link.gap for link in chain])
-    low, high = np.array([link.ci90 for link in chain]).T
-    error = np.maximum([gap - low, high - gap], 0.0)
-    ax.errorbar(gap, place, xerr=error, fmt="o", color=MEASURED, capsize=4)
-    ax.axvline(0.0, color=FAINT, lw=0.8)
-    ax.axvline(1.0, color=SECOND, lw=0.8, ls="--")
-    ax.set_yticks(place, [link.block for link in chain], fontsize=8)
-    ax.set_ylim(-0.6, len(chain) - 0.4)
-    ax.set_xlabel("gap over noise, 90 % interval")
-    caption = "Each block of the model driven by what was measured before it; dashed: the noise."
-    return Picture(name, "Where the chain breaks", caption, plain(figure))
