@@ -237,7 +237,7 @@ def _lab(alloy: Alloy) -> Parameters:
 
 def _unknown_alloy() -> Parameters:
     """A lab that has bought a wire "of 70 degrees"."""
-    return Parameters.defaults().replace(
+    return Parameters.of_paper().replace(
         {A_S: 340.0, A_F: 355.0, M_S: 330.0, M_F: 315.0, EPS_L: 0.043},
         {A_S: 15.0, A_F: 15.0, M_S: 15.0, M_F: 15.0, C_A: 2e6, C_M: 2e6, EPS_L: 0.01, E_A: 15e9,
          E_M: 8e9, THETA: 0.1e6},
@@ -389,7 +389,7 @@ def _beam(**own):
     def make(random, seed: int) -> Case:
         beam = Beam(Alloy.drawn(random), random.uniform(0.8, 1.0), random.uniform(4e9, 5e9))
         alloy, told = beam.alloy, 1.0 + 0.02 * random.standard_normal(4)
-        believed = Parameters.defaults().replace({
+        believed = Parameters.of_paper().replace({
             "bench.channels": ("front_1", "back_1"), "bench.channel_sides": ("front", "back"),
             "wire.resistance": beam.resistance * told[0], "wire.surface_area": 2e-4,
             "wire.heat_transfer_coefficient": beam.heat_loss / 2e-4 * told[1],

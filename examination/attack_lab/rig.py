@@ -200,7 +200,7 @@ class Bench:
                     4.0 + repeat * period, random)
 
     def parameters(self) -> Parameters:
-        return Parameters.defaults().replace(dict(self.known), dict(self.unsure))
+        return Parameters.of_paper().replace(dict(self.known), dict(self.unsure))
 
     def truth(self) -> dict[str, float]:
         return {

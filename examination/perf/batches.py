@@ -31,7 +31,7 @@ def measure(tiny: bool = False) -> list[Outcome]:
         folder = Path(name)
         bag = folder / "bag"
         write_record(bag, staircase_signals(_DURATION))
-        tasks = [Task(IDENTIFY, str(bag), Parameters.defaults())] * count
+        tasks = [Task(IDENTIFY, str(bag), Parameters.of_paper())] * count
         case = f"bags of {_DURATION:g} s identified"
         if tiny:
             one = _spent(do_tasks(tasks, 1))[0]

@@ -43,7 +43,7 @@ def measure(tiny: bool = False) -> list[Outcome]:
 
 
 def _simulated(scale: int) -> list[Outcome]:
-    wire = Parameters.defaults()
+    wire = Parameters.of_paper()
     lengths = [10_000 // scale, 30_000 // scale, 100_000 // scale, 300_000 // scale]
     inputs = {n: drive(n, 1) for n in lengths}
     outcomes: list[Outcome] = [
@@ -105,7 +105,7 @@ def _of_identification(durations: Sequence[float]) -> Figure:
             records[duration] = read_record(bag)
         return _exponent(
             "identification over the record's length", durations,
-            lambda d: identify([records[d]], Parameters.defaults()), rounds=3,
+            lambda d: identify([records[d]], Parameters.of_paper()), rounds=3,
         )
 
 

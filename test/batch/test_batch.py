@@ -30,7 +30,7 @@ def bags(tmp_path_factory):
     """Two synthetic bags of wires with different resistance."""
     folder = tmp_path_factory.mktemp("bags")
     for ohm in (2.5, 2.9):
-        parameters = Parameters.defaults().replace({"wire.resistance": ohm})
+        parameters = Parameters.of_paper().replace({"wire.resistance": ohm})
         record = protocol_record("quick_staircase", parameters)
         write_record(folder / f"wire_{ohm}", list(record.signals.values()))
     return folder
@@ -181,7 +181,7 @@ def test_files_of_records_with_one_name_do_not_meet():
 
 @pytest.mark.slow
 def test_a_diagnosis_is_a_task_as_well(bags):
-    outcome = run_task(Task(DIAGNOSE, str(bags / "wire_2.9"), Parameters.defaults()))
+    outcome = run_task(Task(DIAGNOSE, str(bags / "wire_2.9"), Parameters.of_paper()))
     assert outcome.error == ""
     assert outcome.result["verdict"] in (
         "effect", "recalibration", "no_gap", "ambiguous", "unexplained",
@@ -221,7 +221,7 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
     paths = [str(bags / "wire_2.5"), str(bags / "wire_2.5"), str(bags / "wire_2.9")]
     kinds = [Deadly(IDENTIFY), IDENTIFY, IDENTIFY]
     tasks = [
-        Task(kind, path, Parameters.defaults()) for kind, path in zip(kinds, paths, strict=True)
+        Task(kind, path, Parameters.of_paper()) for kind, path in zip(kinds, paths, strict=True)
     ]
     done = dict(do_tasks(tasks, 2))
     assert done[0].error == f"{paths[0]}: its process was killed (out of memory?)"
@@ -245,7 +245,7 @@ def cluster_of(workers, folder):
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(bags, tmp_path):
     paths = [str(bags / "wire_2.5"), str(tmp_path / "missing"), str(bags / "wire_2.9")]
-    tasks = [Task(IDENTIFY, path, Parameters.defaults()) for path in paths]
+    tasks = [Task(IDENTIFY, path, Parameters.of_paper()) for path in paths]
     with cluster_of(2, tmp_path) as (address, cluster):
         spread = dict(do_tasks(tasks, 1, address))
         work = do_tasks(tasks * _MANY, 1, address)

@@ -100,7 +100,7 @@ def test_wrong_parameters_are_said_by_the_verdict_and_by_one_that_was_moved():
         Judged(label("recalibration", severity=1.0), said), Judged(label("none"), said),
     ])  # fmt: skip
     assert (found.hits, found.n) == (1, 5)
-    nominal = Parameters.defaults().replace({}, {"wire.resistance": 0.1, "wire.mass": 1e-6})
+    nominal = Parameters.of_paper().replace({}, {"wire.resistance": 0.1, "wire.mass": 1e-6})
     values = {"wire.resistance": nominal["wire.resistance"] - 0.25,
               "wire.mass": nominal["wire.mass"] + 1.5e-6}  # fmt: skip
     assert moved_parameters(nominal, nominal.replace(values)) == {"wire.resistance"}

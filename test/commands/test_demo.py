@@ -59,7 +59,7 @@ def test_what_is_gone_is_refused_naming_what_replaces_it(gone, tmp_path, capsys)
 
 
 def estimates(deviation, relative_std):
-    truth = Parameters.defaults()
+    truth = Parameters.of_paper()
     return {
         name: {
             "value": truth[name] * (1.0 + deviation * relative_std),
@@ -75,7 +75,7 @@ def estimates(deviation, relative_std):
     [(0.0, 0.005, True), (1.9, 0.005, True), (-2.1, 0.005, False), (0.0, 0.011, False)],
 )
 def test_the_promise_is_two_standard_errors_and_one_percent(deviation, relative_std, holds):
-    truth = Parameters.defaults()
+    truth = Parameters.of_paper()
     assert promise_holds(estimates(deviation, relative_std), truth) is holds
     lacking = estimates(deviation, relative_std)
     del lacking["wire.specific_heat"]
@@ -88,7 +88,7 @@ def test_either_pair_of_protocols_keeps_the_promise(protocols):
         truth = simulated_truth(seed)
         records = [protocol_record(name, truth, seed) for name in protocols]
         # A simulated bench has sensors without a scale of their own.
-        known = Parameters.defaults().replace(uncertainty=EXACT_SENSORS)
+        known = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
         found = identify(records, known).estimates
         stated = {name: found[name].to_json() for name in TABLE_ONE}
         assert promise_holds(stated, truth)
@@ -96,7 +96,7 @@ def test_either_pair_of_protocols_keeps_the_promise(protocols):
 
 def test_another_wire_is_drawn_around_table_one_and_differs_by_seed():
     first, second = simulated_truth(1), simulated_truth(2)
-    table = Parameters.defaults()
+    table = Parameters.of_paper()
     for name in TABLE_ONE:
         assert first[name] != second[name]
         assert abs(first[name] / table[name] - 1.0) <= 0.1

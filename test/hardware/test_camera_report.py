@@ -76,14 +76,14 @@ def settings(node, **changes):
     return {p.name: p.default for p in NODE_TABLES[node]} | changes
 
 
-FOUR = Parameters.defaults().replace({
+FOUR = Parameters.of_paper().replace({
     "bench.channels": ("a", "b", "c", "d"),
     "bench.channel_sides": ("front", "front", "back", "back"),
 })
 
 
 def test_defaults_make_a_camera_and_a_gauge_that_agree():
-    parameters = Parameters.defaults()
+    parameters = Parameters.of_paper()
     camera = synthetic_camera(parameters, settings("synthetic_camera"))
     (gauge,) = wire_gauges(parameters, settings("ir_camera"))
     reading = gauge.read(camera.picture([345.0]), 0.0)
@@ -111,4 +111,4 @@ BAD_WIRES = {
 @pytest.mark.parametrize("wires", BAD_WIRES)
 def test_bad_wires_are_one_line(wires):
     with pytest.raises(InputError, match=BAD_WIRES[wires]):
-        synthetic_camera(Parameters.defaults(), settings("synthetic_camera", wires=wires))
+        synthetic_camera(Parameters.of_paper(), settings("synthetic_camera", wires=wires))

@@ -79,7 +79,7 @@ def test_a_heated_wire_that_is_not_seen_is_not_at_its_background(camera):
 
 
 def test_expected_warmth_is_a_share_of_the_thermal_model():
-    parameters = Parameters.defaults()
+    parameters = Parameters.of_paper()
     loss = parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
     final = 16.0 / parameters["wire.resistance"] / loss
     tau = parameters["wire.mass"] * parameters["wire.specific_heat"] / loss

@@ -33,7 +33,7 @@ def planned(folder, lab, level, seconds, bag):
 
 @pytest.mark.usefixtures("nodes_forked")
 def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, tmp_path):
-    lab = Parameters.defaults().replace({"bench.maximum_temperature": 315.0})
+    lab = Parameters.of_paper().replace({"bench.maximum_temperature": 315.0})
     write_parameters(tmp_path / "lab.yaml", lab)
     run = _bench(argparse.Namespace(namespace=SPACE))
     (tmp_path / "unfinished_record_1").mkdir()  # of one that was killed

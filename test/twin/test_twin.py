@@ -100,7 +100,7 @@ def test_a_bench_that_does_as_believed_is_never_called_a_gap(seed):
 
 
 def test_a_clamped_wire_that_does_as_believed_is_never_called_a_gap():
-    wire = Parameters.defaults().replace({"wire.martensite_start_temperature": 345.0})
+    wire = Parameters.of_paper().replace({"wire.martensite_start_temperature": 345.0})
     stream = Stream(wire, wire, one_wire)
     verdict = stream.run(40.0)
     assert stream.states() == {LEARNING, QUIET}
