@@ -22,7 +22,7 @@ from examination.campaign.hostile_bags import (
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
 from sma_bench.parameters import read_parameters
-from sma_bench.records import Signal, read_record
+from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_files import METADATA
 from sma_bench.records.bag_writer import write_record
 
@@ -55,6 +55,13 @@ def test_no_file_is_deleted_by_the_journal_beside_a_bag(db3, tmp_path):
     assert victim.read_text() == "years of work"
     assert (db3.read_bytes(), journal.read_bytes()) == before
     assert len(record["wire.voltage"])
+
+
+def test_a_journal_that_is_a_link_is_not_followed(db3, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_bytes(b"x" * 100)
+    db3.with_name(db3.name + "-wal").symlink_to(secret)
+    assert len(read_record(db3)["wire.voltage"]) == 20
 
 
 @pytest.mark.parametrize("statement", [
@@ -243,3 +250,14 @@ def test_a_grid_has_an_end_whatever_the_times(drive):
     }
     with allowance(GIGABYTE, 60.0):
         assert len(observe(replace(drive, signals=far), read_parameters(RIG)).grid) < 5e6
+
+
+def test_few_readings_over_a_day_are_diagnosed_on_a_grid_of_their_number():
+    count = np.arange(100)
+    signals = [
+        Signal("wire.voltage", "V", count * 1000.0, np.where(count % 20 < 10, 1.0, 0.0)),
+        Signal("wire.temperature", "K", count * 1000.0, 300.0 + count % 7),
+    ]
+    record = Record(Path("day"), 0, {signal.name: signal for signal in signals})
+    grid = observe(record, read_parameters(RIG)).grid
+    assert len(grid) < 50_000
