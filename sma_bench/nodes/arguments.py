@@ -5,13 +5,12 @@ silently leave a default in force.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from sma_bench.border import load_yaml
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.parameters.yaml_file import flatten, read_parameter_names, split_names
@@ -19,9 +18,6 @@ from sma_bench.parameters.yaml_file import flatten, read_parameter_names, split_
 _CONTRACT_GROUPS = frozenset(name.split(".")[0] for name in BY_NAME) | {"uncertainty"}
 _ROS_GROUPS = frozenset({"use_sim_time", "qos_overrides", "start_type_description_service"})
 _GONE = {"managed": "nodes are no lifecycle nodes any more: they start active, and end by a signal"}
-_FILE_OPTIONS = ("--params-file",)
-_VALUE_OPTIONS = ("-p", "--param")
-_REMAP_OPTIONS = ("-r", "--remap")
 
 
 def node_help(node: str) -> str:
@@ -32,18 +28,13 @@ def node_help(node: str) -> str:
         "parameters of this node, besides the contract's (sma-bench parameters):",
     ]
     for parameter in NODE_TABLES[node]:
-        unit = f" [{parameter.unit}]" if parameter.unit else ""
-        default = _shown(parameter.default)
-        lines.append(f"  {parameter.name:28} {parameter.description}{unit} (default {default})")
+        unit, default = f" [{parameter.unit}]" if parameter.unit else "", parameter.default
+        if isinstance(default, (tuple, list)):
+            shown = f"[{', '.join(map(str, default))}]"
+        else:
+            shown = str(default).lower() if isinstance(default, bool) else str(default) or "none"
+        lines.append(f"  {parameter.name:28} {parameter.description}{unit} (default {shown})")
     return "\n".join(lines) + "\n"
-
-
-def _shown(default: object) -> str:
-    if isinstance(default, (tuple, list)):
-        return f"[{', '.join(map(str, default))}]"
-    if isinstance(default, bool):
-        return str(default).lower()
-    return str(default) or "none"
 
 
 def check_arguments(node: str, argv: Sequence[str]) -> None:
@@ -58,58 +49,43 @@ def check_arguments(node: str, argv: Sequence[str]) -> None:
             one line with the file and, for a name, the nearest known one. A foreign name is only
             warned of.
     """
-    for argument in _outside(argv):
-        raise InputError(f"unknown argument {argument!r}: what is ROS's stands after --ros-args")
-    named = _node_name(node, argv)
-    merged: dict[str, Any] = {}
-    for where, values in _sources(named, argv):
-        merged |= _contract_values(node, values, where)
-        Parameters(*split_names(merged), where)
-
-
-def _sources(node: str, argv: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    for option, value in _ros_options(argv):
-        if option in _FILE_OPTIONS:
-            yield value, read_parameter_names(value, node)
-        elif option in _VALUE_OPTIONS:
-            yield option, _assignment(value)
-
-
-def _outside(argv: Sequence[str]) -> Iterator[str]:
-    """What ROS passes over: it would run the node on its defaults, safety limits included."""
-    inside = False
-    for argument in argv:
+    # What ROS passes over would run the node on its defaults, safety limits included.
+    inside, options = False, []
+    for argument, following in zip(argv, [*argv[1:], None], strict=True):
         if argument in ("--ros-args", "--"):
             inside = argument == "--ros-args"
         elif not inside:
-            yield argument
+            raise InputError(
+                f"unknown argument {argument!r}: what is ROS's stands after --ros-args"
+            )
+        elif following is not None:
+            options.append((argument, following))
 
-
-def _ros_options(argv: Sequence[str]) -> Iterator[tuple[str, str]]:
-    inside = False
-    for k, argument in enumerate(argv):
-        if argument in ("--ros-args", "--"):
-            inside = argument == "--ros-args"
-        elif inside and k + 1 < len(argv):
-            yield argument, argv[k + 1]
-
-
-def _node_name(node: str, argv: Sequence[str]) -> str:
-    for option, value in _ros_options(argv):
+    # The node's own section of a file is that of its name.
+    named = node
+    for option, value in options:
         name, separator, target = value.partition(":=")
-        if option in _REMAP_OPTIONS and separator and name in ("__node", "__name"):
-            node = target
-    return node
+        if option in ("-r", "--remap") and separator and name in ("__node", "__name"):
+            named = target
 
-
-def _assignment(text: str) -> dict[str, Any]:
-    name, separator, value = text.partition(":=")
-    if not separator:
-        raise InputError(f"-p {text}: expected name:=value")
-    try:
-        return flatten({name.split(":")[-1]: load_yaml(value)})
-    except InputError as error:
-        raise InputError(f"-p {text:.80}: {error}") from None
+    # Later sources win; what fits only together may come from several.
+    merged: dict[str, Any] = {}
+    for option, value in options:
+        if option == "--params-file":
+            where, values = value, read_parameter_names(value, named)
+        elif option in ("-p", "--param"):
+            where = option
+            name, separator, text = value.partition(":=")
+            if not separator:
+                raise InputError(f"-p {value}: expected name:=value")
+            try:
+                values = flatten({name.split(":")[-1]: load_yaml(text)})
+            except InputError as error:
+                raise InputError(f"-p {value:.80}: {error}") from None
+        else:
+            continue
+        merged |= _contract_values(node, values, where)
+        Parameters(*split_names(merged), where)
 
 
 def _contract_values(node: str, values: dict[str, Any], where: str) -> dict[str, Any]:
@@ -118,22 +94,18 @@ def _contract_values(node: str, values: dict[str, Any], where: str) -> dict[str,
     contract: dict[str, Any] = {}
     for name, value in values.items():
         bare = name.removeprefix(UNCERTAINTY_PREFIX)
-        if bare in BY_NAME:
-            require_ros_type(BY_NAME[bare] if bare == name else None, name, value, where)
-            contract[name] = value
-        elif name in own:
-            require_ros_type(own[name], name, value, where)
+        parameter = own.get(name) or BY_NAME.get(name)
+        if parameter is None and bare not in BY_NAME:
+            _require_foreign(node, name, where)
+            continue
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if whole and (parameter is None or parameter.kind == "double"):
+            raise InputError(f"{where}: {name} is the integer {value}, ROS expects {value}.0")
+        if name in own:
             own[name].validated(value, where)
         else:
-            _require_foreign(node, name, where)
+            contract[name] = value
     return contract
-
-
-def require_ros_type(parameter: Parameter | None, name: str, value: Any, where: str) -> None:
-    """ROS takes no integer for a double: say so with the value to write."""
-    double = parameter is None or parameter.kind == "double"
-    if double and isinstance(value, int) and not isinstance(value, bool):
-        raise InputError(f"{where}: {name} is the integer {value}, ROS expects {value}.0")
 
 
 def _require_foreign(node: str, name: str, where: str) -> None:
