@@ -31,6 +31,7 @@ UNO = ROOT / "test" / "tools" / "uno"
 TABLE_ONE = {
     "wire.resistance": "R", "wire.heat_transfer_coefficient": "h", "wire.specific_heat": "c_p",
 }
+# What a lab knows of its wire without a volt, by a scale and a ruler: all that the file states.
 WEIGHED = {
     name: Parameters.of_paper()[name]
     for name in ("wire.mass", "wire.surface_area", "wire.diameter")
@@ -106,9 +107,7 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
                 "experiment": {"protocol": PROTOCOLS[0], "protocol_root": "/"},
                 "identification": {"output_directory": ".", **roots},
             }.items():
-                # What a lab knows of its wire without a volt: by a scale and a ruler.
-                known = name == "identification"
-                nodes.start(name, settings | (WEIGHED if known else {}), () if known else (rig,))
+                nodes.start(name, settings, (rig,))
             client.follow("serial_bridge")
             for service in ("serial_bridge/self_test", "serial_bridge/enable"):
                 print(_insist(client, service))
@@ -148,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="new folder for bags and logs, instead of none")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args(argv)
-    truth = Parameters.defaults()
+    truth = Parameters(WEIGHED)
     try:
         with tempfile.TemporaryDirectory() as folder:
             answer = identified(args.out or Path(folder) / "bench", truth)

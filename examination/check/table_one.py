@@ -171,7 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[str, Any]:
     """Estimates, truth and z of a wire drawn by `seed`."""
-    table, rng = Parameters.defaults(), np.random.default_rng(seed)
+    table, rng = Parameters(WEIGHED), np.random.default_rng(seed)
     truth = table.replace({name: float(table[name] * rng.uniform(0.9, 1.1)) for name in TABLE_ONE})
     bags = []
     for k, name in enumerate(PROTOCOLS):
