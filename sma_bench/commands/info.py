@@ -3,9 +3,6 @@
 from types import SimpleNamespace
 from typing import Any
 
-from rich.console import Console
-from rich.markup import escape
-
 from sma_bench.border import printable
 from sma_bench.commands import options
 from sma_bench.commands.terminal import (
@@ -13,6 +10,7 @@ from sma_bench.commands.terminal import (
     print_findings,
     print_table,
     progress,
+    say,
     write_json,
 )
 from sma_bench.errors import InputError
@@ -20,45 +18,29 @@ from sma_bench.findings import Finding
 
 _MOST_MARKERS = 20
 
-_Columns = tuple[tuple[str, str, str], ...]
-
-# Heading, key of `describe`, format.
-_SIGNAL_COLUMNS: _Columns = (
-    ("signal", "name", ""),
-    ("unit", "unit", ""),
-    ("samples", "samples", ""),
-    ("rate Hz", "rate", ".4g"),
-    ("jitter s", "jitter", ".2g"),
-    ("longest gap s", "longest_gap", ".3g"),
-    ("delay s", "delay", ".3g"),
-    ("min", "min", ".5g"),
-    ("max", "max", ".5g"),
-)
-_TOPIC_COLUMNS: _Columns = (
-    ("topic", "name", ""),
-    ("type", "type", ""),
-    ("messages", "count", ""),
-    ("signals", "signals", ""),
-)
-_SEGMENT_COLUMNS: _Columns = (
-    ("segment", "number", ""),
-    ("kind", "kind", ""),
-    ("K/s", "rate", ".4f"),
-    ("samples", "samples", ""),
-    ("start s", "start", ".0f"),
-    ("end s", "end", ".0f"),
-    ("from K", "from", ".2f"),
-    ("to K", "to", ".2f"),
-)
-_BRANCH_COLUMNS: _Columns = (
-    ("cycle", "cycle", ""),
-    ("kind", "kind", ""),
-    ("samples", "samples", ""),
-    ("from K", "from", ".2f"),
-    ("to K", "to", ".2f"),
-    ("strain from", "strain_from", ".5f"),
-    ("strain to", "strain_to", ".5f"),
-)
+# Of each table of `describe`: heading, key, format.
+_TABLES = {
+    "topics": (
+        ("topic", "name", ""), ("type", "type", ""), ("messages", "count", ""),
+        ("signals", "signals", ""),
+    ),
+    "signals": (
+        ("signal", "name", ""), ("unit", "unit", ""), ("samples", "samples", ""),
+        ("rate Hz", "rate", ".4g"), ("jitter s", "jitter", ".2g"),
+        ("longest gap s", "longest_gap", ".3g"), ("delay s", "delay", ".3g"), ("min", "min", ".5g"),
+        ("max", "max", ".5g"),
+    ),
+    "segments": (
+        ("segment", "number", ""), ("kind", "kind", ""), ("K/s", "rate", ".4f"),
+        ("samples", "samples", ""), ("start s", "start", ".0f"), ("end s", "end", ".0f"),
+        ("from K", "from", ".2f"), ("to K", "to", ".2f"),
+    ),
+    "branches": (
+        ("cycle", "cycle", ""), ("kind", "kind", ""), ("samples", "samples", ""),
+        ("from K", "from", ".2f"), ("to K", "to", ".2f"), ("strain from", "strain_from", ".5f"),
+        ("strain to", "strain_to", ".5f"),
+    ),
+}  # fmt: skip
 
 
 @options.command(
@@ -80,13 +62,22 @@ def run(args: SimpleNamespace) -> int:
         description = describe(open_record(args.record, args.namespace))
     if args.json:
         write_json(args.json, description)
-    console = output_console()
-    _SHOW[description["kind"]](console, description)
+    say(f"{printable(description['path'])}: {_first_line(description)}")
+    for name, columns in _TABLES.items():
+        if rows := description.get(name):
+            numbers = [k for k, c in enumerate(columns) if isinstance(rows[0][c[1]], (int, float))]
+            cells = [[_cell(row[key], form) for _, key, form in columns] for row in rows]
+            print_table(output_console(), [column[0] for column in columns], cells, right=numbers)
+    markers = description.get("markers", [])
+    for marker in markers[:_MOST_MARKERS]:
+        say(f"  {marker['time']:10.3f} s  {printable(marker['text'])}")
+    if len(markers) > _MOST_MARKERS:
+        say(f"  and {len(markers) - _MOST_MARKERS} more markers")
     findings = [Finding(**finding) for finding in description["findings"]]
     print_findings(findings)
     if not findings:
-        console.print("no findings")
-    if description["kind"] == "bag" and not description["signals"] + description["markers"]:
+        say("no findings")
+    if description["kind"] == "bag" and not description["signals"] + markers:
         raise InputError(
             f"{args.record}: nothing of a bench in it, expected topics of docs/topics.md, e.g. "
             "<channel>/power, joint_states"
@@ -94,74 +85,28 @@ def run(args: SimpleNamespace) -> int:
     return 0
 
 
-def _show_bag(console: Console, description: dict[str, Any]) -> None:
-    channels = ", ".join(description["channels"]) or "none"
-    console.print(
-        f"{_shown(description['path'])}: {description['duration']:.3f} s from "
-        f"{description['start']}, channels: {_shown(channels)}"
-    )
-    _print_rows(console, description["topics"], _TOPIC_COLUMNS)
-    if description["signals"]:
-        _print_rows(console, description["signals"], _SIGNAL_COLUMNS)
-    markers = description["markers"]
-    for marker in markers[:_MOST_MARKERS]:
-        console.print(f"  {marker['time']:10.3f} s  {_shown(marker['text'])}")
-    if len(markers) > _MOST_MARKERS:
-        console.print(f"  and {len(markers) - _MOST_MARKERS} more markers")
-
-
-def _shown(text: str) -> str:
-    """Text from outside, as text and not as markup or a terminal's commands."""
-    return escape(printable(text))
-
-
-def _show_dsc(console: Console, description: dict[str, Any]) -> None:
-    sign = {True: "endothermic up", False: "exothermic up", None: "sign unknown"}
-    console.print(
-        f"{_shown(description['path'])}: {_shown(description['instrument'])}, "
-        f"{_shown(description['sample'])}, {description['mass'] * 1e6:.3f} mg, "
-        f"{sign[description['endothermic_up']]}"
-    )
-    _print_rows(console, description["segments"], _SEGMENT_COLUMNS)
-
-
-def _show_isobaric(console: Console, description: dict[str, Any]) -> None:
-    unit = {"1": "", "relative": ", strain over its own range"}[description["strain_unit"]]
-    console.print(
-        f"{_shown(description['path'])}: isobaric test at {description['stress'] / 1e6:.1f} MPa"
-        f"{unit}"
-    )
-    _print_rows(console, description["branches"], _BRANCH_COLUMNS)
-
-
-def _show_tensile(console: Console, description: dict[str, Any]) -> None:
-    kelvin = description["temperature"]
+def _first_line(found: dict[str, Any]) -> str:
+    if found["kind"] == "bag":
+        channels = ", ".join(found["channels"]) or "none"
+        return f"{found['duration']:.3f} s from {found['start']}, channels: {printable(channels)}"
+    if found["kind"] == "dsc":
+        sign = {True: "endothermic up", False: "exothermic up", None: "sign unknown"}
+        return (
+            f"{printable(found['instrument'])}, {printable(found['sample'])}, "
+            f"{found['mass'] * 1e6:.3f} mg, {sign[found['endothermic_up']]}"
+        )
+    if found["kind"] == "isobaric":
+        unit = {"1": "", "relative": ", strain over its own range"}[found["strain_unit"]]
+        return f"isobaric test at {found['stress'] / 1e6:.1f} MPa{unit}"
+    kelvin = found["temperature"]
     where = "temperature unknown" if kelvin is None else f"at {kelvin:.2f} K"
-    console.print(
-        f"{_shown(description['path'])}: tensile test {where}, {description['samples']} samples, "
-        f"to {description['largest_strain']:.4f} strain and "
-        f"{description['largest_stress'] / 1e6:.1f} MPa"
+    return (
+        f"tensile test {where}, {found['samples']} samples, to {found['largest_strain']:.4f} "
+        f"strain and {found['largest_stress'] / 1e6:.1f} MPa"
     )
-
-
-_SHOW = {
-    "bag": _show_bag,
-    "dsc": _show_dsc,
-    "isobaric": _show_isobaric,
-    "tensile": _show_tensile,
-}
-
-
-def _print_rows(console: Console, rows: list[dict[str, Any]], columns: _Columns) -> None:
-    first = rows[0] if rows else {}
-    numbers = [k for k, c in enumerate(columns) if isinstance(first.get(c[1]), (int, float))]
-    cells = [[_cell(row[key], form) for _, key, form in columns] for row in rows]
-    print_table(console, [heading for heading, _, _ in columns], cells, right=numbers)
 
 
 def _cell(value: Any, form: str) -> str:
-    if value is None:
-        return "-"
     if isinstance(value, list):
         return ", ".join(value)
-    return format(value, form)
+    return "-" if value is None else format(value, form)

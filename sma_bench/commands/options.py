@@ -8,6 +8,7 @@ A command is a function of its options, an example or more of it beside:
     def run(args: SimpleNamespace) -> int: ...
 """
 
+import re
 import shlex
 import signal
 import sys
@@ -67,7 +68,7 @@ class Command(click.Command):
         for k, arg in enumerate(args):
             if for_ros and arg == "--ros-args":
                 return [*made, arg, shlex.join(args[k + 1 :])]
-            if arg.startswith("-") and not arg[1:2].isdigit() and arg != "-":
+            if arg.startswith("-") and arg != "-" and not re.match(r"-\.?\d", arg):
                 last = arg if arg in several else ""
             elif last and made[-1] != last:
                 made.append(last)
