@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -20,6 +20,8 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import protocol_record
 from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks, run_task
+
+psutil = pytest.importorskip("psutil")
 
 _MANY = 60  # records that nobody has done before he is interrupted
 _LONG = 120.0  # s, on a busy machine
@@ -52,47 +54,26 @@ def wait_for(condition, patience=_LONG):
         time.sleep(0.05)
 
 
-def children_of(pid):
-    """Process numbers of all processes below one."""
-    found = set()
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == pid:
-            found |= {int(stat.parent.name), *children_of(int(stat.parent.name))}
-    return found
-
-
 def half_done_batch(bags, folder):
-    """A batch of many records that has done the first, in folder/out; and the numbers of its
-    processes."""
+    """A batch of many records that has done the first, in folder/out; and its processes."""
     done = folder / "out" / "wire_2.5.yaml"
     process = sma_bench(
         "batch", "identify", bags / "wire_2.5", *[bags / "wire_2.9"] * (_MANY - 1),
         "--out", done.parent, "--jobs", 2,
     )
     wait_for(lambda: done.exists() or process.poll() is not None)
-    below = children_of(process.pid)
+    below = psutil.Process(process.pid).children(recursive=True)
     assert len(below) >= 2
     return process, below
 
 
-def is_running(pid):
-    """Not even waiting for whoever inherits it to take note of its end."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def loaded_by(pid):
-    """Libraries that a process has loaded."""
-    try:
-        return Path(f"/proc/{pid}/maps").read_text()
-    except OSError:
-        return ""
+def begins(process):
+    """Whether one of the processes below has begun to load what it needs."""
+    for child in psutil.Process(process.pid).children(recursive=True):
+        with suppress(psutil.Error):
+            if any("numpy" in library.path for library in child.memory_maps()):
+                return True
+    return False
 
 
 # --- the command --------------------------------------------------------------------------------
@@ -126,33 +107,27 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
     process, below = half_done_batch(bags, tmp_path)
     os.kill(process.pid, number)
     stdout, stderr = process.communicate(timeout=_LONG)
+    assert psutil.wait_procs(below, 20.0)[1] == []
+    assert json.loads((tmp_path / "out" / "wire_2.5.json").read_text())["parameters"]
+    if number == signal.SIGKILL:
+        return
     assert process.returncode == 130
     assert stderr.strip().endswith("sma-bench: interrupted")
     assert "Traceback" not in stderr
     done = re.search(rf"(\d+) of {_MANY} records done", stdout)
     assert done and 1 <= int(done[1]) < _MANY
     assert stdout.count("not done: interrupted") == _MANY - int(done[1])
-    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in below))
-    assert json.loads((tmp_path / "out" / "wire_2.5.json").read_text())["parameters"]
-
-
-@pytest.mark.slow
-def test_a_killed_parent_leaves_no_process_behind(bags, tmp_path):
-    process, below = half_done_batch(bags, tmp_path)
-    process.kill()
-    process.wait()
-    wait_for(lambda: not any(is_running(pid) for pid in below), 20.0)
 
 
 @pytest.mark.slow
 def test_ctrl_c_while_processes_begin_is_one_line(bags):
     process = sma_bench("batch", "identify", bags / "wire_2.5", bags / "wire_2.9", "--jobs", 2)
-    wait_for(lambda: any("numpy" in loaded_by(pid) for pid in children_of(process.pid)))
+    wait_for(lambda: begins(process))
     os.killpg(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=_LONG)
     assert process.returncode == 130
