@@ -212,7 +212,7 @@ class BagWriter:
             {"topic_metadata": dict(topic), "message_count": self._counts[name]}
             for name, topic in self._topics.items()
         ]
-        about_file = {"path": file, "starting_time": start, "duration": duration}
+        about_file = {"path": file, "starting_time": dict(start), "duration": dict(duration)}
         information = {
             "version": 9,
             "storage_identifier": "mcap",
