@@ -40,7 +40,7 @@ def test_pins_are_those_of_the_firmware() -> None:
 
 
 def test_outputs_are_those_of_the_emulated_pins() -> None:
-    source = (ROOT / "sma_bench" / "emulation" / "uno.c").read_text()
+    source = (ROOT / "test" / "tools" / "uno" / "uno.c").read_text()
     found = re.findall(r"\{'(\w)', (\d), 0x", source)
     names = [DIGITAL[f"P{port}{pin}"] for port, pin in found]
     order = re.search(r"#define CHANNELS 4 +/\* (.+?) \*/", firmware("config.h"))

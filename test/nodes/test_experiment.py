@@ -234,7 +234,9 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
     bench, protocol, tmp_path
 ):
     bench.listen("voltage_command", Float64MultiArray)
-    bench.start("experiment", protocol_root=str(tmp_path))
+    # Stated: a default would make way.
+    stated = {"wire__austenite_finish_temperature": 353.61}
+    bench.start("experiment", protocol_root=str(tmp_path), **stated)
     answer = bench.trigger("experiment/start")
     assert not answer.success and "no feedback: wire/power was never received" in answer.message
     result = bench.set_parameter("experiment", "protocol", "stairs")
