@@ -135,7 +135,7 @@ def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
     lines = textwrap.wrap(printable(shown.title), width)
     for label, text in shown.rows:
         lines += textwrap.wrap(
-            printable(text), width, initial_indent=f"{label:8}", subsequent_indent=" " * 8,
+            printable(text), width, initial_indent=f"{label:7} ", subsequent_indent=" " * 8,
             break_on_hyphens=False,
         )
     return lines

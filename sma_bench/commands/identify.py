@@ -8,7 +8,6 @@ from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
     print_findings,
-    print_table,
     progress,
     say,
     write_json,
@@ -104,14 +103,11 @@ def phase_of(text: str) -> tuple[str, Any]:
 
 def print_result(result: "Identification", asked: Invocation) -> None:
     """The card, and below it every remark on the numbers."""
-    from sma_bench.cards import NUMBER_HEADER, Card, card, card_lines, card_text, number_rows
+    from sma_bench.cards import card, card_lines, card_text
 
     console, text = output_console(), card_text(result, asked=asked)
-    if max(map(len, text.splitlines())) > console.width:  # the table is folded, not the lines
-        shown = card(result, asked)
-        title = card_lines(Card(shown.title, ()), console.width)
-        print_table(console, NUMBER_HEADER, number_rows(result), title="\n".join(title))
-        text = "\n".join(card_lines(shown, console.width)[len(title) :])
+    if max(map(len, text.splitlines())) > console.width:  # no room for columns
+        text = "\n".join(card_lines(card(result, asked, numbers=True), console.width))
     console.print(f"{text}\n", markup=False, soft_wrap=True)
     print_findings(result.notes)
     for experiment in result.experiments:

@@ -180,7 +180,8 @@ def test_numbers_fit_the_terminal(columns, capsys, monkeypatch):
     print_result(identified(), Invocation())
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= columns
-    assert all(part in printed for part in ("wire.resistance", "2.8", "0.007", "0.024 ohm"))
+    said = " ".join(printed.split())
+    assert "wire.resistance 2.8 ± 0.007 ± 0.024 ohm" in said and "+3.7 % (+3.7 std)" in said
 
 
 def test_what_is_rounded_to_nothing_has_no_sign():
