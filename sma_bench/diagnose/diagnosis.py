@@ -28,7 +28,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit
-from sma_bench.estimation.unknowns import SHAPES
+from sma_bench.estimation.unknowns import SHAPES, Unknowns
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
 from sma_bench.parameters.parameters import load_kind
@@ -136,6 +136,7 @@ def diagnose(
         next_experiment=following if following and following.settles else None,
         findings=(
             *unrelated, *audit(parameters, papers_own=False),
+            *about_unstated(found.recalibrated.unknowns, parameters),
             _of_another_kind(fitted, unfitted, improved), *remarks,
         ),
         parameters=parameters, decision=decision, search=found, model=model, improved=improved,
@@ -172,6 +173,20 @@ def _refuse_fitted(records: Sequence[Record], hold_out: Sequence[Record]) -> Non
             raise InputError(
                 f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
             )
+
+
+def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
+    """What of the bench's unknowns nobody stated."""
+    items = unknowns.items[: unknowns.bench]
+    names = [
+        n for item in items for n in (item.name, item.partner)
+        if n and n not in parameters.given and BY_NAME[n].spread is not None
+    ]
+    text = (
+        f"nobody stated {', '.join(names)}: each may be as far from its default as such wires and "
+        "benches differ; identify it, or state what is known"
+    )
+    return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
 
 
 def _inseparable(following: NextExperiment | None) -> list[Finding]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameter import EFFECT_NAMES
+from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, by_name, in_turn, part, silent
 from sma_bench.records import open_record, read_record
 from sma_bench.records.tensile import Phase
@@ -15,6 +16,7 @@ if TYPE_CHECKING:  # who wants the one need not load the other
     from sma_bench.diagnose import Diagnosis
     from sma_bench.identify import Identification
 
+_TOLD = 0.9  # of the spread that a number has which nobody stated
 # Shares of the time, about, that reading takes.
 _READING, _READING_BAGS = 0.2, 0.05
 # Seconds that each step takes of a composite record, as `diagnose` names them.
@@ -110,12 +112,17 @@ def write_identified(
 
 
 def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
-    """Write the improved parameters, those only that are not left at their default.
+    """Write the improved parameters, but not what nobody stated and the records hardly tell.
 
     Raises:
         InputError: the file cannot be written.
     """
-    names = [n for n in result.improved if n in result.improved.given]
+    improved, stated = result.improved, result.parameters.given
+    told = {
+        n for n in improved.given
+        if (spread := BY_NAME[n].spread) is None or improved.std(n) < _TOLD * spread
+    }
+    names = [n for n in improved if n in stated | told]
     sources = ", ".join(dict.fromkeys(view.path for view in result.observations))
     comment = f"Improved by {author} from {sources}".replace("\n", " ")
     write_parameters(path, result.improved, comment, names)

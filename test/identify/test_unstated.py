@@ -6,6 +6,7 @@ import pytest
 from examination.alloys.drawn import Alloy, isobaric_tests
 from examination.check.alloys import coverage, examine
 from sma_bench.cli import main
+from sma_bench.diagnose.diagnosis import about_unstated
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
@@ -61,6 +62,10 @@ def test_a_template_and_the_own_result_change_nothing(noisy, tmp_path, monkeypat
         unknowns_of_records(p, ("temperature", "deflection")) for p in (Parameters(), template)
     )
     assert one.items == other.items
+    (said,) = about_unstated(one, template)
+    assert "wire.specific_heat" in said.text and "wire.mass" in said.text
+    paper = Parameters.of_paper()
+    assert not about_unstated(unknowns_of_records(paper, ("temperature", "deflection")), paper)
 
 
 def test_intervals_hold_the_truth_of_drawn_alloys():
