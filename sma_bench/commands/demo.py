@@ -74,7 +74,7 @@ def run(args: SimpleNamespace) -> int:
     with progress("demo", state) as report:
         steps = {step: part(report, *ends) for step, ends in between.items()}
         found = acts.diagnosed(gap, lab, args.speed, steps)
-    hidden, pages = acts.print_gap(console, gap, found, lab, seed)
+    hidden, pages = acts.print_gap(console, gap, found, seed)
 
     console.print(f"{state.gone:.0f} s")
     right = {"table_one": holds, "gap": not acts.confidently_wrong(found, hidden)}

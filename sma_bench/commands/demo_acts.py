@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
@@ -26,11 +25,10 @@ from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.parameter import EFFECT_PREFIX
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics import core, simulate
+from sma_bench.physics import core
 from sma_bench.physics.effects import EFFECTS, active_effects
 from sma_bench.progress import COMPILING, Report, part, silent
-from sma_bench.protocols import load_protocol, parse_protocol
-from sma_bench.results import in_print
+from sma_bench.protocols import load_protocol
 from sma_bench.tasks.jobs import told_share
 
 if TYPE_CHECKING:
@@ -70,20 +68,10 @@ RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
 # An Uno's own 5 V range. Over the usual 10 V, 10 bit are steps of 10 mV, far above the noise: a
 # held level would be off by what heats the wire as much as a small effect.
 _INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
-# A drive that neither record holds: levels and order are others.
-_NEW_DRIVE = {
-    "steps": [
-        {"kind": "ramp", "drive": "back", "start": 0.0, "stop": 2.2, "duration": 6.0},
-        {"kind": "hold", "drive": "back", "level": 2.2, "duration": 5.0},
-        {"kind": "rest", "duration": 4.0},
-        {"kind": "staircase", "drive": "front", "start": 1.5, "stop": 2.25, "increment": 0.25,
-         "dwell": 4.0},
-        {"kind": "rest", "duration": 15.0},
-    ]
-}  # fmt: skip
 
 # One a command: nodes that talk cost more of the processor than all that is computed.
 _RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
+_READINGS = ("power", "temperature")
 _PROTOCOLS = share_directory() / "config" / "protocols"
 _PATIENCE = 600.0  # s: a service may have to wait for the compiler
 # Quiet seconds of two cores: until a bench's nodes and a recorder are there, and what else takes
@@ -166,8 +154,10 @@ class Stage:
                 report(gone / duration, f"{protocol}, {gone:.0f} of {duration:.0f} simulated s")
 
         report(0.0, protocol)
+        channels = bench["bench.channels"]
         self.client.run_recorded(
-            _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True
+            _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True,
+            needed=[f"{channel}/{what}" for channel in channels for what in _READINGS],
         )
         return str(bag)
 
@@ -363,28 +353,8 @@ def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
     )
 
 
-def gap_on_new_drive(
-    bench: Parameters, model: Parameters
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) deflection [m] and (n, w) temperature [K] of a model less those of a bench, as sensors
-    without noise read them, on a drive that no record holds."""
-    time, voltage = parse_protocol(_NEW_DRIVE, bench).sample(0.02)
-    true, modelled = simulate(bench, time, voltage), simulate(model, time, voltage)
-    return (
-        modelled.deflection_reading - true.deflection_reading,
-        modelled.temperature_reading - true.temperature_reading,
-    )
-
-
-def reveal(
-    answer: Mapping[str, Any], hidden: Parameters, lab: Parameters, improved: Parameters
-) -> Iterator[str]:
-    """The truth beside what was said, a sentence a line.
-
-    Args:
-        answer, hidden: of `confidently_wrong`.
-        lab: parameters as believed; improved: as the diagnosis leaves them.
-    """
+def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
+    """The truth beside what was said, a sentence a line; arguments of `confidently_wrong`."""
     effect = hidden_effect(hidden)
     amounts = {}
     for name, value in hidden_numbers(hidden).items():
@@ -408,16 +378,6 @@ def reveal(
             short = name.removeprefix(EFFECT_PREFIX)
             yield f"{short}: found {found['value']:.4g}, true {amounts[name]}{off}"
 
-    misses = []
-    before, after = (gap_on_new_drive(hidden, model) for model in (lab, improved))
-    for quantity, *gaps in zip(("deflection", "temperature"), before, after, strict=True):
-        old, new = (in_print(float(np.sqrt(np.mean(gap**2))), quantity) for gap in gaps)
-        misses.append(f"{quantity} {old} -> {new}")
-    yield (
-        "On a new drive, without sensor noise, the simulator misses this bench by (as believed -> "
-        f"improved): {', '.join(misses)} rms."
-    )
-
 
 def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
     """The verdict card and the candidates."""
@@ -427,7 +387,7 @@ def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
 
 
 def print_gap(
-    console: Console, out: Path, answer: Mapping[str, Any], lab: Parameters, seed: int
+    console: Console, out: Path, answer: Mapping[str, Any], seed: int
 ) -> tuple[Parameters, Path]:
     """The argument, then the truth, which only now anybody but the bench's own nodes reads: the
     bench as it is, and the diagnosis's page."""
@@ -439,8 +399,7 @@ def print_gap(
         console.print(f"{what:11}{escape(str(path))}", soft_wrap=True)
     hidden = read_parameters(out / "hidden.yaml")
     console.print(f"\n[bold]The truth[/], from {escape(str(out / 'hidden.yaml'))}", soft_wrap=True)
-    improved = read_parameters(out / "improved.yaml")
-    for sentence in reveal(answer, hidden, lab, improved):
+    for sentence in reveal(answer, hidden):
         console.print(escape(sentence), soft_wrap=True)
     console.print(f"The same again: --draw {seed}")
     return hidden, page

@@ -3,7 +3,7 @@ parameters, have a protocol run and recorded."""
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -148,6 +148,7 @@ class NodeCalls:
     def run_recorded(
         self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
         heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
+        needed: Collection[str] = (),
     ) -> None:
         """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever
         ends this before the protocol's end stops the experiment at 0 V and leaves no bag.
@@ -158,6 +159,7 @@ class NodeCalls:
             heed: called with the experiment's state some 20 times a second; may raise to end the
                 run.
             simulated_time: whether the bench runs on /clock.
+            needed: relative topics that are being recorded before it starts.
 
         Raises:
             InputError: the experiment node is not ready or aborts, or something went away.
@@ -180,7 +182,8 @@ class NodeCalls:
 
             def is_recorded() -> bool:
                 experiment()
-                return bool(self.recorded(str(unfinished)))
+                there = self.recorded(str(unfinished))
+                return bool(there) and set(needed) <= set(there)
 
             def is_done() -> bool:
                 state = experiment()
