@@ -172,17 +172,13 @@ def _leave_out_other_times(decoded: dict[str, Samples]) -> list[Finding]:
     for samples in decoded.values():
         samples.keep((samples.stamp >= first) & (samples.stamp <= last))
     left_out = len(whole) - len(stamps)
+    apart = {"before": first - int(whole[0]), "after": int(whole[-1]) - last}
+    far = " and ".join(f"up to {ns * 1e-9:.3g} s {way}" for way, ns in apart.items() if ns > 0)
     text = (
-        f"{left_out} of {len(whole)} messages are stamped {_apart(whole, first, last)} the others "
-        "(was a clock set meanwhile?) and are left out"
+        f"{left_out} of {len(whole)} messages are stamped {far} the others (was a clock set "
+        "meanwhile?) and are left out"
     )
     return [Finding("warning", "record", text, {"messages": float(left_out)})]
-
-
-def _apart(stamps: IntArray, first: int, last: int) -> str:
-    before, after = (first - int(stamps[0])) * 1e-9, (int(stamps[-1]) - last) * 1e-9
-    said = [f"up to {t:.3g} s {way}" for t, way in ((before, "before"), (after, "after")) if t > 0]
-    return " and ".join(said)
 
 
 def _seconds(nanoseconds: IntArray, start: int) -> FloatArray:

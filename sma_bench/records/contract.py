@@ -123,15 +123,9 @@ def choose_topics(
             )
         if other is None or count:
             chosen[place.meaning] = topic
-    return chosen, _judge_strangers(where, chosen, strangers)
 
-
-def _judge_strangers(
-    where: str, chosen: Mapping[str, str], strangers: list[tuple[str, str, Place]]
-) -> list[Finding]:
-    """A wrong type is an error inside the bench's own namespace, other traffic elsewhere."""
-    places = [place for topic in chosen.values() if (place := place_of(topic)) is not None]
-    own = {place.namespace for place in places}
+    # A wrong type is an error inside the bench's own namespace, other traffic elsewhere.
+    own = {place.namespace for topic in chosen.values() if (place := place_of(topic))}
     findings = []
     for topic, msgtype, place in strangers:
         if place.meaning not in chosen and (not own or place.namespace in own):
@@ -141,4 +135,4 @@ def _judge_strangers(
             )
         text = f"type {msgtype} is not the contract's {place.type}; taken for other traffic"
         findings.append(Finding("info", topic, text))
-    return findings
+    return chosen, findings
