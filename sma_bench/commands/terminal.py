@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from os import environ
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from sma_bench.border import printable
 from sma_bench.commands.options import STANDARD_OUTPUT, results
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 # folded, never cut, since a name that is cut cannot be looked up.
 
 _FOR_FILES = 100  # cells of a line in a file or a pipe
-_NARROW = 60  # cells of a terminal in which everything may be folded
-_NAME_WHOLE = 36  # cells of the first column, by which one looks things up, that are not
+_NAME_WHOLE = 36  # cells of the first column, by which one looks things up, that are not folded
+_LEAST, _BETWEEN = 10, 2  # cells of a column that is folded, and between columns
 
 
 def output_console() -> "Console":
@@ -51,7 +51,7 @@ def print_table(
 
     Args:
         headings, rows: text, not markup, a cell a column.
-        right: columns of numbers, flush right and not folded.
+        right: columns of numbers, flush right and folded last.
     """
     from rich.cells import cell_len
     from rich.table import Table
@@ -59,19 +59,22 @@ def print_table(
 
     if title:
         console.print(Text(title, style="bold"))
+    texts = [[printable(cell, "\n") for cell in row] for row in rows]
+    columns = [*zip(headings, *texts, strict=True)]
+    full = [max(cell_len(line) for cell in own for line in cell.split("\n")) for own in columns]
+    # Where not all fits, numbers and names keep their width if something is left for the others.
+    space, kept = console.width - _BETWEEN * (len(full) - 1), dict[int, int]()
+    if sum(full) > space:
+        kept = {k: w for k, w in enumerate(full) if k in right}
+        kept.setdefault(0, min(full[0], _NAME_WHOLE))
+        if sum(kept.values()) + _LEAST * (len(full) - len(kept)) > space:
+            kept = {}
     table = Table(box=None, pad_edge=False)
     for k, heading in enumerate(headings):
-        whole = max((cell_len(row[k]) for row in rows), default=0)
-        if k not in right:
-            whole = min(whole, _NAME_WHOLE) if k == 0 else 0
-        table.add_column(
-            Text(heading),
-            justify="right" if k in right else "left",
-            overflow="fold",
-            min_width=whole if console.width >= _NARROW else None,
-        )
-    for row in rows:
-        table.add_row(*(Text(printable(cell, "\n")) for cell in row))
+        justify: Literal["right", "left"] = "right" if k in right else "left"
+        table.add_column(Text(heading), justify=justify, overflow="fold", width=kept.get(k))
+    for row in texts:
+        table.add_row(*map(Text, row))
     console.print(table)
 
 
