@@ -157,7 +157,10 @@ class Stage:
         channels = bench["bench.channels"]
         self.client.run_recorded(
             _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True,
-            needed=[f"{channel}/{what}" for channel in channels for what in _READINGS],
+            needed=[
+                "voltage_command", "experiment/marker",
+                *(f"{channel}/{what}" for channel in channels for what in _READINGS),
+            ],
         )
         return str(bag)
 
