@@ -274,7 +274,10 @@ def paper_page(
     runs = _runs(measured, parameters if several else composite_rig(parameters), notes)
     if records and not (outcomes or validation or runs):
         raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
-    paper = Parameters.defaults() if records else parameters
+    paper, own = Parameters.of_paper(), bool(parameters.given) and not records
+    if own:  # what this file does not state is the paper's
+        stated = {name: parameters[name] for name in parameters.given}
+        paper = paper.replace(stated, parameters.given_uncertainty)
     outcomes |= _synthetic_outcomes(paper, outcomes, part(report, _MEASURED, _SYNTHESISED))
     report(_SYNTHESISED, "composite")
     made = synthetic_records(paper, ["validation", "composite"])
@@ -285,7 +288,7 @@ def paper_page(
     return PaperPage(
         outcomes, drawn, validation is None, runs, not is_drawn,
         {name: table_rows(name, outcomes) for name in TABLES}, paper_errata(),
-        notes, bool(paper.given),
+        notes, own,
     )
 
 

@@ -334,13 +334,13 @@ def test_e6_to_e8_run_from_protocol_to_table_by_way_of_a_bag(tmp_path):
     bags = []
     protocols = (("isobaric", 5.0), ("tensile", 50.0), ("thermal_expansion", 10.0))
     for seed, (name, rate) in enumerate(protocols, 1):
-        run = sma_bench.measure(sma_bench.simulate(name, PAPER, rate=rate), seed)
+        run = sma_bench.measure(sma_bench.simulate(name, Parameters.of_paper(), rate=rate), seed)
         write_record(tmp_path / name, run)
         bags.append(sma_bench.load(tmp_path / name))
     assert np.median(bags[0]["force"].values) == pytest.approx(1.0, abs=0.01)
-    sorted_, notes = sort_records(bags, PAPER)
+    sorted_, notes = sort_records(bags, Parameters.of_paper())
     groups = ("upfr", "tensile", "clamped")
-    outcomes, reasons = identify_lab(sorted_.only(groups), PAPER, synthetic=True)
+    outcomes, reasons = identify_lab(sorted_.only(groups), Parameters.of_paper(), synthetic=True)
     assert not notes and not reasons and set(outcomes) == {"E6", "E7", "E8"}
     rows = {
         row.printed.estimate: row for name in TABLES for row in table_rows(name, outcomes)
@@ -523,7 +523,7 @@ def test_one_command_writes_page_pictures_and_tables(page, tmp_path, capsys, mon
 
 
 def test_figures_for_a_column_are_written_when_asked_for(page, tmp_path, monkeypatch):
-    one = SimpleNamespace(sections=lambda: page.sections()[:2], tables={}, notes=[], outcomes={})
+    one = SimpleNamespace(sections=lambda: page.sections()[:3], tables={}, notes=[], outcomes={})
     monkeypatch.setattr(paper_drawing, "paper_page", lambda *_: one)
     assert main(["paper", "--out", str(tmp_path / "p"), "--column", "single"]) == 0
     svg = next((tmp_path / "p").glob("figure_*.pdf")).with_suffix(".svg")
