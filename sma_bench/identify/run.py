@@ -116,16 +116,18 @@ class IdentificationRun:
 
     def weigh_priors(self, whole: Experiment | None) -> None:
         """Join what was measured with what was stated of the same number: nothing is less sure than
-        it was before. A default that nobody stated is no match for a measurement; one that says
-        less than is known of every such wire is none. The whole model has weighed the priors."""
+        it was before. A default that nobody stated is no match for a measurement, which stands with
+        its own error. The whole model has weighed the priors already."""
         told = whole.estimates if whole else {}
         for name, estimate in list(self.estimates.items()):
             prior = Estimate(self.given[name], self.given.std(name), estimate.unit, "given", 0)
             if name not in self.given.given:
-                alike = estimate is told.get(name) or BY_NAME[name].spread is None
-                if estimate.std > prior.std and not alike:
-                    del self.estimates[name]
-                    self.notes.append(_says_little(name, estimate, prior))
+                if estimate.std > prior.std and BY_NAME[name].spread is not None:
+                    text = (
+                        f"measured {estimate.value:.6g} +- {estimate.std:.2g} {estimate.unit}, no "
+                        f"surer than such wires differ by (+- {prior.std:.2g})"
+                    )
+                    self.notes.append(Finding("warning", name, text))
                 continue
             if estimate is not told.get(name):
                 self.estimates[name], remark = with_prior(estimate, prior)
@@ -211,14 +213,6 @@ class IdentificationRun:
     def missing(self, names: Sequence[str]) -> list[str]:
         """The wanted ones of `names` without a result."""
         return [name for name in names if name in self.wanted and not self.of(name)]
-
-
-def _says_little(name: str, measured: Estimate, prior: Estimate) -> Finding:
-    text = (
-        f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit}, no surer than what "
-        f"is known of every such wire (+- {prior.std:.2g}): not identified"
-    )
-    return Finding("warning", name, text, {"value": measured.value, "std": measured.std})
 
 
 # --- What is stated of the wire, against itself.

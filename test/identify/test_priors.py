@@ -70,9 +70,10 @@ def test_transition_temperatures_keep_their_order():
     assert dict(run.improved()) | found == dict(run.improved())
 
 
-def test_what_says_less_than_is_known_of_every_wire_is_not_identified():
+def test_a_measurement_that_says_less_than_is_known_of_every_wire_stands_and_is_warned_of():
     found, notes = weighed(40.0)
-    assert found is None and notes[0].subject == START
+    assert (found.value, found.std) == (356.0, 40.0)
+    assert notes[0].subject == START and notes[0].severity == "warning"
 
 
 def test_a_number_out_of_its_range_is_named_and_ends_nothing_else():
