@@ -166,7 +166,8 @@ def draw_record(truth: Parameters, rng: np.random.Generator) -> Record:
     quantities = {name.rpartition(".")[2] for name in record.signals} - {"voltage"}
     motion = quantities & {"deflection", "elongation"}
     gone = {q for q in sorted(quantities - motion) if rng.random() < 0.25}
-    gone -= {"temperature"} if not quantities - gone - {"force"} else set()  # all there is to tell
+    if truth["load.kind"] == "clamped" and "current" in gone:
+        gone -= {"temperature"}  # all there is to tell
     kept = {n: s for n, s in record.signals.items() if n.rpartition(".")[2] not in gone}
     return replace(record, signals=kept)
 

@@ -74,31 +74,22 @@ def _derivatives(record: Record, lab: Parameters, rounds: int) -> list[Outcome]:
     predicted = problem.predict(unknowns.parameters(x))
     own = Problem(problem.observations, problem.noise, problem.nuisances, voltage_noise=True)
     which = range(unknowns.baseline)
-
-    def differences() -> np.ndarray:
-        base = problem.predict(unknowns.parameters(x))
-        return problem.coarse.differences(unknowns, x, problem, base, which)
-
     ways = {
-        "carried along": lambda: problem.derivatives(unknowns, x, predicted, which),
-        "differences": differences,
+        "plain": lambda: problem.predict(unknowns.parameters(x)),
+        "derivatives": lambda: problem.derivatives(unknowns, x, predicted, which),
     }
-    plain = {"plain": lambda: problem.predict(unknowns.parameters(x))}
-    seconds = interleaved({**plain, **ways}, rounds)
-    right = problem.whiten(own.derivatives(unknowns, x, predicted, which))
+    seconds = interleaved(ways, rounds)
+    off = [
+        np.linalg.slogdet(np.eye(len(x)) + rows.T @ rows)[1]
+        for rows in (problem.whiten(of.derivatives(unknowns, x, predicted, which))
+                     for of in (problem, own))
+    ]  # fmt: skip
     case = f"a composite record, {unknowns.baseline} derivatives"
-    outcomes: list[Outcome] = []
-    for name, way in ways.items():
-        rows = problem.whiten(way())
-        off = 0.5 * float(
-            np.linalg.slogdet(np.eye(len(x)) + rows.T @ rows)[1]
-            - np.linalg.slogdet(np.eye(len(x)) + right.T @ right)[1]
-        )
-        times = ratio(seconds[name], seconds["plain"])
-        aim = at_most(6.0) if name == "carried along" else None
-        outcomes.append(Figure(case, f"{name}: plain simulations", times, "", aim))
-        outcomes.append(Figure(case, f"{name}: information off by", off, "nats"))
-    return outcomes
+    times = ratio(seconds["derivatives"], seconds["plain"])
+    return [
+        Figure(case, "plain simulations", times, "", at_most(15.0)),
+        Figure(case, "information off by", 0.5 * float(off[0] - off[1]), "nats"),
+    ]
 
 
 def _stages(record: Record, lab: Parameters) -> list[Outcome]:
@@ -117,21 +108,14 @@ def _stages(record: Record, lab: Parameters) -> list[Outcome]:
 
 
 def _cores(record: Record, lab: Parameters) -> list[Outcome]:
-    """What the second core brings, by a forked copy of the process and by a thread."""
+    """What the second core brings."""
 
-    def diagnosed(**instead: bool) -> None:
-        answers = {name: (lambda answer=answer: answer) for name, answer in instead.items()}
-        with mock.patch.multiple(side_by_side, **answers):
+    def diagnosed(threads: int) -> None:
+        with mock.patch.object(side_by_side, "threads_to_spare", lambda: threads):
             diagnose([record], lab)
 
-    seconds = interleaved(
-        {
-            "one core": lambda: diagnosed(_has_one_core=True),
-            "a thread beside": lambda: diagnosed(_may_fork=False),
-            "a forked copy beside": lambda: diagnosed(_may_fork=True),
-        },
-        3, clock=time.perf_counter,
-    )  # fmt: skip
+    ways = {"one core": lambda: diagnosed(0), "a thread beside": lambda: diagnosed(2)}
+    seconds = interleaved(ways, 3, clock=time.perf_counter)
     return [
         Figure("a composite bag", f"{way}: on the wall", float(np.median(taken)), "s")
         for way, taken in seconds.items()

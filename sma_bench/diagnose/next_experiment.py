@@ -41,7 +41,7 @@ from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import offsets
 from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Problem
-from sma_bench.estimation.side_by_side import in_processes, in_threads
+from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.heat import heating_voltage
@@ -259,7 +259,7 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
     def promise(drives: Sequence[Drive]) -> list[tuple[float, Drive]]:
         """Those that are new and not refused, the most promising first."""
         new = [drive for drive in dict.fromkeys(drives) if drive not in promised]
-        promised.update(zip(new, in_processes(merit, [(d, 0) for d in new]), strict=True))
+        promised.update(zip(new, in_threads(merit, [(d, 0) for d in new]), strict=True))
         found = [(p, k) for k, d in enumerate(new) if isinstance(p := promised[d], float)]
         return [(p, new[k]) for p, k in sorted(found, reverse=True)]
 
@@ -269,7 +269,7 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
             if len(best) == _PARENTS and left[0][0] + _ADDED < weighed[best[-1]]:
                 break
             pair, left = [drive for _, drive in left[:2]], left[2:]
-            found = in_processes(merit, [(drive, _DIRECTIONS) for drive in pair])
+            found = in_threads(merit, [(drive, _DIRECTIONS) for drive in pair])
             weighed.update((d, m) for d, m in zip(pair, found, strict=True) if isinstance(m, float))
 
     first = promise([*KNOWN, *(drawn(random) for _ in range(_DRAWS))])
@@ -434,23 +434,12 @@ def _on(
         if not len(along):
             return problem.white_nuisances
         moved = [np.clip(fitted.x + _STEP * one, *fitted.unknowns.bounds()) for one in along]
-        columns = _carried(problem, fitted, moved)
-        if columns is None:
-            there = [problem.predict(fitted.unknowns.parameters(x)) for x in moved]
-            columns = (np.column_stack(there) - here[:, None]) / _STEP
+        there = problem.predict_many([fitted.unknowns.parameters(x) for x in moved])
+        columns = (there - here[:, None]) / _STEP
         return np.hstack([problem.whiten(columns), problem.white_nuisances])
 
     spaces = dict(zip(fits, in_threads(space, [(name,) for name in fits]), strict=True))
     return {name: problem.whiten(p) for name, p in predicted.items()}, spaces
-
-
-def _carried(problem: Problem, fitted: Fit, moved: Sequence[Array]) -> Array | None:
-    """(n, k) derivatives toward k places, carried along where those of all numbers are."""
-    unknowns, numbers = fitted.unknowns, range(len(fitted.x))
-    if not all(map(unknowns.is_carried, numbers)):
-        return None
-    by_numbers = problem.carried(unknowns, fitted.x, numbers)
-    return None if by_numbers is None else by_numbers @ (np.array(moved) - fitted.x).T / _STEP
 
 
 def _directions(fitted: Fit) -> Array:

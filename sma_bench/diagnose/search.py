@@ -12,8 +12,8 @@ from sma_bench.diagnose.starts import Remainder, find_start, start_off
 from sma_bench.diagnose.tails import gain_of_tails, with_tails
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.side_by_side import in_processes
-from sma_bench.estimation.solver import Fit, fit, fits_in_processes, recalibrate
+from sma_bench.estimation.side_by_side import in_threads
+from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
     Unknowns,
     stated_effects,
@@ -121,7 +121,7 @@ def search(
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     progress("the best again, carefully")
     worth = [(singles[name],) for name in _worth_refining(singles, recalibrated)]
-    again = fits_in_processes(_refined, worth, problem)
+    again = in_threads(_refined, worth)
     again += [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
     for found in again:
         (name,) = found.unknowns.effects
@@ -144,7 +144,7 @@ def search(
     progress("what is left")
     fits = list(dict.fromkeys([recalibrated, best]))
     works = [(work, fitted) for work in (flexible_residual, left_over) for fitted in fits]
-    done = in_processes(lambda work, fitted: work(fitted), works)
+    done = in_threads(lambda work, fitted: work(fitted), works)
     flexible, left = done[: len(fits)], done[len(fits) :]
     return Search(
         problem, nominal, recalibrated, singles, pairs, best, flexible[0], flexible[-1],
@@ -183,20 +183,20 @@ def _singles(
     if not names:
         return {}
     progress(names[0])
-    problem = recalibrated.problem
-    found = in_processes(
+    found = in_threads(
         lambda name: find_start(remainder, models[name], name), [(name,) for name in names]
     )
     starts = dict(zip(names, found, strict=True))
     ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
     first = ranked[:_FIRST]
-    begun = fits_in_processes(single, [(name,) for name in first], problem)
+    begun = in_threads(single, [(name,) for name in first])
     fits = dict(zip(first, begun, strict=True))
     lead = max((f.evidence - recalibrated.evidence for f in fits.values()), default=0.0)
     hopeless = {n for n in ranked[_FIRST:] if _PROMISES * starts[n].gain < lead - _BEYOND}
     others = ranked[_FIRST:]
-    rest = fits_in_processes(lambda name: (off if name in hopeless else single)(name),
-                             [(name,) for name in others], problem)  # fmt: skip
+    rest = in_threads(
+        lambda name: (off if name in hopeless else single)(name), [(name,) for name in others]
+    )
     fits |= zip(others, rest, strict=True)
     return {name: fits[name] for name in names}
 
@@ -223,15 +223,14 @@ def _from_belief(
     way back to them can be long and winding."""
     believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
     remainder = Remainder(believed)
-    starts = in_processes(
+    starts = in_threads(
         lambda name: find_start(remainder, baseline.with_effects([name]), name),
         [(name,) for name in names],
     )
     ranked = sorted(zip(names, starts, strict=True), key=lambda s: s[1].gain, reverse=True)
     best = ranked[:_MOST_FROM_BELIEF]
-    fits = fits_in_processes(
-        lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True),
-        best, problem,
+    fits = in_threads(
+        lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True), best
     )
     return {name: found for (name, _), found in zip(best, fits, strict=True)}
 
@@ -315,6 +314,6 @@ def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[
         return fit(singles[name].problem, unknowns, start.x, rounds=2, frozen=frozen)
 
     partners = [partner for partner in singles if partner != name]
-    promises = in_processes(promise, [(partner,) for partner in partners])
+    promises = in_threads(promise, [(partner,) for partner in partners])
     order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
-    return fits_in_processes(pair, [(partners[k],) for k in order], singles[name].problem)
+    return in_threads(pair, [(partners[k],) for k in order])

@@ -4,13 +4,13 @@ A score test at zero is blind to effects whose number acts only together with an
 constant of a relaxation that is not there yet), so whole differences are tried, not slopes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import Unknowns, default_of, number_of_effect
 from sma_bench.parameters import Parameters
@@ -56,10 +56,10 @@ class Remainder:
     def _explained(self, pull: Array) -> Array:
         return np.asarray(self._rows @ np.linalg.solve(self._normal, pull))
 
-    def change(self, parameters: Parameters) -> Array:
-        """(n,) whitened, of the readings from the fit's to these parameters."""
+    def changes(self, benches: Sequence[Parameters]) -> Array:
+        """(n, p) whitened, of the readings from the fit's to these benches'."""
         problem = self.fitted.problem
-        return problem.whiten(problem.coarse.predict(parameters) - self._before)
+        return problem.whiten(problem.coarse.predict_many(benches) - self._before[:, np.newaxis])
 
     def gain(self, change: Array) -> tuple[float, float]:
         """Gain of adding a multiple of `change` (n,) whitened, and that multiple."""
@@ -91,12 +91,10 @@ def find_start(
         x = np.concatenate([fitted.x, offset])
         trials.append(np.clip(x, low, high))
 
-    def changed(x: Array) -> Array:
-        return remainder.change(unknowns.parameters(x))
-
     best = Start(start_off(fitted, unknowns, name), 0.0)
     switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]
-    for x, change in zip(trials, in_threads(changed, [(x,) for x in trials]), strict=True):
+    changes = remainder.changes([unknowns.parameters(x) for x in trials])
+    for x, change in zip(trials, np.ascontiguousarray(changes.T), strict=True):
         gain, share = remainder.gain(change)
         if gain > best.gain:
             there = x.copy()

@@ -26,7 +26,7 @@ from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.heat import time_constant
 from sma_bench.physics.kernel import Kernel
 from sma_bench.physics.material import current
-from sma_bench.physics.simulate import Bench, Simulation
+from sma_bench.physics.simulate import Bench, Simulation, simulate_many
 from sma_bench.records.record import Record, has_samples, samples
 from sma_bench.records.samples import ohms_of_source, require_channels, with_commands
 
@@ -49,6 +49,7 @@ _MOST_CELLS = 12_000
 _CELLS_A_SAMPLE = 50  # what lies between readings so far apart is not to be known
 _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
+_AT_ONCE = 1_000_000  # samples of all wires, of benches that are simulated together
 _WORTHWHILE = 0.7  # of the cells
 _FEWEST_SAMPLES = 20
 _DRIVEN = 0.02  # of the largest voltage
@@ -176,7 +177,7 @@ class Observation:
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
     ) -> Simulation:
-        """The model on this record's drive.
+        """The model on this record's drive; a bench too warm for martensite leaves it at once.
 
         Args:
             parameters: of the model; channels are this record's own.
@@ -187,7 +188,6 @@ class Observation:
         volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
         if self.holds:
             return self._under_loads(parameters, volts, loads)
-        # Wherever a fit goes: a bench that is too warm for martensite leaves it at once.
         return simulate(parameters, self.grid, volts, initial=Kernel.of(parameters, None).rest)
 
     def own_bench(self, parameters: Parameters) -> Parameters:
@@ -214,8 +214,7 @@ class Observation:
                 continue
             if bench is None:
                 load = hold.boundary(error, parameters)
-                rest = Kernel(parameters, load).rest
-                bench = Bench(parameters, initial=rest, boundary=load)
+                bench = Bench(parameters, initial=Kernel(parameters, load).rest, boundary=load)
             else:
                 bench.pull_against(hold.boundary(error, parameters))
             parts.append(bench.follow(self.grid[span], volts[span]))
@@ -223,44 +222,39 @@ class Observation:
 
     def readings(self, simulation: Simulation) -> list[Array]:
         """What the model's sensors read, one (b,) array a signal."""
-        courses = [self._course(signal, simulation) for signal in self.signals]
-        flat = self._averages @ np.concatenate(courses)
+        flat = self._averages @ self._courses(simulation)
         return np.split(flat, np.cumsum([len(s.time) for s in self.signals])[:-1])
+
+    def predict(self, benches: Sequence[Parameters]) -> Array:
+        """(b, p) what the sensors of p benches read, signal after signal."""
+        most = max(1, _AT_ONCE // self.voltage.size)
+        if len(benches) > most:
+            return np.hstack([self.predict(benches[:most]), self.predict(benches[most:])])
+        if self.holds or self.ohms:
+            runs = [self.simulate(bench) for bench in benches]
+        else:
+            runs = simulate_many([*map(self.own_bench, benches)], self.grid, self.voltage)
+        return np.column_stack([self._averages @ self._courses(run) for run in runs])
 
     @cached_property
     def _averages(self) -> csr_array:
         """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
-        return csr_array(block_diag(self.delayed, format="csr"))
-
-    @cached_property
-    def delayed(self) -> list[csr_array]:
-        return [csr_array(s.average @ self._delay(s.quantity)) for s in self.signals]
-
-    def _delay(self, quantity: str) -> csr_array:
-        """(n, n) from a course on the grid to the same later, as `course` has it."""
-        return _interpolation(self.grid, self.grid - self.delays.get(quantity, 0.0))
+        pairs = [(s.average, self.grid - self.delays.get(s.quantity, 0.0)) for s in self.signals]
+        own = [average @ _interpolation(self.grid, time) for average, time in pairs]
+        return csr_array(block_diag(own, "csr"))
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
         """(n,) on the grid: what the signal averages; the conductance for a current."""
-        course = self._course(signal, simulation)
+        courses = _course(signal.quantity, simulation)
+        course = courses[:, signal.wire % courses.shape[1]]
         delay = self.delays.get(signal.quantity, 0.0)
         return np.interp(self.grid - delay, self.grid, course) if delay else course
 
-    def _course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
-        wire = signal.wire
-        if signal.quantity == "deflection":
-            return simulation.deflection_reading
-        if signal.quantity == "temperature":
-            return simulation.temperature_reading[:, wire]
-        if signal.quantity == "elongation":
-            length = wire_length(simulation.parameters)
-            return -length * simulation.contraction[:, 0]
-        if signal.quantity == "force":
-            return simulation.force[:, wire]
-        return current(
-            simulation.parameters, 1.0, simulation.temperature[:, wire],
-            simulation.martensite_fraction[:, wire],
-        )
+    def _courses(self, simulation: Simulation) -> Array:
+        """(signals n,) courses of all signals, one after the other, undelayed."""
+        of = {quantity: _course(quantity, simulation) for quantity in self.quantities}
+        which = [(of[s.quantity], s.wire) for s in self.signals]
+        return np.concatenate([course[:, wire % course.shape[1]] for course, wire in which])
 
     def rates(self, simulation: Simulation) -> list[Array]:
         """d/dt of each signal, bin by bin."""
@@ -291,6 +285,18 @@ class Observation:
     def load_errors(self) -> list[Array]:
         """(h,) one standard error of each held load in turn."""
         return [row for row in np.diag([hold.std for hold in self.holds]) if row.any()]
+
+
+def _course(quantity: str, simulation: Simulation) -> Array:
+    """(n, w) of every wire; of a motion (n, 1)."""
+    if quantity == "deflection":
+        return simulation.deflection_reading[:, np.newaxis]
+    if quantity == "elongation":
+        return -wire_length(simulation.parameters) * simulation.contraction[:, :1]
+    if quantity in ("temperature", "force"):
+        return simulation.force if quantity == "force" else simulation.temperature_reading
+    state = simulation.temperature, simulation.martensite_fraction
+    return current(simulation.parameters, 1.0, *state)
 
 
 def _joined(parts: Sequence[Simulation]) -> Simulation:

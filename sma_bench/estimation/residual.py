@@ -18,19 +18,12 @@ from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
 from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
-from sma_bench.estimation.side_by_side import in_threads
+from sma_bench.estimation.side_by_side import in_threads, threads_to_spare
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length
-from sma_bench.parameters.parameters import as_recorded
-from sma_bench.physics.bending import channel_section
-from sma_bench.physics.boundary import Boundary, per_side, side_names
-from sma_bench.physics.material import current
-from sma_bench.physics.sensitivities import Sensitivities, carries
 
 _STEP = 1e-4  # prior deviations, of a difference
 _LEAST_MISFIT, _MISFIT_TIME = 1e-3, 2.0  # of the stroke, s
-_TINY = 2e-6  # of the numbers that the model is computed from
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
 MOTIONS = ("deflection", "elongation", "force")
@@ -174,70 +167,50 @@ class Problem:
         return values + self.nuisance_rows @ about if about.any() else values
 
     def predict(self, parameters: Parameters) -> Array:
-        """(n,) readings.
+        """(n,) readings; raises as `predict_many`."""
+        return self.predict_many([parameters])[:, 0]
+
+    def predict_many(self, benches: Sequence[Parameters]) -> Array:
+        """(n, p) readings of p benches, which are simulated together.
 
         Raises:
             FitError: these are no numbers of a bench, where unknowns should never go.
         """
+        parts = max(1, min(threads_to_spare(), len(benches) // 2))
+        ends = np.linspace(0, len(benches), parts + 1).astype(int).tolist()
+
+        def predicted(start: int, stop: int) -> Array:
+            return np.vstack([one.predict(benches[start:stop]) for one in self.observations])
+
         try:
-            return np.concatenate(
-                [part for o in self.observations for part in o.readings(o.simulate(parameters))]
-            )
+            return np.hstack(in_threads(predicted, list(zip(ends, ends[1:], strict=False))))
         except InputError as error:
             raise FitError(f"within a fit: {error}") from error
 
     def derivatives(
         self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int]
     ) -> Array:
-        """d(readings)/dx (n, k) of the `which` unknowns, on coarse cells.
+        """d(readings)/dx (n, k) of the `which` unknowns, where the readings are `predicted`.
 
-        Carried along with one simulation where that can be; else differences, of so small a step
-        that they agree with those: across a valley where several derivatives all but cancel, what
-        a large step is off by is information that the records do not hold (0.02 prior deviations:
-        a supply's resistance known six times as well as it is). Cells of a quarter of a bin are
-        off by hundredths of a nat (of half a bin: by up to 0.9, which let a rival in).
+        Differences of so small a step that they agree with derivatives: across a valley where
+        several of these all but cancel, what a large step is off by is information that the records
+        do not hold (0.02 prior deviations: a supply's resistance known six times as well as it is).
+        They are taken on coarse cells: a quarter of a bin is off by hundredths of a nat (half a
+        bin by up to 0.9, which let a rival in).
         """
-        seen, own = self.coarse, [*which]
-        columns = np.empty((len(predicted), len(own)))
-        carried = [k for k, i in enumerate(own) if unknowns.is_carried(i)]
-        found = None
-        if carried:
-            found = seen.carried(unknowns, x, [own[k] for k in carried])
-        if found is not None:
-            columns[:, carried] = found
-        left = [k for k in range(len(own)) if found is None or k not in carried]
-        others = [own[k] for k in left]
-        if others:
-            columns[:, left] = seen.differences(unknowns, x, self, predicted, others)
-        return columns
-
-    def carried(self, unknowns: Unknowns, x: Array, which: Sequence[int]) -> Array | None:
-        """The same (n, k), carried along with one simulation a record; None where an effect that is
-        on cannot be."""
+        if not len(which):
+            return np.empty((len(predicted), 0))
+        seen, here = self.coarse, unknowns.parameters(x)
         high = unknowns.bounds()[1]
-        steps = np.where(x + _TINY <= high, _TINY, -_TINY)[[*which]]
-        here = as_recorded(unknowns.parameters(x))
-        if not carries(here) or any(one.holds or one.ohms for one in self.observations):
-            return None
-        moved = [
-            unknowns.nudged(here, x, i, float(step)) for i, step in zip(which, steps, strict=True)
+        steps = np.where(x + _STEP <= high, _STEP, -_STEP)[[*which]]
+        benches = [
+            unknowns.nudged(here, x, i, step)
+            for i, step in zip(which, steps.tolist(), strict=True)
         ]
-        return np.concatenate([_carried(o, here, moved, steps) for o in self.observations])
-
-    def differences(
-        self, unknowns: Unknowns, x: Array, fine: Self, predicted: Array, which: Sequence[int]
-    ) -> Array:
-        """The same (n, k) as differences; `predicted` are the readings of the problem `fine`."""
-        high = unknowns.bounds()[1]
-        here = predicted if fine is self else self.predict(unknowns.parameters(x))
-
-        def column(i: int) -> Array:
-            step = _STEP if x[i] + _STEP <= high[i] else -_STEP
-            there = x.copy()
-            there[i] += step
-            return (self.predict(unknowns.parameters(there)) - here) / step
-
-        return np.column_stack(in_threads(column, [(i,) for i in which]))
+        readings = seen.predict_many(benches if seen is self else [here, *benches])
+        if seen is self:
+            return (readings - predicted[:, np.newaxis]) / steps
+        return (readings[:, 1:] - readings[:, :1]) / steps
 
     @cached_property
     def coarse(self) -> "Problem":
@@ -280,51 +253,3 @@ class Problem:
     def log_prior(self) -> float:
         """Log of how probable such noise is of these sensors."""
         return sum(noise.log_prior for noise in self.noise.values())
-
-
-# What turns a simulation into readings: conductance of a wire that has no effect, its length and
-# section, levers of the sides.
-_CONDUCTANCE, _LENGTH, _SECTION, _LEVER = range(4)
-
-
-def _gains(parameters: Parameters) -> Array:
-    ambient = parameters["environment.ambient_temperature"]
-    levers = per_side("lever", Boundary.of(parameters).lever, len(side_names(parameters)))
-    own = (
-        float(current(parameters, 1.0, ambient, 1.0)), wire_length(parameters),
-        channel_section(parameters),
-    )
-    return np.concatenate([own, levers])
-
-
-def _carried(
-    observation: Observation, parameters: Parameters, moved: Sequence[Parameters], steps: Array
-) -> Array:
-    """d(readings) (b, p) of one record, signal after signal."""
-    benches = [observation.own_bench(other) for other in moved]
-    simulation = observation.simulate(parameters)
-    carried = Sensitivities.of(simulation, benches, steps)
-    gains = _gains(simulation.parameters)
-    by_gains = np.stack([_gains(other) - gains for other in benches], axis=-1) / steps
-    sides = range(simulation.contraction.shape[1])
-
-    def course(signal: BinnedSignal) -> Array:
-        """(n, p), of what `Observation.course` has."""
-        wire = signal.wire
-        if signal.quantity == "temperature":
-            return carried.temperature[wire]
-        if signal.quantity == "force":
-            direct = np.multiply.outer(simulation.stress[:, wire], by_gains[_SECTION])
-            return gains[_SECTION] * carried.stress[wire] + direct
-        if signal.quantity == "elongation":
-            direct = np.multiply.outer(simulation.contraction[:, 0], by_gains[_LENGTH])
-            return -gains[_LENGTH] * carried.contraction[0] - direct
-        if signal.quantity == "deflection":
-            direct = simulation.contraction @ by_gains[_LEVER:]
-            return direct + sum(gains[_LEVER + k] * carried.contraction[k] for k in sides)
-        return np.broadcast_to(by_gains[_CONDUCTANCE], (len(simulation.time), len(moved)))
-
-    return np.concatenate([
-        average @ course(signal)
-        for average, signal in zip(observation.delayed, observation.signals, strict=True)
-    ])  # fmt: skip

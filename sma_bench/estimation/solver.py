@@ -12,16 +12,15 @@ scipy.optimize.least_squares ends at the same place after several times as many 
 of a nat.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.side_by_side import in_processes
+from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.unknowns import Unknowns, shares_of_factor
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
@@ -164,29 +163,6 @@ def fit(
     return state.finished()
 
 
-def fits_in_processes(
-    function: Callable[..., Fit], arguments: Sequence[tuple[Any, ...]], problem: Problem
-) -> list[Fit]:
-    """Fits of the records of `problem`, which are not handed from process to process."""
-
-    def packed(fitted: Fit) -> Fit:
-        own = fitted.problem.nuisances
-        own = () if own is problem.nuisances else own
-        return replace(
-            fitted, problem=replace(fitted.problem, observations=(), nuisances=own, shared={})
-        )
-
-    def unpacked(sent: Fit) -> Fit:
-        same, own = problem.observations, sent.problem.nuisances
-        nuisances, shared = (own, {}) if own else (problem.nuisances, problem.shared)
-        return replace(
-            sent,
-            problem=replace(sent.problem, observations=same, nuisances=nuisances, shared=shared),
-        )
-
-    return in_processes(function, arguments, packed, unpacked)
-
-
 def recalibrate(
     problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
     report: Report = silent,
@@ -203,7 +179,7 @@ def recalibrate(
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
         return fit(first, unknowns, x, far=True)
 
-    tried = fits_in_processes(from_start, list(enumerate(starts)), first)
+    tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
     return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried

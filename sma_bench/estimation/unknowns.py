@@ -83,7 +83,6 @@ _STRAIGHT = {
     "load.force",
     "load.preload",
 }
-_NOT_CARRIED = {name for effect in EFFECTS.values() for name in effect.not_carried}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
 _ABOVE_NOTHING = 1e-3  # of what is believed: the least of a number that cannot be 0
@@ -175,10 +174,6 @@ class Unknowns:
     def tied(self) -> dict[str, str]:
         """Parameters that take another one's value."""
         return {other: item.name for item in self.items for other in item.tied}
-
-    def is_carried(self, i: int) -> bool:
-        """Whether derivatives by this one can be carried along with a simulation."""
-        return self.items[i].name not in _NOT_CARRIED
 
     @cached_property
     def _together(self) -> slice:

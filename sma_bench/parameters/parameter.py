@@ -157,8 +157,6 @@ class Effect:
         constants, state, scratch: further columns of that row: what a bench is; what one step hands
             to the next, 0 at the start; what is noted within a step. A name that stands n times is
             the first of n columns.
-        carried: numbers that are no more than a number in the rows of the core, so that derivatives
-            are carried along with a simulation (physics/sensitivities.py) while no other is on.
         beside: parameter whose value depends on where the effect is counted from: what a multiple
             of it would do as well is no part of what the effect does.
         times: number to the parameter that it enters the model with, as a product: no record of
@@ -178,7 +176,6 @@ class Effect:
     constants: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
     scratch: tuple[str, ...] = ()
-    carried: tuple[str, ...] = ()
     beside: str = ""
     times: Mapping[str, str] | None = None
     text: str = ""
@@ -203,12 +200,6 @@ class Effect:
             if parameters[name] != 0.0:
                 return True
         return False
-
-    @cached_property
-    def not_carried(self) -> tuple[str, ...]:
-        """Full names of its numbers by which no derivative is carried along."""
-        carried = {f"{EFFECT_PREFIX}{self.name}.{number}" for number in self.carried}
-        return tuple(p.name for p in self.parameters if p.name not in carried)
 
     def named(self, number: str) -> Parameter:
         """The table's entry of one of its numbers.

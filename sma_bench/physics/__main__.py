@@ -3,10 +3,11 @@
 import numpy as np
 
 from sma_bench.parameters import Parameters
-from sma_bench.physics import sensitivities, simulate
+from sma_bench.physics import simulate
+from sma_bench.physics.simulate import simulate_many
 
 if __name__ == "__main__":
     bench = Parameters.defaults()
-    moved = bench.replace({"wire.resistance": 1.0001 * bench["wire.resistance"]})
-    run = simulate(bench, np.arange(3) * 0.05, np.ones((3, len(bench["bench.channels"]))))
-    sensitivities.Sensitivities.of(run, [moved], np.array([1e-4]))
+    time, volts = np.array([0.0, 0.05, 0.1]), np.ones((3, len(bench["bench.channels"])))
+    simulate(bench, time, volts)
+    simulate_many([bench], time, volts)

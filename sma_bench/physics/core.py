@@ -358,3 +358,10 @@ def run(time, voltage, wires, sides, history, strain):
         for side in range(sides.shape[0]):
             strain[0, k, side] = sides[side, CONTRACTION]
             strain[1, k, side] = sides[side, BENDING]
+
+
+@borrowing
+def run_many(time, voltage, wires, sides, history, strain):
+    """`run` of p benches on one drive, each array but the drive with the benches first."""
+    for bench in range(wires.shape[0]):
+        run(time, voltage, wires[bench], sides[bench], history[bench], strain[bench])

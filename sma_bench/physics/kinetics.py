@@ -63,7 +63,7 @@ def smooth_ramp(position, spread, tail):
         share += OUTER * (early + late - 2.0 * share)
         slope += OUTER * (early_slope + late_slope - 2.0 * slope)
     if tail != 0.0:
-        normal, normal_slope, _ = normal_ramp(position, spread)
+        normal, normal_slope = normal_ramp(position, spread)
         share += tail * (normal - share)
         slope += tail * (normal_slope - slope)
     return share, slope
@@ -72,17 +72,17 @@ def smooth_ramp(position, spread, tail):
 @borrowing
 def normal_ramp(position, spread):
     """Ramp of normally distributed grains from 0 to 1, cut off where next to none are left; its
-    slopes along position and spread."""
+    slope."""
     deviation = math.sqrt(NORMAL_DEVIATION * NORMAL_DEVIATION + spread * spread)
     away = (position - 0.5) / deviation
     if away <= -NORMAL_REACH:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0
     if away >= NORMAL_REACH:
-        return 1.0, 0.0, 0.0
+        return 1.0, 0.0
     scale = 1.0 / (1.0 - 2.0 * NORMAL_REST)
     share = (0.5 * math.erfc(-away / SQRT_2) - NORMAL_REST) * scale
     slope = math.exp(-0.5 * away * away) / (SQRT_2_PI * deviation) * scale
-    return share, slope, -away * slope * spread / deviation
+    return share, slope
 
 
 @inlined
@@ -106,9 +106,7 @@ def phase_left(wires, i, own, other, own_spread, other_spread):
         if wires[i, RETURN_POINT] != 0.0:
             left, by_own = towards_turn(wires, i, share, share_slope)
         if wires[i, MEMORY] != 0.0:
-            of_grains, by_share, _, _, _ = left_of_grains(
-                phase, share, own_reversed, wires[i, MEMORY]
-            )
+            of_grains, by_share = left_of_grains(phase, share, own_reversed, wires[i, MEMORY])
             left += of_grains - share * scale
             by_own += (by_share - scale) * share_slope
             if left > phase and share < own_reversed:  # with a return point beside it
@@ -143,65 +141,6 @@ def fraction(wires, i, temperature, stress):
     by_f *= wires[i, AUSTENITE_SLOPE]
     by_g *= wires[i, MARTENSITE_SLOPE]
     return xi, by_g - by_f, by_f * wires[i, AUSTENITE_SHIFT] - by_g * wires[i, MARTENSITE_SHIFT]
-
-
-@inlined
-def ramp_gradient(position, spread, tail):
-    """Ramp of `smooth_ramp`; its slopes along position, spread and tail."""
-    share, slope = ramp(position)
-    by_spread = 0.0
-    if spread > 0.0:
-        early, early_slope = ramp(position + GRAIN * spread)
-        late, late_slope = ramp(position - GRAIN * spread)
-        share += OUTER * (early + late - 2.0 * share)
-        slope += OUTER * (early_slope + late_slope - 2.0 * slope)
-        by_spread = OUTER * GRAIN * (1.0 - tail) * (early_slope - late_slope)
-    normal, normal_slope, normal_by_spread = normal_ramp(position, spread)
-    by_spread += tail * normal_by_spread
-    by_tail = normal - share
-    return share + tail * by_tail, slope + tail * (normal_slope - slope), by_spread, by_tail
-
-
-@inlined
-def left_gradient(wires, i, own, other, own_spread, other_spread):
-    """Slopes of `phase_left` without return points: along own and other position, own and other
-    spread, tail, the phase and both ramps at the last reversal, and the memory."""
-    phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
-    other_reversed, memory = wires[i, OTHER_REVERSED], wires[i, MEMORY]
-    share, share_slope, share_by_spread, share_by_tail = ramp_gradient(
-        own, own_spread, wires[i, TAIL]
-    )
-    rest, rest_slope, rest_by_spread, rest_by_tail = ramp_gradient(
-        other, other_spread, wires[i, TAIL]
-    )
-    left, by_share, by_rest, by_phase = 0.0, 0.0, 0.0, 0.0
-    by_own_reversed, by_other_reversed, by_memory = 0.0, 0.0, 0.0
-    if own_reversed > 0.0:
-        left, by_share, by_phase, by_own_reversed, by_memory = left_of_grains(
-            phase, share, own_reversed, memory
-        )
-    elif phase > 0.0 and other_reversed < 1.0:
-        by_rest, by_phase = -phase / (1.0 - other_reversed), (1.0 - rest) / (1.0 - other_reversed)
-        left = phase * by_phase
-        by_other_reversed = left / (1.0 - other_reversed)
-    if other < wires[i, OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
-        bound = 1.0 - rest / other_reversed
-        if bound > left:
-            by_phase, by_own_reversed, by_memory = 0.0, 0.0, 0.0
-            if bound >= share:
-                left, by_share, by_rest, by_other_reversed = share, 1.0, 0.0, 0.0
-            else:
-                left, by_share, by_rest = bound, 0.0, -1.0 / other_reversed
-                by_other_reversed = rest / (other_reversed * other_reversed)
-    if left > 1.0:
-        by_share, by_rest, by_phase, by_memory = 0.0, 0.0, 0.0, 0.0
-        by_own_reversed, by_other_reversed = 0.0, 0.0
-    return (
-        by_share * share_slope, by_rest * rest_slope,
-        by_share * share_by_spread, by_rest * rest_by_spread,
-        by_share * share_by_tail + by_rest * rest_by_tail,
-        by_phase, by_own_reversed, by_other_reversed, by_memory,
-    )
 
 
 @borrowing

@@ -198,10 +198,13 @@ def current(
     """
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     count = parameters["wire.count"]
-    of_phase = 1.0 + parameters[_CHANGE] * (1.0 - xi)
-    rise = kelvin - parameters["environment.ambient_temperature"]
-    of_heat = np.maximum(1.0 + parameters[_SLOPE] * rise, LEAST)
-    resistance = parameters["wire.resistance"] * of_phase * of_heat
+    resistance = parameters["wire.resistance"]
+    if parameters[_CHANGE] or parameters[_SLOPE]:
+        of_phase = 1.0 + parameters[_CHANGE] * (1.0 - xi)
+        rise = kelvin - parameters["environment.ambient_temperature"]
+        resistance = resistance * of_phase * np.maximum(1.0 + parameters[_SLOPE] * rise, LEAST)
+    else:
+        volts = np.broadcast_to(volts, np.broadcast_shapes(volts.shape, kelvin.shape, xi.shape))
     if parameters["bench.drive"] == "current":
         return np.asarray(count * volts / parameters["wire.resistance"])
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]

@@ -1,5 +1,6 @@
 """Simulate a bench: whole voltage records at once, or live, step by step, with the same kernel."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +13,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import columns as at
+from sma_bench.physics import core
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary, per_side, side_names
 from sma_bench.physics.effects import EFFECTS, active_effects
@@ -152,6 +154,34 @@ def simulate(
         parameters, kernel.boundary, seconds, volts, temperature, fraction, sigma, contraction,
         bending, reading, kernel.state(memory), initial.clock if initial else 0.0,
     )
+
+
+def simulate_many(
+    benches: Sequence[Parameters], time: Array, voltage: Array
+) -> list[Simulation]:
+    """Benches that differ in numbers, on one drive by direct voltage and in one call of the core.
+
+    Each begins at rest, and may be too warm for martensite there: it leaves that at once.
+
+    Args:
+        benches: of the same channels and load; time: (n,) s, increasing; voltage: (n, w) V.
+    """
+    kernels = [Kernel(bench, None) for bench in benches]
+    memories = [kernel.memory(None) for kernel in kernels]
+    wires, sides = (np.stack(rows) for rows in zip(*memories, strict=True))
+    samples = len(time)
+    history = np.empty((len(benches), 4, samples, wires.shape[1]))
+    strain = np.empty((len(benches), 2, samples, sides.shape[1]))
+    core.run_many(time, voltage, wires, sides, history, strain)
+    return [
+        Simulation(
+            kernel.parameters, kernel.boundary, time, voltage, run[0], run[1], run[2], pulled[0],
+            pulled[1], run[3], kernel.state((of_wires, of_sides)),
+        )
+        for kernel, run, pulled, of_wires, of_sides in zip(
+            kernels, history, strain, wires, sides, strict=True
+        )
+    ]
 
 
 class Bench:

@@ -29,14 +29,17 @@ def test_a_trial_promises_what_refitting_everything_beside_it_gains(size):
     residual = size * change + 0.1 * RANDOM.normal(size=ROWS)
     problem = SimpleNamespace(
         whiten=np.array, white_nuisances=nuisances, measured=residual,
-        coarse=SimpleNamespace(predict=lambda added: added * change),
+        coarse=SimpleNamespace(
+            predict=lambda added: added * change,
+            predict_many=lambda several: np.outer(change, several),
+        ),
     )
     remainder = Remainder(
         SimpleNamespace(
             problem=problem, derivatives=derivatives, predicted=np.zeros(ROWS), x=at, parameters=0.0
         )
     )
-    gain, share = remainder.gain(remainder.change(1.0))
+    gain, share = remainder.gain(remainder.changes([1.0])[:, 0])
     columns, where = np.hstack([derivatives, nuisances]), np.append(at, [0.0, 0.0])
     without, beside = (ridge(residual - s * change, columns, where) for s in (0.0, share))
     assert gain == pytest.approx(0.5 * (without - beside), rel=1e-9)

@@ -22,6 +22,5 @@ EFFECT = Effect(
         "temperature lingers inside the transformation, up and down, and runs ahead of it "
         "afterwards"
     ),
-    carried=("heat",),
     times={"heat": "wire.mass"},
 )

@@ -59,35 +59,25 @@ EFFECT = Effect(
         "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
         "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
     ),  # fmt: skip
-    carried=("memory",),
 )
 
 
 @inlined
 def left_of_grains(phase, share, reversed_share, memory):
-    """Phase left by the rule of p; its slopes along share, phase and share at the last reversal,
-    and p. `reversed_share` is above 0."""
+    """Phase left by the rule of p; its slope along share. `reversed_share` is above 0."""
     if phase >= reversed_share:
         slope = phase / reversed_share
-        left, by_phase = share * slope, share / reversed_share
-        return left, slope, by_phase, -left / reversed_share, 0.0
+        return share * slope, slope
     u, v = phase / reversed_share, share / reversed_share
     rest = max(1.0 - memory, ROUNDED)
     excess = 2.0 * (1.0 - rest) / rest  # q - 1
     if v > 1.0:  # stress has moved the ramp back: straight on
-        end = 1.0 + excess * (1.0 - u)
-        by_v, by_u = u / end, 1.0 + (v - 1.0) * (1.0 + excess) / (end * end)
-        c, by_odds = u + (v - 1.0) * by_v, (1.0 - v) * u * (1.0 - u) / (end * end)
-    else:
-        odds, s = 1.0 + excess, 1.0 + excess * (u + v)
-        root = math.sqrt(1.0 + 2.0 * excess * (u + v - 2.0 * u * v) + (excess * (u - v)) ** 2)
-        c = 2.0 * odds * u * v / (s + root)
-        by_u = 0.5 * (1.0 - (s - 2.0 * odds * v) / root)
-        by_v = 0.5 * (1.0 - (s - 2.0 * odds * u) / root)
-        by_odds = u + v + (u + v - 2.0 * u * v + excess * (u - v) ** 2) / root
-        by_odds = (2.0 * u * v - c * by_odds) / (s + root)
-    by_memory = reversed_share * by_odds * 2.0 / (rest * rest)
-    return reversed_share * c, by_v, by_u, c - u * by_u - v * by_v, by_memory
+        by_v = u / (1.0 + excess * (1.0 - u))
+        return reversed_share * (u + (v - 1.0) * by_v), by_v
+    odds, s = 1.0 + excess, 1.0 + excess * (u + v)
+    root = math.sqrt(1.0 + 2.0 * excess * (u + v - 2.0 * u * v) + (excess * (u - v)) ** 2)
+    by_v = 0.5 * (1.0 - (s - 2.0 * odds * u) / root)
+    return reversed_share * (2.0 * odds * u * v / (s + root)), by_v
 
 
 @borrowing

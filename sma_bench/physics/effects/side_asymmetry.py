@@ -21,5 +21,4 @@ EFFECT = Effect(
     shows="one side's strokes are too large and the other's too small, at right temperatures",
     acts_on=("deflection",),
     loads=("beam",),
-    carried=("ratio",),
 )

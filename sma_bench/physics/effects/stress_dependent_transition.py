@@ -27,5 +27,4 @@ EFFECT = Effect(
         "transformations come late or early in proportion to the load: where the beam is bent most"
     ),
     acts_on=("deflection",),
-    carried=("austenite", "martensite"),
 )
