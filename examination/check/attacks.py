@@ -37,7 +37,7 @@ def judge(case: Case) -> dict[str, Any]:
             "value": float(found.estimates[name].value),
             "std": float(found.estimates[name].std),
             "z": float((found.estimates[name].value - truth) / found.estimates[name].std),
-            "warnings": list(found.doubts[name]),
+            "warnings": list(found.estimates[name].warnings),
         }
         for name, truth in case.truth.items() if name in found.estimates
     }
