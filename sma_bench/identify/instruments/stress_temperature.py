@@ -293,9 +293,11 @@ class TransitionLines:
         return self.slope[0] > _SIGNIFICANT * self.slope[1]
 
     def influence(self, method: str, n: int) -> Estimate:
-        """C = 1/slope, Pa/K."""
-        value = 1.0 / self.slope[0]
-        return Estimate(value, self.slope[1] * value**2, "Pa/K", method, n)
+        """C = 1/slope, Pa/K, of a significant one; the error is that of a 90 % interval's two sides
+        in the mean, which an inverse has at unlike distances."""
+        value, relative = 1.0 / self.slope[0], self.slope[1] / self.slope[0]
+        sides = 1.0 - (1.645 * min(relative, 1.0 / _SIGNIFICANT)) ** 2
+        return Estimate(value, value * relative / sides, "Pa/K", method, n)
 
 
 def stress_range(transitions: Sequence[Points]) -> float:
