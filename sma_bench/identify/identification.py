@@ -179,7 +179,7 @@ def identify(
     _thermal_expansion(run, bags)
     _take_sharper(run, whole)
     run.weigh_priors(whole)
-    run.keep_order()
+    run.keep_order(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
     return _result(run, improved, _fit(run, bags, drives, improved))

@@ -144,9 +144,14 @@ class IdentificationRun:
             text = f"another alloy than the paper's: {shown}; its defaults are not this wire's"
             self.notes.append(Finding("info", "alloy", text, {"contradicted": float(len(others))}))
 
-    def keep_order(self) -> None:
+    def keep_order(self, whole: Experiment | None) -> None:
         """Heating ends above where it begins and above where cooling begins, which begins above
-        where it ends: estimates that errors carried past each other meet between."""
+        where it ends: estimates that errors carried past each other meet between. Those that the
+        whole model fitted together stay as they are: it keeps the order of either range itself,
+        and one of them moved alone would predict another motion."""
+        found = {n: e for n, e in self.estimates.items() if n in TRANSITIONS.values()}
+        if whole and found and all(e is whole.estimates.get(n) for n, e in found.items()):
+            return
         known = {
             n: (self.given[n], self.given.std(n))
             for n in self.given.given.intersection(TRANSITIONS.values())
