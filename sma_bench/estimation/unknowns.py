@@ -85,6 +85,7 @@ _STRAIGHT = {
 }
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
+_STILL = 1e-6  # deviations a prior deviation
 _ABOVE_NOTHING = 1e-3  # of what is believed: the least of a number that cannot be 0
 _SMALLEST = 1e-300
 _MOST_LOG = 50.0  # of a number's logarithm, beyond which it says nothing any more
@@ -207,8 +208,11 @@ class Unknowns:
         """(k, k) d(deviations of the numbers)/dx: 1 but for temperatures, which move together."""
         turn = np.eye(len(self.items))
         if self.transitions is not None:
-            own = self.transitions.slopes(x[self._together])
-            turn[self._together, self._together] = own / self.transitions.std[:, np.newaxis]
+            own = self.transitions.slopes(x[self._together]) / self.transitions.std[:, np.newaxis]
+            still = np.linalg.norm(own, axis=1) < _STILL
+            # At an end of the range, where x moves it no more, one is as unknown as it was.
+            own[still] = np.eye(len(own))[still]
+            turn[self._together, self._together] = own
         return turn
 
     def deviations(self, x: Array) -> Array:
