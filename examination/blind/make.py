@@ -254,10 +254,12 @@ def _make_all(
     cases: list[Case], folder: Path, jobs: int, progress: Callable[[int], None]
 ) -> list[dict[str, Any]]:
     labels = []
-    work = joblib.Parallel(jobs, return_as="generator")(
-        joblib.delayed(make_case)(case, folder) for case in cases
-    )
-    for label in work:
+    if jobs > 1:
+        calls = (joblib.delayed(make_case)(case, folder) for case in cases)
+        made = joblib.Parallel(jobs, return_as="generator")(calls)
+    else:  # joblib's own way in one process now and then lets an interrupt past its caller
+        made = (make_case(case, folder) for case in cases)
+    for label in made:
         labels.append(label)
         progress(len(labels))
     return labels

@@ -51,7 +51,7 @@ def check_arguments(node: str, argv: Sequence[str]) -> None:
     """
     # What ROS passes over would run the node on its defaults, safety limits included.
     inside, options = False, []
-    for argument, following in zip(argv, [*argv[1:], None], strict=True):
+    for argument, following in zip(argv, [*argv[1:], None], strict=False):
         if argument in ("--ros-args", "--"):
             inside = argument == "--ros-args"
         elif not inside:

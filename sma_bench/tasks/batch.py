@@ -110,7 +110,7 @@ def do_tasks(
     left = dict(enumerate(tasks))
     with where:
         try:
-            for k, outcome in _side_by_side(left.items(), jobs):
+            for k, outcome in _side_by_side(list(left.items()), jobs):
                 del left[k]
                 yield k, outcome
         except TerminatedWorkerError:  # by the one that hangs or takes all memory, whichever it is

@@ -61,7 +61,7 @@ def test_transition_temperatures_keep_their_order():
     run = IdentificationRun(Parameters(), frozenset())
     values = {START: (350.0, 1.0), FINISH: (360.0, 4.0), M_S: (364.0, 2.0), M_F: (351.0, 3.0)}
     run.estimates = {n: Estimate(v, s, "K", "", 3) for n, (v, s) in values.items()}
-    run.keep_order()
+    run.keep_order(None)
     found = {n: e.value for n, e in run.estimates.items()}
     assert found[START] < found[FINISH] and found[M_F] < found[M_S]
     assert found[M_S] < found[FINISH] and found[M_F] < found[START]

@@ -13,7 +13,7 @@ from examination.perf.figures import Figure, Skipped, as_json, at_least, at_most
 from examination.perf.perf import SECTIONS, main
 from examination.perf.timing import exponent, interleaved, ratio
 
-PERF = Path(__file__).with_name("perf.py")
+PERF = Path(__file__).parents[2] / "examination" / "perf" / "perf.py"
 CASES = ("one wire", "one wire, effects on", "four wires", "four wires, effects on")
 
 
