@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.unknowns import MATERIAL
+from sma_bench.estimation.unknowns import MATERIAL, PRODUCTS
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import combine, with_prior
 from sma_bench.identify.result import Experiment
@@ -136,6 +136,14 @@ class IdentificationRun:
                 elif name in self.given.given_uncertainty and name != AMBIENT:
                     self._surprised(name, estimate, prior)
                 self._wonder(name, estimate)
+        for name, factor in PRODUCTS.items():
+            if name in self.estimates and factor not in self.given.given | self.estimates.keys():
+                text = (
+                    f"records show only its product with {factor}, which nobody stated: "
+                    f"{self.estimates[name].value:.4g} {self.estimates[name].unit} goes with the "
+                    f"default, {self.given[factor]:.4g} {BY_NAME[factor].unit}"
+                )
+                self.notes.append(Finding("warning", name, text))
         if others := self.another_alloy():
             shown = ", ".join(
                 f"{n} {self.estimates[n].value:.4g} +- {self.estimates[n].std:.2g} for "

@@ -166,7 +166,7 @@ def test_what_nobody_states_of_temperatures_keeps_a_hysteresis_in_every_draw():
     half = (a_s + a_f - m_s - m_f) / 4.0
     assert np.all(half > 0.0) and np.all(a_s < a_f) and np.all(m_f < m_s)
     assert np.std(drawn.mean(axis=1)) == pytest.approx(25.0, rel=0.1)
-    assert np.std(np.log(half)) == pytest.approx(0.3, rel=0.1)
+    assert np.std(np.log(half)) == pytest.approx(1.2, rel=0.1)
     for width in (a_f - a_s, m_s - m_f):
         assert np.std(np.log(width)) == pytest.approx(0.5, rel=0.1)
 

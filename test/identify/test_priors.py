@@ -57,6 +57,15 @@ def test_a_default_that_nobody_stated_is_never_averaged_with_a_measurement():
     assert weighed(6.0, **{START: 331.0})[0].value < 335.0
 
 
+@pytest.mark.parametrize("stated, noted", [({}, True), ({AREA: 4e-4}, False)])
+def test_a_heat_loss_is_known_only_with_its_area(stated, noted):
+    run = IdentificationRun(Parameters(stated), frozenset())
+    run.estimates = {LOSS: Estimate(80.0, 2.0, "W/(m2 K)", "", 9)}
+    run.weigh_priors(None)
+    assert run.estimates[LOSS].value == 80.0
+    assert any(AREA in note.text for note in run.notes if note.severity == "warning") == noted
+
+
 def test_transition_temperatures_keep_their_order():
     run = IdentificationRun(Parameters(), frozenset())
     values = {START: (350.0, 1.0), FINISH: (360.0, 4.0), M_S: (364.0, 2.0), M_F: (351.0, 3.0)}
