@@ -1,7 +1,6 @@
 """A page in a real browser: what it complains of, what sticks out, what cannot be read."""
 
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -59,32 +58,30 @@ class Opened:
     page: Any
     complaints: list[str] = field(default_factory=list)
 
-    def until(self, condition: str, patience: float = PATIENCE) -> None:
+    def until(self, condition, patience=PATIENCE):
         """Wait for a condition in JavaScript; the page may forbid a browser's own way to."""
         end = time.monotonic() + patience
         while not self.page.evaluate(condition):
             assert time.monotonic() < end, f"not within {patience} s: {condition}"
             self.page.wait_for_timeout(50)
 
-    def text(self, selector: str) -> str:
+    def text(self, selector):
         """Text of the first such element as it is shown."""
         return self.page.evaluate(f"document.querySelector({selector!r}).innerText")
 
     @property
-    def too_wide(self) -> list[str]:
+    def too_wide(self):
         """What makes the page scroll sideways; a table may scroll in itself."""
         return self.page.evaluate(_WIDER)
 
     @property
-    def faint(self) -> list[str]:
+    def faint(self):
         """Texts whose contrast to what is behind them is too small."""
         return self.page.evaluate(_FAINT, LEAST_CONTRAST)
 
 
 @contextmanager
-def opened(
-    browser: Any, url: str, size: tuple[int, int] = DESKTOP, scheme: str = "light", **options: Any
-) -> Iterator[Opened]:
+def opened(browser, url, size=DESKTOP, scheme="light", **options):
     """A page at `url` in a window of `size`, light or dark."""
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, **options
@@ -94,8 +91,7 @@ def opened(
         context.set_default_timeout(1e3 * PATIENCE)
         found.page.on("pageerror", lambda error: found.complaints.append(str(error)))
         found.page.on(
-            "console",
-            lambda said: said.type == "error" and found.complaints.append(said.text),
+            "console", lambda said: said.type == "error" and found.complaints.append(said.text)
         )
         found.page.goto(url)
         yield found

@@ -8,10 +8,8 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import hypothesis
 import pytest
@@ -53,7 +51,7 @@ LONGEST = (
     "identify/test_campaign", "test_architecture", "nodes/test_recorder",
     "nodes/test_serial_bridge", "packaging/test_bench_script", "perf/test_perf",
     "nodes/test_simulator", "physics/test_stiff_solver", "report/test_pages_in_browser",
-    "identify/test_coverage_of_errors", "dashboard/test_stopping", "diagnose/test_tutorial",
+    "identify/test_coverage_of_errors", "dashboard/test_live_state", "diagnose/test_tutorial",
     "packaging/test_installing", "dashboard/test_page_in_browser", "report/test_collected_report",
     "report/test_paper", "nodes/test_every_node", "identify/test_isobaric", "docs/test_site",
     "reliability/test_lifeline", "identify/test_load_frame", "nodes/test_dashboard",
@@ -79,13 +77,13 @@ DOMAINS = range(10, 102)
 LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     parser.addoption(
         "--acceptance", action="store_true", help="the minutes in real time on the emulated Uno too"
     )
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config, items):
     if not config.getoption("--acceptance"):
         reason = pytest.mark.skip(reason="minutes in real time: only with --acceptance")
         for item in items:
@@ -101,7 +99,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: order.get(item.path, len(LONGEST) + (item.path not in long)))
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Modules and tests are no garbage, and many: to look through them time and again took a sixth
     of the processor's time."""
     gc.collect()
@@ -109,14 +107,14 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
+def pytest_xdist_auto_num_workers():
     """Of `-n auto`: one more than there are processors, as tests of nodes wait half of their time
     for what goes on in real time."""
     return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _one_core_a_worker() -> Iterator[None]:
+def _one_core_a_worker():
     """Beside other workers the two halves of a fit only wait for one another: it computes on one
     core, as in a part of a larger calculation. A process that a test starts has both."""
     from sma_bench.estimation import side_by_side
@@ -130,7 +128,7 @@ def _one_core_a_worker() -> Iterator[None]:
 
 
 @pytest.fixture
-def both_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+def both_cores(monkeypatch):
     """A fit's two halves side by side, in the tests of a worker too."""
     from sma_bench.estimation import side_by_side
 
@@ -138,7 +136,7 @@ def both_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_progress_lines(monkeypatch):
     """On a loaded machine any command may be slow enough to say so; errors are counted by line."""
     from sma_bench.commands import terminal
 
@@ -146,13 +144,13 @@ def _no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def measured_data() -> Path:
+def measured_data():
     """Folder of other laboratories' measured numbers, reduced (its README.md names the sources)."""
     return ROOT / "test" / "data"
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
+def shared_data():
     """Folder of the records that lie beside the checkout."""
     folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
@@ -161,7 +159,7 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def planted_diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def planted_diagnosis(tmp_path_factory):
     """Diagnosis of a bench whose sides heat each other, all signals, one record held out."""
     from planted import believed, few_effects, planted_pair
 
@@ -178,7 +176,7 @@ def planted_diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.fixture(scope="session")
-def papers_experiments_once() -> Iterator[None]:
+def papers_experiments_once():
     """Every page of `sma-bench paper` has the same synthetic experiments of the paper's own wire;
     to make and identify them takes seconds."""
     from sma_bench.commands import paper_drawing
@@ -186,7 +184,7 @@ def papers_experiments_once() -> Iterator[None]:
 
     run, made = paper_drawing._synthetic_outcomes, {}
 
-    def once(paper: Any, measured: Any, report: Any) -> dict[str, Any]:
+    def once(paper, measured, report):
         if dict(paper) != dict(Parameters.defaults()):
             return run(paper, measured, report)
         made.update(made or run(paper, {}, report))
@@ -198,7 +196,7 @@ def papers_experiments_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def firmware_image(tmp_path_factory):
     """The image that is flashed into the Uno."""
     from uno.emulated_uno import build_firmware
 
@@ -208,7 +206,7 @@ def firmware_image(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def emulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def emulator(tmp_path_factory):
     """The emulated Uno, built."""
     from uno.emulated_uno import build_emulator, missing_tools
 
@@ -218,7 +216,7 @@ def emulator(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def uno(emulator: Path, firmware_image: Path) -> Any:
+def uno(emulator, firmware_image):
     """An Uno with the real image, just powered up."""
     from uno.emulated_uno import EmulatedUno
 
@@ -226,7 +224,7 @@ def uno(emulator: Path, firmware_image: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     """A headless Chromium; not for the whole session: it keeps an event loop running."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     program = shutil.which("chromium") or shutil.which("google-chrome")
@@ -244,7 +242,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def ros_domain(monkeypatch):
     """ROS_DOMAIN_ID that no other test has, in this run or another one on this machine."""
     lock, domain = _lock_free_domain()
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
@@ -255,14 +253,14 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 @pytest.fixture
-def nodes_forked(monkeypatch: pytest.MonkeyPatch) -> None:
+def nodes_forked(monkeypatch):
     """The nodes of NodeProcesses forked, as those of test/nodes are: a process each, without the
     second that reading the libraries takes."""
     from forked_nodes import ForkedNode
 
     from sma_bench.ros import processes
 
-    def started(command: list[str], stdout: Any, **_: Any) -> ForkedNode:
+    def started(command, stdout, **_):
         assert command[1:3] == ["-m", "sma_bench.nodes.start"]
         return ForkedNode(command[3], command[4:], stdout.fileno())
 
@@ -271,7 +269,7 @@ def nodes_forked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "subprocess", stand_in)
 
 
-def _lock_free_domain() -> tuple[int, int]:
+def _lock_free_domain():
     LOCKS.mkdir(exist_ok=True)
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         lock = os.open(LOCKS / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)

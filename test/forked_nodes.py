@@ -20,7 +20,6 @@ import sys
 import traceback
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 _AFTER_THE_FORK = ("rclpy", "launch", "launch_ros", "ament_index_python", "sma_bench.nodes")
@@ -30,16 +29,16 @@ _LONGEST_REQUEST = 1 << 20
 class ForkedNode:
     """What the tests use of a subprocess.Popen."""
 
-    def __init__(self, name: str, arguments: list[str], log: int) -> None:
+    def __init__(self, name, arguments, log):
         ours, theirs = socket.socketpair()
         request = {"node": name, "arguments": arguments, "environment": dict(os.environ)}
         socket.send_fds(_server(), [json.dumps(request).encode()], [log, theirs.fileno()])
         theirs.close()
         self._answers = ours.makefile("r")
         self.pid = int(self._answers.readline())
-        self.returncode: int | None = None
+        self.returncode = None
 
-    def wait(self, timeout: float | None = None) -> int:
+    def wait(self, timeout=None):
         """Exit status; TimeoutExpired where it has none within `timeout` s."""
         if self.returncode is None:
             if not select.select([self._answers], [], [], timeout)[0]:
@@ -47,26 +46,26 @@ class ForkedNode:
             self.returncode = int(self._answers.readline() or -signal.SIGKILL)
         return self.returncode
 
-    def poll(self) -> int | None:
+    def poll(self):
         """Exit status, None while it runs."""
         try:
             return self.wait(0.0)
         except subprocess.TimeoutExpired:
             return None
 
-    def send_signal(self, number: int) -> None:
+    def send_signal(self, number):
         """Nothing where it has ended, be it this moment."""
         if self.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
-    def kill(self) -> None:
+    def kill(self):
         """End it at once."""
         self.send_signal(signal.SIGKILL)
 
 
 @cache
-def _server() -> socket.socket:
+def _server():
     """The process that forks, started at the first node of this worker and ended with it."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process = subprocess.Popen(
@@ -78,14 +77,14 @@ def _server() -> socket.socket:
     return ours
 
 
-def serve(requests: socket.socket) -> None:
+def serve(requests):
     """Fork for each request, and answer with the node's process and, at its end, its status."""
     waking, wakes = os.pipe()
     os.set_blocking(wakes, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wakes)
-    running: dict[int, socket.socket] = {}
+    running = {}
     while True:
         ready = select.select([requests, waking], [], [])[0]
         if waking in ready:
@@ -105,7 +104,7 @@ def serve(requests: socket.socket) -> None:
             running[pid].send(f"{pid}\n".encode())
 
 
-def _report_ended(running: dict[int, socket.socket]) -> None:
+def _report_ended(running):
     while running:
         pid, status = os.waitpid(-1, os.WNOHANG)
         if pid == 0:
@@ -115,7 +114,7 @@ def _report_ended(running: dict[int, socket.socket]) -> None:
             answers.send(f"{os.waitstatus_to_exitcode(status)}\n".encode())
 
 
-def _become_node(request: dict[str, Any], log: int) -> None:
+def _become_node(request, log):
     for number in (signal.SIGINT, signal.SIGCHLD):
         signal.signal(number, signal.SIG_DFL)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -134,7 +133,7 @@ def _become_node(request: dict[str, Any], log: int) -> None:
         os._exit(error.code if isinstance(error, SystemExit) else 1)
 
 
-def read_libraries() -> None:
+def read_libraries():
     """Import whatever the nodes import, but for ROS itself."""
     for path in sorted((ROOT / "sma_bench" / "nodes").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):

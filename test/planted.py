@@ -4,10 +4,7 @@ The model itself makes them, so they test the plumbing and the arithmetic of a d
 fares against another reality is for `./bench blind`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +16,7 @@ from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.material import current
-from sma_bench.physics.simulate import Simulation
-from sma_bench.protocols import Protocol
-from sma_bench.records import Record, Signal, read_record
+from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 
 Array = NDArray[np.float64]
@@ -71,7 +66,7 @@ _STD = {
 }
 
 
-def believed() -> Parameters:
+def believed():
     """Parameters of the lab, with their uncertainties."""
     return Parameters.of_paper().replace(
         {
@@ -94,14 +89,14 @@ def believed() -> Parameters:
     )
 
 
-def true_bench(effects: Mapping[str, float] | None = None) -> Parameters:
+def true_bench(effects=None):
     """The bench as it is: a little off the belief, with effects."""
     belief = believed()
     moved = {name: belief[name] + k * belief.std(name) for name, k in _OFF.items()}
     return belief.replace({**moved, **(effects or {})})
 
 
-def drive(turned: bool = False, rate: float = RATE) -> tuple[Array, Array]:
+def drive(turned=False, rate=RATE):
     """Full strokes of both sides and a partial one of the first; `turned` swaps the sides."""
     time = np.arange(0.0, DURATION, 1.0 / rate)
     first = 2.6 * _trapezoid(time, 1.0, 5.0) + 2.1 * _trapezoid(time, 14.0, 17.0)
@@ -110,12 +105,12 @@ def drive(turned: bool = False, rate: float = RATE) -> tuple[Array, Array]:
     return time, np.column_stack(pair)
 
 
-def _trapezoid(t: Array, start: float, stop: float) -> Array:
+def _trapezoid(t, start, stop):
     """From 0 to 1 within 1.5 s, and back to 0 within 0.5 s."""
     return np.clip(np.minimum((t - start) / 1.5, (stop - t) / 0.5), 0.0, 1.0)
 
 
-def sensor_noise(kind: str, count: int, std: float, random: np.random.Generator) -> Array:
+def sensor_noise(kind, count, std, random):
     """(count,) noise of one sensor: white, coloured (5 s memory) or with a slow drift."""
     white = std * random.standard_normal(count)
     if kind == "white":
@@ -128,21 +123,21 @@ def sensor_noise(kind: str, count: int, std: float, random: np.random.Generator)
 
 
 def planted_record(
-    path: Path,
-    effects: Mapping[str, float] | None = None,
+    path,
+    effects=None,
     *,
-    quantities: Sequence[str] = ALL,
-    kind: str = "white",
-    seed: int = 1,
-    turned: bool = False,
-    bench: Parameters | None = None,
-    protocol: Protocol | None = None,
-) -> Record:
+    quantities=ALL,
+    kind="white",
+    seed=1,
+    turned=False,
+    bench=None,
+    protocol=None,
+):
     """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
     parameters = bench or true_bench(effects)
     channels = parameters["bench.channels"]
 
-    def driven(rate: float) -> tuple[Array, Array]:
+    def driven(rate):
         return protocol.sample(1.0 / rate) if protocol else drive(turned, rate)
 
     fine, volts = driven(FINER * RATE)
@@ -168,7 +163,7 @@ def planted_record(
     return read_record(path)
 
 
-def supply_drop_lab(folder: Path) -> Path:
+def supply_drop_lab(folder):
     """The folder, with a `bag` of a wire whose leads drop voltage and what its lab believes of it
     in `lab.yaml`."""
     belief = believed().replace(ONE_WIRE)
@@ -178,7 +173,7 @@ def supply_drop_lab(folder: Path) -> Path:
     return folder
 
 
-def _current(found: Simulation, voltage: Array, wire: int) -> Array:
+def _current(found, voltage, wire):
     return current(
         found.parameters, voltage, found.temperature[::FINER, wire],
         found.martensite_fraction[::FINER, wire],
@@ -186,8 +181,8 @@ def _current(found: Simulation, voltage: Array, wire: int) -> Array:
 
 
 def planted_pair(
-    folder: Path, effects: Mapping[str, float] | None = None, **options: Any
-) -> tuple[list[Record], list[Record]]:
+    folder, effects = None, **options
+):
     """A record, and one with the sides' parts swapped to hold out."""
     seen = planted_record(folder / "seen", effects, **options)
     unseen = planted_record(folder / "unseen", effects, seed=2, turned=True, **options)
@@ -195,7 +190,7 @@ def planted_pair(
 
 
 @contextmanager
-def few_effects(names: Sequence[str] = FEW) -> Iterator[None]:
+def few_effects(names=FEW):
     """A library of some effects only, in which a diagnosis takes a third of the time."""
     chosen = {name: effect for name, effect in EFFECTS.items() if name in names}
     with pytest.MonkeyPatch.context() as patch:
@@ -203,5 +198,5 @@ def few_effects(names: Sequence[str] = FEW) -> Iterator[None]:
         yield
 
 
-def _signal(name: str, time: Array, values: Array) -> Signal:
+def _signal(name, time, values):
     return Signal(name, UNITS[name.rpartition(".")[2]], time, values)

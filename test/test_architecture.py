@@ -4,7 +4,6 @@ import ast
 import importlib.util
 import subprocess
 import sys
-from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -85,7 +84,7 @@ ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 # --- the checker --------------------------------------------------------------------------------
 
 
-def modules(root: Path, top: str = PACKAGE) -> dict[str, Path]:
+def modules(root, top=PACKAGE):
     """Dotted name of every module below root/top."""
     found = {}
     for path in sorted((root / top).rglob("*.py")):
@@ -94,7 +93,7 @@ def modules(root: Path, top: str = PACKAGE) -> dict[str, Path]:
     return found
 
 
-def imports(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
+def imports(name, path, known):
     """Dotted names that a module imports, anywhere in it: absolute, relative, or by a name written
     out in `import_module`."""
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
@@ -112,24 +111,24 @@ def imports(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
             yield from (given.value for given in node.args[:1] if isinstance(given, ast.Constant))
 
 
-def _called(call: ast.Call) -> str:
+def _called(call):
     return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
 
 
-def room(name: str) -> str:
+def room(name):
     """`physics` of `sma_bench.physics.heat`; the package itself is the room ''."""
     return name.partition(".")[2].partition(".")[0]
 
 
-def is_ros(name: str) -> bool:
+def is_ros(name):
     top = name.partition(".")[0]
     return top in ROS or top.endswith(ROS_ENDINGS)
 
 
-def violations(root: Path, arrows: dict[str, set[str]] = ARROWS) -> list[str]:
+def violations(root, arrows=ARROWS):
     """Everything below root/sma_bench that breaks the rules of the house, a line each."""
     known = modules(root)
-    graph: dict[str, set[str]] = {}
+    graph = {}
     broken = []
     for name, path in known.items():
         here = room(name)
@@ -152,7 +151,7 @@ def violations(root: Path, arrows: dict[str, set[str]] = ARROWS) -> list[str]:
     return broken + _circles(graph)
 
 
-def borrowed(root: Path) -> list[str]:
+def borrowed(root):
     """What the judge's own physics takes from the package beyond its leave, a line each."""
     known = modules(root) | modules(root, EXAMINATION)
     return [
@@ -164,7 +163,7 @@ def borrowed(root: Path) -> list[str]:
     ]
 
 
-def _shape(name: str, path: Path) -> Iterator[str]:
+def _shape(name, path):
     length = len(path.read_text().splitlines())
     if length > LONGEST_FILE:
         yield f"{name} has {length} lines, more than {LONGEST_FILE}"
@@ -172,7 +171,7 @@ def _shape(name: str, path: Path) -> Iterator[str]:
         yield f"{name}: a file is named after what it holds"
 
 
-def _circles(graph: dict[str, set[str]]) -> list[str]:
+def _circles(graph):
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -183,19 +182,19 @@ def _circles(graph: dict[str, set[str]]) -> list[str]:
 # --- the house ----------------------------------------------------------------------------------
 
 
-def test_rooms_import_only_along_the_arrows() -> None:
+def test_rooms_import_only_along_the_arrows():
     assert violations(ROOT) == []
 
 
-def test_the_arrows_themselves_run_one_way() -> None:
+def test_the_arrows_themselves_run_one_way():
     assert _circles(ARROWS) == []
 
 
-def test_the_judges_physics_are_its_own() -> None:
+def test_the_judges_physics_are_its_own():
     assert borrowed(ROOT) == []
 
 
-def test_bench_fits_in_the_head() -> None:
+def test_bench_fits_in_the_head():
     assert len((ROOT / "bench").read_text().splitlines()) <= LONGEST_FILE
 
 
@@ -254,14 +253,14 @@ BAD_TREES = {
 
 
 @pytest.mark.parametrize("case", BAD_TREES)
-def test_a_broken_rule_is_found(case: str, tmp_path: Path) -> None:
+def test_a_broken_rule_is_found(case, tmp_path):
     files, expected = BAD_TREES[case]
     found = violations(make_tree(tmp_path, files))
     assert len(found) == 1
     assert expected in found[0]
 
 
-def test_a_borrowed_equation_is_found(tmp_path: Path) -> None:
+def test_a_borrowed_equation_is_found(tmp_path):
     folder = tmp_path / EXAMINATION / "blind" / "reality"
     folder.mkdir(parents=True)
     (folder / "heat.py").write_text("from sma_bench.errors import E\nimport sma_bench.physics\n")
@@ -269,7 +268,7 @@ def test_a_borrowed_equation_is_found(tmp_path: Path) -> None:
     assert "borrows nothing from physics" in found
 
 
-def test_a_tidy_tree_passes(tmp_path: Path) -> None:
+def test_a_tidy_tree_passes(tmp_path):
     files = {
         "__init__.py": "",
         "errors.py": "class InputError(ValueError): ...",
@@ -284,7 +283,7 @@ def test_a_tidy_tree_passes(tmp_path: Path) -> None:
     assert violations(make_tree(tmp_path, files)) == []
 
 
-def make_tree(root: Path, files: dict[str, str]) -> Path:
+def make_tree(root, files):
     for name, text in files.items():
         path = root / PACKAGE / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -296,7 +295,7 @@ def make_tree(root: Path, files: dict[str, str]) -> Path:
 
 
 @pytest.mark.parametrize("arguments", [["ruff", "check", "."], ["mypy"]], ids=["ruff", "mypy"])
-def test_tool_finds_nothing(arguments: list[str]) -> None:
+def test_tool_finds_nothing(arguments):
     if importlib.util.find_spec(arguments[0]) is None:
         pytest.skip(f"{arguments[0]} is not installed")
     process = subprocess.run(
@@ -306,7 +305,7 @@ def test_tool_finds_nothing(arguments: list[str]) -> None:
         pytest.fail(process.stdout + process.stderr, pytrace=False)
 
 
-def test_tests_that_are_run_again_are_there_and_say_why(request: pytest.FixtureRequest) -> None:
+def test_tests_that_are_run_again_are_there_and_say_why(request):
     rerun = request.config.pluginmanager.get_plugin(str(ROOT / "test" / "conftest.py")).RERUN
     for name, reason in rerun.items():
         path, _, test = name.partition("::")

@@ -28,7 +28,7 @@ sys.path.insert(1, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 
 from uno.emulated_bench import Plant
 from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware, missing_tools
-from virtual_port import VirtualPort
+from virtual_host import VirtualPort
 
 from examination.check.hardware import PROTOCOLS, SIGMAS, TABLE_ONE, WEIGHED
 from sma_bench.hardware.bench_sensors import BenchSensors

@@ -14,16 +14,12 @@ _PORT = 8642
 _LARGEST_PORT = 65535
 
 
-@options.command(
-    "dashboard",
-    "dashboard --namespace /lab --port 9000",
-)
+@options.command("dashboard", "dashboard --namespace /lab --port 9000")
 @options.option(
     "--namespace NAME", "where the bench's topics are (default: bench)", default="bench"
 )
 @options.option(
-    "--host ADDRESS",
-    "address to listen on (default: 127.0.0.1, this computer only)",
+    "--host ADDRESS", "address to listen on (default: 127.0.0.1, this computer only)",
     default="127.0.0.1",
 )
 @options.option("--port PORT", f"default {_PORT}; 0 for any that is free", type=int, default=_PORT)
@@ -44,9 +40,8 @@ def run(args: SimpleNamespace) -> int:
             raise
         is_server = (error.name or "").startswith("tornado")
         how = "apt install python3-tornado" if is_server else "source a ROS 2 Jazzy setup file"
-        raise InputError(
-            f"dashboard: {error.name} is not installed: {how}, or use ./bench"
-        ) from None
+        reason = f"dashboard: {error.name} is not installed: {how}, or use ./bench"
+        raise InputError(reason) from None
     return asyncio.run(_serve(args))
 
 
@@ -66,9 +61,7 @@ async def _serve(args: SimpleNamespace) -> int:
         loop.add_signal_handler(number, finish)
     namespace = "/" + args.namespace.strip("/")
     with listening_node(
-        namespace,
-        LiveState(),
-        lambda error: loop.call_soon_threadsafe(finish, error),
+        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error),
         options.ros_arguments(args),
     ) as node:
         namespace = node.get_namespace()  # ROS's arguments may name another
@@ -76,9 +69,8 @@ async def _serve(args: SimpleNamespace) -> int:
         if not is_loopback(args.host):
             print(
                 "sma-bench: note: others on the network who learn this address can see and stop "
-                "the bench; it is not encrypted",
-                file=sys.stderr,
-            )
+                "the bench; it is not encrypted", file=sys.stderr,
+            )  # fmt: skip
         print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
         try:
             await end

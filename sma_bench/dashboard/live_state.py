@@ -220,8 +220,13 @@ def identification_summary(text: str) -> dict[str, Any]:
         where = "identification/result"
         document = read_json_object(text, where)
         title, lines = _card(document, where)
-        numbers = _entries(document.get("parameters"), dict, where, "parameters").items()
-        rows = [(shown(name), _number_text(entry)) for name, entry in numbers]
+        rows = []
+        for name, entry in _entries(document.get("parameters"), dict, where, "parameters").items():
+            number = entry if isinstance(entry, dict) else {}
+            value, std, text = number.get("value"), number.get("std"), ""
+            if isinstance(value, int | float) and isinstance(std, int | float):
+                text = shown(in_unit(with_error(value, std), str(number.get("unit", ""))))
+            rows.append((shown(name), text))
     except InputError as error:
         return {"problem": shown(str(error))}
     return {"title": title, "rows": rows[:_MOST_ENTRIES], "lines": lines}
@@ -234,15 +239,12 @@ def diagnosis_summary(text: str) -> dict[str, Any]:
         document = read_json_object(text, where)
         title, lines = _card(document, where)
         found = _entries(document.get("candidates"), list, where, "candidates")
-        named = [
-            (shown(str(c.get("name"))), float(c["probability"])) for c in found
-            if isinstance(c, dict) and isinstance(c.get("probability"), int | float)
-        ]
     except InputError as error:
         return {"problem": shown(str(error))}
     candidates = [
-        {"name": name, "probability": round(probability, 4)}
-        for name, probability in named if probability >= _LEAST_SHOWN
+        {"name": shown(str(c.get("name"))), "probability": round(float(c["probability"]), 4)}
+        for c in found if isinstance(c, dict)
+        and isinstance(c.get("probability"), int | float) and c["probability"] >= _LEAST_SHOWN
     ]
     return {"title": title, "candidates": candidates[:_MOST_CANDIDATES], "lines": lines}
 
@@ -263,12 +265,3 @@ def _entries(found: Any, kind: type, where: str, name: str) -> Any:
     if not isinstance(found, kind):
         raise InputError(f"{where}: {name} is missing")
     return found
-
-
-def _number_text(entry: Any) -> str:
-    """A parameter's value with its error and unit."""
-    entry = entry if isinstance(entry, dict) else {}
-    value, std = entry.get("value"), entry.get("std")
-    if not isinstance(value, int | float) or not isinstance(std, int | float):
-        return ""
-    return shown(in_unit(with_error(value, std), str(entry.get("unit", ""))))

@@ -96,7 +96,20 @@ def _contract_values(node: str, values: dict[str, Any], where: str) -> dict[str,
         bare = name.removeprefix(UNCERTAINTY_PREFIX)
         parameter = own.get(name) or BY_NAME.get(name)
         if parameter is None and bare not in BY_NAME:
-            _require_foreign(node, name, where)
+            if name in _GONE:
+                raise InputError(f"{where}: {name}: {_GONE[name]}")
+            elsewhere = {p.name for table in NODE_TABLES.values() for p in table}
+            group = name.split(".")[0]
+            if name in elsewhere or group in _ROS_GROUPS:
+                continue
+            known = [*BY_NAME, *elsewhere, *(UNCERTAINTY_PREFIX + bare for bare in BY_NAME)]
+            hint = did_you_mean(name, known)
+            groups = _CONTRACT_GROUPS | {n.split(".")[0] for n in elsewhere if "." in n}
+            if group in groups and "." in name:
+                raise InputError(f"{where}: unknown parameter {name}{hint}")
+            logging.getLogger(node).warning(
+                "%s: %s is not a parameter of this package%s", where, name, hint
+            )
             continue
         whole = isinstance(value, int) and not isinstance(value, bool)
         if whole and (parameter is None or parameter.kind == "double"):
@@ -106,20 +119,3 @@ def _contract_values(node: str, values: dict[str, Any], where: str) -> dict[str,
         else:
             contract[name] = value
     return contract
-
-
-def _require_foreign(node: str, name: str, where: str) -> None:
-    if name in _GONE:
-        raise InputError(f"{where}: {name}: {_GONE[name]}")
-    known_elsewhere = {p.name for table in NODE_TABLES.values() for p in table}
-    group = name.split(".")[0]
-    if name in known_elsewhere or group in _ROS_GROUPS:
-        return
-    known = [*BY_NAME, *known_elsewhere, *(UNCERTAINTY_PREFIX + bare for bare in BY_NAME)]
-    hint = did_you_mean(name, known)
-    own_groups = {n.split(".")[0] for n in known_elsewhere if "." in n}
-    if group in _CONTRACT_GROUPS | own_groups and "." in name:
-        raise InputError(f"{where}: unknown parameter {name}{hint}")
-    logging.getLogger(node).warning(
-        "%s: %s is not a parameter of this package%s", where, name, hint
-    )

@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence, Set
+from functools import partial
 from typing import Any, ClassVar
 
 import rclpy
@@ -24,6 +25,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.parameter import Parameter as RosParameter
+from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.lifeline import end_with_starter, ending_signals
@@ -45,8 +47,10 @@ _SIGNAL_LATENCY = 0.1
 
 _DIAGNOSE_EVERY = 1.0
 
-_RANGES = {"double": FloatingPointRange, "integer": IntegerRange}
-_RANGE_FIELDS = {"double": "floating_point_range", "integer": "integer_range"}
+_RANGES = {
+    "double": (FloatingPointRange, "floating_point_range"),
+    "integer": (IntegerRange, "integer_range"),
+}
 
 
 class BenchNode(OverridableNode):
@@ -83,18 +87,50 @@ class BenchNode(OverridableNode):
                     "publisher of /clock, or a new simulation"
                 ),
             )  # fmt: skip
+
+        # Parameters: the contract's, their deviations where the node has use for them, its own.
         self._own = {parameter.name: parameter for parameter in NODE_TABLES[name]}
         overrides = {name: p.value for name, p in self._parameter_overrides.items()}
         self._stated = stated_names(overrides).keys()
-        self._contract = {parameter.name: parameter for parameter in self._contract_table()}
-        for parameter in (*self._contract.values(), *self._own.values()):
-            self._declare(parameter)
-        self._load({})
+        self._contract = {parameter.name: parameter for parameter in TABLE}
+        for p in TABLE if self.with_uncertainty else ():
+            if p.uncertainty is not None:
+                std = p.uncertainty if p.name in self._stated else p.default_std
+                about = f"Standard deviation of {p.name}."
+                deviation = UNCERTAINTY_PREFIX + p.name
+                self._contract[deviation] = Parameter(
+                    deviation, p.unit, std or 0.0, about, "table", 0.0, 1e15
+                )
+        for p in (*self._contract.values(), *self._own.values()):
+            unit = f" [{p.unit}]" if p.unit else ""
+            descriptor = ParameterDescriptor(
+                description=f"{p.description}{unit} Source: {p.provenance}.",
+                read_only=self.frozen or p.read_only,
+            )
+            if p.low is not None and p.high is not None:
+                kind, field = _RANGES[p.kind]
+                setattr(descriptor, field, [kind(from_value=p.low, to_value=p.high)])
+            value = list(p.default) if isinstance(p.default, tuple) else p.default
+            try:
+                self.declare_parameter(p.name, value, descriptor)
+            except ParameterException as error:
+                raise InputError(" ".join(str(error).split())) from None
+        self._load()
         self.add_on_set_parameters_callback(self._check_change)
-        self.add_post_set_parameters_callback(lambda _: self._load({}))
+        self.add_post_set_parameters_callback(self._load)
+
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DIAGNOSE_EVERY, self.diagnose, clock=steady)
+        self.every(_DIAGNOSE_EVERY, self.diagnose)
+
+    def every(self, seconds: float, act: Callable[[], None]) -> None:
+        """Call `act` once in so many s of the wall's clock."""
+        self.create_timer(seconds, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def serve(self, **acts: Callable[[], str | tuple[bool, str]]) -> None:
+        """Make services `~/NAME` (std_srvs/Trigger) of acts, which return the line of a success, or
+        whether they succeeded and the line; an InputError is the line of a failure."""
+        for name, act in acts.items():
+            self.create_service(Trigger, f"~/{name}", partial(_answer, act))
 
     def fail(self, error: InputError) -> None:
         """End the node after this callback, with the error's line and status 2.
@@ -134,18 +170,12 @@ class BenchNode(OverridableNode):
         return [self.status("node", message="running")]
 
     def status(
-        self,
-        name: str,
-        level: bytes = DiagnosticStatus.OK,
-        message: str = "",
-        values: Mapping[str, Any] | None = None,
-        hardware: str = "",
+        self, name: str, level: bytes = DiagnosticStatus.OK, message: str = "",
+        values: Mapping[str, Any] | None = None, hardware: str = "",
     ) -> DiagnosticStatus:
         """One line of `health`; `name` is that of the part it speaks of."""
         return DiagnosticStatus(
-            level=level,
-            name=f"{self.get_fully_qualified_name()}: {name}",
-            message=message,
+            level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
             hardware_id=hardware or self.get_name(),
             values=[KeyValue(key=key, value=str(v)) for key, v in (values or {}).items()],
         )
@@ -160,54 +190,22 @@ class BenchNode(OverridableNode):
         """Now, by the bench's clock."""
         return self.get_clock().now().to_msg()
 
-    def _contract_table(self) -> list[Parameter]:
-        table = list(TABLE)
-        if self.with_uncertainty:
-            table += [
-                _uncertainty_of(p, p.name in self._stated)
-                for p in TABLE if p.uncertainty is not None
-            ]
-        return table
-
-    def _declare(self, parameter: Parameter) -> None:
-        default = parameter.default
-        value = list(default) if isinstance(default, tuple) else default
-        try:
-            self.declare_parameter(parameter.name, value, self._descriptor(parameter))
-        except ParameterException as error:
-            raise InputError(" ".join(str(error).split())) from None
-
-    def _descriptor(self, parameter: Parameter) -> ParameterDescriptor:
-        unit = f" [{parameter.unit}]" if parameter.unit else ""
-        descriptor = ParameterDescriptor(
-            description=f"{parameter.description}{unit} Source: {parameter.provenance}.",
-            read_only=self.frozen or parameter.read_only,
-        )
-        if parameter.low is not None and parameter.high is not None:
-            bounds = _RANGES[parameter.kind](from_value=parameter.low, to_value=parameter.high)
-            setattr(descriptor, _RANGE_FIELDS[parameter.kind], [bounds])
-        return descriptor
-
-    def _load(self, changed: dict[str, Any]) -> None:
-        self.settings, self.parameters = self._validated(changed)
+    def _load(self, *_: Any) -> None:
+        self.settings, self.parameters = self._validated({})
 
     def _validated(self, changed: dict[str, Any]) -> tuple[dict[str, Any], Parameters]:
         """Own and contract parameters with `changed` applied; InputError when they cannot be."""
-        settings = {
-            name: parameter.validated(self._current(name, changed))
-            for name, parameter in self._own.items()
+        values = {
+            name: changed[name] if name in changed else self.get_parameter(name).value
+            for name in (*self._own, *self._contract)
         }
-        contract = {name: self._current(name, changed) for name in self._contract}
+        settings = {name: p.validated(values[name]) for name, p in self._own.items()}
         # Names left at their default stay unstated, as when read from a file.
         given = {
-            name: value
-            for name, value in contract.items()
-            if name in self._stated or _plain(value) != _plain(self._contract[name].default)
+            name: values[name] for name, p in self._contract.items()
+            if name in self._stated or _plain(values[name]) != _plain(p.default)
         }
         return settings, Parameters(*split_names(given))
-
-    def _current(self, name: str, changed: dict[str, Any]) -> Any:
-        return changed[name] if name in changed else self.get_parameter(name).value
 
     def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
         changed = {
@@ -228,9 +226,7 @@ class BenchNode(OverridableNode):
         return SetParametersResult(successful=True)
 
 
-def run_node(
-    name: str, kind: type[Any], argv: Sequence[str] | None = None
-) -> int:
+def run_node(name: str, kind: type[Any], argv: Sequence[str] | None = None) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its ROS context.
 
     The signals are handled here and not by rclpy, whose handler invalidates the context before a
@@ -255,7 +251,19 @@ def run_node(
             say = get_logger(name).info
             compiled.when_compiling(lambda: say("waits for the compiler, once, some 20 s"))
         node = kind()
-        _spin(node, kind.executor_type(), asked)
+        executor = kind.executor_type()
+        executor.add_node(node)
+        try:
+            while rclpy.ok() and not asked.is_set() and node.failure is None:
+                # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
+                executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
+        finally:
+            if rclpy.ok():
+                node.drain(lambda: executor.spin_once(timeout_sec=0.0))
+                node.close()
+            executor.shutdown(timeout_sec=1.0)
+        if node.failure is not None:
+            raise node.failure
     except InputError as error:
         with contextlib.suppress(OSError):  # nobody may be left to read it
             print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
@@ -287,32 +295,15 @@ def be_punctual(priority: int) -> str:
     return "as any program: see docs/hardware.md, a computer in time"
 
 
-def _spin(node: BenchNode, executor: Executor, asked: threading.Event) -> None:
-    executor.add_node(node)
+def _answer(
+    act: Callable[[], str | tuple[bool, str]], _: Trigger.Request, response: Trigger.Response
+) -> Trigger.Response:
     try:
-        while rclpy.ok() and not asked.is_set() and node.failure is None:
-            # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
-            executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
-    finally:
-        if rclpy.ok():
-            node.drain(lambda: executor.spin_once(timeout_sec=0.0))
-            node.close()
-        executor.shutdown(timeout_sec=1.0)
-    if node.failure is not None:
-        raise node.failure
-
-
-def _uncertainty_of(parameter: Parameter, stated: bool) -> Parameter:
-    std = parameter.uncertainty if stated else parameter.default_std
-    return Parameter(
-        UNCERTAINTY_PREFIX + parameter.name,
-        parameter.unit,
-        std or 0.0,
-        f"Standard deviation of {parameter.name}.",
-        "table",
-        0.0,
-        1e15,
-    )
+        answer = act()
+        response.success, response.message = answer if isinstance(answer, tuple) else (True, answer)
+    except InputError as error:
+        response.success, response.message = False, str(error)
+    return response
 
 
 def _plain(value: Any) -> Any:

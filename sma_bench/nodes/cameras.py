@@ -4,15 +4,14 @@ import array
 import importlib
 import math
 import time
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, Image, JointState, Temperature
-from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.hardware import node_reports
@@ -26,8 +25,8 @@ from sma_bench.hardware.thermal_settings import (
     synthetic_camera,
     wire_gauges,
 )
-from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
+from sma_bench.nodes.bench_topics import temperature_message
 from sma_bench.ros.node import MEASURED, NEWEST
 
 _LEVELS = {
@@ -54,7 +53,11 @@ class IrCamera(BenchNode):
         self._judge = frame_judge(self.settings)
         self._gauges = wire_gauges(self.parameters, self.settings)
         self._warmth = [ExpectedWarmth(self.parameters) for _ in channels]
-        self._outputs = [self._output(channel) for channel in channels]
+        self._outputs = [
+            (self.create_publisher(Temperature, f"{channel}/temperature", MEASURED),
+             temperature_message(channel))
+            for channel in channels
+        ]  # fmt: skip
         self._report = CameraReport(channels, self.settings["stale_limit"], time.monotonic())
         self.create_subscription(Image, "thermal_image", self._image, NEWEST)
         if self.settings["read_cold_wires"]:
@@ -62,24 +65,14 @@ class IrCamera(BenchNode):
                 self.create_subscription(
                     BatteryState, f"{channel}/power", partial(self._power, k), NEWEST
                 )
-        self._listen_to_flag()
-        self.create_service(Trigger, "~/reset", self._reset)
-
-    def _output(self, channel: str) -> tuple[Any, Temperature]:
-        message = Temperature()
-        message.header.frame_id = channel
-        return self.create_publisher(Temperature, f"{channel}/temperature", MEASURED), message
-
-    def _listen_to_flag(self) -> None:
-        """The Optris driver says when the camera's flag is closed, in a type of its own."""
-        try:
+        # The Optris driver says when the camera's flag is closed, in a type of its own.
+        with suppress(ImportError):
             flag_type = importlib.import_module("optris_drivers2.msg").Flag
-        except ImportError:
-            return
-        self.create_subscription(
-            flag_type, "flag_state",
-            lambda message: self._judge.flag(message.flag_state != _FLAG_OPEN), NEWEST,
-        )
+            self.create_subscription(
+                flag_type, "flag_state",
+                lambda message: self._judge.flag(message.flag_state != _FLAG_OPEN), NEWEST,
+            )  # fmt: skip
+        self.serve(reset=self._reset)
 
     def _image(self, message: Image) -> None:
         self._report.arrived(time.monotonic())
@@ -102,18 +95,12 @@ class IrCamera(BenchNode):
             for gauge, warmth in zip(self._gauges, self._warmth, strict=True)
         ]
         for (publisher, output), reading in zip(self._outputs, readings, strict=True):
-            self._publish(publisher, output, reading, message)
+            if not reading.reason:
+                output.header.stamp = message.header.stamp
+                output.temperature = float(reading.kelvin - CELSIUS_ZERO)
+                output.variance = float(reading.std**2)
+                publisher.publish(output)
         self._report.read(readings, self._seconds() - stamp, time.monotonic())
-
-    def _publish(
-        self, publisher: Any, output: Temperature, reading: WireReading, image: Image
-    ) -> None:
-        if reading.reason:
-            return
-        output.header.stamp = image.header.stamp
-        output.temperature = float(reading.kelvin - CELSIUS_ZERO)
-        output.variance = float(reading.std**2)
-        publisher.publish(output)
 
     def _hold(self, reason: str) -> None:
         self._report.held(reason)
@@ -122,18 +109,15 @@ class IrCamera(BenchNode):
     def _power(self, channel: int, message: BatteryState) -> None:
         self._warmth[channel].voltage(float(message.voltage), time.monotonic())
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> str:
         for gauge in self._gauges:
             gauge.reset()
-        response.success = True
-        response.message = "wires that were lost may be read as their background again"
-        return response
+        return "wires that were lost may be read as their background again"
 
     def _seconds(self) -> float:
         return self.get_clock().now().nanoseconds * 1e-9
 
     def health(self) -> list[DiagnosticStatus]:
-        """The pictures, and a line a wire."""
         return [
             self.status(r.name, _LEVELS[r.level], r.message, r.values, "infrared camera")
             for r in self._report.reports(time.monotonic())
@@ -163,7 +147,9 @@ class SyntheticCameraNode(BenchNode):
         self._kelvin = [math.nan for _ in channels]
         self._deflection = 0.0
         self._pictures = self._reported = 0
-        self._message = self._empty_message()
+        height, width = self._camera.shape
+        self._message = Image(height=height, width=width, encoding=ENCODING, step=2 * width)
+        self._message.data = array.array("B", bytes(2 * width * height))
         # The message's own array: without field checks it keeps a copy of what it is given.
         self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
         self._publisher = self.create_publisher(Image, "thermal_image", _IMAGE_QOS)
@@ -172,19 +158,11 @@ class SyntheticCameraNode(BenchNode):
                 Temperature, f"{channel}/true_temperature", partial(self._temperature, k), 10
             )
         self.create_subscription(JointState, "joint_states", self._joints, 10)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0 / self.settings["rate"], self._take, clock=steady)
+        self.every(1.0 / self.settings["rate"], self._take)
 
     def check_settings(self, settings: dict[str, Any]) -> None:
-        """Refuse an unknown fault."""
         if settings["fault"] not in FAULTS:
             raise InputError(f"fault: {settings['fault']!r}, expected {', '.join(FAULTS)}")
-
-    def _empty_message(self) -> Image:
-        height, width = self._camera.shape
-        message = Image(height=height, width=width, encoding=ENCODING, step=2 * width)
-        message.data = array.array("B", bytes(2 * width * height))
-        return message
 
     def _temperature(self, channel: int, message: Temperature) -> None:
         self._kelvin[channel] = message.temperature + CELSIUS_ZERO
@@ -204,17 +182,14 @@ class SyntheticCameraNode(BenchNode):
         elif fault == "moved":
             self._pixels[:] = self._camera.empty()
         elif fault != "frozen":
-            self._pixels[:] = self._camera.picture(self._kelvin, self._sideways())
+            # The wires' ends have moved by the bench's deflection and by the sway.
+            swing = math.sin(2.0 * math.pi * time.monotonic() / _SWAY_PERIOD)
+            pixels = self._deflection / self.settings["pixel_size"] + self.settings["sway"] * swing
+            self._pixels[:] = self._camera.picture(self._kelvin, pixels)
         self._publisher.publish(self._message)
         self._pictures += 1
 
-    def _sideways(self) -> float:
-        """Pixels by which the wires' ends have moved: the bench's deflection and the sway."""
-        sway = self.settings["sway"] * math.sin(2.0 * math.pi * time.monotonic() / _SWAY_PERIOD)
-        return self._deflection / self.settings["pixel_size"] + sway
-
     def health(self) -> list[DiagnosticStatus]:
-        """Whether there are pictures, and which fault they show."""
         waiting = any(math.isnan(kelvin) for kelvin in self._kelvin)
         fault = self.settings["fault"]
         rate, self._reported = self._pictures - self._reported, self._pictures

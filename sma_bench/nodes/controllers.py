@@ -41,7 +41,6 @@ class Controller(ExperimentNode, ABC):
         """The message of `~/setpoint`."""
 
     def follow(self, levels: Sequence[float]) -> None:
-        """Say what is followed."""
         self._setpoint.publish(self.message_of(levels))
 
     def _on_reference(self, message: Any) -> None:
@@ -59,7 +58,6 @@ class TemperatureControllerNode(Controller):
         super().__init__("temperature_controller", Float64MultiArray)
 
     def loop(self) -> TemperatureLoop:
-        """The controller, for the parameters of the moment."""
         return TemperatureLoop(self.settings, self.parameters, self.follow)
 
     def levels_of(self, message: Float64MultiArray) -> list[float]:
@@ -85,7 +83,6 @@ class DeflectionControllerNode(Controller):
         super().__init__("deflection_controller", Float64)
 
     def loop(self) -> DeflectionLoop:
-        """The controller, for the parameters of the moment."""
         joint = TIP if moves_tip(self.parameters) else "wire"
         freshness = Freshness(f"joint_states {joint}", self._feedback_timeout)
         return DeflectionLoop(self.settings, self.parameters, self.follow, freshness=freshness)
@@ -99,7 +96,6 @@ class DeflectionControllerNode(Controller):
         return Float64(data=levels[0])
 
     def measured(self, deflection: float, stamp: float, now: float) -> None:
-        """What is controlled."""
         super().measured(deflection, stamp, now)
         self._loop.measured(deflection, stamp, now)
 

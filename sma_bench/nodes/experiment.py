@@ -6,7 +6,7 @@ to 0 V.
 
 import json
 import time
-from collections.abc import Callable, Set
+from collections.abc import Set
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import Trigger
 
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
@@ -45,11 +44,13 @@ class ExperimentNode(BenchNode):
 
     def __init__(self, name: str = "experiment") -> None:
         super().__init__(name)
-        self._require_feedback()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        for kind in self.settings["feedback"]:
+            if kind not in _FEEDBACK:
+                raise InputError(f"feedback: {kind!r}, expected {' or '.join(_FEEDBACK)}")
         simulated = self.get_parameter("use_sim_time").value
         if not simulated:
             be_punctual(DRIVER)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._bench_clock = self.get_clock() if simulated else steady
         channels = self.parameters["bench.channels"]
         self._labelled = partial(voltage_command, channels, signed=signature(self))
@@ -82,24 +83,21 @@ class ExperimentNode(BenchNode):
         self.create_subscription(
             String, RECORDER, lambda m: self._beside.recorder(m.data, time.monotonic()), LATCHED
         )
-        for service, act in {
-            "start": self._start, "stop": self._run.stop, "reset": self._run.reset,
-        }.items():
-            self.create_service(Trigger, f"~/{service}", partial(_answer, act))
+        self.serve(
+            start=lambda: self._run.start(time.monotonic(), self._plan),
+            stop=self._run.stop, reset=self._run.reset,
+        )  # fmt: skip
         self._ticked = -1
         self._ticks = self.create_timer(
             1.0 / self.settings["command_rate"], self._tick, clock=self._bench_clock
         )
-        self.create_timer(
-            _WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan), clock=steady
-        )
+        self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
         self._run.enter(IDLE)
         if not self.settings["autostart"]:
             name = self.get_fully_qualified_name()
             self.get_logger().info(f"starts with {name}/start, or by itself: -p autostart:=true")
 
     def loop(self) -> OpenLoop:
-        """What is followed."""
         return OpenLoop()
 
     def held(self) -> Set[str]:
@@ -110,11 +108,17 @@ class ExperimentNode(BenchNode):
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """A protocol must be readable before it becomes the parameter's value."""
-        self._require_inside(settings)
+        # Whoever started the node may have named any file, whoever sets parameters may not.
+        for name in _FILES & settings.keys():
+            path, root = settings[name], settings["protocol_root"]
+            if path == self.settings[name] or not is_path(path):
+                continue
+            if not is_inside(Path(path), Path(root or ".")):
+                where = root or "where the node was started"
+                raise InputError(f"{name}: {path} lies outside protocol_root ({where})")
         self._loop.plan(settings, self.parameters)
 
     def close(self) -> None:
-        """Leave the outputs at 0 V."""
         if self._run.state == IDLE:
             return
         self._run.close()
@@ -123,7 +127,6 @@ class ExperimentNode(BenchNode):
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
     def health(self) -> list[DiagnosticStatus]:
-        """How the run goes, and what keeps the next one from starting."""
         run = self._run
         level = DiagnosticStatus.ERROR if run.state == ABORTED else DiagnosticStatus.OK
         return [self.status("run", level, run.said, {
@@ -135,21 +138,6 @@ class ExperimentNode(BenchNode):
         """No step and no volt would be that of its time."""
         if self._run.running:
             self._run.abort(reason)
-
-    def _require_feedback(self) -> None:
-        for kind in self.settings["feedback"]:
-            if kind not in _FEEDBACK:
-                raise InputError(f"feedback: {kind!r}, expected {' or '.join(_FEEDBACK)}")
-
-    def _require_inside(self, settings: dict[str, Any]) -> None:
-        """Whoever started the node may have named any file, whoever sets parameters may not."""
-        for name in _FILES & settings.keys():
-            path, root = settings[name], settings["protocol_root"]
-            if path == self.settings[name] or not is_path(path):
-                continue
-            if not is_inside(Path(path), Path(root or ".")):
-                where = root or "where the node was started"
-                raise InputError(f"{name}: {path} lies outside protocol_root ({where})")
 
     # --- messages in --------------------------------------------------------------------------
 
@@ -191,9 +179,6 @@ class ExperimentNode(BenchNode):
         self._ticked = moment
         self._run.tick(time.monotonic(), moment / 1e9)
 
-    def _start(self) -> tuple[bool, str]:
-        return self._run.start(time.monotonic(), self._plan)
-
     def _plan(self) -> Protocol:
         """What is followed, from the parameters of the moment."""
         protocol = self._loop.plan(self.settings, self.parameters)
@@ -205,22 +190,18 @@ class ExperimentNode(BenchNode):
     # --- messages out (live.run.Outputs) ------------------------------------------------------
 
     def surroundings(self) -> Surroundings:
-        """Who else is in the graph."""
         return Surroundings(
             self._command.get_subscription_count() > 0, self._bench_clock.now().nanoseconds > 0,
             {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)}, self._published,
         )
 
     def send(self, voltage: list[float]) -> None:
-        """One command."""
         self._command.publish(self._labelled(voltage))
 
     def mark(self, step: str) -> None:
-        """A step begins."""
         self._marker.publish(String(data=step))
 
     def enter(self, state: str) -> None:
-        """The state has changed."""
         self._state_publisher.publish(String(data=state))
         if state.startswith(ABORTED):
             self.get_logger().error(state)
@@ -228,7 +209,6 @@ class ExperimentNode(BenchNode):
             self.get_logger().info(state)
 
     def show(self, progress: dict[str, Any]) -> None:
-        """How far the run is."""
         self._progress.publish(String(data=json.dumps(progress)))
 
     def _published(self) -> list[str]:
@@ -243,10 +223,3 @@ class ExperimentNode(BenchNode):
 def seconds(message: BatteryState | Temperature | JointState) -> float:
     """Acquisition stamp in s."""
     return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
-
-
-def _answer(
-    act: Callable[[], tuple[bool, str]], _: Trigger.Request, response: Trigger.Response
-) -> Trigger.Response:
-    response.success, response.message = act()
-    return response

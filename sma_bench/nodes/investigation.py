@@ -53,17 +53,13 @@ class InvestigationNode(BenchNode):
             self._calls.follow(node)
         self._state = self.create_publisher(String, "~/state", LATCHED)
         self._result = self.create_publisher(String, "~/result", LATCHED)
-        self.create_service(Trigger, "~/start", self._on_start)
-        self.create_service(Trigger, "~/confirm", self._on_confirm)
-        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.serve(start=self._on_start, confirm=self._on_confirm, stop=self._on_stop)
         self._tell("idle")
 
     def check_settings(self, settings: dict[str, Any]) -> None:
-        """Nothing may be written outside output_root."""
         output_inside(settings, "folder")
 
     def health(self) -> list[DiagnosticStatus]:
-        """What the node is at."""
         failed = self._text.startswith(_FAILED)
         level = DiagnosticStatus.WARN if failed else DiagnosticStatus.OK
         return [self.status("investigation", level, self._text)]
@@ -76,40 +72,31 @@ class InvestigationNode(BenchNode):
             spin()
 
     def close(self) -> None:
-        """Nobody waits for the diagnosis any more."""
         self._stopping.set()
         self._worker.kill()
 
     # --- services -----------------------------------------------------------------------------
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_start(self) -> str:
         if self._busy():
-            response.success, response.message = False, f"busy: {self._text}"
-            return response
-        try:
-            folder = investigation_folder(self.settings)
-        except InputError as error:
-            response.success, response.message = False, str(error)
-            return response
+            raise InputError(f"busy: {self._text}")
+        folder = investigation_folder(self.settings)
         self._stopping.clear()
         given = self.settings, self.parameters  # what is set from here on is for the next one
         self._work = threading.Thread(target=self._investigate, args=given, daemon=True)
         self._work.start()
-        response.success, response.message = True, f"in {folder}"
-        return response
+        return f"in {folder}"
 
-    def _on_confirm(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._text.startswith(_WAITING) and not self._stopping.is_set()
-        if response.success:
-            self._confirmed.set()
-        response.message = self._text if response.success else f"nothing to confirm: {self._text}"
-        return response
+    def _on_confirm(self) -> str:
+        if not self._text.startswith(_WAITING) or self._stopping.is_set():
+            raise InputError(f"nothing to confirm: {self._text}")
+        self._confirmed.set()
+        return self._text
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.message = f"stopping, was {self._text}" if self._busy() else "nothing is running"
-        response.success = True
+    def _on_stop(self) -> str:
+        said = f"stopping, was {self._text}" if self._busy() else "nothing is running"
         self._stop()
-        return response
+        return said
 
     # --- the work -----------------------------------------------------------------------------
 
@@ -142,7 +129,11 @@ class InvestigationNode(BenchNode):
             story = json.loads(result)
             if (following := story["next"]) is None:
                 return str(story["outcome"])
-            self._wait_for_confirmation(following["protocol"])
+            self._confirmed.clear()
+            if self.settings["confirm"]:
+                self._tell(f"{_WAITING}: {following['protocol']}")
+                while not self._confirmed.wait(_LOOK_EVERY):
+                    self._heed()
             self._tell(f"{_RUNNING}: {following['protocol']}")
             self._calls.run_recorded(
                 following["file"], following["protocol"], 60.0 * following["minutes"],
@@ -153,14 +144,6 @@ class InvestigationNode(BenchNode):
         if self._stopping.is_set():  # it came before the process had begun
             self._worker.cancel()
         self._tell(f"diagnosing: {100.0 * share:.0f} %, {what}")
-
-    def _wait_for_confirmation(self, protocol: str) -> None:
-        self._confirmed.clear()
-        if not self.settings["confirm"]:
-            return
-        self._tell(f"{_WAITING}: {protocol}")
-        while not self._confirmed.wait(_LOOK_EVERY):
-            self._heed()
 
     def _heed(self, _: str = "") -> None:
         if self._stopping.is_set():

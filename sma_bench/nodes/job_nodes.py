@@ -47,12 +47,11 @@ class JobNode(BenchNode):
         self._result = self.create_publisher(String, "~/result", LATCHED)
         waiting = ReentrantCallbackGroup()
         self.create_service(Trigger, service, self._on_request, callback_group=waiting)
-        self.create_service(Trigger, "~/cancel", self._on_cancel)
+        self.serve(cancel=self._cancel)
         self._requests, self._failure = 0, ""
         self._tell_state("idle")
 
     def check_settings(self, settings: dict[str, Any]) -> None:
-        """Nothing may be written outside output_root."""
         for name, suffix in self.outputs.items():
             output_inside(settings, name, suffix)
 
@@ -60,13 +59,11 @@ class JobNode(BenchNode):
         """What else to do with a result."""
 
     def health(self) -> list[DiagnosticStatus]:
-        """What the node is at, and why the last request failed."""
         level = DiagnosticStatus.WARN if self._failure else DiagnosticStatus.OK
         message = self._failure or self._state_text
         return [self.status("work", level, message, {"requests": self._requests})]
 
     def close(self) -> None:
-        """Nobody waits for the work any more."""
         self._worker.kill()
 
     def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -94,10 +91,8 @@ class JobNode(BenchNode):
             self._busy.release()
         return response
 
-    def _on_cancel(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._worker.cancel()
-        response.message = CANCELLED if response.success else "nothing is running"
-        return response
+    def _cancel(self) -> tuple[bool, str]:
+        return (True, CANCELLED) if self._worker.cancel() else (False, "nothing is running")
 
     def _tell_state(self, state: str) -> None:
         self._state_text = state
@@ -127,7 +122,6 @@ class DiagnosisNode(JobNode):
         self._gap = self.create_publisher(DiagnosticArray, "~/gap", LATCHED)
 
     def on_result(self, result: str) -> None:
-        """Publish the gap."""
         message = DiagnosticArray()
         message.header.stamp = self.stamp()
         for gap in json.loads(result)["gap"]:

@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.live.recording import FAILED, RECORDING, Recording, recorded_type
@@ -51,17 +49,12 @@ class Recorder(BenchNode):
         )
         self._said = "idle"
         self._state = self.create_publisher(String, "~/state", LATCHED)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_LOOK_EVERY, self._look, clock=steady)
-        self.create_timer(_FLUSH_EVERY, self._flush, clock=steady)
-        for name, act in {
-            "start": self._start, "stop": self._stop, "split": self._split,
-        }.items():
-            self.create_service(Trigger, f"~/{name}", partial(self._answer, act))
+        self.every(_LOOK_EVERY, self._look)
+        self.every(_FLUSH_EVERY, self._flush)
+        self.serve(start=self._start, stop=self._stop, split=self._split)
         self._begin(self._recording.next_output())
 
     def health(self) -> list[DiagnosticStatus]:
-        """What is written, and how much room the disk has."""
         recording = self._recording
         values: dict[str, Any] = {"output": recording.output, "messages": recording.total}
         level, message = DiagnosticStatus.OK, self._said
@@ -74,7 +67,6 @@ class Recorder(BenchNode):
         return [self.status("bag", level, message, values)]
 
     def drain(self, spin: Callable[[], None]) -> None:
-        """Write what was sent before the end was asked for and still waits in the queues."""
         # A bench that goes on leaves a gap between its readings, too: by then all was taken.
         begin, empty = time.monotonic(), 0
         while (gone := time.monotonic() - begin) < _LONGEST_DRAIN and (
@@ -87,7 +79,6 @@ class Recorder(BenchNode):
                 time.sleep(_NAP)
 
     def close(self) -> None:
-        """Finish the bag with its index."""
         self._finish()
         self._publish_state(FAILED if self.failure else "closed")
         self.diagnose()
@@ -137,15 +128,6 @@ class Recorder(BenchNode):
             raise
         return f"closed {closed}, recording {output}"
 
-    def _answer(
-        self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        try:
-            response.message, response.success = act(), True
-        except InputError as error:
-            response.message, response.success = str(error), False
-        return response
-
     # --- topics -------------------------------------------------------------------------------
 
     def _look(self) -> None:
@@ -153,31 +135,22 @@ class Recorder(BenchNode):
         for topic, types in self.get_topic_names_and_types():
             kind = recorded_type(topic, inside)
             known = topic in self._recording.topics
-            if kind in types and not known and self.count_publishers(topic):
-                self._subscribe(topic, kind)
-
-    def _subscribe(self, topic: str, type_name: str) -> None:
-        if not self._recording.add(topic, type_name):
-            return
-        self.create_subscription(
-            _message_class(type_name), topic, partial(self._write, topic),
-            self._matching_qos(topic, type_name), raw=True,
-        )
-        self.get_logger().info(f"recording {topic}")
-        self._publish_state(self._said)
-
-    def _matching_qos(self, topic: str, type_name: str) -> QoSProfile:
-        """The most that every present publisher of the topic offers."""
-        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
-        reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
-        latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-        return QoSProfile(
-            depth=_IMAGE_DEPTH if type_name == IMAGE else _DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=(
-                DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-            ),
-        )
+            if kind not in types or known or not self.count_publishers(topic):
+                continue
+            if not self._recording.add(topic, kind):
+                continue
+            # The most that every present publisher of the topic offers.
+            offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+            qos = QoSProfile(depth=_IMAGE_DEPTH if kind == IMAGE else _DEPTH)
+            if any(q.reliability != ReliabilityPolicy.RELIABLE for q in offered):
+                qos.reliability = ReliabilityPolicy.BEST_EFFORT
+            if all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in offered):
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+            package, _, name = kind.split("/")
+            message = getattr(importlib.import_module(f"{package}.msg"), name)
+            self.create_subscription(message, topic, partial(self._write, topic), qos, raw=True)
+            self.get_logger().info(f"recording {topic}")
+            self._publish_state()
 
     def _write(self, topic: str, data: bytes) -> None:
         stamp = self.get_clock().now().nanoseconds
@@ -189,17 +162,13 @@ class Recorder(BenchNode):
 
     def _flush(self) -> None:
         self._recording.flush()
-        self._publish_state(FAILED if self.failure else self._said)
+        self._publish_state()
 
-    def _publish_state(self, state: str) -> None:
-        self._said = state
-        self._state.publish(String(data=self._recording.state(state)))
+    def _publish_state(self, state: str = "") -> None:
+        """Say a state, or once more the last one."""
+        self._said = state or (FAILED if self.failure else self._said)
+        self._state.publish(String(data=self._recording.state(self._said)))
 
 
 def _text(data: bytes) -> str:
     return str(deserialize_message(data, String).data)
-
-
-def _message_class(type_name: str) -> type:
-    package, _, name = type_name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -11,15 +11,13 @@ from collections.abc import Callable
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
-from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors
-from sma_bench.hardware.conversation import LinkError, Port, find_port, open_port
+from sma_bench.hardware.bench_sensors import SIDES, BenchSensors
+from sma_bench.hardware.conversation import LinkError, find_port, open_port
 from sma_bench.hardware.device import Reading
 from sma_bench.hardware.node_reports import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
@@ -69,80 +67,61 @@ class SerialBridge(BenchNode):
         self._channels = self.parameters["bench.channels"]
         self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
         self._link = SerialLink(
-            self._open, LinkOptions(rate=self._rate), self._arrived.append, self._events.append
-        )
-        guard = Guard(
-            self._channels, self.settings["feedback"], self.settings["feedback_timeout"]
-        )
+            lambda: open_port(self.settings["port"] or find_port()),
+            LinkOptions(rate=self._rate), self._arrived.append, self._events.append,
+        )  # fmt: skip
+        settings = self.settings
+        guard = Guard(self._channels, settings["feedback"], settings["feedback_timeout"])
         limits = Limits.from_parameters(self.parameters)
         self._driver = BenchDriver(
-            self._link, self._sensors, guard, self._channels, limits,
-            self.settings["self_test_waived"],
-        )  # fmt: skip
-        self._make_topics()
-        self._link.start()  # connects, again and again if need be
-
-    def close(self) -> None:
-        """Outputs off, port closed."""
-        self._link.close()
-
-    def _make_topics(self) -> None:
+            self._link, self._sensors, guard, self._channels, limits, settings["self_test_waived"]
+        )
         self._power = PowerTopics(self, self._channels)
         sensors = self._sensors.range_sensors
         self._ranges = RangeTopics(self, sensors) if sensors else None
         self._state = self.create_publisher(String, "~/state", LATCHED)
-        self.create_subscription(
-            Float64MultiArray, COMMAND, self._on_command, COMMANDED
-        )
+        self.create_subscription(Float64MultiArray, COMMAND, self._on_command, COMMANDED)
         self._commanders = Commanders(self)
         for channel in self._channels:
             self.create_subscription(
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, channel), 10
             )
-        follow_recorder(self, lambda failure: self._driver.recorder(failure))
-        requests = {
-            "enable": self._enable, "stop": self._stop, "reset": self._reset,
-            "self_test": self._self_test,
-        }
-        for name, act in requests.items():
-            self.create_service(Trigger, f"~/{name}", partial(self._answer, act))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_TICK, self._tick, clock=steady)
+        follow_recorder(self, self._driver.recorder)
+        driver = self._driver
+        self.serve(
+            enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
+            stop=lambda: self._ask(lambda: driver.stop("stopped on request")),
+            reset=lambda: self._ask(driver.reset), self_test=lambda: self._ask(self._self_test),
+        )  # fmt: skip
+        self.every(_TICK, self._tick)
+        self._link.start()  # connects, again and again if need be
 
-    def _open(self) -> Port:
-        return open_port(self.settings["port"] or find_port())
+    def close(self) -> None:
+        self._link.close()
 
     # --- readings and commands ----------------------------------------------------------------
 
     def _tick(self) -> None:
-        self._relate_clocks()
+        # Whoever was kept waiting between the two clocks would shift every stamp.
+        before = time.monotonic_ns()
+        ros = self.get_clock().now().nanoseconds
+        after = time.monotonic_ns()
+        if after - before < _AT_ONCE or not self._to_ros:
+            self._to_ros = ros - (before + after) // 2
         while self._arrived:
-            reading = self._arrived.popleft()
-            self._publish(self._driver.take(reading, time.monotonic()))
+            reading = self._driver.take(self._arrived.popleft(), time.monotonic())
+            stamp = round(_NANOSECONDS * reading.time) + self._to_ros
+            self._power.publish([(p.voltage, p.current) for p in reading.powers], stamp)
+            if self._ranges is not None:
+                distances = dict(zip(SIDES, reading.distances, strict=True))
+                self._ranges.publish(distances, reading.deflection, stamp)
+            self._tally.note(time.monotonic() - reading.time)
         if reason := self._driver.tick(time.monotonic()):
             self.get_logger().error(f"0 V: {reason}")
         self._tell_state()
         while self._events:
             if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
-
-    def _relate_clocks(self) -> None:
-        before = time.monotonic_ns()
-        ros = self.get_clock().now().nanoseconds
-        after = time.monotonic_ns()
-        # Whoever was kept waiting between the two clocks would shift every stamp.
-        if after - before < _AT_ONCE or not self._to_ros:
-            self._to_ros = ros - (before + after) // 2
-
-    def _publish(self, reading: BenchReading) -> None:
-        stamp = round(_NANOSECONDS * reading.time) + self._to_ros
-        self._power.publish(
-            [(power.voltage, power.current) for power in reading.powers], stamp
-        )
-        if self._ranges is not None:
-            distances = dict(zip(SIDES, reading.distances, strict=True))
-            self._ranges.publish(distances, reading.deflection, stamp)
-        self._tally.note(time.monotonic() - reading.time)
 
     def _on_command(self, message: Float64MultiArray) -> None:
         sender, obstacle = self._commanders.of(message)
@@ -164,27 +143,14 @@ class SerialBridge(BenchNode):
 
     # --- requests -----------------------------------------------------------------------------
 
-    def _answer(
-        self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _ask(self, act: Callable[[], str | None]) -> tuple[bool, str]:
+        """Have the driver do something; its line, or the bench's state after it."""
         try:
-            response.message, response.success = act(), True
+            return True, act() or self._driver.state
         except LinkError as error:
-            response.message, response.success = str(error), False
-        self._tell_state()
-        return response
-
-    def _enable(self) -> str:
-        self._driver.enable(time.monotonic())
-        return self._driver.state
-
-    def _stop(self) -> str:
-        self._driver.stop("stopped on request")
-        return self._driver.state
-
-    def _reset(self) -> str:
-        self._driver.reset()
-        return self._driver.state
+            return False, str(error)
+        finally:
+            self._tell_state()
 
     def _self_test(self) -> str:
         findings = self._driver.self_test()
@@ -203,7 +169,6 @@ class SerialBridge(BenchNode):
             self.get_logger().info(state)
 
     def health(self) -> list[DiagnosticStatus]:
-        """State, link and timing of the bench."""
         status, state = self._link.status, self._driver.state
         if self._driver.flowing:
             self.get_logger().fatal(state)
@@ -215,11 +180,7 @@ class SerialBridge(BenchNode):
             "scheduling": self._scheduling,
         }
         self._tally = Tally(temperatures=self._tally.temperatures)
-        return [self.status(
-            "bench", self._level(state), state, values, values.get("firmware", "no device")
-        )]  # fmt: skip
-
-    def _level(self, state: str) -> bytes:
+        level = DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK
         if state not in ("idle", "enabled"):
-            return DiagnosticStatus.ERROR
-        return DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK
+            level = DiagnosticStatus.ERROR
+        return [self.status("bench", level, state, values, values.get("firmware", "no device"))]

@@ -4,9 +4,6 @@ import time
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock as RosClock
-from rclpy.clock import ClockType
-from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
@@ -39,7 +36,14 @@ class Simulator(BenchNode):
         speed = self.settings["speed"]
         self._fast = speed > REAL_TIME
         if self._fast:
-            self._be_the_only_clock()
+            # Two times on one topic would spoil the records of both benches without a word.
+            try:
+                self.claim(self.resolve_topic_name(_CLOCK))
+            except InputError as error:
+                reason = f"{error}; above real time each bench needs its own domain"
+                raise InputError(reason) from None
+            self._others: Subscription | None = None
+            self.every(_CLOCK_WATCH, self._watch_clock)
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
         self._slice = round(slice_length * NANOSECONDS)
         self._now = 0
@@ -52,27 +56,12 @@ class Simulator(BenchNode):
         self._topics = BenchTopics(self, self._bench.channels, self._bench.composite)
         self._clock_sent = 0.0
         self._clock_publisher = self.create_publisher(Clock, _CLOCK, 10) if self._fast else None
-        self.create_subscription(
-            Float64MultiArray, COMMAND, self._command, COMMANDED
-        )
+        self.create_subscription(Float64MultiArray, COMMAND, self._command, COMMANDED)
         self._commanders = Commanders(self)
-        steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        tick = max(slice_length / speed, _SHORTEST_TICK)
-        self.create_timer(tick, self._tick, clock=steady)
+        self.every(max(slice_length / speed, _SHORTEST_TICK), self._tick)
         self._reported = (0, self._topics.counts())
         channels = ", ".join(self._bench.channels)
         self.get_logger().info(f"simulating {channels}, {speed:g} s a second")
-
-    def _be_the_only_clock(self) -> None:
-        """Two times on one topic would spoil the records of both benches without a word."""
-        try:
-            self.claim(self.resolve_topic_name(_CLOCK))
-        except InputError as error:
-            raise InputError(f"{error}; above real time each bench needs its own domain") from None
-        self._others: Subscription | None = None
-        self.create_timer(
-            _CLOCK_WATCH, self._watch_clock, clock=RosClock(clock_type=ClockType.STEADY_TIME)
-        )
 
     def _watch_clock(self) -> None:
         # The graph still lists who was killed: only what is heard counts.
@@ -105,29 +94,22 @@ class Simulator(BenchNode):
         for _ in range(_SLICES_AT_ONCE):
             if not self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic()):
                 break
-            self._run_slice()
+            voltage = self._gate.outputs(self._now / NANOSECONDS)
+            until = self._now + self._slice
+            for reading in self._bench.advance(voltage, until):
+                self._topics.publish(reading, self._epoch)
+            self._now = until
+            self._publish_clock()
         # /clock is best effort at its readers: a lost one must not stop the lockstep.
-        clock = self._clock_publisher
-        if clock and time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
-            self._publish_clock(clock)
+        if time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
+            self._publish_clock()
 
-    def _run_slice(self) -> None:
-        voltage = self._gate.outputs(self._now / NANOSECONDS)
-        until = self._now + self._slice
-        for reading in self._bench.advance(voltage, until):
-            self._topics.publish(reading, self._epoch)
-        self._now = until
+    def _publish_clock(self) -> None:
         if self._clock_publisher:
-            self._publish_clock(self._clock_publisher)
-
-    def _publish_clock(self, publisher: Publisher) -> None:
-        message = Clock()
-        message.clock.sec, message.clock.nanosec = divmod(self._epoch + self._now, NANOSECONDS)
-        publisher.publish(message)
-        self._clock_sent = time.monotonic()
+            self._clock_publisher.publish(Clock(clock=self.stamp()))
+            self._clock_sent = time.monotonic()
 
     def health(self) -> list[DiagnosticStatus]:
-        """Commands taken and refused, and the rates of the readings."""
         before, counts_before = self._reported
         counts = self._topics.counts()
         self._reported = (self._now, counts)

@@ -7,13 +7,11 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import BenchNode
@@ -31,7 +29,6 @@ from sma_bench.twin.twin import (
     TEMPERATURE,
     Prediction,
     Residual,
-    StageState,
     Verdict,
 )
 
@@ -137,9 +134,8 @@ class TwinNode(BenchNode):
                 Temperature, f"{channel}/temperature", partial(self._on_temperature, k), _OFFERED
             )
         self.create_subscription(JointState, "joint_states", self._on_joint, _OFFERED)
-        self.create_service(Trigger, "~/accept", self._accept)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_STEP_EVERY, self._step, clock=steady)
+        self.serve(accept=self._accept)
+        self.every(_STEP_EVERY, self._step)
 
     # Readings
 
@@ -169,8 +165,13 @@ class TwinNode(BenchNode):
     # What follows from them
 
     def _step(self) -> None:
-        if self._loaded[0] is not self.parameters:
-            self._take_over()
+        parameters, settings = self._loaded
+        if parameters is not self.parameters:
+            self._loaded = self.parameters, self.settings
+            if settings != self.settings:
+                self._twin.tune(self.settings)
+            if parameters != self.parameters:
+                self._twin.change(self.parameters)
         self._twin.advance()
         if self._restarts != self._twin.restarts:
             self._restarts = self._twin.restarts
@@ -182,24 +183,13 @@ class TwinNode(BenchNode):
             if verdict.message != self._said and verdict.measured:
                 self.diagnose()
 
-    def _take_over(self) -> None:
-        parameters, settings = self._loaded
-        self._loaded = self.parameters, self.settings
-        if settings != self.settings:
-            self._twin.tune(self.settings)
-        if parameters != self.parameters:
-            self._twin.change(self.parameters)
-
-    def _accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _accept(self) -> str:
         self._twin.accept()
-        response.success = True
-        response.message = "the present gap is known; only more of it counts as grown"
-        return response
+        return "the present gap is known; only more of it counts as grown"
 
     # Diagnostics
 
     def health(self) -> list[DiagnosticStatus]:
-        """The gap, and a line a stage."""
         verdict = self._twin.verdict
         silence = time.monotonic() - self._heard
         level, message = DiagnosticStatus.OK, verdict.message
@@ -214,29 +204,25 @@ class TwinNode(BenchNode):
             else:
                 self.get_logger().warning(message)
             self._said = message
-        whole = self.status("gap", level, message, {
-            "state": verdict.state, "stages": " ".join(verdict.stages),
-            "sides": " ".join(verdict.sides), "model_time": f"{self._twin.stamp / NANOSECONDS:.3f}",
-            "voltage_readings_rate": f"{self._rate():.1f}",
-            "silence": f"{silence:.1f}", **self._twin.counts,
-        })  # fmt: skip
-        return [whole, *map(self._stage_status, verdict.measured)]
-
-    def _rate(self) -> float:
-        """Readings of voltages a second, of all channels, over the last half second or more."""
+        # Readings of voltages a second, of all channels, over the last half second or more.
         now, (count, then) = time.monotonic(), self._reported
         if now - then > 0.5 * _DIAGNOSE_EVERY:
             self._hertz = (self._readings - count) / (now - then)
             self._reported = self._readings, now
-        return self._hertz
-
-    def _stage_status(self, state: StageState) -> DiagnosticStatus:
-        named = state.stage in self._twin.verdict.stages
-        numbers = {"energy": f"{state.energy:.3g}", "gap_over_noise": f"{state.gap:.3g}"}
-        learned = not math.isnan(state.energy)
-        message = f"{state.gap:.1f} times the noise" if learned else "learning the noise"
-        level = DiagnosticStatus.WARN if named else DiagnosticStatus.OK
-        return self.status(state.stage, level, message, numbers)
+        lines = [self.status("gap", level, message, {
+            "state": verdict.state, "stages": " ".join(verdict.stages),
+            "sides": " ".join(verdict.sides), "model_time": f"{self._twin.stamp / NANOSECONDS:.3f}",
+            "voltage_readings_rate": f"{self._hertz:.1f}",
+            "silence": f"{silence:.1f}", **self._twin.counts,
+        })]  # fmt: skip
+        for state in verdict.measured:
+            learned = not math.isnan(state.energy)
+            message = f"{state.gap:.1f} times the noise" if learned else "learning the noise"
+            named = state.stage in verdict.stages
+            level = DiagnosticStatus.WARN if named else DiagnosticStatus.OK
+            numbers = {"energy": f"{state.energy:.3g}", "gap_over_noise": f"{state.gap:.3g}"}
+            lines.append(self.status(state.stage, level, message, numbers))
+        return lines
 
 
 def _stamp(message: Any) -> int:

@@ -103,7 +103,9 @@ class NodeCalls:
         """
         client = self.know(service)
         self._wait_for_service(service, client, timeout)
-        answer = self._await(service, client.call_async(Trigger.Request()), timeout)
+        future = client.call_async(Trigger.Request())
+        self.wait(service, future.done, timeout)
+        answer = future.result()
         if not answer.success:
             raise InputError(f"{service}: {answer.message}")
         return str(answer.message)
@@ -121,8 +123,9 @@ class NodeCalls:
         request.parameters = [
             RosParameter(name, value=value).to_parameter_msg() for name, value in values.items()
         ]
-        answer = self._await(service, client.call_async(request), timeout)
-        for name, result in zip(values, answer.results, strict=True):
+        future = client.call_async(request)
+        self.wait(service, future.done, timeout)
+        for name, result in zip(values, future.result().results, strict=True):
             if not result.successful:
                 raise InputError(f"{node}: {name}: {result.reason}")
 
@@ -140,10 +143,6 @@ class NodeCalls:
         # The server matches the client a little later; until then its answers are lost.
         matched = time.monotonic() + _MATCHING
         self.wait(service, lambda: time.monotonic() > matched, timeout)
-
-    def _await(self, what: str, future: rclpy.Future, timeout: float) -> Any:
-        self.wait(what, future.done, timeout)
-        return future.result()
 
     def run_recorded(
         self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
@@ -201,7 +200,16 @@ class NodeCalls:
                 self.set_parameters("experiment", {"protocol": str(Path(protocol).resolve())})
                 self.forget("experiment")  # it may have run one of this name before
                 try:
-                    self._start_experiment(experiment)
+                    # It may refuse for want of a recorder that it has not found yet.
+                    end = time.monotonic() + _DISCOVERY
+                    while True:
+                        try:
+                            self.trigger("experiment/start", _PATIENCE)
+                            break
+                        except InputError:
+                            experiment()
+                            if time.monotonic() > end:
+                                raise
                     self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
                 except BaseException:
                     self.trigger("experiment/stop", _STOPPING)
@@ -212,18 +220,6 @@ class NodeCalls:
                 raise
             nodes.end("recorder")
         unfinished.rename(bag)
-
-    def _start_experiment(self, look: Callable[[], str]) -> None:
-        """It may refuse for want of a recorder that it has not found yet."""
-        end = time.monotonic() + _DISCOVERY
-        while True:
-            try:
-                self.trigger("experiment/start", _PATIENCE)
-                return
-            except InputError:
-                look()
-                if time.monotonic() > end:
-                    raise
 
 
 def _put_aside(bag: Path) -> None:

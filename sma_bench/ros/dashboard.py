@@ -14,7 +14,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.exceptions import InvalidNamespaceException
@@ -69,7 +69,7 @@ class DashboardNode(OverridableNode):
         self._callable: dict[str, dict[str, Client]] = {
             "stop": {}, "get_parameters": {}, "set_parameters": {}, **{work: {} for work in _WORK},
         }  # fmt: skip
-        self._reported: dict[str, dict[str, Any]] = {}
+        self._reported: dict[str, dict[str, float]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
         self._command = self.create_publisher(Float64MultiArray, COMMAND, 10)
@@ -182,14 +182,17 @@ class DashboardNode(OverridableNode):
         kind = MEASURED
         if parts[0] == "twin" and len(parts) > 1:
             kind, parts = MODEL, parts[1:]
+        reading = self.state.reading
         handler: tuple[type, Callable[[Any], None], QoSProfile] | None = None
         match parts:
             case [channel, "power"]:
                 handler = BatteryState, partial(self._on_power, channel, kind), COMMANDED
             case [place, "temperature"]:
-                handler = Temperature, partial(self._on_temperature, place, kind), COMMANDED
+                handler = Temperature, lambda m: reading(
+                    "temperature", place, m.temperature + CELSIUS_ZERO, kind
+                ), COMMANDED
             case ["front" | "back" as side, "range"]:
-                handler = Range, partial(self._on_range, side, kind), COMMANDED
+                handler = Range, lambda m: reading("distance", side, m.range, kind), COMMANDED
             case ["joint_states"]:
                 handler = JointState, partial(self._on_joints, kind), COMMANDED
             case ["voltage_command"] if kind == MEASURED:
@@ -200,8 +203,10 @@ class DashboardNode(OverridableNode):
                 handler = String, partial(self._on_state, node), LATCHED
             case [node, "progress"] if kind == MEASURED:
                 handler = String, partial(self._on_progress, node), LATCHED
-        if handler is not None and _type_name(handler[0]) in types:
-            self._listen(topic, *handler)
+        if handler is not None:
+            package, name = handler[0].__module__.partition(".")[0], handler[0].__name__
+            if f"{package}/msg/{name}" in types:
+                self._listen(topic, *handler)
 
     def _listen(
         self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile
@@ -221,33 +226,30 @@ class DashboardNode(OverridableNode):
             answer.add_done_callback(partial(self._on_answer, name))
         limits: dict[str, float] = {}
         for values in self._reported.values():
-            for limit in values.keys() & set(LIMITS):
-                limits[limit] = min(values[limit], limits.get(limit, math.inf))
-        by = sorted(n for n, found in self._reported.items() if set(found) & set(LIMITS))
+            for limit, value in values.items():
+                limits[limit] = min(value, limits.get(limit, math.inf))
+        by = sorted(n for n, found in self._reported.items() if found)
         self.state.show("limits", {"values": live_state.shown_limits(limits), "of": by})
 
     def _on_answer(self, name: str, answer: rclpy.Future) -> None:
         if (response := answer.result()) is None:
             return
-        values = zip(_ASKED, response.values, strict=False)
-        found = {key: v for key, value in values if (v := _value_of(value)) is not None}
+        found: dict[str, float] = {}
+        for key, value in zip(_ASKED, response.values, strict=False):
+            is_number = value.type == ParameterType.PARAMETER_DOUBLE
+            names = tuple(map(shown, value.string_array_value[:_MOST_CHANNELS]))
+            if key == _CHANNELS and names:
+                self._channels = names
+                self.state.show("channels", names)
+            elif key in LIMITS and is_number and math.isfinite(value.double_value):
+                found[key] = float(value.double_value)
         self._reported[name] = found
-        channels = found.get(_CHANNELS)
-        if isinstance(channels, tuple) and channels:
-            self._channels = channels
-            self.state.show("channels", channels)
 
     # --- messages -----------------------------------------------------------------------------
 
     def _on_power(self, channel: str, kind: str, message: BatteryState) -> None:
         self.state.reading("voltage", channel, message.voltage, kind)
         self.state.reading("current", channel, message.current, kind)
-
-    def _on_temperature(self, place: str, kind: str, message: Temperature) -> None:
-        self.state.reading("temperature", place, message.temperature + CELSIUS_ZERO, kind)
-
-    def _on_range(self, side: str, kind: str, message: Range) -> None:
-        self.state.reading("distance", side, message.range, kind)
 
     def _on_joints(self, kind: str, message: JointState) -> None:
         quantities = {"tip": "deflection", "wire": "elongation"}
@@ -340,15 +342,3 @@ def state_line(text: str) -> str:
         count = sum(found["messages"].values())
         text = f"{found['state']}: {found['output']}, {count} messages"
     return shown(text)
-
-
-def _value_of(value: ParameterValue) -> float | tuple[str, ...] | None:
-    if value.type == ParameterType.PARAMETER_DOUBLE:
-        return float(value.double_value) if math.isfinite(value.double_value) else None
-    if value.type == ParameterType.PARAMETER_STRING_ARRAY:
-        return tuple(map(shown, value.string_array_value[:_MOST_CHANNELS]))
-    return None
-
-
-def _type_name(kind: type) -> str:
-    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

@@ -61,12 +61,8 @@ class OverridableNode(Node):
         return self._endpoint(super().create_publisher, topic, qos_profile, options, msg_type)
 
     def create_subscription(
-        self,
-        msg_type: Any,
-        topic: str,
-        callback: Callable[..., None],
-        qos_profile: QoSProfile | int,
-        **options: Any,
+        self, msg_type: Any, topic: str, callback: Callable[..., None],
+        qos_profile: QoSProfile | int, **options: Any,
     ) -> Subscription:
         """As rclpy's, and `qos_overrides./<topic>.subscription.` parameters change its QoS."""
         return self._endpoint(
@@ -74,13 +70,8 @@ class OverridableNode(Node):
         )
 
     def _endpoint(
-        self,
-        create: Callable[..., Any],
-        topic: str,
-        qos: QoSProfile | int,
-        options: dict[str, Any],
-        msg_type: Any,
-        *callback: Any,
+        self, create: Callable[..., Any], topic: str, qos: QoSProfile | int,
+        options: dict[str, Any], msg_type: Any, *callback: Any,
     ) -> Any:
         """rclpy makes a node's own topics before its parameters can be declared: these it keeps."""
         if self._ros_is_ready:
@@ -170,17 +161,14 @@ class Commanders:
                 self._signed.add(sender.partition("#")[0])
             return sender, ""
         if (now := time.monotonic()) >= self._looked + _LOOK_EVERY:
-            self._looked, self._unsigned = now, self._look()
+            # Nodes with a publisher of commands that do not sign, one name a publisher.
+            self._looked, self._unsigned = now, sorted(
+                name for info in self._node.get_publishers_info_by_topic(self._topic)
+                if info.node_name not in (*_SIGNING, _NOT_YET_KNOWN)
+                and (name := f"{info.node_namespace.rstrip('/')}/{info.node_name}")
+                not in self._signed
+            )  # fmt: skip
         if len(self._unsigned) > 1:
             nodes = ", ".join(self._unsigned)
             return "", f"commands without a name, and several nodes may send them: {nodes}"
         return "", ""
-
-    def _look(self) -> list[str]:
-        """Nodes with a publisher of commands that do not sign, one name a publisher."""
-        return sorted(
-            name
-            for info in self._node.get_publishers_info_by_topic(self._topic)
-            if info.node_name not in (*_SIGNING, _NOT_YET_KNOWN)
-            and (name := f"{info.node_namespace.rstrip('/')}/{info.node_name}") not in self._signed
-        )

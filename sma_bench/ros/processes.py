@@ -7,6 +7,7 @@ gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1, and the ra
 it: LOCALHOST would add sockets that are not bound, and shared memory.
 """
 
+import contextlib
 import hashlib
 import os
 import signal
@@ -49,7 +50,11 @@ def discovery_variables(
     if network:
         return {RANGE: NETWORK} | sockets
     bound = environment.get(PROFILE) == _own_profile()  # by a parent
-    if _opened(environment) and not bound:
+    # Whether the user's own variables ask for the network; ROS heeds them in this order.
+    only, chosen = environment.get(_ONLY), environment.get(RANGE)
+    opened = chosen in _OPEN_RANGES if chosen else bool(only)
+    opened = only != "1" and (bool(environment.get(_SERVER)) or opened)
+    if opened and not bound:
         return sockets
     if _set(environment, *_PROFILES) and not bound:  # which may bind nothing
         return {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
@@ -65,7 +70,14 @@ def choose_discovery(
     """Set them for this process, before ROS starts in it; what has no effect is said."""
     variables = discovery_variables(network, environment)
     if PROFILE in variables:
-        for note in _notes(environment):
+        notes, middleware = [], environment.get(_MIDDLEWARE, "")
+        if environment.get(_PEERS):
+            notes.append(f"{_PEERS} has no effect, nodes are bound to this machine: "
+                         f"{RANGE}={NETWORK} opens them")  # fmt: skip
+        if middleware and "fastrtps" not in middleware:
+            notes.append(f"{_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this machine "
+                         "by sma_bench")  # fmt: skip
+        for note in notes:
             print(f"sma_bench: note: {note}", file=sys.stderr)
     if network and environment.get(PROFILE) == _own_profile():
         for name in (*_PROFILES, _NO_OTHER_PROFILE):
@@ -94,49 +106,18 @@ def claimed(name: str) -> socket.socket:
             held.listen()
             return held
         if time.monotonic() > end:
-            raise InputError(
-                f"{name} is there already in ROS domain {domain}: process {_holder(address)}"
-            )
+            holder = "unknown"
+            with socket.socket(socket.AF_UNIX) as asking, contextlib.suppress(OSError):
+                asking.connect(address)
+                size = struct.calcsize("3i")
+                peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+                holder = str(struct.unpack("3i", peer)[0])
+            raise InputError(f"{name} is there already in ROS domain {domain}: process {holder}")
         time.sleep(0.05)
-
-
-def _holder(address: str) -> str:
-    with socket.socket(socket.AF_UNIX) as asking:
-        try:
-            asking.connect(address)
-            peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-        except OSError:
-            return "unknown"
-        return str(struct.unpack("3i", peer)[0])
 
 
 def _own_profile() -> str:
     return str(share_directory() / "config" / "dds" / "this_machine.xml")
-
-
-def _opened(environment: Mapping[str, str]) -> bool:
-    """Whether the user's own variables ask for the network; ROS heeds them in this order."""
-    if environment.get(_ONLY) == "1":
-        return False
-    if environment.get(_SERVER):
-        return True
-    if chosen := environment.get(RANGE):
-        return chosen in _OPEN_RANGES
-    return bool(environment.get(_ONLY))
-
-
-def _notes(environment: Mapping[str, str]) -> list[str]:
-    notes = []
-    if environment.get(_PEERS):
-        notes.append(
-            f"{_PEERS} has no effect, nodes are bound to this machine: {RANGE}={NETWORK} opens them"
-        )
-    middleware = environment.get(_MIDDLEWARE, "")
-    if middleware and "fastrtps" not in middleware:
-        notes.append(
-            f"{_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this machine by sma_bench"
-        )
-    return notes
 
 
 def _set(environment: Mapping[str, str], *names: str) -> bool:
@@ -174,10 +155,7 @@ class NodeProcesses:
             self.end(name)
 
     def start(
-        self,
-        name: str,
-        parameters: Mapping[str, Any],
-        files: tuple[str | Path, ...] = (),
+        self, name: str, parameters: Mapping[str, Any], files: tuple[str | Path, ...] = (),
         remappings: Mapping[str, str] | None = None,
     ) -> None:
         """Start a node with parameter files and, over them, single parameters."""
@@ -198,7 +176,9 @@ class NodeProcesses:
         """Raise InputError when a node has ended by itself; the line quotes its last words."""
         for name, process in self._running.items():
             if process.poll() is not None:
-                raise InputError(f"node {name} ended: {self._last_words(name)}")
+                said = (self._logs / f"{name}.log").read_text(errors="replace").split("\n")
+                last = next((line for line in reversed(said) if line.strip()), "without a word")
+                raise InputError(f"node {name} ended: {last}")
 
     def pid(self, name: str) -> int:
         """Process of a running node."""
@@ -215,10 +195,6 @@ class NodeProcesses:
                 except subprocess.TimeoutExpired:
                     continue
             return
-
-    def _last_words(self, name: str) -> str:
-        lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "without a word"
 
 
 def _yaml(value: Any) -> str:

@@ -10,7 +10,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
-from sma_bench.synthetic.bench_records import ClosedLoopRun, Feedback
+from sma_bench.synthetic.bench_records import Feedback
 
 COMPOSITE = identified(
     {
@@ -29,13 +29,13 @@ CYCLE = 2.0 * (2.0 * RISE + REST)
 PERIOD, READING = 0.05, {"noise": 7e-5, "resolution": 5e-5}
 
 
-def triangle(t: float, peak: float = PEAK) -> float:
+def triangle(t, peak=PEAK):
     """Front, rest, back, rest, as in Fig. 15 a."""
     edges = np.cumsum([0.0, RISE, RISE, REST, RISE, RISE, REST])
     return float(np.interp(t % CYCLE, edges, np.array([0, 1, 0, 0, -1, 0, 0]) * peak))
 
 
-def off_by_one_deviation(seed: int) -> Parameters:
+def off_by_one_deviation(seed):
     """A bench that differs from its identified parameters by what they are uncertain."""
     random = np.random.default_rng(seed)
     return COMPOSITE.replace(
@@ -44,37 +44,40 @@ def off_by_one_deviation(seed: int) -> Parameters:
     )
 
 
-def controlled(bench: Parameters, feedback: bool = True, late: int = 0, **options: float
-               ) -> ClosedLoopRun:
+def controlled(bench, feedback=True, late=0, **options
+               ):
     controller = DeflectionController(
         COMPOSITE, PERIOD, delay=PERIOD * late + 0.005, feedback=feedback, **options
     )
     return run_deflection(bench, controller, triangle, CYCLE, Feedback(PERIOD, late, **READING))
 
 
-def open_loop(bench: Parameters) -> ClosedLoopRun:
+def open_loop(bench):
     """The paper's own: a triangular voltage whose peak leads to the wanted peak."""
     peak = OperatingPoint.at_deflection(COMPOSITE, PEAK, "heating").voltage.max()
 
-    def voltage(t: float) -> np.ndarray:
+    def voltage(t):
         level = triangle(t, peak)
         return np.where(FRONT, max(level, 0.0), max(-level, 0.0))
 
     return run_voltages(bench, voltage, triangle, CYCLE, Feedback(PERIOD))
 
 
-def error(run: ClosedLoopRun) -> float:
+def error(run):
     return rmse(run.reference, run.actual)
 
 
-def test_triangle_is_tracked_better_than_open_loop_with_parameters_known() -> None:
+def test_triangle_is_tracked_better_than_open_loop_with_parameters_known_and_late_commands():
     closed, voltage_only = error(controlled(COMPOSITE)), error(open_loop(COMPOSITE))
     assert closed < 0.06e-3
     assert closed < 0.01 * voltage_only
+    assert error(controlled(COMPOSITE, late=1)) < 0.5 * error(
+        controlled(COMPOSITE, feedback=False, late=1)
+    )
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_triangle_is_tracked_better_than_open_loop_with_parameters_off(seed: int) -> None:
+def test_triangle_is_tracked_better_than_open_loop_with_parameters_off(seed):
     bench = off_by_one_deviation(seed)
     closed = error(controlled(bench))
     assert closed < 0.5e-3
@@ -82,32 +85,20 @@ def test_triangle_is_tracked_better_than_open_loop_with_parameters_off(seed: int
     assert closed < 0.05 * error(open_loop(bench))
 
 
-def test_feedback_makes_up_for_a_late_command() -> None:
-    assert error(controlled(COMPOSITE, late=1)) < 0.5 * error(
-        controlled(COMPOSITE, feedback=False, late=1)
-    )
-
-
-@pytest.mark.slow
-def test_triangle_is_tracked_in_every_one_of_many_draws() -> None:
-    ratios = [
-        error(controlled(bench)) / error(controlled(bench, feedback=False))
-        for bench in map(off_by_one_deviation, range(100, 125))
-    ]
-    assert max(ratios) < 0.5
-    assert np.median(ratios) < 0.15
-
-
-def test_weaker_side_is_tracked_as_well_as_the_other() -> None:
+def test_weaker_side_is_tracked_as_well_and_a_lasting_offset_integrated_away():
     weak = {"composite.stress_per_deflection_back": 3.5e9}
     closed = error(controlled(COMPOSITE.replace(weak)))
     assert closed < 0.2e-3
     assert closed < 0.1 * error(controlled(COMPOSITE.replace(weak), feedback=False))
+    bench = COMPOSITE.replace({"wire.austenite_start_temperature": 334.0})
+    controller = DeflectionController(COMPOSITE, PERIOD)
+    run = run_deflection(bench, controller, lambda _: -0.02, 6.0, Feedback(PERIOD))
+    np.testing.assert_allclose(run.actual[run.time > 4.0], -0.02, atol=0.02e-3)
 
 
-def test_feedforward_inverts_partial_loops() -> None:
+def test_feedforward_inverts_partial_loops():
     """Reversals within reversals: without the branch of the moment this is off by millimetres."""
-    def wave(t: float) -> float:
+    def wave(t):
         return 0.02 + 0.008 * np.sin(t) + 0.008 * np.sin(2.7 * t)
 
     controller = DeflectionController(COMPOSITE, 0.02, feedback=False)
@@ -119,7 +110,7 @@ def test_feedforward_inverts_partial_loops() -> None:
     assert held.temperature[0] - cooled.temperature[0] > 3.0
 
 
-def test_only_the_side_of_the_reference_is_heated() -> None:
+def test_only_the_side_of_the_reference_is_heated():
     run = controlled(COMPOSITE)
     ahead = np.array([triangle(t + PERIOD) for t in run.time])
     assert np.all(run.voltage >= 0.0)
@@ -128,17 +119,10 @@ def test_only_the_side_of_the_reference_is_heated() -> None:
     assert run.voltage.max() <= 0.9 * 3.0 * COMPOSITE["wire.resistance"] * (1.0 + 1e-9)
 
 
-def test_lasting_offset_is_integrated_away() -> None:
-    bench = COMPOSITE.replace({"wire.austenite_start_temperature": 334.0})
-    controller = DeflectionController(COMPOSITE, PERIOD)
-    run = run_deflection(bench, controller, lambda _: -0.02, 6.0, Feedback(PERIOD))
-    np.testing.assert_allclose(run.actual[run.time > 4.0], -0.02, atol=0.02e-3)
-
-
-def test_unreachable_deflection_neither_winds_up_nor_burns() -> None:
+def test_unreachable_deflection_neither_winds_up_nor_burns():
     largest = maximum_deflection(COMPOSITE)
 
-    def reference(t: float) -> float:
+    def reference(t):
         return 2.0 * largest if t < 5.0 else 0.02
 
     run = run_deflection(COMPOSITE, DeflectionController(COMPOSITE, PERIOD), reference, 8.0,
@@ -149,15 +133,12 @@ def test_unreachable_deflection_neither_winds_up_nor_burns() -> None:
     assert abs(run.actual[np.searchsorted(run.time, 6.0)] - 0.02) < 0.1e-3
 
 
-def test_dead_sensor_cannot_burn_the_wires() -> None:
+def test_dead_sensor_cannot_burn_the_wires_and_without_one_the_feedforward_goes_on():
     """It reads 0 whatever the wires do; the model's temperature limits the power."""
     controller = DeflectionController(COMPOSITE, PERIOD)
     volts = np.array([controller.step(0.02, 0.0, PERIOD) for _ in range(200)])
     run = simulate(COMPOSITE, np.arange(200) * PERIOD, volts)
     assert run.temperature.max() < COMPOSITE["bench.maximum_temperature"] - 9.0
-
-
-def test_without_a_reading_the_feedforward_goes_on() -> None:
     blind, open_ = (DeflectionController(COMPOSITE, PERIOD, feedback=f) for f in (True, False))
     for k in range(20):
         wanted = 0.001 * k
@@ -175,7 +156,7 @@ def test_without_a_reading_the_feedforward_goes_on() -> None:
         (lambda: DeflectionController(COMPOSITE, 0.05).step(0.01, 0.0, 0.0), "dt is 0.0 s"),
     ],
 )
-def test_bad_number_is_quoted(build: object, quoted: str) -> None:
+def test_bad_number_is_quoted(build, quoted):
     with pytest.raises(InputError, match=quoted):
         build()
 
@@ -191,13 +172,13 @@ LOADS = {
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_wires_with_a_load_follow_a_wave_of_their_position(load: str) -> None:
+def test_wires_with_a_load_follow_a_wave_of_their_position(load):
     rig = Parameters.of_paper().replace(LOADS[load])
     largest = maximum_deflection(rig)
     part = np.array([0.0, 1.0, 0.4, 0.9, 0.0, -1.0 if load == "antagonist" else 0.8, 0.0])
     sign = 1.0 if load == "antagonist" else -1.0
 
-    def wave(t: float) -> float:
+    def wave(t):
         return sign * 0.5 * largest * float(np.interp(t, np.arange(7.0) * 5.0, part))
 
     random = np.random.default_rng(3)
@@ -213,18 +194,15 @@ def test_wires_with_a_load_follow_a_wave_of_their_position(load: str) -> None:
     assert np.all(exact.voltage >= 0.0)
 
 
-def test_a_bench_as_identified_with_its_effects_is_followed_too() -> None:
+def test_a_bench_with_its_effects_is_followed_and_a_wire_not_asked_to_become_longer():
     found = {"effect.latent_heat.heat": 6e3, "wire.transition_spread": 1.0}
     rig = Parameters.of_paper().replace({**LOADS["spring"], **found})
 
-    def wave(t: float) -> float:
+    def wave(t):
         return -3e-3 * (1.0 - np.cos(0.8 * t)) / 2.0
 
     run = run_deflection(rig, DeflectionController(rig, PERIOD), wave, 12.0, Feedback(PERIOD))
     assert error(run) < 0.05e-3
-
-
-def test_a_wire_with_a_load_is_not_asked_to_become_longer() -> None:
     rig = Parameters.of_paper().replace(LOADS["spring"])
     assert "a wire with a load only shortens" in deflection_reference_fault([1e-3], rig)
     assert deflection_reference_fault([-1e-3], rig) == ""

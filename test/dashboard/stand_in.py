@@ -2,7 +2,6 @@
 
 import asyncio
 import threading
-from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 
@@ -15,17 +14,17 @@ WIRES = ("front_1", "back_1")
 class StandIn:
     """Wires at `volts`; a stop service and 0 V on the topic do what the test allows."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.state = LiveState()
         self.volts = dict.fromkeys(WIRES, 3.0)
         self.obeys = True
-        self.answers: dict[str, tuple[bool, str] | None] = {"serial_bridge": (True, "stopped")}
+        self.answers = {"serial_bridge": (True, "stopped")}
         self.zeros = 0
         self.stops = 0
         self.celsius = 80.0
-        self.work: list[tuple[str, list[str]]] = []
+        self.work = []
 
-    def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
+    def send_stop(self):
         self.stops += 1
         futures = {}
         for node, answer in self.answers.items():
@@ -36,17 +35,17 @@ class StandIn:
             self.volts = dict.fromkeys(self.volts, 0.0)
         return futures
 
-    def send_zero(self) -> bool:
+    def send_zero(self):
         self.zeros += 1
         return True
 
-    def start_work(self, kind: str, records: list[str]) -> Future[tuple[bool, str]]:
+    def start_work(self, kind, records):
         self.work.append((kind, records))
-        begun: Future[tuple[bool, str]] = Future()
+        begun = Future()
         begun.set_result((True, "begun"))
         return begun
 
-    def read(self) -> None:
+    def read(self):
         """One reading of everything."""
         for wire, volts in self.volts.items():
             self.state.reading("voltage", wire, volts)
@@ -55,11 +54,11 @@ class StandIn:
             self.state.reading("temperature", wire, self.celsius + CELSIUS_ZERO)
 
     @contextmanager
-    def readings(self, period: float = 0.02) -> Iterator[None]:
+    def readings(self, period=0.02):
         """Readings in a thread, as long as the context lasts."""
         ended = threading.Event()
 
-        def go_on() -> None:
+        def go_on():
             while not ended.wait(period):
                 self.read()
 
@@ -73,11 +72,11 @@ class StandIn:
 
 
 @contextmanager
-def served(bench: StandIn, host: str = "127.0.0.1", title: str = "/bench") -> Iterator[str]:
+def served(bench, host="127.0.0.1", title="/bench"):
     """The address of a page of the bench; the server runs in a thread."""
     ready, loops, ends, urls = threading.Event(), [], [], []
 
-    async def serve() -> None:
+    async def serve():
         end = asyncio.Event()
         server = DashboardServer(bench, title, host, 0)
         loops.append(asyncio.get_running_loop())

@@ -59,9 +59,18 @@ def test_the_printed_address_shows_the_page_with_its_texts_escaped(url):
         assert ask(url, name=name)[0] == 200, name
 
 
-def test_the_tokens_differ_and_are_long(bench):
+def test_tokens_loopback_and_names_to_answer_under(bench):
     tokens = {Access("127.0.0.1").token for _ in range(20)}
     assert len(tokens) == 20 and all(len(token) >= 22 for token in tokens)
+    assert all(map(is_loopback, ("127.0.0.1", "127.0.0.2", "::1", "localhost")))
+    assert not any(map(is_loopback, ("0.0.0.0", "192.168.1.7", "lab.example", "::")))
+    access = Access("0.0.0.0")
+    for host in ("192.168.1.7:8642", "[fe80::1]:8642", socket.gethostname(), "localhost"):
+        assert access.refusal(host, None, access.token) == "", host
+    assert access.refusal("evil.example", None, access.token) != ""
+    access = Access("192.168.1.7")
+    assert access.refusal("192.168.1.7:8642", None, access.token) == ""
+    assert access.refusal("192.168.1.8:8642", None, access.token) != ""
 
 
 @pytest.mark.parametrize("name", ["", "dashboard.js", "live", "stop"])
@@ -112,28 +121,11 @@ def test_work_on_records_is_started_by_the_page_alone_and_bad_requests_start_not
     assert bench.work == [("diagnose", ["monday", "tue sday"])]
 
 
-def test_a_stop_needs_a_post(bench, url):
+def test_a_stop_needs_a_post_and_a_forwarded_port_is_this_computer_too(bench, url):
     assert ask(url, "GET", "stop")[0] == 405
     assert bench.stops == 0
-
-
-def test_a_forwarded_port_is_this_computer_too(url):
     assert ask(url, Host="localhost:9000")[0] == 200
-
-
-def test_told_to_listen_everywhere_it_answers_under_numbers_and_its_own_name():
-    access = Access("0.0.0.0")
-    for host in ("192.168.1.7:8642", "[fe80::1]:8642", socket.gethostname(), "localhost"):
-        assert access.refusal(host, None, access.token) == "", host
-    assert access.refusal("evil.example", None, access.token) != ""
-    access = Access("192.168.1.7")
-    assert access.refusal("192.168.1.7:8642", None, access.token) == ""
-    assert access.refusal("192.168.1.8:8642", None, access.token) != ""
-
-
-def test_loopback_is_known():
-    assert all(map(is_loopback, ("127.0.0.1", "127.0.0.2", "::1", "localhost")))
-    assert not any(map(is_loopback, ("0.0.0.0", "192.168.1.7", "lab.example", "::")))
+    assert ask(url, "POST", "stop", Content_Length=str(1 << 20))[0] in (400, 413)
 
 
 def test_a_port_that_is_taken_and_an_address_that_is_not_ours_are_one_line(bench):
@@ -145,10 +137,6 @@ def test_a_port_that_is_taken_and_an_address_that_is_not_ours_are_one_line(bench
             DashboardServer(bench, "/bench", "127.0.0.1", port)
     with pytest.raises(InputError, match="cannot listen on 192.0.2.1 port"):
         DashboardServer(bench, "/bench", "192.0.2.1", 0)
-
-
-def test_a_long_request_is_cut(url):
-    assert ask(url, "POST", "stop", Content_Length=str(1 << 20))[0] in (400, 413)
 
 
 SERVE = """

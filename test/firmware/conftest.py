@@ -1,29 +1,25 @@
 """The firmware's logic, built once for all tests, and hosts of an Uno with the real image."""
 
 import shutil
-from pathlib import Path
 
 import pytest
 from host_firmware import HostFirmware, build_host_firmware, build_program
-from uno.emulated_uno import EmulatedUno
 from virtual_host import VirtualHost
 
 
 @pytest.fixture(scope="session")
-def compiler() -> str:
+def compiler():
     """A C compiler for this computer."""
     return _found("cc", "no C compiler (cc) here")
 
 
 @pytest.fixture(scope="session")
-def avr_toolchain() -> str:
+def avr_toolchain():
     """The compiler for the Uno."""
-    return _found(
-        "avr-gcc", "no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)"
-    )
+    return _found("avr-gcc", "no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
 
 
-def _found(program: str, otherwise: str) -> str:
+def _found(program, otherwise):
     """Path of a program; the test is skipped where there is none."""
     path = shutil.which(program)
     if path is None:
@@ -32,31 +28,31 @@ def _found(program: str, otherwise: str) -> str:
 
 
 @pytest.fixture(scope="session")
-def logic_tests(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def logic_tests(compiler, tmp_path_factory):
     """test_logic.c under sanitizers."""
     return build_program("test_logic.c", tmp_path_factory.mktemp("logic"))
 
 
 @pytest.fixture(scope="session")
-def fuzzer(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fuzzer(compiler, tmp_path_factory):
     """fuzz.c under sanitizers."""
     return build_program("fuzz.c", tmp_path_factory.mktemp("fuzz"))
 
 
 @pytest.fixture(scope="session")
-def host_library(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def host_library(compiler, tmp_path_factory):
     """The firmware's logic as a shared library."""
     return build_host_firmware(tmp_path_factory.mktemp("host_firmware"))
 
 
 @pytest.fixture
-def host_firmware(host_library: Path) -> HostFirmware:
+def host_firmware(host_library):
     """The firmware's logic on this computer, just started; one at a time."""
     return HostFirmware(host_library)
 
 
 @pytest.fixture
-def host(uno: EmulatedUno) -> VirtualHost:
+def host(uno):
     """A host in virtual time on an Uno that has greeted."""
     host = VirtualHost(uno)
     host.run(0.2)
@@ -64,7 +60,7 @@ def host(uno: EmulatedUno) -> VirtualHost:
 
 
 @pytest.fixture
-def driving(host: VirtualHost) -> VirtualHost:
+def driving(host):
     """The same, armed and driving 6 V on the first channel and 3 V on the last one."""
     host.arm()
     host.drive(6000, 0, 0, 3000)

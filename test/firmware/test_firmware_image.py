@@ -1,21 +1,48 @@
-"""The image for the Uno: its budgets, and that the Arduino IDE's way of building works."""
+"""The firmware: its logic on this computer, its image and budgets, the pins that the pages say."""
 
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
+from host_firmware import run_program
+
+HERE = Path(__file__).resolve().parent
+NAMES = re.findall(r"^TEST\((\w+)\)$", (HERE / "host" / "test_logic.c").read_text(), re.M)
+
+
+def test_every_logic_test_is_run(logic_tests):
+    assert len(NAMES) > 40 and run_program(logic_tests, "--list").stdout.split() == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_logic(logic_tests, name):
+    outcome = run_program(logic_tests, name)
+    assert outcome.returncode == 0, outcome.stderr
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_hostile_bytes_neither_crash_nor_drive(fuzzer, seed):
+    outcome = run_program(fuzzer, "60000", str(seed))
+    assert outcome.returncode == 0, outcome.stderr
+    executed, drove_on, stopped = map(int, re.findall(r"\d+", outcome.stdout))
+    assert executed == 60000
+    # The armed inputs reach both ends, or the fuzzer proves nothing.
+    assert drove_on > 1000
+    assert stopped > 1000
+
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
 
-def make(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def make(folder, *arguments):
     return subprocess.run(
         ["make", "-s", "-C", FIRMWARE, f"BUILD={folder}", *arguments],
         capture_output=True, text=True,
     )
 
 
-def test_image_fits_its_budgets(firmware_image: Path) -> None:
+def test_image_fits_its_budgets(firmware_image):
     outcome = make(firmware_image.parent)
     assert outcome.returncode == 0, outcome.stderr
     assert firmware_image.with_suffix(".hex").read_text().startswith(":")
@@ -27,7 +54,7 @@ def test_image_fits_its_budgets(firmware_image: Path) -> None:
 
 
 @pytest.mark.parametrize("budget", ["FLASH_BUDGET=5000", "RAM_BUDGET=500"])
-def test_image_beyond_a_budget_fails_the_build(firmware_image: Path, budget: str) -> None:
+def test_image_beyond_a_budget_fails_the_build(firmware_image, budget):
     assert make(firmware_image.parent, budget).returncode != 0
 
 
@@ -37,14 +64,14 @@ def test_image_beyond_a_budget_fails_the_build(firmware_image: Path, budget: str
      "-DBAUD_RATE=230400UL"],
 )
 def test_limits_that_cannot_be_kept_do_not_build(
-    avr_toolchain: str, tmp_path: Path, config: str
-) -> None:
+    avr_toolchain, tmp_path, config
+):
     outcome = make(tmp_path, f"CONFIG={config}")
     assert outcome.returncode != 0
     assert "static assertion failed" in outcome.stderr
 
 
-def test_sketch_has_every_source_of_the_makefile_and_no_other() -> None:
+def test_sketch_has_every_source_of_the_makefile_and_no_other():
     """The Arduino IDE compiles each .c file beside the .ino."""
     listed = next(
         text for text in (FIRMWARE / "Makefile").read_text().splitlines()
@@ -54,7 +81,7 @@ def test_sketch_has_every_source_of_the_makefile_and_no_other() -> None:
     assert (FIRMWARE / f"{FIRMWARE.name}.ino").exists()
 
 
-def test_arduino_ide_flags_build_it_too(avr_toolchain: str, tmp_path: Path) -> None:
+def test_arduino_ide_flags_build_it_too(avr_toolchain, tmp_path):
     objects = []
     for source in [*sorted(FIRMWARE.glob("*.c")), FIRMWARE / "firmware.ino"]:
         objects.append(tmp_path / f"{source.name}.o")
@@ -71,3 +98,51 @@ def test_arduino_ide_flags_build_it_too(avr_toolchain: str, tmp_path: Path) -> N
          "-mmcu=atmega328p", "-o", tmp_path / "sketch.elf", *objects, "-lm"],
         check=True,
     )
+
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "hardware.md").read_text()
+DRAWING = (ROOT / "docs" / "hardware.svg").read_text()
+ANALOG = {
+    "FRONT_CURRENT": "front current", "BACK_CURRENT": "back current", "SUPPLY": "supply",
+    "FRONT_RANGE": "front range", "BACK_RANGE": "back range",
+}
+# Arduino's names of the port pins that an Uno brings out.
+DIGITAL = {"PD6": "D6", "PD5": "D5", "PB3": "D11", "PD3": "D3", "PD4": "D4"}
+
+
+def firmware(name):
+    return (ROOT / "firmware" / name).read_text()
+
+
+def documented_pins():
+    return dict(re.findall(r"^\| ([AD]\d+) \| ([\w ]+?) \|", PAGE, re.MULTILINE))
+
+
+def coded_pins():
+    """From the comments at the output masks, whose pins the emulated runs prove, and the inputs."""
+    pins = {}
+    for mask, comment in re.findall(r"#define \w+_PINS (.+?)/\* (.+?) \*/", firmware("pwm.c")):
+        ports = re.findall(r"_BV\((P\w\d)\)", mask)
+        pins |= {DIGITAL[p]: c for p, c in zip(ports, comment.split(", "), strict=True)}
+    inputs = re.findall(r"\[([A-Z_]+)\] = (\d)", firmware("sampling.c"))
+    return pins | {f"A{number}": ANALOG[name] for name, number in inputs}
+
+
+def test_pins_outputs_and_limits_are_those_of_the_firmware():
+    assert len(coded_pins()) == 10
+    assert documented_pins() == coded_pins()
+    drawn = {pin for pin, name in coded_pins().items() if f">{pin} {name}<" in DRAWING}
+    assert drawn == set(coded_pins())
+    source = (ROOT / "test" / "tools" / "uno" / "uno.c").read_text()
+    found = re.findall(r"\{'(\w)', (\d), 0x", source)
+    names = [DIGITAL[f"P{port}{pin}"] for port, pin in found]
+    order = re.search(r"#define CHANNELS 4 +/\* (.+?) \*/", firmware("config.h"))
+    assert order is not None
+    assert [coded_pins()[name] for name in names] == order[1].split(", ")
+    coded = dict(re.findall(r"#define (\w+) (\d+)", firmware("config.h")))
+    documented = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", PAGE, re.MULTILINE))
+    assert len(documented) == 14
+    assert {name: coded[name] for name in documented} == documented
+
+

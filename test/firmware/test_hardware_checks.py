@@ -1,7 +1,5 @@
 """The checks of the emulated bench that are scripts: they find what they look for."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from uno import emulated_uno
@@ -16,14 +14,17 @@ TRUTH = Parameters.defaults()
 def estimates(relative_std=0.01, **factors):
     """Table I, but for factors of its symbols; a factor of 0 leaves it out."""
     return {
-        name: {"value": TRUTH[name] * factors.get(symbol, 1.0), "std": relative_std * TRUTH[name],
-               "statistical": relative_std * TRUTH[name]}
+        name: {
+            "value": TRUTH[name] * factors.get(symbol, 1.0),
+            "std": relative_std * TRUTH[name],
+            "statistical": relative_std * TRUTH[name],
+        }
         for name, symbol in hardware.TABLE_ONE.items()
         if factors.get(symbol, 1.0)
     }
 
 
-def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there() -> None:
+def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there():
     assert hardware.right(estimates(), TRUTH)
     assert hardware.right(estimates(R=1.029, h=0.971), TRUTH)
     assert not hardware.right(estimates(c_p=1.031), TRUTH)
@@ -32,17 +33,12 @@ def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there() -
     # A large stated error excuses nothing.
     assert hardware.right(estimates(0.099), TRUTH)
     assert not hardware.right(estimates(0.101), TRUTH)
-
-
-def test_the_table_shows_the_deviation_in_stated_errors() -> None:
     rows = hardware.table(estimates(0.01, R=1.025), TRUTH).splitlines()
     row = next(line for line in rows if line.startswith("R "))
     assert row.split()[-2:] == ["+2.50%", "+2.50"]
 
 
-def test_without_the_tools_it_says_which_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_tools_it_says_which_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(emulated_uno.shutil, "which", lambda name: None)
     assert hardware.main([]) == 2
     error = capsys.readouterr().err
@@ -51,15 +47,13 @@ def test_without_the_tools_it_says_which_in_one_line(
         emulated_uno.build_uno(tmp_path)
 
 
-def test_firmware_that_does_not_compile_is_one_line(firmware_image: Path, tmp_path: Path) -> None:
+def test_firmware_that_does_not_compile_is_one_line(firmware_image, tmp_path):
     with pytest.raises(InputError, match="^make: [^\n]+$"):
         emulated_uno.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
 
 
 @pytest.mark.acceptance
-def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(
-    emulator: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(emulator, tmp_path, capfd):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     status = hardware.main(["--out", str(tmp_path / "bench")])
     said = capfd.readouterr()
@@ -67,14 +61,14 @@ def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(
     assert (tmp_path / "bench" / "identified.yaml").is_file()
 
 
-def program(folder: Path, text: str) -> Path:
+def program(folder, text):
     path = folder / "program"
     path.write_text(f"#!/bin/sh\n{text}\n")
     path.chmod(0o755)
     return path
 
 
-def test_fuzzing_counts_what_was_survived(fuzzer: Path) -> None:
+def test_fuzzing_counts_what_was_survived(fuzzer):
     (tried, drove_on, stopped), problem = fuzz.fuzzed(fuzzer, 3000, 1)
     assert problem == ""
     assert tried == 3000
@@ -89,17 +83,13 @@ def test_fuzzing_counts_what_was_survived(fuzzer: Path) -> None:
         ("exec sleep 60", "seed 5: hangs"),
     ],
 )
-def test_fuzzing_tells_a_part_that_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, problem: str
-) -> None:
+def test_fuzzing_tells_a_part_that_failed(tmp_path, monkeypatch, text, problem):
     monkeypatch.setattr(fuzz, "LONGEST", 1.0)
     assert fuzz.fuzzed(program(tmp_path, text), 10, 5) == ((0, 0, 0), problem)
 
 
 @pytest.mark.acceptance
-def test_stated_errors_hold_behind_firmware_and_camera(
-    emulator: Path, firmware_image: Path, tmp_path: Path
-) -> None:
+def test_stated_errors_hold_behind_firmware_and_camera(emulator, firmware_image, tmp_path):
     row = table_one.one_wire(emulator, firmware_image, 11, tmp_path)
     assert set(row) == set(hardware.TABLE_ONE)
     z = np.array([found["z"] for found in row.values()])

@@ -7,18 +7,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from host_firmware import HostFirmware
-from uno.emulated_bench import PtyBench, on_a_port
+from uno.emulated_bench import on_a_port
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.conversation import LinkError, find_port, open_port
-from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
 from sma_bench.hardware.serial_messages import DeviceState, Telemetry, line
 
@@ -31,16 +29,16 @@ VOLTS = (6000, 0, 0, 3000)
 class Watched(SerialLink):
     """A link that remembers what it told."""
 
-    def __init__(self, path: Callable[[], str], options: LinkOptions = QUICK) -> None:
-        self.readings: list[Reading] = []
-        self.events: list[str] = []
+    def __init__(self, path, options=QUICK):
+        self.readings = []
+        self.events = []
         super().__init__(
             lambda: open_port(path()), options, self.readings.append, self.events.append
         )
 
 
 @contextmanager
-def linked(path: Callable[[], str], options: LinkOptions = QUICK) -> Iterator[Watched]:
+def linked(path, options=QUICK):
     link = Watched(path, options)
     link.start()
     try:
@@ -49,7 +47,7 @@ def linked(path: Callable[[], str], options: LinkOptions = QUICK) -> Iterator[Wa
         link.close()
 
 
-def wait_for(condition: Callable[[], object]) -> None:
+def wait_for(condition):
     until = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < until, "waited in vain"
@@ -57,22 +55,22 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 
 @pytest.fixture
-def bench(host_firmware: HostFirmware) -> Iterator[PtyBench]:
+def bench(host_firmware):
     with on_a_port(host_firmware) as bench:
         yield bench
 
 
 @pytest.fixture
-def link(bench: PtyBench) -> Iterator[Watched]:
+def link(bench):
     with linked(lambda: bench.path) as link:
         assert link.wait_connected(PATIENCE)
         yield link
 
 
-def drive_until(link: SerialLink, condition: Callable[[], object]) -> None:
+def drive_until(link, condition):
     """Command volts until `condition`, as a node with a timer would."""
 
-    def step() -> object:
+    def step():
         link.drive(VOLTS)
         time.sleep(0.02)
         return condition()
@@ -80,24 +78,27 @@ def drive_until(link: SerialLink, condition: Callable[[], object]) -> None:
     wait_for(step)
 
 
-def test_handshake_tells_the_device_and_its_limits(link: Watched) -> None:
+def test_a_link_knows_its_device_and_its_clock_and_keeps_a_second_host_out(link, bench):
     device = link.status.device
     assert device is not None
     assert device.name == "sma-uno"
     assert device.maximum_voltage == 10.0
     assert link.events == ["connected to sma-uno ide, last reset: power-on"]
-
-
-def test_readings_come_with_times_of_one_clock(link: Watched) -> None:
     wait_for(lambda: len(link.readings) > 20)
     now = time.monotonic()
     times = [reading.time for reading in link.readings]
     assert times == sorted(times)
     assert 0.0 < now - times[0] < PATIENCE
     assert link.status.lost == link.status.damaged == link.status.not_understood == 0
+    with pytest.raises(OSError, match="exclusively lock"):
+        open_port(bench.path)
+    with linked(lambda: bench.path) as other:
+        wait_for(lambda: other.status.problem)
+        assert not other.status.connected
+    assert link.status.connected
 
 
-def test_binary_telemetry_above_100_hz(bench: PtyBench) -> None:
+def test_binary_telemetry_above_100_hz(bench):
     with linked(lambda: bench.path, LinkOptions(rate=500, greeting_timeout=0.3)) as link:
         assert link.wait_connected(PATIENCE)
         wait_for(lambda: link.status.telemetry > 100)
@@ -105,7 +106,9 @@ def test_binary_telemetry_above_100_hz(bench: PtyBench) -> None:
         assert link.status.damaged == link.status.lost == 0
 
 
-def test_nothing_is_driven_without_arming(bench: PtyBench, link: Watched) -> None:
+def test_nothing_is_driven_without_arming_commands_are_echoed_and_a_timeout_says_who_was_silent(
+    bench, link
+):
     with pytest.raises(LinkError, match="not armed"):
         link.drive(VOLTS)
     link.arm()
@@ -114,9 +117,22 @@ def test_nothing_is_driven_without_arming(bench: PtyBench, link: Watched) -> Non
     assert bench.device.duties == (0.0,) * 4
     with pytest.raises(LinkError, match="not armed"):
         link.drive(VOLTS)
+    link.arm()
+    last = [0]
+
+    def send():
+        last[0] = link.drive(VOLTS)
+        time.sleep(0.02)
+        return link.readings and link.readings[-1].telemetry.echo >= 3
+
+    wait_for(send)
+    assert link.readings[-1].telemetry.echo <= last[0]
+    drive_until(link, lambda: link.status.command_latency > 0.0)
+    wait_for(lambda: link.status.state == DeviceState.STOPPED)
+    assert link.status.silence.startswith("this computer sent nothing for 0.")
 
 
-def test_stop_is_latched_until_reset_and_arming(bench: PtyBench, link: Watched) -> None:
+def test_stop_is_latched_until_reset_and_arming_and_over_current_has_its_name(bench, link):
     link.arm()
     drive_until(link, lambda: bench.device.duties[0] > 0.2)
     link.stop()
@@ -130,34 +146,9 @@ def test_stop_is_latched_until_reset_and_arming(bench: PtyBench, link: Watched) 
         link.drive(VOLTS)
     link.arm()
     drive_until(link, lambda: bench.device.duties[0] > 0.2)
-
-
-def test_over_current_is_reported_by_name(bench: PtyBench, link: Watched) -> None:
     bench.do(lambda: bench.device.set_current(1, 1000))
     wait_for(lambda: link.status.cause_text == "over-current of the back board")
     assert link.events[-1] == "the device stopped: over-current of the back board"
-
-
-def test_commands_are_echoed_by_telemetry(link: Watched) -> None:
-    link.arm()
-    last = [0]
-
-    def send() -> object:
-        last[0] = link.drive(VOLTS)
-        time.sleep(0.02)
-        return link.readings and link.readings[-1].telemetry.echo >= 3
-
-    wait_for(send)
-    assert link.readings[-1].telemetry.echo <= last[0]
-
-
-def test_second_host_cannot_open_the_port(bench: PtyBench, link: Watched) -> None:
-    with pytest.raises(OSError, match="exclusively lock"):
-        open_port(bench.path)
-    with linked(lambda: bench.path) as other:
-        wait_for(lambda: other.status.problem)
-        assert not other.status.connected
-    assert link.status.connected
 
 
 @pytest.mark.parametrize(
@@ -168,9 +159,7 @@ def test_second_host_cannot_open_the_port(bench: PtyBench, link: Watched) -> Non
         ("D", "Accepted(letter='D', value=0)"),
     ],
 )
-def test_what_another_host_asks_is_noticed(
-    bench: PtyBench, link: Watched, body: str, answer: str
-) -> None:
+def test_what_another_host_asks_is_noticed(bench, link, body, answer):
     link.arm()
     link.drive(VOLTS)
     time.sleep(0.1)
@@ -185,7 +174,7 @@ def test_what_another_host_asks_is_noticed(
     assert link.status.unasked == ""
 
 
-def test_pulled_cable_is_told_and_comes_back_disarmed(host_library: Path) -> None:
+def test_pulled_cable_is_told_and_comes_back_disarmed(host_library):
     paths = [""]
     with linked(lambda: paths[-1]) as link:
         with on_a_port(HostFirmware(host_library)) as bench:
@@ -207,13 +196,11 @@ def test_pulled_cable_is_told_and_comes_back_disarmed(host_library: Path) -> Non
                 link.drive(VOLTS)
 
 
-def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(monkeypatch):
     device, host = pty.openpty()
     port, write = open_port(os.ttyname(host)), os.write
 
-    def write_and_wait(file: int, data: bytes) -> int:
+    def write_and_wait(file, data):
         sent = write(file, data)
         time.sleep(0.3)  # longer than the port's timeout
         return sent
@@ -231,7 +218,7 @@ def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(
     os.close(host)
 
 
-def test_restart_of_the_device_is_noticed_and_disarms(bench: PtyBench, link: Watched) -> None:
+def test_restart_of_the_device_is_noticed_and_disarms(bench, link):
     link.arm()
     link.drive(VOLTS)
     wait_for(lambda: len(link.readings) > 30)
@@ -242,13 +229,11 @@ def test_restart_of_the_device_is_noticed_and_disarms(bench: PtyBench, link: Wat
         link.drive(VOLTS)
 
 
-def test_restart_behind_the_back_of_a_host_that_stood_still_is_noticed(
-    bench: PtyBench, link: Watched
-) -> None:
+def test_restart_behind_the_back_of_a_host_that_stood_still_is_noticed(bench, link):
     """Clock and count of the device are where they would be without it."""
     wait_for(lambda: len(link.readings) > 30)
 
-    def restart() -> None:
+    def restart():
         uptime = 1e-6 * link.readings[-1].telemetry.time_us
         bench.device.restart()
         # Nobody reads meanwhile: what it sends waits in the cable.
@@ -259,7 +244,7 @@ def test_restart_behind_the_back_of_a_host_that_stood_still_is_noticed(
     assert "not connected: the device restarted by itself" in link.events
 
 
-def test_killed_host_leaves_nothing_driven(bench: PtyBench) -> None:
+def test_killed_host_leaves_nothing_driven(bench):
     script = f"""
 import time
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
@@ -284,13 +269,13 @@ while True:
         wait_for(lambda: link.status.cause_text == "command timeout")
 
 
-def test_device_that_does_not_speak_the_protocol_is_refused() -> None:
+def test_device_that_does_not_speak_the_protocol_is_refused():
     class Stranger:
-        def run(self, seconds: float) -> None: ...
+        def run(self, seconds): ...
 
-        def write(self, data: bytes) -> None: ...
+        def write(self, data): ...
 
-        def read(self) -> bytes:
+        def read(self):
             return b"AT OK\r\n"
 
     with on_a_port(Stranger()) as bench, linked(lambda: bench.path) as link:
@@ -298,15 +283,15 @@ def test_device_that_does_not_speak_the_protocol_is_refused() -> None:
         assert link.status.problem.startswith("no answer to the handshake")
 
 
-def test_back_off_doubles_to_its_limit() -> None:
-    waits: list[float] = []
+def test_back_off_doubles_to_its_limit():
+    waits = []
 
     class Recording(threading.Event):
-        def wait(self, timeout: float | None = None) -> bool:
+        def wait(self, timeout=None):
             waits.append(timeout or 0.0)
             return super().wait(0.001)
 
-    def fail() -> str:
+    def fail():
         raise FileNotFoundError("no such port")
 
     link = Watched(fail, LinkOptions(first_back_off=0.5, longest_back_off=4.0))
@@ -318,7 +303,7 @@ def test_back_off_doubles_to_its_limit() -> None:
     assert link.events == ["not connected: no such port"]
 
 
-def test_port_is_found_by_its_stable_name(tmp_path: Path) -> None:
+def test_port_is_found_by_its_stable_name(tmp_path):
     with pytest.raises(InputError, match="port: none in .* expected one device"):
         find_port(tmp_path)
     (tmp_path / "usb-Arduino_1").touch()
@@ -328,26 +313,19 @@ def test_port_is_found_by_its_stable_name(tmp_path: Path) -> None:
         find_port(tmp_path)
 
 
-def test_a_timeout_says_who_was_silent(bench: PtyBench, link: Watched) -> None:
-    link.arm()
-    drive_until(link, lambda: link.status.command_latency > 0.0)
-    wait_for(lambda: link.status.state == DeviceState.STOPPED)
-    assert link.status.silence.startswith("this computer sent nothing for 0.")
-
-
-def test_a_device_that_was_kept_waiting_itself_does_not_hurry() -> None:
+def test_a_device_that_was_kept_waiting_itself_does_not_hurry():
     """Its command timeout is on its own time: hurrying, it would call a host silent that is not."""
 
     class Clockwork:
-        def __init__(self) -> None:
-            self.turns: list[tuple[float, float]] = [(time.monotonic(), 0.0)]
+        def __init__(self):
+            self.turns = [(time.monotonic(), 0.0)]
 
-        def run(self, seconds: float) -> None:
+        def run(self, seconds):
             self.turns.append((time.monotonic(), self.turns[-1][1] + seconds))
 
-        def write(self, data: bytes) -> None: ...
+        def write(self, data): ...
 
-        def read(self) -> bytes:
+        def read(self):
             return b""
 
     device = Clockwork()
@@ -360,48 +338,43 @@ def test_a_device_that_was_kept_waiting_itself_does_not_hurry() -> None:
         assert own_after - own < 1.25 * (wall_after - wall) + 7e-3
 
 
-def test_a_state_that_nobody_knows_ends_the_connection_with_the_stop_byte(
-    bench: PtyBench, link: Watched
-) -> None:
+def unknown_state(messages):
+    return [replace(m, state=7) if isinstance(m, Telemetry) else m for m in messages]
+
+
+def failure(messages):
+    raise ZeroDivisionError("nobody thought of this")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(unknown_state, "the device is in state 7, which nobody knows here"),
+     (failure, "ZeroDivisionError: nobody thought of this")],
+)  # fmt: skip
+def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
+    bench, link, change, said
+):
     link.arm()
     drive_until(link, lambda: bench.device.duties[0] > 0.2)
-    conversation = link._conversation
-    receive = conversation.receive
+    receive = link._conversation.receive
 
-    def receive_state_7(patience: float) -> tuple[list, float]:
+    def changed(patience):
         messages, now = receive(patience)
-        return [replace(m, state=7) if isinstance(m, Telemetry) else m for m in messages], now
+        return change(messages), now
 
-    conversation.receive = receive_state_7
+    link._conversation.receive = changed
     wait_for(lambda: link.status.connections == 2)
-    assert "not connected: the device is in state 7, which nobody knows here" in link.events
+    assert f"not connected: {said}" in link.events
     wait_for(lambda: link.status.cause_text == "stop byte")
     assert bench.device.duties == (0.0,) * 4
 
 
-def test_whatever_ends_the_conversation_is_told_and_the_outputs_are_off(
-    bench: PtyBench, link: Watched
-) -> None:
-    link.arm()
-    drive_until(link, lambda: bench.device.duties[0] > 0.2)
-
-    def fail(_: float) -> tuple[list, float]:
-        raise ZeroDivisionError("nobody thought of this")
-
-    link._conversation.receive = fail
-    wait_for(lambda: link.status.connections == 2)
-    assert "not connected: ZeroDivisionError: nobody thought of this" in link.events
-    wait_for(lambda: link.status.cause_text == "stop byte")
-
-
-def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(
-    bench: PtyBench, link: Watched
-) -> None:
+def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(bench, link):
     """It finds nothing to read, and its clock 0.7 s on, as after SIGSTOP and SIGCONT."""
     conversation = link._conversation
     receive, leaps = conversation.receive, [0.7]
 
-    def receive_after_a_leap(patience: float) -> tuple[list, float]:
+    def receive_after_a_leap(patience):
         if leaps:
             return [], time.monotonic() + leaps.pop()
         return receive(patience)

@@ -1,16 +1,14 @@
 """The real link on the real image, in virtual time: stamps, losses, late drivers."""
 
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from uno.emulated_uno import START_UP, EmulatedUno
-from virtual_port import VirtualPort
+from uno.emulated_uno import START_UP
+from virtual_host import VirtualPort
 
-from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_link import LinkOptions, SerialLink
-from sma_bench.hardware.serial_messages import DeviceState, Telemetry
+from sma_bench.hardware.serial_messages import DeviceState
 
 VOLTS = (6000, 0, 0, 3000)
 PATIENCE = 60.0
@@ -23,10 +21,10 @@ class Drive:
     first sending, but for the first one's, the byte at `lost` is lost.
     """
 
-    def __init__(self, uno: EmulatedUno, every: int, lost: int | None = None) -> None:
+    def __init__(self, uno, every, lost=None):
         self.port = VirtualPort(uno)
         self.every, self.lost = every, lost
-        self.frames: list[Telemetry] = []
+        self.frames = []
         self.commands = 0
         self.hung = self._loses = False
         self._write, self.port.write = self.port.write, self._lossy
@@ -34,14 +32,14 @@ class Drive:
             lambda: self.port, LinkOptions(), self._on_reading, clock=self.port.clock
         )
 
-    def _lossy(self, data: bytes) -> int:
+    def _lossy(self, data):
         if self._loses and self.lost is not None and data.startswith(b"V "):
             self._loses = False
             at = self.lost % len(data)
             data = data[:at] + data[at + 1 :]
         return self._write(data)
 
-    def _on_reading(self, reading: Reading) -> None:
+    def _on_reading(self, reading):
         if self.link._session is None:
             return
         if len(self.frames) % self.every == 0 and not self.hung:
@@ -50,7 +48,7 @@ class Drive:
             self.link.drive(VOLTS)
         self.frames.append(reading.telemetry)
 
-    def until(self, condition) -> None:
+    def until(self, condition):
         end = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < end and not self.link.status.problem, self.link.status
@@ -58,7 +56,7 @@ class Drive:
 
 
 @contextmanager
-def driving(uno: EmulatedUno, every: int, lost: int | None = None) -> Iterator[Drive]:
+def driving(uno, every, lost=None):
     drive = Drive(uno, every, lost)
     drive.link.start()
     try:
@@ -70,9 +68,7 @@ def driving(uno: EmulatedUno, every: int, lost: int | None = None) -> Iterator[D
 
 
 @pytest.mark.parametrize("lost", [0, 1, 9, -7, -6, -3, -2, -1])
-def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(
-    uno: EmulatedUno, lost: int
-) -> None:
+def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(uno, lost):
     """A driver that is so slow that its own next command would come too late."""
     with driving(uno, 12, lost) as drive:
         drive.until(lambda: len(drive.frames) > 100)
@@ -85,7 +81,7 @@ def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(
         }
 
 
-def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno: EmulatedUno) -> None:
+def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno):
     with driving(uno, 22) as drive:
         drive.until(lambda: len(drive.frames) > 100)
         assert {frame.state for frame in drive.frames[2:]} == {DeviceState.ARMED}
@@ -99,14 +95,10 @@ def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno: EmulatedUno) ->
 @pytest.mark.parametrize(
     ("rate", "drift"), [(100, 2e-3), pytest.param(500, -2e-3, marks=pytest.mark.slow)]
 )
-def test_stamps_are_acquisition_times_within_a_millisecond(
-    uno: EmulatedUno, rate: int, drift: float
-) -> None:
+def test_stamps_are_acquisition_times_within_a_millisecond(uno, rate, drift):
     port = VirtualPort(uno, drift)
-    readings: list[Reading] = []
-    link = SerialLink(
-        lambda: port, LinkOptions(rate=rate), readings.append, clock=port.clock
-    )
+    readings = []
+    link = SerialLink(lambda: port, LinkOptions(rate=rate), readings.append, clock=port.clock)
     link.start()
     while not readings or readings[-1].time < 6.0:
         assert link.status.problem == ""
@@ -122,11 +114,11 @@ def test_stamps_are_acquisition_times_within_a_millisecond(
 
 
 @pytest.mark.acceptance
-def test_a_minute_at_500_hz_loses_nothing(uno: EmulatedUno) -> None:
+def test_a_minute_at_500_hz_loses_nothing(uno):
     port = VirtualPort(uno)
     count = [0]
 
-    def note(_: Reading) -> None:
+    def note(_):
         count[0] += 1
 
     link = SerialLink(lambda: port, LinkOptions(rate=500), note, clock=port.clock)

@@ -117,9 +117,6 @@ def test_nothing_is_driven_before_somebody_enables(bench):
     bench.pass_time(0.1)
     assert bench.link.sent == []
     assert bench.driver.gate.rejected == 1
-
-
-def test_enabling_leaves_the_outputs_at_zero_until_a_command(bench):
     bench.driver.enable(bench.now)
     bench.pass_time(0.1)
     assert {tuple(s) for s in bench.link.sent if s != "stop"} == {(0, 0, 0, 0)}
@@ -225,6 +222,11 @@ def test_a_limit_beyond_the_devices_is_refused():
     bench.pass_time(0.1)
     with pytest.raises(LinkError, match="maximum_voltage is 12 V, the device allows 10 V"):
         bench.driver.enable(bench.now)
+    bench = Bench(drive="duty", supply_voltage=12.0, maximum_voltage=12.0)
+    bench.pass_time(0.1)
+    message = r"maximum_voltage is 12 V, the device allows 10 V"
+    with pytest.raises(LinkError, match=message):
+        bench.driver.enable(bench.now)
 
 
 def test_self_test_needs_a_bench_that_is_not_driven_and_finds_a_stop_that_fails(bench):
@@ -265,6 +267,8 @@ def test_the_device_gets_the_rigs_limits_within_its_own(bench):
     small.driver.enable(small.now)
     assert small.link.limits[0] == 6000 and small.link.limits[1] == 2400
     assert small.link.limits[4] < 4500
+    parameters = Parameters({"wire.count": 2})
+    assert Limits.from_parameters(parameters).model.circuit == pytest.approx(RESISTANCE / 2.0)
 
 
 def test_current_with_all_outputs_off_stops_and_shouts_until_it_ends(bench):
@@ -289,15 +293,12 @@ def test_more_current_than_the_outputs_explain_is_a_short_circuit_at_once(drivin
     assert "short circuit: the front board carries 0.6" in reason
 
 
-def test_channels_are_the_sides_outputs_in_their_order():
+def test_sensors_and_outputs_are_those_of_the_sides():
     assert device_channels(["front"]) == (0,)
     assert device_channels(["front", "front", "back", "back"]) == (0, 1, 2, 3)
     assert device_channels(["back", "front", "back"]) == (2, 0, 3)
     with pytest.raises(InputError, match="2 channels at the front"):
         device_channels(["front", "front", "front"])
-
-
-def test_deflection_is_the_mean_of_the_sensors_that_see_the_tip():
     def deflection(front, back, sensors=("front", "back")):
         settings = {**SETTINGS, "range.sensors": sensors, "range.front_standoff": 0.09}
         return BenchSensors(["front", "back"], settings)._deflection(front, back)
@@ -308,9 +309,6 @@ def test_deflection_is_the_mean_of_the_sensors_that_see_the_tip():
     assert deflection(0.08, 0.2, ("front",)) == pytest.approx(0.010)
     assert BenchSensors(["front"], SETTINGS).range_sensors == ()
     assert deflection(inf, inf) == pytest.approx(nan, nan_ok=True)
-
-
-def test_a_range_sensor_that_cannot_be_is_refused():
     with pytest.raises(InputError, match="'top', expected front or back"):
         BenchSensors(["front"], {**SETTINGS, "range.sensors": ("top",)})
 
@@ -352,16 +350,3 @@ def test_a_duty_is_driven_as_the_direct_voltage_of_its_heat():
     assert bench.driver.applied == pytest.approx((3.0,))
     # 6 V are expected.
     assert "disagreement" in bench.pass_time(3.0, command=3.0, volt=0.5)
-
-
-def test_a_duty_that_heats_as_more_than_the_device_allows_is_refused():
-    bench = Bench(drive="duty", supply_voltage=12.0, maximum_voltage=12.0)
-    bench.pass_time(0.1)
-    message = r"maximum_voltage is 12 V, the device allows 10 V"
-    with pytest.raises(LinkError, match=message):
-        bench.driver.enable(bench.now)
-
-
-def test_wires_in_parallel_conduct_together():
-    parameters = Parameters({"wire.count": 2})
-    assert Limits.from_parameters(parameters).model.circuit == pytest.approx(RESISTANCE / 2.0)

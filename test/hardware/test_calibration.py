@@ -8,16 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.bench_sensors import (
-    PowerCalibration,
-    channel_powers,
-    commanded_millivolts,
-)
+from sma_bench.hardware.bench_sensors import PowerCalibration, channel_powers, commanded_millivolts
 from sma_bench.hardware.calibration import Calibration, fit_calibration, fit_range_calibration
 from sma_bench.hardware.serial_messages import Telemetry
 
 
-def telemetry(duty: tuple[float, ...], front: float = 0.0, back: float = 0.0) -> Telemetry:
+def telemetry(duty, front=0.0, back=0.0):
     return Telemetry(1, 0, 1, 0, 12.0, (front, back), (1.5, 1.5), duty, 0)  # type: ignore[arg-type]
 
 
@@ -25,7 +21,7 @@ def telemetry(duty: tuple[float, ...], front: float = 0.0, back: float = 0.0) ->
 
 
 @given(st.floats(0.1, 10.0), st.floats(-5.0, 5.0))
-def test_exact_loads_give_exact_gain_and_offset(gain: float, offset: float) -> None:
+def test_exact_loads_give_exact_gain_and_offset(gain, offset):
     readings = np.array([0.0, 1.0, 2.0, 3.0])
     fit = fit_calibration(readings, gain * readings + offset)
     assert fit.calibration.gain == pytest.approx(gain)
@@ -34,7 +30,7 @@ def test_exact_loads_give_exact_gain_and_offset(gain: float, offset: float) -> N
     assert fit.n == 4
 
 
-def test_stated_errors_cover_the_truth() -> None:
+def test_stated_errors_cover_the_truth():
     random = np.random.default_rng(1)
     readings = np.linspace(0.0, 3.0, 7)
     within = [0, 0]
@@ -46,7 +42,7 @@ def test_stated_errors_cover_the_truth() -> None:
     assert within == pytest.approx([255, 255], abs=40)
 
 
-def test_two_loads_fit_but_have_no_error() -> None:
+def test_two_loads_fit_but_have_no_error():
     fit = fit_calibration([0.0, 2.0], [0.1, 2.1])
     assert fit.calibration == Calibration(pytest.approx(1.0), pytest.approx(0.1))
     assert math.isnan(fit.gain_std)
@@ -62,28 +58,18 @@ def test_two_loads_fit_but_have_no_error() -> None:
         ([1.0, 2.0], [3.0, 3.0], "do not follow the known loads"),
     ],
 )
-def test_loads_that_say_nothing_are_refused(
-    readings: list[float], known: list[float], complaint: str
-) -> None:
+def test_loads_that_say_nothing_are_refused(readings, known, complaint):
     with pytest.raises(InputError, match=complaint):
         fit_calibration(readings, known)
 
 
-def test_calibration_and_its_reverse_agree() -> None:
-    calibration = Calibration(1.7, -0.3)
-    assert calibration.reading(calibration.apply(2.5)) == pytest.approx(2.5)
-
-
-def test_triangulation_sensor_is_fitted_over_the_inverse_distance() -> None:
+def test_triangulation_sensor_is_fitted_over_the_inverse_distance():
     distances = np.array([0.04, 0.06, 0.10, 0.15, 0.30])
     voltages = 0.12 / (distances + 0.0042) - 0.05
     fitted = fit_range_calibration(voltages, distances, shift=0.0042)
     for voltage, distance in zip(voltages, distances, strict=True):
         assert fitted.distance(voltage) == pytest.approx(distance, rel=1e-9)
     assert fitted.distance(-0.1) == math.inf
-
-
-def test_distance_behind_the_lens_is_refused() -> None:
     with pytest.raises(InputError, match="distance -0.01 m with shift 0.004 m"):
         fit_range_calibration([1.0, 2.0], [-0.01, 0.1], shift=0.004)
 
@@ -92,9 +78,7 @@ def test_distance_behind_the_lens_is_refused() -> None:
 
 
 @given(st.floats(0.01, 0.9), st.floats(0.01, 0.9))
-def test_volts_over_amperes_is_the_resistance_and_their_product_the_heat(
-    one: float, other: float
-) -> None:
+def test_volts_over_amperes_is_the_resistance_and_their_product_the_heat(one, other):
     resistance = 2.7
     mean = (one + other) * 12.0 / resistance
     powers = channel_powers(telemetry((one, other, 0.0, 0.0), front=mean), PowerCalibration())
@@ -103,27 +87,18 @@ def test_volts_over_amperes_is_the_resistance_and_their_product_the_heat(
         assert power.voltage * power.current == pytest.approx(duty * 12.0**2 / resistance)
 
 
-def test_wire_that_is_not_driven_beside_one_that_is_has_no_current() -> None:
+def test_readings_and_commands_go_through_the_calibrations():
     powers = channel_powers(telemetry((0.25, 0.0, 0.0, 0.0), front=1.1), PowerCalibration())
     assert powers[1].voltage == 0.0
     assert powers[1].current == 0.0
     assert powers[0].current == pytest.approx(2.2)
-
-
-def test_current_of_a_hardly_driven_wire_is_not_measured() -> None:
     powers = channel_powers(telemetry((4e-4, 0.0, 0.0, 0.0)), PowerCalibration())
     assert powers[0].voltage == pytest.approx(0.24)
     assert math.isnan(powers[0].current)
-
-
-def test_calibrations_reach_voltage_and_current() -> None:
     calibration = PowerCalibration(Calibration(1.05, 0.1), (Calibration(), Calibration(2.0, -0.5)))
     powers = channel_powers(telemetry((0.0, 0.0, 0.25, 0.0), back=0.75), calibration)
     assert powers[2].voltage == pytest.approx(0.5 * 12.7)
     assert powers[2].current == pytest.approx(2.0)
-
-
-def test_command_makes_up_for_the_supplys_calibration() -> None:
     supply = Calibration(1.05, 0.1)
     millivolts = commanded_millivolts(6.0, 12.0, supply)
     duty = (1e-3 * millivolts / 12.0) ** 2

@@ -82,16 +82,13 @@ FOUR = Parameters.of_paper().replace({
 })
 
 
-def test_defaults_make_a_camera_and_a_gauge_that_agree():
+def test_wires_have_a_camera_and_a_region_each():
     parameters = Parameters.of_paper()
     camera = synthetic_camera(parameters, settings("synthetic_camera"))
     (gauge,) = wire_gauges(parameters, settings("ir_camera"))
     reading = gauge.read(camera.picture([345.0]), 0.0)
     assert abs(reading.kelvin - 345.0) < 0.3 < reading.std
     assert reading.fill < 0.45
-
-
-def test_four_wires_side_by_side_have_a_region_each():
     camera = synthetic_camera(FOUR, settings("synthetic_camera"))
     regions = regions_side_by_side(4, 382, 288)
     gauges = wire_gauges(FOUR, settings("ir_camera", regions=tuple(regions)))

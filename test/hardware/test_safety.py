@@ -1,11 +1,13 @@
-"""Safety rules: what is refused, what trips, and what stays tripped."""
+"""Safety rules: what is refused, what trips and stays tripped; commands, model and readings."""
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sma_bench.hardware.expectation import Lasting, SharedWatch, WireModel, WireWatch
 from sma_bench.hardware.safety import (
     CommandGate,
     Freshness,
@@ -22,10 +24,15 @@ from sma_bench.parameters import Parameters
 LIMITS = Limits.from_parameters(Parameters.defaults())
 
 
-def test_limits_are_those_of_the_contract():
+def test_limits_are_those_of_the_contract_inclusive_and_nan_is_no_reading():
     assert (LIMITS.maximum_voltage, LIMITS.maximum_current) == (10.0, 3.0)
     assert (LIMITS.maximum_temperature, LIMITS.command_timeout) == (423.15, 0.5)
     assert (LIMITS.maximum_power, LIMITS.maximum_heating_rate) == (30.0, 1500.0)
+    assert temperature_fault("wire", 423.15, LIMITS) == ""
+    assert "wire at 150.1 degC, limit 150.0 degC" in temperature_fault("wire", 423.25, LIMITS)
+    assert temperature_fault("wire", math.nan, LIMITS) == ""
+    assert current_fault("wire", 3.0, LIMITS) == current_fault("wire", math.nan, LIMITS) == ""
+    assert "over-current: wire at -3.10 A" in current_fault("wire", -3.1, LIMITS)
 
 
 @pytest.mark.parametrize(
@@ -48,14 +55,6 @@ def test_an_accepted_command_is_always_as_long_and_as_large_as_the_bench_allows(
     if not command_fault(command, 2, LIMITS):
         assert len(command) == 2
         assert all(0.0 <= v <= 10.0 for v in command)
-
-
-def test_limits_are_inclusive_and_nan_is_no_reading():
-    assert temperature_fault("wire", 423.15, LIMITS) == ""
-    assert "wire at 150.1 degC, limit 150.0 degC" in temperature_fault("wire", 423.25, LIMITS)
-    assert temperature_fault("wire", math.nan, LIMITS) == ""
-    assert current_fault("wire", 3.0, LIMITS) == current_fault("wire", math.nan, LIMITS) == ""
-    assert "over-current: wire at -3.10 A" in current_fault("wire", -3.1, LIMITS)
 
 
 @pytest.mark.parametrize("timeout", [0.0, -1.0, math.inf, math.nan])
@@ -83,9 +82,6 @@ def test_gate_keeps_the_outputs_on_a_bad_command_and_zeroes_them_on_silence():
     assert gate.outputs(1.51) == (0.0, 0.0)
     assert gate.outputs(9.0) == (0.0, 0.0)
     assert (gate.accepted, gate.rejected, gate.timeouts) == (1, 1, 1)
-
-
-def test_bad_commands_do_not_feed_the_watchdog():
     gate = CommandGate(1, LIMITS)
     gate.command([3.0], 0.0)
     for k in range(1, 20):
@@ -131,6 +127,11 @@ def test_guard_is_content_with_fresh_cool_wires_and_names_the_one_that_is_not():
     loaded = guard()
     loaded.power("a", 9.0, 3.3, stamp=1.1, now=1.1, limits=LIMITS)
     assert loaded.fault(1.5).startswith("over-current: a")
+    made = guard()
+    made.recorder("bag: cannot be written: No space left on device")
+    assert made.fault(1.5) == "recording failed: bag: cannot be written: No space left on device"
+    made.recorder("")
+    assert made.fault(1.5) == ""
 
 
 def test_guard_takes_a_nan_reading_for_none_at_all():
@@ -143,15 +144,12 @@ def test_guard_takes_a_nan_reading_for_none_at_all():
     assert blind.fault(3.95).startswith("stale feedback: nothing new from a/temperature")
 
 
-def test_guard_without_a_camera_demands_power_only_but_heeds_a_temperature_that_comes():
+def test_guard_without_a_camera_goes_by_the_model_only_where_no_temperature_comes():
     made = Guard(["a"], ["power"], 1.0)
     made.power("a", 1.0, 0.5, stamp=1.0, now=1.0, limits=LIMITS)
     assert made.fault(1.5) == ""
     made.temperature("a", 500.0, stamp=1.0, now=1.0, limits=LIMITS)
     assert "over-temperature" in made.fault(1.5)
-
-
-def test_guard_goes_by_the_model_only_where_no_temperature_comes():
     made = Guard(["a"], ["power"], 1.0)
     for k in range(400):
         now = 0.01 * k
@@ -164,14 +162,6 @@ def test_guard_goes_by_the_model_only_where_no_temperature_comes():
         now = 0.01 * k
         made.power("a", 8.0, 8.0 / LIMITS.model.resistance, stamp=now, now=now, limits=LIMITS)
     assert made.fault(now).startswith("over-temperature by the model: a at 171")
-
-
-def test_guard_minds_a_recorder_that_failed_until_another_records():
-    made = guard()
-    made.recorder("bag: cannot be written: No space left on device")
-    assert made.fault(1.5) == "recording failed: bag: cannot be written: No space left on device"
-    made.recorder("")
-    assert made.fault(1.5) == ""
 
 
 @pytest.mark.parametrize("volt", [math.inf, -math.inf, 3e38, -3e38])
@@ -243,11 +233,210 @@ def test_zero_volts_are_obeyed_from_anybody_and_make_nobody_the_commander():
     for k in range(1, 40):
         gate.command([3.0], now + 0.02 * k, "/first#1")
     assert gate.outputs(now + 0.78) == (3.0,)
-
-
-def test_a_commander_of_zero_volts_holds_the_outputs_until_it_is_silent():
     gate = CommandGate(1, LIMITS)
     gate.command([0.0], 0.0, "/done#1")
     assert "commands already" in gate.command([3.0], 0.1, "/second#2")
     gate.clear()
     assert gate.command([3.0], 0.2, "/second#2") == ""
+
+
+MODEL = WireModel.from_parameters(Parameters.defaults())
+PERIOD = 0.01
+
+
+def watch(commanded=3.0):
+    made = WireWatch("wire", 1.0)
+    made.commanded(commanded)
+    return made
+
+
+def powered(wire, volt, ampere, seconds, start=0.0, model=MODEL):
+    """Reason after readings of `seconds`, ten ms apart."""
+    reason = ""
+    for k in range(round(seconds / PERIOD) + 1):
+        now = start + k * PERIOD
+        reason = wire.power(volt, ampere, now, now, model)
+    return reason
+
+
+def test_a_deviation_must_last_without_a_gap():
+    lasting = Lasting(1.0)
+    assert [lasting.note("far", 0.1 * k) for k in range(10)] == [""] * 10
+    assert lasting.note("far", 1.0) == "far"
+    assert lasting.note("", 1.1) == ""
+    assert lasting.note("far", 1.2) == ""
+    lasting = Lasting(1.0)
+    assert lasting.note("far", 0.0) == ""
+    assert lasting.note("far", 20.0) == ""
+
+
+def test_a_wire_that_does_as_commanded_is_left_alone():
+    assert powered(watch(), 3.0, 3.0 / MODEL.resistance, 3.0) == ""
+    assert powered(watch(), 3.0, math.nan, 3.0) == ""
+    assert powered(watch(0.9), 0.9, 0.0, 2.0) == ""
+    wire = watch(0.0)
+    for k in range(300):
+        wire.commanded(6.0 if k % 2 else 0.0)
+        now = k * PERIOD
+        assert wire.power(6.0, 6.0 / MODEL.resistance, now, now, MODEL) == ""
+
+
+def test_a_voltage_that_does_not_follow_is_told_with_both_numbers():
+    assert powered(watch(), 0.0, 0.0, 0.9) == ""
+    reason = powered(watch(), 0.0, 0.0, 1.1)
+    assert reason == "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25 V"
+
+
+@pytest.mark.parametrize(
+    ("commanded", "volt"), [(0.0, 0.2), (0.4, 0.0), (0.4, 0.6), (8.0, 8.6), (8.0, 7.4)]
+)
+def test_every_voltage_is_checked_small_ones_too(commanded, volt):
+    ampere = volt / MODEL.resistance
+    assert f"commanded {commanded:.2f} V" in powered(watch(commanded), volt, ampere, 1.1)
+    near = commanded + 0.2 * (volt - commanded)
+    assert powered(watch(commanded), near, near / MODEL.resistance, 1.1) == ""
+
+
+@pytest.mark.parametrize(("ampere", "word"), [(0.0, "0.00 A"), (2.5, "2.50 A")])
+def test_a_broken_or_shorted_wire_disagrees_with_its_resistance(ampere, word):
+    reason = powered(watch(), 3.0, ampere, 1.1)
+    assert reason.startswith(f"disagreement: wire carries {word} at 3.00 V, the model says 1.11 A")
+
+
+def test_one_of_two_wires_broken_is_seen_from_2_volts_on():
+    for volt in (2.0, 4.0, 6.0):
+        assert "disagreement" in powered(watch(volt), volt, 0.5 * volt / MODEL.resistance, 1.1)
+
+
+def test_the_model_heats_as_equation_1_with_its_leads():
+    steady = MODEL.ambient + 9.0 / MODEL.resistance / MODEL.heat_loss
+    assert MODEL.warmed(MODEL.ambient, 3.0, 100.0) == pytest.approx(steady)
+    early = MODEL.warmed(MODEL.ambient, 3.0, 1e-3) - MODEL.ambient
+    assert early == pytest.approx(1e-3 * 9.0 / MODEL.resistance / MODEL.heat_capacity, rel=0.01)
+    model = WireModel.from_parameters(
+        Parameters.defaults().replace({"bench.lead_resistance": MODEL.resistance})
+    )
+    volt, ampere = 6.0, 6.0 / (2.0 * MODEL.resistance)
+    rise = (0.5 * volt) ** 2 / MODEL.resistance / MODEL.heat_loss
+    assert model.warmed(MODEL.ambient, volt, 100.0) == pytest.approx(MODEL.ambient + rise)
+    assert model.heating_voltage(volt, ampere) == pytest.approx(volt)
+    assert "disagreement" in powered(watch(volt), volt, ampere, 1.1)
+    assert powered(watch(volt), volt, ampere, 1.1, model=model) == ""
+
+
+def heat_after(readings, wire=None):
+    """Verdict on the wire's heat after (volt, ampere, s) each."""
+    wire, now = wire or watch(), 0.0
+    for volt, ampere, seconds in readings:
+        for _ in range(round(seconds / PERIOD)):
+            now += PERIOD
+            wire.power(volt, ampere, now, now, MODEL)
+    return wire.heat(MODEL)
+
+
+REST = (0.0, 0.0, 2.0)
+R = MODEL.resistance
+
+
+@pytest.mark.parametrize(
+    ("volt", "ampere"),
+    [
+        (8.0, 8.0 / R),
+        (8.0, 0.0),  # the sensor is dead
+        (8.0, math.nan),
+        (6.5, 8.0**2 / R / 6.5),  # less resistance than the model's, more heat
+        (math.nan, 8.0 / R),
+        (0.0, 8.0 / R),  # a switch that does not open
+    ],
+)
+def test_a_wire_that_nobody_sees_is_too_hot_by_the_model(volt, ampere):
+    reason = heat_after([REST, (volt, ampere, 2.0)])
+    assert reason.startswith("over-temperature by the model: wire at 17")
+    assert "limit 150.0 degC" in reason
+
+
+def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
+    assert heat_after([REST, (7.0, 7.0 / R, 5.0)]) == ""
+    assert heat_after([REST, (8.0, 8.0 / R, 0.1), REST, (8.0, 8.0 / R, 0.1)]) == ""
+    reason = heat_after([(8.0, 8.0 / R, 0.05)])
+    assert reason.startswith("over-temperature by the model: wire at 15")
+    assert heat_after([(7.0, 7.0 / R, 0.05)]) == ""
+    wire = watch()
+    for stamp, volt in ((0.0, 0.0), (5.0, 9.0), (7.0, 0.0)):
+        wire.power(volt, volt / R, stamp, stamp, MODEL)
+    assert wire.heat(MODEL).startswith("over-temperature by the model: wire at 21")
+
+
+def test_a_camera_that_sees_no_warming_disagrees():
+    wire = watch()
+    assert all(wire.temperature(400.0, 0.1 * k, MODEL) == "" for k in range(50))
+    wire = watch(6.0)
+    reasons = []
+    for k in range(200):
+        now = k * PERIOD
+        wire.power(6.0, 6.0 / MODEL.resistance, now, now, MODEL)
+        reasons.append(wire.temperature(MODEL.ambient, now, MODEL))
+    assert reasons[50] == ""
+    assert reasons[-1].startswith("disagreement: wire measured at 23 degC, the model says 107 degC")
+
+
+def test_warming_faster_than_the_limit_is_told_but_not_a_jittering_stamp():
+    wire = watch()
+    assert wire.rate(300.0, 0.0, 1000.0) == ""
+    assert wire.rate(340.0, 0.001, 1000.0) == ""
+    reason = wire.rate(400.0, 0.05, 1000.0)
+    assert reason == "heating rate: wire rises by 2000 K/s, limit 1000 K/s"
+    assert wire.rate(300.0, 0.10, 1000.0) == ""
+    assert wire.rate(math.nan, 0.2, 1000.0) == ""
+
+
+def shared_readings(draw, volts, broken, seconds):
+    """(volts, amperes) of two wires as one noisy sensor shares them out; phases follow in 0.3 s."""
+    austenite = np.zeros(2)
+    for k in range(round(seconds / PERIOD)):
+        if k % 100 == 0:
+            v = np.array(volts(draw))
+        austenite += (np.where(v > 4.5, 1.0, 0.0) - austenite) * PERIOD / 0.3
+        conductance = (1.0 + 0.17 * austenite) / R * (np.arange(2) != broken)
+        total = math.hypot(*v) or 1.0
+        mean = float(conductance @ v**2) / total + draw.normal(0.0, 0.06)
+        amperes = mean * v / total
+        yield v, np.where((v > 0.0) & (v < 0.3), np.nan, amperes)
+
+
+def found_open(volts, broken, seed, seconds):
+    draw = np.random.default_rng(seed)
+    watch = SharedWatch(("front_1", "front_2"))
+    for k, (v, i) in enumerate(shared_readings(draw, volts, broken, seconds)):
+        if reason := watch.power(v, i, PERIOD * k, MODEL):
+            return reason
+    return ""
+
+
+def weak_beside_strong(draw):
+    return 6.0, float(draw.choice([0.0, 1.5, 2.0]))
+
+
+def apart(draw):
+    return float(draw.uniform(3.0, 8.0)), float(draw.uniform(0.0, 2.5))
+
+
+def alike(draw):
+    volt = float(draw.uniform(0.0, 8.0))
+    return volt, volt / 3.0
+
+
+@pytest.mark.parametrize("volts", [weak_beside_strong, apart])
+@pytest.mark.parametrize("seed", range(4))
+def test_an_open_wire_beside_a_stronger_one_is_found_by_its_steps(volts, seed):
+    reason = found_open(volts, 1, seed, 30.0)
+    assert reason.startswith("open: front_2 takes ") and reason.endswith("beside front_1")
+
+
+@pytest.mark.parametrize("volts", [weak_beside_strong, apart, alike])
+def test_sound_wires_are_not_found_open_however_long_and_wherever_their_phases_are(volts):
+    assert [found_open(volts, None, seed, 60.0) for seed in range(2)] == ["", ""]
+
+
+def test_wires_that_always_step_alike_cannot_be_told_apart():
+    assert found_open(alike, 1, 0, 30.0) == ""

@@ -1,6 +1,7 @@
 """Bytes and messages of the serial protocol, against its documentation and against damage."""
 
 import re
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
+from sma_bench.hardware.conversation import Conversation
 from sma_bench.hardware.device import DeviceIdentity, LinkStatus
 from sma_bench.hardware.serial_messages import (
     Accepted,
@@ -33,11 +35,8 @@ FRAME = bytes.fromhex(
 )
 
 
-def test_checksum_has_the_published_check_value() -> None:
+def test_checksum_and_documented_session_are_valid():
     assert checksum(b"123456789") == 0x29B1
-
-
-def test_every_line_of_the_documented_session_is_valid() -> None:
     session = re.search(r"```\n(.*?)```", PAGE.read_text(), re.S)
     assert session is not None
     lines = re.findall(r"^(host|device) +(\S.*\*\w{4})", session[1], re.M)
@@ -49,7 +48,7 @@ def test_every_line_of_the_documented_session_is_valid() -> None:
             decode(body)
 
 
-def test_text_and_binary_telemetry_say_the_same() -> None:
+def test_text_and_binary_telemetry_say_the_same_and_refusals_say_why():
     expected = Telemetry(
         sequence=57, time_us=3210000, state=1, cause=0, supply=pytest.approx(12.003),
         current=pytest.approx((-0.102, 0.0)), range_voltage=pytest.approx((1.5002, 1.499)),
@@ -58,6 +57,8 @@ def test_text_and_binary_telemetry_say_the_same() -> None:
     )
     assert decode(TEXT) == expected
     assert decode(FRAME) == expected
+    assert str(Refused("V", 7)) == "device refused V: above the voltage limit"
+    assert str(Refused("V", 99)) == "device refused V: number 99"
 
 
 @pytest.mark.parametrize(
@@ -69,7 +70,7 @@ def test_text_and_binary_telemetry_say_the_same() -> None:
         (b"S rejected=1 new=x", Named("S", {"rejected": "1", "new": "x"})),
     ],
 )
-def test_answers_are_decoded(body: bytes, message: object) -> None:
+def test_answers_are_decoded(body, message):
     assert decode(body) == message
 
 
@@ -78,24 +79,19 @@ def test_answers_are_decoded(body: bytes, message: object) -> None:
     [b"", b"Z 1", b"T 1 2 3", b"T" + b" 1" * 15, b"K A", b"K A x", b"P 1 2", b"S rejected", b"\xff",
      b"T 65536 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0", FRAME[:-1]],
 )
-def test_what_is_not_a_message_is_refused(body: bytes) -> None:
+def test_what_is_not_a_message_is_refused(body):
     with pytest.raises(ProtocolError, match="not of protocol 2"):
         decode(body)
 
 
-def test_refusals_say_why() -> None:
-    assert str(Refused("V", 7)) == "device refused V: above the voltage limit"
-    assert str(Refused("V", 99)) == "device refused V: number 99"
-
-
 @pytest.mark.parametrize("number", [-1, 65536])
-def test_commands_that_the_protocol_cannot_carry_are_not_made(number: int) -> None:
+def test_commands_that_the_protocol_cannot_carry_are_not_made(number):
     with pytest.raises(ValueError, match="expected 0 to 65535"):
         command("V", 1, number)
 
 
 @given(st.binary(min_size=1, max_size=600))
-def test_frames_have_no_zero_inside_and_open_to_the_body(body: bytes) -> None:
+def test_frames_have_no_zero_inside_and_open_to_the_body(body):
     framed = frame(body)
     assert framed.count(0) == 1
     assert framed.endswith(b"\0")
@@ -104,8 +100,8 @@ def test_frames_have_no_zero_inside_and_open_to_the_body(body: bytes) -> None:
 
 @given(st.lists(st.text("AKTN 0123456789-=", min_size=1).filter(str.strip)), st.data())
 def test_splitting_does_not_depend_on_how_bytes_arrive(
-    bodies: list[str], data: st.DataObject
-) -> None:
+    bodies, data
+):
     stream = b"".join(map(line, bodies))
     splitter, found = Splitter(), []
     while stream:
@@ -117,7 +113,7 @@ def test_splitting_does_not_depend_on_how_bytes_arrive(
 
 
 @given(st.binary(max_size=300), st.booleans())
-def test_garbage_is_counted_and_the_next_messages_are_found(garbage: bytes, binary: bool) -> None:
+def test_garbage_is_counted_and_the_next_messages_are_found(garbage, binary):
     splitter = Splitter()
     splitter.expect(binary)
     seal = frame if binary else lambda body: line(body.decode())
@@ -126,22 +122,19 @@ def test_garbage_is_counted_and_the_next_messages_are_found(garbage: bytes, bina
 
 
 @given(st.integers(0, 8 * len(line(TEXT.decode())) - 9))
-def test_every_single_bit_error_of_a_line_is_noticed(bit: int) -> None:
+def test_every_single_bit_error_of_a_line_is_noticed(bit):
     damaged = bytearray(line(TEXT.decode()))
     damaged[bit // 8] ^= 1 << bit % 8
     assert TEXT not in Splitter().feed(bytes(damaged)) or damaged.endswith(b"\r\n")
     assert all(body == TEXT for body in Splitter().feed(bytes(damaged)))
 
 
-def test_first_piece_is_not_blamed_for_having_begun_earlier() -> None:
+def test_pieces_and_endless_lines_are_dropped_and_only_damage_is_counted():
     splitter = Splitter()
     splitter.feed(line("K A 1")[3:] + line("K A 1"))
     assert splitter.damaged == 0
     splitter.feed(line("K A 1")[3:])
     assert splitter.damaged == 1
-
-
-def test_endless_line_is_dropped() -> None:
     splitter = Splitter()
     splitter.feed(b"x" * 10_000)
     assert splitter.damaged == 1
@@ -156,7 +149,7 @@ HANDSHAKE = {
 }
 
 
-def handshake(**changed: str) -> dict[str, Named]:
+def handshake(**changed):
     lines = {
         letter: dict(pair.split("=") for pair in text.split()) for letter, text in HANDSHAKE.items()
     }
@@ -165,7 +158,7 @@ def handshake(**changed: str) -> dict[str, Named]:
     return {letter: Named(letter, values) for letter, values in lines.items()}
 
 
-def test_handshake_gives_limits_in_si_units() -> None:
+def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
     device = DeviceIdentity.from_lines(handshake())
     assert device.maximum_voltage == pytest.approx(10.0)
     assert device.command_timeout == pytest.approx(0.2)
@@ -173,6 +166,10 @@ def test_handshake_gives_limits_in_si_units() -> None:
     assert device.supply_range == pytest.approx((6.0, 15.0))
     assert device.reset == "power-on, watchdog, after: command timeout"
     assert device.hot_voltage == pytest.approx(8.0)
+    lines = handshake()
+    del lines["M"].values["on_s"]
+    with pytest.raises(InputError, match="handshake: on_s is missing"):
+        DeviceIdentity.from_lines(lines)
 
 
 @pytest.mark.parametrize(
@@ -183,19 +180,12 @@ def test_handshake_gives_limits_in_si_units() -> None:
         ({"max_mv": "ten"}, "invalid literal"),
     ],
 )
-def test_foreign_devices_are_refused_in_one_line(changed: dict[str, str], complaint: str) -> None:
+def test_foreign_devices_are_refused_in_one_line(changed, complaint):
     with pytest.raises(InputError, match=complaint):
         DeviceIdentity.from_lines(handshake(**changed))
 
 
-def test_handshake_with_something_left_out_is_refused() -> None:
-    lines = handshake()
-    del lines["M"].values["on_s"]
-    with pytest.raises(InputError, match="handshake: on_s is missing"):
-        DeviceIdentity.from_lines(lines)
-
-
-def window(number: int, period_us: int = 10000) -> Telemetry:
+def window(number, period_us=10000):
     """The n-th window since power-up."""
     time_us = number * period_us % (1 << 32)
     return Telemetry(
@@ -207,7 +197,7 @@ def window(number: int, period_us: int = 10000) -> Telemetry:
     uptime=st.integers(1000, 2_000_000), first=st.integers(1, 50),
     period=st.sampled_from((2000, 10000, 100000)),
 )
-def test_a_restart_is_noticed_after_any_uptime(uptime: int, first: int, period: int) -> None:
+def test_a_restart_is_noticed_after_any_uptime(uptime, first, period):
     """Most of all between half a turn of the clock, 35.8 min, and a whole one."""
     status = LinkStatus()
     status.note(window(uptime, period))
@@ -219,14 +209,52 @@ def test_a_restart_is_noticed_after_any_uptime(uptime: int, first: int, period: 
 
 
 @given(uptime=st.integers(1000, 2_000_000), lost=st.integers(0, 20000))
-def test_lost_windows_are_no_restart(uptime: int, lost: int) -> None:
+def test_lost_windows_are_no_restart(uptime, lost):
     status = LinkStatus()
     status.note(window(uptime))
     assert not status.restarted(window(uptime + 1 + lost), 10000)
 
 
-@pytest.mark.parametrize("minutes", [10, 40, 60, 71])
-def test_a_restart_is_noticed_at_any_time_of_the_day(minutes: int) -> None:
-    status = LinkStatus()
-    status.note(window(6000 * minutes))
-    assert status.restarted(window(1), 10000)
+COUNTERS = " ".join(f"counter{k}={10_000 + k}" for k in range(8))
+
+
+class CountingDevice:
+    """Sends its counters whenever it is read, and consents to what it is asked."""
+
+    timeout = 0.0
+    in_waiting = 1
+
+    def __init__(self):
+        self.answers = []
+
+    def read(self, size=1):
+        return self.answers.pop(0) if self.answers else line(f"S {COUNTERS}")
+
+    def write(self, data):
+        self.answers = [line(f"S {COUNTERS}"), line("K R 1")]
+
+
+def test_counters_that_nobody_asked_for_are_not_kept():
+    conversation = Conversation(CountingDevice())
+
+    def held_after(seconds):
+        for _ in range(seconds):
+            messages, _ = conversation.receive()
+            assert len(messages) == 1
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        before = held_after(100)
+        a_second = (held_after(1000) - before) / 1000
+    finally:
+        tracemalloc.stop()
+    assert a_second < 10.0
+
+
+def test_an_answer_is_found_among_counters():
+    conversation = Conversation(CountingDevice())
+    conversation.receive()
+    found = conversation.ask("R", complete=lambda answers: len(answers) == 2, pump=True)
+    assert [answer.letter for answer in found] == ["S", "R"]
+    assert conversation.unasked == ""

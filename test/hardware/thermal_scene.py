@@ -1,7 +1,6 @@
 """Thermal pictures by brute force, independent of the package: Planck's law summed on a fine grid,
 a wire painted on pixels divided by eight, blurred and averaged."""
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -17,8 +16,10 @@ def radiance(kelvin):
     exponent = 6.62607015e-34 * 299792458.0 / 1.380649e-23 / WAVELENGTHS
     factor = 2 * 6.62607015e-34 * 299792458.0**2 / WAVELENGTHS**5
     spectral = factor / (np.exp(exponent / np.asarray(kelvin)[..., None]) - 1)
-    return np.trapezoid(spectral, WAVELENGTHS) if hasattr(np, "trapezoid") else np.trapz(
-        spectral, WAVELENGTHS
+    return (
+        np.trapezoid(spectral, WAVELENGTHS)
+        if hasattr(np, "trapezoid")
+        else np.trapz(spectral, WAVELENGTHS)
     )
 
 
@@ -35,15 +36,7 @@ def temperature(value):
 
 
 def scene(
-    width: int,
-    height: int,
-    way: Callable,
-    thickness: float,
-    kelvin: float,
-    emissivity: float = 1.0,
-    background: float = ROOM,
-    blur: float = 0.7,
-    reflected: float = ROOM,
+    width, height, way, thickness, kelvin, emissivity=1.0, background=ROOM, blur=0.7, reflected=ROOM
 ):
     """True temperatures (height, width) in K, without noise, of a wire at `way(y)` (x, slope)."""
     y, x = (np.mgrid[0 : height * FINE, 0 : width * FINE] + 0.5) / FINE - 0.5
@@ -57,16 +50,16 @@ def scene(
     return temperature(behind + share * (surface - behind))
 
 
-def photograph(kelvin, random, noise: float = 0.08):
+def photograph(kelvin, random, noise=0.08):
     """Pixel values of true temperatures: noise, then steps of 0.1 K."""
     noisy = kelvin + noise * random.standard_normal(kelvin.shape)
     return np.rint((noisy - 273.15) * 10 + 1000).astype(np.uint16)
 
 
-def straight(x: float, slope: float = 0.0) -> Callable:
+def straight(x, slope=0.0):
     return lambda y: (x + slope * y, slope)
 
 
-def bent(x: float, sideways: float, length: float) -> Callable:
+def bent(x, sideways, length):
     """Moved by `sideways` at y = length, with constant curvature."""
     return lambda y: (x + sideways * (y / length) ** 2, 2 * sideways * y / length**2)

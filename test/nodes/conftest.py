@@ -4,9 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,7 +13,6 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from forked_nodes import ForkedNode  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
-from rclpy.qos import QoSProfile  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from sma_bench.ros.node import LATCHED, OneThreadExecutor  # noqa: E402
@@ -29,24 +26,24 @@ SETTLING = 0.3
 class RunningNode:
     """A node of the package in a process, its output in a file."""
 
-    def __init__(self, name: str, arguments: list[str], log: Path, **options: Any) -> None:
+    def __init__(self, name, arguments, log, **options):
         self.log = log
         with log.open("wb") as stream:
             if options:
-                self.process: Any = subprocess.Popen(
+                self.process = subprocess.Popen(
                     [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
                     stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
                 )  # fmt: skip
             else:
                 self.process = ForkedNode(name, arguments, stream.fileno())
 
-    def end(self, number: int = signal.SIGINT) -> int:
+    def end(self, number=signal.SIGINT):
         """Send a signal and return the exit status."""
         self.process.send_signal(number)
         return self.process.wait(PATIENCE)
 
     @property
-    def output(self) -> str:
+    def output(self):
         return self.log.read_text()
 
 
@@ -55,23 +52,16 @@ class TestBench:
 
     __test__ = False
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         rclpy.init(args=[])
         self.node = rclpy.create_node("test", namespace=NAMESPACE)
         self._executor = OneThreadExecutor()
         self._executor.add_node(self.node)
         self._folder = folder
-        self._processes: list[RunningNode] = []
-        self._clients: dict[str, Any] = {}
+        self._processes = []
+        self._clients = {}
 
-    def start(
-        self,
-        name: str,
-        *files: str,
-        options: dict[str, Any] | None = None,
-        remap: dict[str, str] | None = None,
-        **parameters: Any,
-    ) -> RunningNode:
+    def start(self, name, *files, options=None, remap=None, **parameters):
         """Start a node; `__` in a parameter's name stands for a dot."""
         arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
         for old, new in (remap or {}).items():
@@ -83,14 +73,14 @@ class TestBench:
             arguments += ["-p", f"{key.replace('__', '.')}:={text}"]
         return self.start_with(name, arguments, **(options or {}))
 
-    def start_with(self, name: str, arguments: list[str], **options: Any) -> RunningNode:
+    def start_with(self, name, arguments, **options):
         """Start a node as its command line has it."""
         log = self._folder / f"{name}_{len(self._processes)}.log"
         process = RunningNode(name, arguments, log, **options)
         self._processes.append(process)
         return process
 
-    def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> Any:
+    def until(self, condition, patience=PATIENCE):
         """Spin until the condition holds, and return it."""
         end = time.monotonic() + patience
         while not (value := condition()):
@@ -100,45 +90,45 @@ class TestBench:
             self._executor.spin_once(timeout_sec=0.02)
         return value
 
-    def listen(self, topic: str, kind: type, qos: QoSProfile | int = 1000) -> list[Any]:
+    def listen(self, topic, kind, qos=1000):
         """Messages of a topic, growing while the test spins."""
-        messages: list[Any] = []
+        messages = []
         self.node.create_subscription(kind, topic, messages.append, qos)
         return messages
 
-    def talk(self, topic: str, kind: type) -> Any:
+    def talk(self, topic, kind):
         """A publisher that has its reader."""
         publisher = self.node.create_publisher(kind, topic, 100)
         self.until(publisher.get_subscription_count)
         return publisher
 
-    def latched(self, topic: str, kind: type) -> list[Any]:
+    def latched(self, topic, kind):
         return self.listen(topic, kind, LATCHED)
 
-    def trigger(self, service: str) -> Trigger.Response:
+    def trigger(self, service):
         return self._call(Trigger, service, Trigger.Request())
 
-    def know(self, service: str) -> None:
+    def know(self, service):
         """Match a Trigger service now, so that a later call takes no time for it."""
         self._client(Trigger, service)
 
-    def trigger_later(self, service: str) -> Any:
+    def trigger_later(self, service):
         """The future of a call that takes its time."""
         return self._client(Trigger, service).call_async(Trigger.Request())
 
-    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+    def set_parameter(self, node, name, value):
         """Result of setting one parameter: successful, reason."""
         message = RosParameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
         return self._call(SetParameters, f"{node}/set_parameters", request).results[0]
 
-    def _call(self, kind: type, service: str, request: Any) -> Any:
+    def _call(self, kind, service, request):
         client = self._client(kind, service)
         future = client.call_async(request)
         self.until(future.done)
         return future.result()
 
-    def _client(self, kind: type, service: str) -> Any:
+    def _client(self, kind, service):
         """A client that the server knows too. Of that a client sees nothing: an answer to a
         client that the server has not matched yet is lost with a warning."""
         if service not in self._clients:
@@ -148,7 +138,7 @@ class TestBench:
             self.until(lambda: time.monotonic() > matched)
         return self._clients[service]
 
-    def close(self) -> None:
+    def close(self):
         for process in self._processes:
             if process.process.poll() is None:
                 process.process.kill()
@@ -159,7 +149,7 @@ class TestBench:
 
 
 @pytest.fixture
-def bench(ros_domain: int, tmp_path: Path) -> Iterator[TestBench]:
+def bench(ros_domain, tmp_path):
     """A bench in a ROS domain of its own."""
     made = TestBench(tmp_path)
     try:

@@ -5,15 +5,13 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
-from uno.emulated_bench import EmulatedBench, emulated_bench
+from uno.emulated_bench import emulated_bench
 
 from sma_bench.parameters import Parameters
 
@@ -32,7 +30,7 @@ class BridgedRig:
     as the wire's readings, or with a `camera` as what a synthetic one sees for `ir_camera`.
     """
 
-    def __init__(self, bench, hardware: EmulatedBench, camera=False, **parameters) -> None:
+    def __init__(self, bench, hardware, camera=False, **parameters):
         self.bench = bench
         self.hardware = hardware
         self.states = bench.latched("serial_bridge/state", String)
@@ -50,10 +48,10 @@ class BridgedRig:
         place = "true_temperature" if camera else "temperature"
         self._camera = bench.talk(f"wire/{place}", Temperature)
         self._due = 0.0
-        self.voltage: tuple[float, ...] | None = (0.0,)
-        self.fever: float | None = 0.0
+        self.voltage = (0.0,)
+        self.fever = 0.0
         """K that the camera is wrong by; None without a camera"""
-        self.kelvin: float | None = None
+        self.kelvin = None
         """what the camera sees instead of the wire"""
         self.refusal = ""
         """what a fault was answered"""
@@ -61,10 +59,10 @@ class BridgedRig:
         """all bytes from the host"""
         self._tap(hardware)
 
-    def _tap(self, hardware: EmulatedBench) -> None:
+    def _tap(self, hardware):
         write = hardware.uno.write
 
-        def tapped(data: bytes) -> None:
+        def tapped(data):
             self.said += data
             write(data)
 
@@ -74,11 +72,11 @@ class BridgedRig:
         )
 
     @property
-    def state(self) -> str:
+    def state(self):
         """Newest state, "" before the first."""
         return self.states[-1].data if self.states else ""
 
-    def value(self, key: str) -> str:
+    def value(self, key):
         """Newest diagnostic value, "" before the first."""
         for array in reversed(self.diagnostics):
             for item in array.status[0].values:
@@ -86,7 +84,7 @@ class BridgedRig:
                     return item.value
         return ""
 
-    def camera_says(self) -> str:
+    def camera_says(self):
         """Newest message of `ir_camera` about its pictures, "" before the first."""
         for array in reversed(self.diagnostics):
             for status in array.status:
@@ -94,7 +92,7 @@ class BridgedRig:
                     return status.message
         return ""
 
-    def until(self, condition, patience: float = 30.0):
+    def until(self, condition, patience=30.0):
         """Wait for a condition as `bench.until`, commanding and looking at the wire meanwhile."""
 
         def step():
@@ -103,11 +101,11 @@ class BridgedRig:
 
         return self.bench.until(step, patience)
 
-    def for_a_while(self, seconds: float) -> None:
+    def for_a_while(self, seconds):
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > end)
 
-    def enable(self) -> None:
+    def enable(self):
         """Wait until all readings are there, then enable."""
         self.until(lambda: self.state == "idle" and self.power and self.seen != [])
         self.for_a_while(0.3)
@@ -119,37 +117,35 @@ class BridgedRig:
             answer = self.ask("enable")
         assert answer.success, answer.message
 
-    def ask(self, service: str):
+    def ask(self, service):
         """Answer of one of the bridge's services; commands go on meanwhile."""
         future = self.bench.trigger_later(f"serial_bridge/{service}")
         self.until(future.done)
         return future.result()
 
-    def find(self, service: str) -> None:
+    def find(self, service):
         """Get to know a service, so that asking it takes no time."""
         self.bench.know(f"serial_bridge/{service}")
         self.for_a_while(0.2)
 
-    def drive(self, *voltage: float) -> None:
+    def drive(self, *voltage):
         """Command and wait until the wire has it."""
         self.voltage = voltage
-        self.until(
-            lambda: self.power and abs(self.power[-1].voltage - voltage[0]) < 0.1
-        )
+        self.until(lambda: self.power and abs(self.power[-1].voltage - voltage[0]) < 0.1)
 
-    def record(self, folder: Path) -> None:
+    def record(self, folder):
         """Start a recorder and wait until it has written what the bench says."""
         states = self.bench.latched("recorder/state", String)
         self.recorder = self.bench.start("recorder", output=folder)
         self.until(lambda: states and any(json.loads(states[-1].data)["messages"].values()))
 
-    def fill_disk(self, folder: Path) -> None:
+    def fill_disk(self, folder):
         """No file of the recorder grows from now on."""
         largest = max(path.stat().st_size for path in folder.rglob("*"))
         limits = (largest, resource.RLIM_INFINITY)
         resource.prlimit(self.recorder.process.pid, resource.RLIMIT_FSIZE, limits)
 
-    def off_after(self, moment: float, patience: float = 30.0) -> float:
+    def off_after(self, moment, patience=30.0):
         """s of the Uno's clock from `moment` until its last pulse; 0 when none came after it.
 
         Waits until there was none for 0.5 s.
@@ -158,11 +154,11 @@ class BridgedRig:
         self.until(lambda: self.hardware.uno.time - max(moment, pins.last_on) > 0.5, patience)
         return max(0.0, pins.last_on - moment)
 
-    def send(self, *values: float) -> None:
+    def send(self, *values):
         """One command, whatever is in it."""
         self._command.publish(Float64MultiArray(data=[float(value) for value in values]))
 
-    def _keep_alive(self) -> None:
+    def _keep_alive(self):
         now = time.monotonic()
         if now < self._due:
             return
@@ -178,9 +174,7 @@ class BridgedRig:
 
 
 @contextmanager
-def bridged_rig(
-    bench, uno, parameters: Parameters | None = None, camera=False, **settings
-) -> Iterator[BridgedRig]:
+def bridged_rig(bench, uno, parameters=None, camera=False, **settings):
     """The wire rig behind a serial_bridge, enabled by nobody yet."""
     # The emulator's thread must get its turn between two slices, every half a millisecond.
     sys.setswitchinterval(1e-4)

@@ -46,23 +46,23 @@ class Fault:
     """parameters of the bridge; one without temperatures in its `feedback` gets none"""
 
     @property
-    def by_host(self) -> bool:
+    def by_host(self):
         """True where the bridge, not the device, has to notice."""
         return "bridge" in self.detection
 
     @property
-    def row(self) -> str:
+    def row(self):
         """The line of docs/safety.md."""
         limit = f"{1e3 * self.limit:.0f} ms"
         return f"| {self.hazard} | {self.detection} | {self.reaction} | {limit} | `{self.name}` |"
 
 
-def _signal(number: int) -> Callable[[BridgedRig], float]:
+def _signal(number):
     return lambda rig: rig.hardware.do(lambda: rig.node.process.send_signal(number))
 
 
-def _electrics(**values: object) -> Callable[[BridgedRig], float]:
-    def change(rig: BridgedRig) -> None:
+def _electrics(**values):
+    def change(rig):
         for name, value in values.items():
             if isinstance(value, float):
                 setattr(rig.hardware.uno.electrics, name, value)
@@ -72,11 +72,11 @@ def _electrics(**values: object) -> Callable[[BridgedRig], float]:
     return lambda rig: rig.hardware.do(lambda: change(rig))
 
 
-def _now(rig: BridgedRig) -> float:
+def _now(rig):
     return rig.hardware.do(lambda: None)
 
 
-def _after_restart(rig: BridgedRig) -> str:
+def _after_restart(rig):
     """What a new bridge knows, whose opening of the port has reset the device."""
     rig.diagnostics.clear()
     rig.node = rig.bench.start("serial_bridge", port=rig.hardware.path)
@@ -84,28 +84,28 @@ def _after_restart(rig: BridgedRig) -> str:
     return f"{rig.state}, last reset: {rig.value('last_reset')}"
 
 
-def _after_waking(rig: BridgedRig) -> str:
+def _after_waking(rig):
     rig.node.process.send_signal(signal.SIGCONT)
     rig.until(lambda: rig.state.startswith("stopped"))
     return rig.state
 
 
-def _hang(interrupts: bool) -> Callable[[BridgedRig], float]:
-    def make(rig: BridgedRig) -> float:
+def _hang(interrupts):
+    def make(rig):
         rig.for_a_while(1.0)  # until the drop is known, most periods have no pulse to be cut off
         return rig.hardware.do(lambda: rig.hardware.uno.hang(interrupts=interrupts))
 
     return make
 
 
-def _noise(rig: BridgedRig) -> float:
+def _noise(rig):
     """Garbage that leaves no pause for a command, for half a second of the Uno's time."""
     draw = random.Random(1)
     noise = bytes(b for _ in range(12000) if (b := draw.randrange(256)) not in (STOP, 10, 13))
     return rig.hardware.do(lambda: rig.hardware.uno.write(noise))
 
 
-def _replay(rig: BridgedRig) -> float:
+def _replay(rig):
     """All that the host said so far, again, after a stop and a reset."""
     said = bytes(b for b in rig.said if b != STOP)
     assert b"V " in said
@@ -114,31 +114,18 @@ def _replay(rig: BridgedRig) -> float:
     return rig.hardware.do(lambda: rig.hardware.uno.write(said))
 
 
-def _fever(rig: BridgedRig) -> float:
-    rig.fever = 200.0
-    return _now(rig)
+def _rig(**values):
+    """What the test commands (`voltage`, V) and its camera sees (`kelvin`, `fever`) from now on."""
 
-
-def _blindness(rig: BridgedRig) -> float:
-    rig.fever = None
-    return _now(rig)
-
-
-def _command(volt: float) -> Callable[[BridgedRig], float]:
-    def make(rig: BridgedRig) -> float:
-        rig.voltage = (volt,)
+    def make(rig):
+        vars(rig).update(values)
         return _now(rig)
 
     return make
 
 
-def _camera_looks_elsewhere(rig: BridgedRig) -> float:
-    rig.kelvin = 296.0
-    return _now(rig)
-
-
-def _camera_fault(kind: str) -> Callable[[BridgedRig], float]:
-    def make(rig: BridgedRig) -> float:
+def _camera_fault(kind):
+    def make(rig):
         moment = _now(rig)
         assert rig.bench.set_parameter("synthetic_camera", "fault", kind).successful
         return moment
@@ -146,13 +133,13 @@ def _camera_fault(kind: str) -> Callable[[BridgedRig], float]:
     return make
 
 
-def _with_camera(rig: BridgedRig) -> str:
+def _with_camera(rig):
     """What the bridge says, and what the camera's node does."""
     rig.until(lambda: rig.camera_says() not in ("", "running"))
     return f"{rig.state} (ir_camera: {rig.camera_says()})"
 
 
-def _full_disk(rig: BridgedRig) -> float:
+def _full_disk(rig):
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
         rig.record(bag)
@@ -161,36 +148,32 @@ def _full_disk(rig: BridgedRig) -> float:
         return moment
 
 
-def _second_host(rig: BridgedRig) -> float:
+def _second_host(rig):
     """The handshake of a host that the port's lock did not keep out, and its attempt to arm."""
     says = b"".join(line(body) for body in ("T 100", "?", "A 1", "V 1 1 9000 0 0 0"))
     return rig.hardware.do(lambda: rig.hardware.uno.write(b"\n" + says))
 
 
-def _shorted_switch(rig: BridgedRig) -> float:
+def _shorted_switch(rig):
     """Of a second wire on the board, which is not driven."""
 
-    def short() -> None:
+    def short():
         rig.hardware.uno.electrics.resistance[1] = 2.7
         rig.hardware.uno.electrics.switch_is[1] = Switch.STUCK_ON
 
     return rig.hardware.do(short)
 
 
-def _break(rig: BridgedRig, kind: Switch) -> float:
+def _break(rig, kind):
     """A switch, while the relay is open and nothing is enabled."""
     rig.ask("stop")
     assert rig.ask("reset").success
     rig.for_a_while(0.2)
-
-    def do() -> None:
-        rig.hardware.uno.electrics.switch_is[0] = kind
-
-    return rig.hardware.do(do)
+    return _electrics(switch_is=(kind,))(rig)
 
 
-def _enable_with(kind: Switch) -> Callable[[BridgedRig], float]:
-    def make(rig: BridgedRig) -> float:
+def _enable_with(kind):
+    def make(rig):
         _break(rig, kind)
         rig.voltage = (0.0,)
         moment = _now(rig)
@@ -202,11 +185,7 @@ def _enable_with(kind: Switch) -> Callable[[BridgedRig], float]:
     return make
 
 
-def _refusal(rig: BridgedRig) -> str:
-    return rig.refusal
-
-
-def _stuck_behind_a_welded_relay(rig: BridgedRig) -> float:
+def _stuck_behind_a_welded_relay(rig):
     """Nothing can end it but the plug, which is pulled when the bridge says so."""
     electrics = rig.hardware.uno.electrics
     rig.find("enable")
@@ -224,32 +203,27 @@ def _stuck_behind_a_welded_relay(rig: BridgedRig) -> float:
 _TIMSK0, _TIMSK1 = 0x6E, 0x6F
 
 
-def _poke(register: int) -> Callable[[BridgedRig], float]:
+def _poke(register):
     """The timer's interrupts are off, and nobody did it."""
     return lambda rig: rig.hardware.do(lambda: rig.hardware.uno.poke(register, 0))
 
 
-def _too_much_heat(rig: BridgedRig) -> float:
+def _too_much_heat(rig):
     rig.kelvin = float(rig.hardware.plant.bench.temperature[0])  # from now on
     rig.voltage = (8.5,)
     return _now(rig)
 
 
-def _silence(rig: BridgedRig) -> float:
-    rig.voltage = None
-    return _now(rig)
-
-
-def _nonsense(rig: BridgedRig) -> float:
+def _nonsense(rig):
     """Only commands that must be rejected."""
-    moment = _silence(rig)
+    moment = _rig(voltage=None)(rig)
     for bad in ((math.nan,), (math.inf,), (), (1.0, 2.0), (10.5,), (-1.0,)):
         rig.send(*bad)
     return moment
 
 
-def _request(service: str) -> Callable[[BridgedRig], float]:
-    def ask(rig: BridgedRig) -> float:
+def _request(service):
+    def ask(rig):
         rig.find(service)
         moment = _now(rig)
         rig.ask(service)
@@ -258,8 +232,8 @@ def _request(service: str) -> Callable[[BridgedRig], float]:
     return ask
 
 
-def _value(key: str) -> Callable[[BridgedRig], str]:
-    def told(rig: BridgedRig) -> str:
+def _value(key):
+    def told(rig):
         seen, end = len(rig.diagnostics), time.monotonic() + 5.0
         rig.until(lambda: len(rig.diagnostics) > seen + 1 or time.monotonic() > end)
         return f"{key}: {rig.value(key)}"
@@ -277,7 +251,7 @@ FAULTS = (
     Fault("cable_pulled", "serial cable pulled", "device: command timeout 0.2 s", 0.25,
           "not connected", lambda rig: rig.hardware.do(rig.hardware.port.unplug)),
     Fault("commander_silent", "commanding node dies", "bridge: bench.command_timeout 0.5 s", 0.7,
-          "command_timeouts: 1", _silence, told=_value("command_timeouts"),
+          "command_timeouts: 1", _rig(voltage=None), told=_value("command_timeouts"),
           reaction="0 V until the next command"),
     Fault("nonsense_commanded", "NaN, infinite, too many or too large volts",
           "bridge: rejected, counted, then its command timeout", 0.7,
@@ -308,13 +282,16 @@ FAULTS = (
           "more current than the outputs explain", _shorted_switch, quick=True),
     Fault("switch_stuck", "switch stuck on before enabling",
           "bridge: self-test; device: current with all outputs off", 0.6, "relay: FAILED",
-          _enable_with(Switch.STUCK_ON), told=_refusal, reaction="refused, relay open"),
+          _enable_with(Switch.STUCK_ON),
+          told=lambda rig: rig.refusal, reaction="refused, relay open"),
     Fault("switch_inverted", "driver inverted, on while its pin is low",
           "bridge: self-test; device: current with all outputs off", 0.6, "relay: FAILED",
-          _enable_with(Switch.INVERTED), told=_refusal, reaction="refused, relay open"),
+          _enable_with(Switch.INVERTED),
+          told=lambda rig: rig.refusal, reaction="refused, relay open"),
     Fault("relay_welded", "switch stuck on behind a welded relay",
           "bridge and device: current with all outputs off", 2.0,
-          "still flowing: pull the plug", _stuck_behind_a_welded_relay, told=_refusal,
+          "still flowing: pull the plug", _stuck_behind_a_welded_relay,
+          told=lambda rig: rig.refusal,
           reaction="says so in state, log and diagnostics until somebody pulls the plug"),
     Fault("outputs_frozen", "interrupt of the outputs lost", "device: 5 ms without it", 0.02,
           "output interrupt lost", _poke(_TIMSK0), quick=True),
@@ -330,13 +307,13 @@ FAULTS = (
     Fault("wire_broken", "wire breaks", "bridge: current against the model for 1 s", 1.4,
           "disagreement: wire carries", _electrics(resistance=(math.inf,))),
     Fault("over_temperature", "wire hotter than bench.maximum_temperature",
-          "bridge: each temperature", 0.3, "over-temperature: wire", _fever, quick=True),
+          "bridge: each temperature", 0.3, "over-temperature: wire", _rig(fever=200.0), quick=True),
     Fault("heat_unseen", "wire hotter than bench.maximum_temperature, no camera",
           "bridge: eq. (1) with each reading of power", 0.9, "over-temperature by the model: wire",
-          _command(8.0),
+          _rig(voltage=(8.0,)),
           settings={"feedback": ["power"], "bench__maximum_current": 4.0}),
     Fault("temperature_lost", "temperatures stop coming", "bridge: feedback_timeout 1 s", 1.4,
-          "stale feedback: nothing new from wire/temperature", _blindness),
+          "stale feedback: nothing new from wire/temperature", _rig(fever=None)),
     Fault("camera_lost", "camera stops sending pictures", "bridge: feedback_timeout 1 s", 1.6,
           "limit 1 s (ir_camera: no frame for", _camera_fault("silent"), camera=True,
           told=_with_camera),
@@ -345,7 +322,7 @@ FAULTS = (
           "limit 1 s (ir_camera: frozen", _camera_fault("frozen"), camera=True, told=_with_camera),
     Fault("camera_astray", "camera does not look at the wire",
           "bridge: temperature against the model for 1 s", 1.7,
-          "disagreement: wire measured at", _camera_looks_elsewhere, volts=6.0),
+          "disagreement: wire measured at", _rig(kelvin=296.0), volts=6.0),
     Fault("disk_full", "recorder's disk is full", "recorder, within a second; bridge: its state",
           2.0, "recording failed:", _full_disk),
     Fault("supply_lost", "supply below 6 V", "device: supply in each conversion", 0.1,

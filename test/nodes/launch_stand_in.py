@@ -6,11 +6,7 @@ nothing.
 
 import importlib.util
 import sys
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
-
-import pytest
 
 # Told by launch_ros alone: the folder launch/ of a checkout passes for a package of that name.
 INSTALLED = importlib.util.find_spec("launch_ros") is not None
@@ -19,20 +15,17 @@ INSTALLED = importlib.util.find_spec("launch_ros") is not None
 class Recorded:
     """An action with the arguments that it was made with."""
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    def __init__(self, *args, **kwargs):
         self.args, self.given = args, SimpleNamespace(**kwargs)
 
 
-class Node(Recorded):
-    """launch_ros.actions.Node"""
+class Node(Recorded): ...
 
 
-class ExecuteProcess(Recorded):
-    """launch.actions.ExecuteProcess"""
+class ExecuteProcess(Recorded): ...
 
 
-class Shutdown(Recorded):
-    """launch.actions.Shutdown"""
+class Shutdown(Recorded): ...
 
 
 class Text(Recorded):
@@ -42,34 +35,34 @@ class Text(Recorded):
 class Context:
     """launch.LaunchContext"""
 
-    def __init__(self) -> None:
-        self.launch_configurations: dict[str, str] = {}
+    def __init__(self):
+        self.launch_configurations = {}
 
 
 class DeclareLaunchArgument:
     """launch.actions.DeclareLaunchArgument"""
 
-    def __init__(self, name: str, *, default_value: str, description: str) -> None:
+    def __init__(self, name, *, default_value, description):
         self.name, self.default = name, default_value
 
-    def visit(self, context: Context) -> None:
+    def visit(self, context):
         context.launch_configurations.setdefault(self.name, self.default)
 
 
 class OpaqueFunction:
     """launch.actions.OpaqueFunction"""
 
-    def __init__(self, *, function: Any) -> None:
+    def __init__(self, *, function):
         self._function = function
 
-    def visit(self, context: Context) -> list[Any]:
+    def visit(self, context):
         return self._function(context)
 
 
 class LaunchDescription:
     """launch.LaunchDescription"""
 
-    def __init__(self, entities: list[Any]) -> None:
+    def __init__(self, entities):
         self.entities = entities
 
 
@@ -85,7 +78,7 @@ _STAND_IN = {
 }
 
 
-def built(path: Path, monkeypatch: pytest.MonkeyPatch, **arguments: str) -> list[Any]:
+def built(path, monkeypatch, **arguments):
     """Nodes and processes that a launch file would start with these arguments."""
     if not INSTALLED:
         for name, members in _STAND_IN.items():
@@ -101,13 +94,13 @@ def built(path: Path, monkeypatch: pytest.MonkeyPatch, **arguments: str) -> list
     monkeypatch.setattr(actions, "ParameterValue", Text)
     context = importlib.import_module("launch").LaunchContext()
     context.launch_configurations.update(arguments)
-    found: list[Any] = []
+    found = []
     for entity in load(path).generate_launch_description().entities:
         found += entity.visit(context) or []
     return found
 
 
-def load(path: Path) -> ModuleType:
+def load(path):
     """The launch file as a module."""
     spec = importlib.util.spec_from_file_location("launch_file", path)
     assert spec is not None and spec.loader is not None

@@ -6,12 +6,10 @@ import sys
 
 import pytest
 
-pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-from sma_bench.errors import InputError  # noqa: E402
-from sma_bench.nodes.arguments import check_arguments  # noqa: E402
-from sma_bench.nodes.start import run as run_here  # noqa: E402
-from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
+from sma_bench.errors import InputError
+from sma_bench.nodes.arguments import check_arguments
+from sma_bench.nodes.start import run as run_here
+from sma_bench.parameters.node_tables import NODE_TABLES
 
 
 def arguments(tmp_path, text):
@@ -73,9 +71,6 @@ def test_a_node_sees_its_own_section_and_later_sources_win(tmp_path):
         )
     with pytest.raises(InputError, match="unknown parameter bench.chanels"):
         check_arguments("simulator", ["--ros-args", "-p", "bench.chanels:=[a]"])
-
-
-def test_values_that_fit_only_together_may_come_from_two_sources(tmp_path):
     two = arguments(tmp_path, "    bench: {channels: [a, b], channel_sides: [front, back]}\n")
     check_arguments("simulator", [*two, "-p", "bench.channel_sides:=[back, front]"])
 

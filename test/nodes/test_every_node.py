@@ -4,25 +4,19 @@ import gc
 from pathlib import Path
 
 import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter as RosParameter
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.parameter import Parameter as RosParameter  # noqa: E402
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension  # noqa: E402
-
-from sma_bench.dashboard.live_state import LiveState  # noqa: E402
-from sma_bench.errors import InputError  # noqa: E402
-from sma_bench.nodes.arguments import check_arguments  # noqa: E402
-from sma_bench.nodes.start import node_class  # noqa: E402
-from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
-from sma_bench.ros.bench_client import BenchClient  # noqa: E402
-from sma_bench.ros.dashboard import listening_node  # noqa: E402
-from sma_bench.ros.node import (  # noqa: E402
-    OneThreadExecutor,  # noqa: E402
-    layout_fault,
-    voltage_command,
-)
+from sma_bench.dashboard.live_state import LiveState
+from sma_bench.errors import InputError
+from sma_bench.nodes.arguments import check_arguments
+from sma_bench.nodes.start import node_class
+from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.ros.bench_client import BenchClient
+from sma_bench.ros.dashboard import listening_node
+from sma_bench.ros.node import OneThreadExecutor, layout_fault, voltage_command
 
 # Made by rclpy before a node's parameters can be.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")
@@ -97,7 +91,7 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden(ros_do
         pass
 
 
-def test_an_override_of_one_topic_is_that_topics_alone(make):
+def test_an_override_of_one_topic_is_that_topics_alone_and_the_marker_is_there_for_latecomers(make):
     override = "qos_overrides./bench/experiment/progress.publisher"
     node = make(
         "experiment", "-p", f"{override}.reliability:=best_effort", "-p", f"{override}.depth:=7"
@@ -110,6 +104,9 @@ def test_an_override_of_one_topic_is_that_topics_alone(make):
     assert offered("/progress").reliability.name == "BEST_EFFORT"
     assert offered("experiment/state").depth == 1  # was made from the same profile
     assert offered("experiment/state").reliability.name == "RELIABLE"
+    (marker,) = [p for p in node.publishers if p.topic_name == "/bench/experiment/marker"]
+    assert marker.qos_profile.durability.name == "TRANSIENT_LOCAL"
+    assert marker.qos_profile.depth == 1
 
 
 @pytest.mark.parametrize("name", ["simulator", "serial_bridge"])
@@ -117,13 +114,6 @@ def test_a_best_effort_commander_is_heard(make, name):
     node = make(name)
     (heard,) = [s for s in node.subscriptions if s.topic_name == "/bench/voltage_command"]
     assert heard.qos_profile.reliability.name == "BEST_EFFORT"
-
-
-def test_the_marker_is_there_for_those_who_come_late(make):
-    node = make("experiment")
-    (marker,) = [p for p in node.publishers if p.topic_name == "/bench/experiment/marker"]
-    assert marker.qos_profile.durability.name == "TRANSIENT_LOCAL"
-    assert marker.qos_profile.depth == 1
 
 
 @pytest.mark.parametrize(

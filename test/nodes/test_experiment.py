@@ -41,9 +41,7 @@ def protocol(tmp_path):
 def running(bench, protocol):
     """A fake bench and an experiment that drives it with 3 V."""
     fake = FakeBench(bench)
-    node = bench.start(
-        "experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=1.5
-    )
+    node = bench.start("experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=1.5)
     bench.until(lambda: fake.state == "running: long")
     bench.until(lambda: fake.commands and fake.commands[-1].data[0] == 3.0)
     return fake, node
@@ -54,9 +52,7 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     states = bench.latched("experiment/state", String)
     commands = bench.listen("voltage_command", Float64MultiArray)
     bench.start("simulator", speed=50.0)
-    node = bench.start(
-        "experiment", protocol=protocol(SHORT), use_sim_time=True
-    )
+    node = bench.start("experiment", protocol=protocol(SHORT), use_sim_time=True)
     bench.until(lambda: states and states[-1].data == "idle")
     bench.until(lambda: bench.trigger("experiment/start").success)
     bench.until(lambda: states[-1].data == "done: short")
@@ -64,7 +60,7 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert [m.data for m in markers] == ["short/warm", "short/heat", "short/cool", "short/done"]
     sent = [m.data[0] for m in commands]
     assert sent[0] == 0.0
-    sent = sent[sent.index(2.0):]
+    sent = sent[sent.index(2.0) :]
     assert sent[:40] == [2.0] * 40
     assert sent[40:80] == pytest.approx([2.0 + 0.05 * k for k in range(40)], abs=1e-6)
     assert sent[80:100] == [0.0] * 20
@@ -97,7 +93,8 @@ def test_a_timer_that_is_called_twice_at_one_moment_commands_once_and_keeps_the_
     moments, sent, set_back = iter([100, 100, 150]), [], []
     node = SimpleNamespace(
         _bench_clock=SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(moments))),
-        _ticks=SimpleNamespace(reset=lambda: set_back.append(sent[-1])), _ticked=-1,
+        _ticks=SimpleNamespace(reset=lambda: set_back.append(sent[-1])),
+        _ticked=-1,
         _run=SimpleNamespace(tick=lambda now, time: sent.append(time)),
     )
     for _ in range(3):

@@ -6,7 +6,6 @@ import shlex
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +13,7 @@ import pytest
 import yaml
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
-from uno.emulated_bench import EmulatedBench, emulated_bench
+from uno.emulated_bench import emulated_bench
 
 from sma_bench.cli import main
 from sma_bench.parameters import Parameters
@@ -30,7 +29,7 @@ DIVIDER, GAIN, OFFSET = 4.08, 0.096, 0.012
 _STEP = re.compile(r"^<!-- (by hand|when asked): (.*?) -->$|^```\n(.*?)^```", re.M | re.S)
 
 
-def steps() -> Iterator[tuple[str, str, str]]:
+def steps():
     """(kind, text, expected answer) of all that the page has somebody do."""
     for hand, action, block in _STEP.findall(PAGE.read_text()):
         if hand:
@@ -43,7 +42,7 @@ def steps() -> Iterator[tuple[str, str, str]]:
 class PowerOn:
     """The reader: commands in the page's words, hands at the emulated bench."""
 
-    def __init__(self, bench, hardware: EmulatedBench, folder: Path) -> None:
+    def __init__(self, bench, hardware, folder):
         self.bench = bench
         self.hardware = hardware
         self.electrics = hardware.uno.electrics
@@ -56,16 +55,16 @@ class PowerOn:
         self._command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
         self._camera = bench.node.create_publisher(Temperature, "wire/temperature", 100)
         self.node = None
-        self.volts: list[float] = []
+        self.volts = []
         self.asked = ""
         self.camera = False
         self._due = 0.0
 
     # --- hands ------------------------------------------------------------------------------------
 
-    def by_hand(self, action: str) -> None:
+    def by_hand(self, action):
         name, *values = action.split()
-        hands: dict[str, Callable[..., None]] = {
+        hands = {
             "supply": lambda volt: self._set("supply", float(volt)),
             "limit": lambda ampere: self._set("supply_limit", float(ampere)),
             "injected": lambda ampere: self._first("offset", OFFSET + GAIN * float(ampere)),
@@ -79,36 +78,36 @@ class PowerOn:
         }
         hands[name](*values)
 
-    def _set(self, name: str, value: float) -> None:
+    def _set(self, name, value):
         self.hardware.do(lambda: setattr(self.electrics, name, value))
 
-    def _first(self, name: str, value: float) -> None:
-        def change() -> None:
+    def _first(self, name, value):
+        def change():
             getattr(self.electrics, name)[0] = value
 
         self.hardware.do(change)
 
-    def _plug(self) -> None:
+    def _plug(self):
         self.hardware.do(self.hardware.port.plug)
         self.port.unlink()
         self.port.symlink_to(self.hardware.path)
 
-    def _end(self, kill: bool) -> None:
+    def _end(self, kill):
         self.volts = self.volts if kill else []
         if kill:
             self.node.process.kill()
         self.node.end()
         self.off()
 
-    def off(self) -> None:
+    def off(self):
         """No pulse any more, as the meter shows."""
         self.until(lambda: self.hardware.pins.off_for > 0.3)
 
     # --- commands ---------------------------------------------------------------------------------
 
-    def run(self, command: str, expected: str) -> None:
+    def run(self, command, expected):
         words = shlex.split(command.replace("/dev/serial/by-id/YOUR_UNO", str(self.port)))
-        programs: dict[str, Callable[[list[str], str], None]] = {
+        programs = {
             "./bench run": self._run_node, "./bench call": self._call,
             "./bench calibrate": self._calibrate, "ros2 topic pub": self._publish,
             "ros2 topic echo": self._echo,
@@ -116,7 +115,7 @@ class PowerOn:
         name = next(name for name in programs if command.startswith(name))
         programs[name](words[len(name.split()) :], expected)
 
-    def _run_node(self, words: list[str], expected: str) -> None:
+    def _run_node(self, words, expected):
         name, *arguments = words
         places = {"lab.yaml": self.folder, "config/wire_rig.yaml": ROOT}
         given = [str(places[word] / word) if word in places else word for word in arguments]
@@ -124,11 +123,11 @@ class PowerOn:
         self.node = self.bench.start_with(name, given)
         self.until(lambda: expected in self.node.output)
 
-    def _call(self, words: list[str], expected: str) -> None:
+    def _call(self, words, expected):
         """Asked again until it says so, as a reader would: links and readings take a moment."""
         said = ""
 
-        def right() -> bool:
+        def right():
             nonlocal said
             future, patience = self.bench.trigger_later(words[0]), time.monotonic() + ANSWER
             # A node that was killed may still seem to be there, and never answers.
@@ -138,10 +137,10 @@ class PowerOn:
 
         self.until(right, lambda: f"{words[0]} says {said!r}, expected {expected!r}")
 
-    def _calibrate(self, words: list[str], expected: str) -> None:
+    def _calibrate(self, words, expected):
         loads = iter(words[words.index("--known") + 1 : words.index("--out")])
 
-        def apply() -> str:
+        def apply():
             self.by_hand(f"{self.asked} {next(loads)}")
             time.sleep(0.3)
             return "\n"
@@ -154,15 +153,15 @@ class PowerOn:
         sensor, key = expected.removeprefix("calibration.").split(".")
         assert key in self.calibrated()[sensor]
 
-    def calibrated(self) -> dict[str, dict[str, float]]:
+    def calibrated(self):
         written = yaml.safe_load((self.folder / "lab.yaml").read_text())
         return written["/**"]["ros__parameters"]["calibration"]
 
-    def _publish(self, words: list[str], expected: str) -> None:
+    def _publish(self, words, expected):
         assert words[:3] == ["-r", "20", "/bench/voltage_command"] and expected
         self.volts = yaml.safe_load(words[-1])["data"]
 
-    def _echo(self, words: list[str], expected: str) -> None:
+    def _echo(self, words, expected):
         if words[-1].endswith("state"):
             self.until(
                 lambda: self.states and self.states[-1].data.startswith(expected),
@@ -172,7 +171,7 @@ class PowerOn:
             return
         volt, ampere = (float(number) for number in re.findall(r"[\d.]+", expected))
 
-        def as_written() -> bool:
+        def as_written():
             newest = self.power[-40:]
             return len(newest) == 40 and all(
                 statistics.median(values) == pytest.approx(number, rel=0.04)
@@ -187,18 +186,18 @@ class PowerOn:
             f"{[s.data for s in self.states]}",
         )
 
-    def until(self, condition: Callable[[], object], why: Callable[[], str] = str) -> None:
+    def until(self, condition, why=str):
         """Wait; the publisher and the camera go on meanwhile."""
         end = time.monotonic() + PATIENCE
 
-        def step() -> object:
+        def step():
             self._go_on()
             assert time.monotonic() < end, why()
             return condition()
 
         self.bench.until(step, 2.0 * PATIENCE)
 
-    def _go_on(self) -> None:
+    def _go_on(self):
         now = time.monotonic()
         if now < self._due:
             return

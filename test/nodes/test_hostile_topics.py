@@ -80,12 +80,9 @@ def test_a_field_is_of_its_kind_or_named_as_wrong(kind, right, wrong):
         read_fields("{}", {"x": kind}, "t")
 
 
-def test_what_people_see_of_a_text_is_one_short_line():
+def test_what_people_and_pages_see_of_hostile_texts_is_short_and_bounded():
     assert shown("a\n b\x1b[2J") == "a b\\x1b[2J"
     assert len(shown("x" * 10**6)) == 501
-
-
-def test_a_page_is_told_of_no_more_signals_and_entries_than_a_bench_can_have():
     state = LiveState()
     for k in range(10_000):
         state.reading("voltage", f"wire_{k}", 1.0)

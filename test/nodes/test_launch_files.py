@@ -1,26 +1,42 @@
-"""Launch and parameter files: they are valid, and the launch files start what they should.
+"""Launch and parameter files: what they start and refuse, and the beam that RViz shows.
 
-`launch` is not among the wheels: without it, `launch_stand_in` stands in for its classes.
+Without ROS's `launch`, `launch_stand_in` stands in for its classes.
 """
 
+import math
 import os
 import signal
 import sys
 import threading
+from collections import Counter
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
+import numpy as np
 import pytest
-from launch_stand_in import INSTALLED, Node, Shutdown, Text, built
+from launch_stand_in import INSTALLED, ExecuteProcess, Node, Shutdown, Text, built
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import String
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
-from sma_bench.nodes.bench_plan import ANTAGONIST, COMPOSITE, SPRING, WEIGHT, WIRE, plan_bench
+from sma_bench.nodes.bench_plan import (
+    ANTAGONIST,
+    COMPOSITE,
+    PIECES,
+    SPRING,
+    WEIGHT,
+    WIRE,
+    beam_urdf,
+    plan_bench,
+    plan_replay,
+)
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.protocols import load_protocol
+from sma_bench.records import Signal
+from sma_bench.records.bag_writer import write_record
 from sma_bench.ros.processes import PROFILE, RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -201,7 +217,7 @@ def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_fi
         built(BENCHES["wire_bench"], monkeypatch, lamp="on")
 
 
-def test_the_planned_nodes_work_together(bench, tmp_path):
+def test_the_planned_nodes_work_together_until_the_camera_freezes(bench, tmp_path):
     """A simulated wire before the synthetic camera, started as the launch file would."""
     power = bench.listen("wire/power", BatteryState)
     read = bench.listen("wire/temperature", Temperature)
@@ -221,7 +237,9 @@ def test_the_planned_nodes_work_together(bench, tmp_path):
     bench.until(lambda: power and power[-1].voltage > 0.2, PATIENCE)
     # The camera's readings carry their uncertainty; the simulator's own have none.
     assert read[-1].variance > 0.0
-    assert bench.trigger("experiment/stop").success
+    assert bench.set_parameter("synthetic_camera", "fault", "frozen").successful
+    bench.until(lambda: "stale feedback" in states[-1].data, PATIENCE)
+    assert "temperature" in states[-1].data
     bench.until(lambda: power[-1].voltage < 0.1, PATIENCE)
 
 
@@ -275,16 +293,12 @@ def test_the_beam_is_described_when_asked(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("rig", ["wire_rig", "composite_rig"])
-def test_a_rig_file_carries_table_i_and_differs_from_the_table_in_its_channels_only(rig):
+def test_a_rig_file_carries_table_i_and_is_of_doubles_to_ros(rig):
     parameters = read_parameters(ROOT / "config" / f"{rig}.yaml")
     defaults = Parameters.defaults()
     different = {name for name in defaults if parameters[name] != defaults[name]}
     assert different <= {"bench.channels", "bench.channel_sides"}
     assert {"wire.resistance", "wire.specific_heat"} <= parameters.given
-
-
-@pytest.mark.parametrize("rig", ["wire_rig", "composite_rig"])
-def test_every_number_of_a_rig_file_is_a_double_to_ros(rig):
     import yaml
 
     body = yaml.safe_load((ROOT / "config" / f"{rig}.yaml").read_text())["/**"]["ros__parameters"]
@@ -292,3 +306,167 @@ def test_every_number_of_a_rig_file_is_a_double_to_ros(rig):
     assert all(isinstance(value, (float, list)) for value in numbers)
 
 
+@pytest.fixture
+def bag(tmp_path):
+    time = np.arange(0.0, 2.0, 0.05)
+    quantities = (("voltage", "V"), ("current", "A"), ("temperature", "K"))
+    signals = [Signal(f"wire.{q}", u, time, np.full_like(time, 300.0)) for q, u in quantities]
+    path = tmp_path / "bag"
+    write_record(path, [*signals, Signal("voltage_command", "V", time, np.ones((len(time), 1)))])
+    return path
+
+
+def remapped(command):
+    pairs = command[command.index("--remap") + 1 :]
+    return dict(pair.split(":=") for pair in pairs)
+
+
+def played_topics(command):
+    return command[command.index("--topics") + 1 : command.index("--remap")]
+
+
+def test_a_record_is_played_below_the_namespace_and_its_commands_never_reach_a_bench(bag):
+    command, nodes = plan_replay({"bag": str(bag), "rate": "2"})
+    assert command[:4] == ["ros2", "bag", "play", str(bag)]
+    assert command[command.index("--rate") + 1] == "2"
+    assert "--loop" not in command and nodes == []
+    moved = remapped(command)
+    assert set(played_topics(command)) == set(moved)
+    assert {"/replay/wire/power", "/replay/wire/temperature"} <= set(moved.values())
+    command, _ = plan_replay({"bag": str(bag), "namespace": "bench"})
+    moved = remapped(command)
+    commands = [topic for topic in moved if topic.endswith("voltage_command")]
+    assert len(commands) == 1
+    assert moved[commands[0]] == "/bench/replayed/voltage_command"
+    storage = next(bag.glob("*.mcap"))
+    assert sorted(played_topics(plan_replay({"bag": str(storage)})[0])) == sorted(
+        played_topics(plan_replay({"bag": str(bag)})[0])
+    )
+
+
+def test_twin_camera_and_services_run_beside_on_its_clock(bag):
+    _, nodes = plan_replay({"bag": str(bag), "twin": "true", "params": "lab.yaml"})
+    assert [node.executable for node in nodes] == ["twin"]
+    assert nodes[0].parameters == {"use_sim_time": True} and nodes[0].file == "lab.yaml"
+    assert not nodes[0].vital
+    command, nodes = plan_replay({"bag": str(bag), "camera": "true", "loop": "true"})
+    assert "/replay/replayed/wire/temperature" in remapped(command).values()
+    assert "--loop" in command
+    assert [n.executable for n in nodes] == ["ir_camera"]
+    assert nodes[0].parameters["use_sim_time"] is True
+    _, nodes = plan_replay({"bag": str(bag), "nodes": "diagnosis, identification"})
+    assert [n.executable for n in nodes] == ["diagnosis", "identification"]
+    with pytest.raises(InputError, match="'experiment', expected identification, diagnosis"):
+        plan_replay({"bag": str(bag), "nodes": "experiment"})
+
+
+def test_the_launch_file_ends_with_the_record(bag, monkeypatch):
+    actions = built(
+        ROOT / "launch" / "replay.launch.py", monkeypatch, bag=str(bag), twin="true"
+    )
+    nodes = [a.given.executable for a in actions if isinstance(a, Node)]
+    player = [a.given for a in actions if isinstance(a, ExecuteProcess)]
+    assert nodes == ["twin"] and len(player) == 1
+    assert isinstance(player[0].on_exit, Shutdown)
+    assert player[0].cmd[:3] == ["ros2", "bag", "play"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [({"bag": ""}, "expected a record"), ({"bag": "nothing"}, "nothing"),
+     ({"rate": "-1"}, "rate is '-1'")],
+)
+def test_what_cannot_be_played_is_one_line(changed, said, bag):
+    with pytest.raises(InputError) as refused:
+        plan_replay({"bag": str(bag), **changed})
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_damaged_list_of_topics_is_one_line(bag):
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    with pytest.raises(InputError, match="list of topics"):
+        plan_replay({"bag": str(bag)})
+
+
+BEAM_RIG = Parameters({
+    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+    "bench.channel_sides": ("front", "front", "back", "back"),
+})  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def beam():
+    return Xml.fromstring(beam_urdf(BEAM_RIG))
+
+
+def joint(beam, name):
+    return next(j for j in beam.findall("joint") if j.get("name") == name)
+
+
+def numbers(element, attribute):
+    return [float(word) for word in element.get(attribute).split()]
+
+
+def bent_end(beam, deflection):
+    """Where the last piece ends, in the frame of the clamp: x, z and the angle there."""
+    x = z = angle = 0.0
+    for k in range(1, PIECES + 1):
+        bend = joint(beam, f"bend_{k}")
+        assert numbers(bend.find("axis"), "xyz") == [0.0, 1.0, 0.0]
+        along = numbers(bend.find("origin"), "xyz")[2]
+        x, z = x + along * math.sin(angle), z + along * math.cos(angle)
+        mimic = bend.find("mimic")
+        assert mimic.get("joint") == "tip" and float(mimic.get("offset")) == 0.0
+        angle += float(mimic.get("multiplier")) * deflection
+    piece = BEAM_RIG["composite.length"] / PIECES
+    return x + piece * math.sin(angle), z + piece * math.cos(angle), angle
+
+
+def test_it_is_a_tree_of_known_links_with_every_frame_of_the_messages(beam):
+    links = [link.get("name") for link in beam.findall("link")]
+    assert max(Counter(links).values()) == 1
+    parents = [j.find("parent").get("link") for j in beam.findall("joint")]
+    children = [j.find("child").get("link") for j in beam.findall("joint")]
+    assert set(parents) <= set(links)
+    assert sorted([*children, "clamp"]) == sorted(links)
+    links = {link.get("name") for link in beam.findall("link")}
+    assert {"front_range", "back_range", *BEAM_RIG["bench.channels"]} <= links
+    front = joint(beam, "front_range_mount").find("origin")
+    assert numbers(front, "xyz")[0] > 0.0
+    # It looks back along -x: half a turn about z.
+    assert numbers(front, "rpy")[2] == pytest.approx(math.pi)
+    defined = {material.get("name") for material in beam.findall("material")}
+    used = {m.get("name") for m in beam.iter("material")}
+    assert used == defined
+    assert all(m.find("color") is not None for m in beam.findall("material"))
+
+
+def test_the_tip_slides_to_the_front_and_geometry_and_wires_are_the_rigs(beam):
+    tip = joint(beam, "tip")
+    assert tip.get("type") == "prismatic"
+    assert numbers(tip.find("axis"), "xyz") == [1.0, 0.0, 0.0]
+    assert numbers(tip.find("origin"), "xyz") == [0.0, 0.0, BEAM_RIG["composite.length"]]
+    limit = tip.find("limit")
+    assert float(limit.get("lower")) < -0.05 and float(limit.get("upper")) > 0.05
+    longer = BEAM_RIG.replace({"composite.length": 0.2})
+    tip = joint(Xml.fromstring(beam_urdf(longer)), "tip")
+    assert numbers(tip.find("origin"), "xyz")[2] == pytest.approx(0.2)
+    piece = next(link for link in beam.findall("link") if link.get("name") == "beam_1")
+    places = [
+        numbers(visual.find("origin"), "xyz")[0]
+        for visual in piece.findall("visual")
+        if visual.find("material").get("name") == "nitinol"
+    ]
+    offset = BEAM_RIG["composite.wire_offset"]
+    assert sorted(places) == pytest.approx([-offset, -offset, offset, offset])
+    assert bent_end(beam, 0.0) == pytest.approx((0.0, BEAM_RIG["composite.length"], 0.0))
+
+
+@pytest.mark.parametrize("deflection", [-0.01, 1e-4, 0.02])
+def test_the_beam_ends_where_the_tip_is(beam, deflection):
+    x, z, angle = bent_end(beam, deflection)
+    length = BEAM_RIG["composite.length"]
+    assert x == pytest.approx(deflection, rel=0.02)
+    # Eq. (16), constant curvature: delta = l angle / 2, here up to the half piece at the clamp.
+    assert angle == pytest.approx(2.0 * deflection / length, rel=0.05)
+    assert 0.95 * length < z <= length

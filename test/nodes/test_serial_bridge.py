@@ -22,7 +22,7 @@ def rig(bench, uno):
         yield rig
 
 
-def test_wire_rig_speaks_the_contract_with_acquisition_stamps(rig):
+def test_the_bridge_speaks_the_contract_drives_only_when_enabled_and_says_what_it_applied(rig):
     rig.until(lambda: len(rig.power) > 50)
     assert rig.power[0].location == "wire" and math.isnan(rig.power[0].percentage)
     assert rig.power[-1].voltage == 0.0
@@ -30,10 +30,30 @@ def test_wire_rig_speaks_the_contract_with_acquisition_stamps(rig):
     stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in rig.power]
     assert stamps == sorted(set(stamps))
     assert abs(stamps[-1] / 1e9 - time.time()) < 5.0
-
-
-def test_enabled_it_drives_what_is_commanded_and_echoes_what_was_applied(rig):
+    rig.until(lambda: rig.state == "idle" and rig.power)
+    rig.voltage = (3.0,)
+    rig.for_a_while(1.0)
+    assert sum(rig.hardware.uno.electrics.on_time) == 0.0
+    rig.until(lambda: rig.value("last_rejection") == "not enabled (idle)")
     rig.enable()
+    assert rig.value("scheduling") == expected_scheduling()
+    refused = rig.ask("reset")
+    assert not refused.success and refused.message == "enabled: stop first"
+    rig.drive(3.0)
+    assert not rig.ask("self_test").success
+    rig.ask("stop")
+    refused = rig.ask("enable")
+    assert not refused.success and "stopped on request; reset first" in refused.message
+    assert rig.ask("reset").message == "idle"
+    rig.enable()
+    rig.drive(2.0)
+    rig.until(lambda: rig.value("device_rejected") and float(rig.value("command_latency_ms")) > 0)
+    rig.until(lambda: abs(float(rig.value("wire_degC")) - 32.0) < 3.0)  # it was told once a second
+    assert rig.value("crc_errors") == rig.value("not_understood") == "0"
+    assert float(rig.value("applied")) == pytest.approx(2.0, abs=0.1)
+    assert 0.0 < float(rig.value("power_rate")) < 250.0
+    assert 0.0 < float(rig.value("round_trip_ms")) < 1000.0
+    assert rig.diagnostics[-1].status[0].hardware_id.startswith("sma-uno ")
     rig.drive(3.0)
     driven = len(rig.power)
     rig.until(lambda: len(rig.power) > driven + 60)
@@ -54,25 +74,6 @@ def expected_scheduling():
     ask = "import os; os.setpriority(os.PRIO_PROCESS, 0, -10)"
     allowed = subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0
     return "niceness -10" if allowed else "as any program: see docs/hardware.md, a computer in time"
-
-
-def test_nothing_is_driven_before_enabling_and_requests_say_why_not(rig):
-    rig.until(lambda: rig.state == "idle" and rig.power)
-    rig.voltage = (3.0,)
-    rig.for_a_while(1.0)
-    assert sum(rig.hardware.uno.electrics.on_time) == 0.0
-    rig.until(lambda: rig.value("last_rejection") == "not enabled (idle)")
-    rig.enable()
-    assert rig.value("scheduling") == expected_scheduling()
-    refused = rig.ask("reset")
-    assert not refused.success and refused.message == "enabled: stop first"
-    rig.drive(3.0)
-    assert not rig.ask("self_test").success
-    rig.ask("stop")
-    refused = rig.ask("enable")
-    assert not refused.success and "stopped on request; reset first" in refused.message
-    assert rig.ask("reset").message == "idle"
-    rig.enable()
 
 
 def test_self_test_names_each_check_and_drives_nothing(rig):
@@ -109,18 +110,6 @@ def test_a_second_host_cannot_open_the_port_and_the_first_goes_on(bench, rig):
     rig.until(lambda: "not connected" in other.output and "exclusively lock" in other.output)
     rig.for_a_while(0.5)
     assert rig.power[-1].voltage == pytest.approx(2.0, abs=0.1)
-
-
-def test_diagnostics_tell_rates_losses_temperature_and_latency(rig):
-    rig.enable()
-    rig.drive(2.0)
-    rig.until(lambda: rig.value("device_rejected") and float(rig.value("command_latency_ms")) > 0)
-    rig.until(lambda: abs(float(rig.value("wire_degC")) - 32.0) < 3.0)  # it was told once a second
-    assert rig.value("crc_errors") == rig.value("not_understood") == "0"
-    assert float(rig.value("applied")) == pytest.approx(2.0, abs=0.1)
-    assert 0.0 < float(rig.value("power_rate")) < 250.0
-    assert 0.0 < float(rig.value("round_trip_ms")) < 1000.0
-    assert rig.diagnostics[-1].status[0].hardware_id.startswith("sma-uno ")
 
 
 def test_five_hundred_readings_a_second_come_whole(bench, uno):

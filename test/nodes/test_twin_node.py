@@ -1,6 +1,5 @@
 """The twin as a process beside the simulator: what it says of a bench that hides an effect."""
 
-
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from planted import believed, true_bench
@@ -139,16 +138,6 @@ def test_a_residual_is_what_the_prediction_lacks_of_the_reading_with_its_stamp(b
     for m in common:
         own = of_readings[stamp_of(m)] - by_stamp[stamp_of(m)]
         assert m.temperature == pytest.approx(own, abs=1e-6)
-
-
-def test_the_twin_of_a_bench_that_does_as_believed_stays_quiet(bench, tmp_path):
-    watched = Watched(bench, true_bench({}), true_bench({}), tmp_path)
-    watched.run(30.0)
-    assert watched.gap().message == "no gap beyond the noise"
-    assert not [said for said in watched.history if "gap grew" in said or "gap, as" in said]
-    energies = [float(watched.value(s, "energy")) for s in ("electrical", "thermal", "mechanical")]
-    assert max(energies) < 2.0
-    assert watched.value("gap", "restarts") == "0", watched.twin.output
 
 
 def test_the_improved_file_of_a_diagnosis_shows_the_smaller_gap_live(

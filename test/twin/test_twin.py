@@ -215,9 +215,6 @@ def test_a_change_of_parameters_takes_the_gap_away_and_the_past_with_it():
     stream.said.clear()
     assert stream.run(20.0).state == QUIET
     assert stream.states() == {LEARNING, QUIET}
-
-
-def test_a_change_after_more_than_the_remembered_minute_goes_on_from_its_beginning():
     stream = Stream(BENCH.replace(COUPLED), BENCH)
     stream.run(95.0)
     stream.twin.change(BENCH.replace(COUPLED))

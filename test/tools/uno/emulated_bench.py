@@ -10,7 +10,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -104,26 +104,11 @@ _CATCH_UP = 1.25
 _AT_ONCE = 5e-3
 
 
-class Device(Protocol):
-    """An emulated board, whatever runs its firmware."""
-
-    def run(self, seconds: float) -> None:
-        """Let its time pass."""
-
-    def write(self, data: bytes) -> None:
-        """Bytes to it."""
-
-    def read(self) -> bytes:
-        """Bytes from it."""
-
-
 class PtyBench:
-    """Runs a device at the speed of the wall clock; `path` is the port to open."""
+    """Runs a device (run, write, read) at the speed of the wall clock; `path` is the port."""
 
     def __init__(
-        self,
-        device: Device,
-        each_slice: Callable[[], None] | None = None,
+        self, device: Any, each_slice: Callable[[], None] | None = None,
         on_open: Callable[[], None] | None = None,
     ) -> None:
         """`each_slice()` lets a plant pass the same time, in the same thread; so does `on_open()`
@@ -229,8 +214,7 @@ class PtyBench:
 
 @contextlib.contextmanager
 def on_a_port(
-    device: Device,
-    each_slice: Callable[[], None] | None = None,
+    device: Any, each_slice: Callable[[], None] | None = None,
     on_open: Callable[[], None] | None = None,
 ) -> Iterator[PtyBench]:
     """The device behind a port, for as long as the context lasts."""

@@ -1,4 +1,4 @@
-"""The identification service as a process: an answer, files, and a node that stays responsive."""
+"""Identification and diagnosis as services: answers, files, and nodes that stay responsive."""
 
 import json
 import os
@@ -7,8 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from planted import supply_drop_lab
 from std_msgs.msg import String
 
+from examination.blind.case_files import checked_answer
+from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
@@ -63,9 +67,16 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     states = bench.latched("identification/state", String)
     out = tmp_path / "out"
     node = bench.start(
-        "identification", record_root=bag.parent, record=f"[{bag.name}]", output_directory=out,
-        output_root=tmp_path,
+        "identification", record_root=bag.parent, output_directory=out, output_root=tmp_path
     )
+    for record, said in (
+        ("", "record: is empty"), ("no_such_bag", "no_such_bag"),
+        ("../../etc", "lies outside record_root"),
+    ):  # fmt: skip
+        bench.set_parameter("identification", "record", [record])
+        answer = bench.trigger("identification/identify")
+        assert not answer.success and said in answer.message and "\n" not in answer.message
+    bench.set_parameter("identification", "record", [bag.name])
     assert not bench.trigger("identification/cancel").success  # nothing runs
     unwanted = bench.trigger_later("identification/identify")
     bench.until(lambda: bench.trigger("identification/cancel").success)
@@ -96,28 +107,10 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     assert saved.std("wire.resistance") == pytest.approx(resistance["std"], abs=rounding)
     bad = bench.trigger("identification/identify")
     assert not bad.success and "file/out: cannot be made" in bad.message and "\n" not in bad.message
-    assert node.end() == 0
-
-
-def test_bad_requests_are_answered_in_one_line_and_the_node_ends_while_it_works(
-    bench, bag, tmp_path
-):
-    node = bench.start(
-        "identification", record_root=bag.parent, output_directory=tmp_path, output_root=tmp_path
-    )
-    answer = bench.trigger("identification/identify")
-    assert not answer.success and answer.message.startswith("record: is empty")
-    bench.set_parameter("identification", "record", ["no_such_bag"])
-    answer = bench.trigger("identification/identify")
-    assert not answer.success and "no_such_bag" in answer.message and "\n" not in answer.message
-    bench.set_parameter("identification", "record", ["../../etc"])
-    answer = bench.trigger("identification/identify")
-    assert not answer.success and "lies outside record_root" in answer.message
-    bench.set_parameter("identification", "record", [bag.name])
-    states = bench.latched("identification/state", String)
-    bench.trigger_later("identification/identify")
-    bench.until(lambda: states and states[-1].data.startswith("busy"))
-    assert node.end() == 0
+    assert bench.set_parameter("identification", "output_directory", str(out)).successful
+    unheard = bench.trigger_later("identification/identify")
+    bench.until(lambda: states[-1].data.startswith("busy"))
+    assert node.end() == 0 and not unheard.done()
     assert "Traceback" not in node.output
 
 
@@ -129,7 +122,7 @@ def output(root, path, suffix=""):
     return output_inside({"output_root": str(root), "report": path}, "report", suffix)
 
 
-def test_records_are_found_below_the_root_and_links_out_of_it_are_refused(tmp_path):
+def test_only_records_and_results_inside_their_roots_are_taken(tmp_path):
     root, outside = tmp_path / "root", tmp_path / "outside"
     root.mkdir()
     outside.mkdir()
@@ -142,9 +135,6 @@ def test_records_are_found_below_the_root_and_links_out_of_it_are_refused(tmp_pa
             records(root, record)
     with pytest.raises(InputError, match="outside record_root .*where the node was started"):
         records("", str(outside))
-
-
-def test_links_inside_a_bag_and_results_outside_the_root_are_refused(tmp_path):
     root = tmp_path / "root"
     (root / "bag").mkdir(parents=True)
     assert records(root, "bag") == [str(root / "bag")]
@@ -203,3 +193,85 @@ def test_a_task_has_what_was_given_and_its_failures_are_one_line():
             worker.run(task, settings, given, lambda *said: heard.append(said))
         assert "\n" not in str(failed.value)
     assert heard == [(0.5, "half")]
+
+
+pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
+
+ANSWER = {
+    "verdict": "effect", "cause": ["slack"],
+    "candidates": [{"name": "slack", "probability": 0.9}],
+    "where": {"signal": "deflection", "phase": "drive", "side": "front", "stage": "mechanical"},
+    "shrinkage": {
+        "deflection": {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4,
+                       "fraction": 0.94, "ci90": [0.9, 0.97]},
+        "current": {"rmse_before": 1e-2, "rmse_after": 1e-2, "noise_floor": 1e-2,
+                    "fraction": None, "ci90": [None, None]},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Folder with a bag of a wire whose leads drop voltage, and the lab's parameters."""
+    return supply_drop_lab(tmp_path_factory.mktemp("rig"))
+
+
+def test_a_bag_is_diagnosed_its_gap_published_and_bad_requests_are_one_line(bench, rig, tmp_path):
+    results = bench.latched("diagnosis/result", String)
+    gaps = bench.latched("diagnosis/gap", DiagnosticArray)
+    states = bench.latched("diagnosis/state", String)
+    improved = tmp_path / "improved.yaml"
+    node = bench.start(
+        "diagnosis", rig / "lab.yaml", record_root=rig, improved=improved, output_root=tmp_path
+    )
+    result = bench.set_parameter("diagnosis", "improved", "Makefile")
+    assert not result.successful and "ends in .yaml" in result.reason
+    for records, hold_out, said in (
+        ([""], [""], "record: is empty"), (["bag"], ["../../etc"], "lies outside record_root"),
+        (["bag"], ["no_such_bag"], "no_such_bag"),
+    ):  # fmt: skip
+        bench.set_parameter("diagnosis", "record", records)
+        bench.set_parameter("diagnosis", "hold_out", hold_out)
+        answer = bench.trigger("diagnosis/diagnose")
+        assert not answer.success and said in answer.message and "\n" not in answer.message
+    bench.set_parameter("diagnosis", "hold_out", [""])
+    first = bench.trigger_later("diagnosis/diagnose")
+    bench.until(lambda: states and states[-1].data.startswith("busy"))
+    second = bench.trigger("diagnosis/diagnose")
+    assert not second.success and second.message == "busy: another diagnosis is running"
+    bench.until(first.done, patience=120.0)
+    answer = first.result()
+    assert answer.success, answer.message
+    found = checked_answer(json.loads(answer.message))
+    assert (found.verdict, found.cause) == ("effect", ("supply_drop",))
+    bench.until(lambda: results and gaps)
+    assert results[-1].data == answer.message
+    whole, *quantities = gaps[-1].status
+    assert whole.level == DiagnosticStatus.WARN
+    assert whole.name == "diagnosis: sim-to-real gap"
+    assert whole.message == "explained by supply_drop"
+    assert {v.key: v.value for v in whole.values}["stage"] == "electrical"
+    assert {s.name.rpartition(" ")[2] for s in quantities} == {"current", "temperature"}
+    saved = read_parameters(improved)
+    assert saved["effect.supply_drop.resistance"] == pytest.approx(0.3, abs=0.05)
+    assert saved["bench.channels"] == ("wire",)
+    unheard = bench.trigger_later("diagnosis/diagnose")
+    bench.until(lambda: states[-1].data.startswith("busy"))
+    assert node.end() == 0 and not unheard.done()
+    assert "Traceback" not in node.output
+
+
+def gap(**changes):
+    return diagnosis_from(ANSWER | changes, "answer").to_json()["gap"]
+
+
+def test_the_gap_warns_where_it_is_and_only_there():
+    whole, deflection, current = gap()
+    assert (whole["is_gap"], deflection["is_gap"], current["is_gap"]) == (True, True, False)
+    assert whole["values"]["phase"] == "drive"
+    assert "94 %" in deflection["message"]
+    assert current["values"]["fraction"] == "nan"
+    for verdict in ("no_gap", "recalibration", "ambiguous", "unexplained"):
+        other, deflection, _ = gap(verdict=verdict, cause=[])
+        assert other["is_gap"] == deflection["is_gap"] == (verdict != "no_gap")
+        assert other["message"] != whole["message"]

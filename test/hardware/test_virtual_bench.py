@@ -1,14 +1,19 @@
-"""The bench in software, without ROS: its rates, its instruments, its physics."""
+"""The bench in software, without ROS: rates, instruments, physics, lockstep with a driver."""
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planted import believed, true_bench
 
+from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
-from sma_bench.live.virtual_bench import NANOSECONDS, VirtualBench
-from sma_bench.parameters import Parameters
+from sma_bench.live.virtual_bench import NANOSECONDS, Lockstep, VirtualBench
+from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
-from sma_bench.physics.effects import effect_values
+from sma_bench.physics.effects import active_effects, effect_values
+from sma_bench.tasks.work import write_improved
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
 PERFECT = SETTINGS | {
@@ -41,23 +46,25 @@ def test_every_instrument_keeps_its_own_rate_over_slices_of_any_length():
         assert [len(times[kind]) for kind in times] == [1300, 1040, 1300, 13]
 
 
-def test_perfect_instruments_read_the_physics():
+def test_perfect_instruments_read_the_physics_and_pairs_belong_together():
     readings = run(VirtualBench(WIRE, PERFECT), (5.0,), 2.0)
     time = np.array([r.time for r in readings["temperature"]]) / NANOSECONDS
     truth = simulate(WIRE, time, np.full((time.size, 1), 5.0))
     celsius = np.array([r.values[0] for r in readings["temperature"]])
     assert celsius + 273.15 == pytest.approx(truth.temperature[:, 0], abs=1e-9)
     assert readings["power"][7].values == [(5.0, 5.0 / 2.6987)]
+    bench = VirtualBench(WIRE, PERFECT)
+    for k, voltage in enumerate((5.0, 2.0, 0.0, 3.0)):
+        readings = list(bench.advance((voltage,), (k + 1) * 50_000_000))
+        pairs = [r.values[0] for r in readings if r.kind == "power"]
+        assert pairs == [(voltage, pytest.approx(voltage / 2.6987))] * 5
 
 
-def test_a_clamped_wire_pulls_when_it_transforms_and_keeps_its_length():
+def test_mechanics_of_every_load_are_read_as_its_sensors_see_them():
     readings = run(VirtualBench(WIRE, PERFECT), (6.0,), 3.0)["mechanics"]
     elongation, force = np.array([r.values for r in readings]).T
     assert not elongation.any()
     assert force[-1] > 5.0
-
-
-def test_a_wire_against_a_spring_shortens_as_its_force_grows():
     spring = WIRE.replace(
         {"load.kind": "spring", "load.stiffness": 1000.0, "load.preload": 5.0}
     )
@@ -65,9 +72,6 @@ def test_a_wire_against_a_spring_shortens_as_its_force_grows():
     elongation, force = np.array([r.values for r in readings]).T
     assert force == pytest.approx(5.0 - 1000.0 * elongation, rel=1e-6)
     assert np.ptp(elongation) > 1e-3
-
-
-def test_two_wires_on_a_slider_move_a_tip():
     pair = WIRE.replace({
         "bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back"),
         "load.kind": "antagonist", "load.preload": 5.0,
@@ -76,9 +80,6 @@ def test_two_wires_on_a_slider_move_a_tip():
     front, back = np.array([r.values for r in readings]).T
     assert front + back == pytest.approx(np.full(front.size, 0.2))
     assert 0.5 * (back[-1] - front[-1]) > 5e-4
-
-
-def test_range_sensors_see_the_tip_from_both_sides():
     readings = run(VirtualBench(COMPOSITE, PERFECT), (0.0, 0.0, 5.0, 5.0), 3.0)["mechanics"]
     front, back = np.array([r.values for r in readings]).T
     assert front + back == pytest.approx(np.full(front.size, 0.2))
@@ -116,15 +117,6 @@ def test_noise_and_steps_are_those_of_the_hardware():
     celsius = np.array([r.values[0] for r in readings["temperature"][800:]])
     assert np.std(celsius) == pytest.approx(np.hypot(0.08, 0.1 / np.sqrt(12)), rel=0.1)
     assert np.allclose(celsius * 10, np.round(celsius * 10))
-
-
-def test_voltage_and_current_of_a_reading_belong_together():
-    """Also where the voltage has just been changed, at the instant of the reading."""
-    bench = VirtualBench(WIRE, PERFECT)
-    for k, voltage in enumerate((5.0, 2.0, 0.0, 3.0)):
-        readings = list(bench.advance((voltage,), (k + 1) * 50_000_000))
-        pairs = [r.values[0] for r in readings if r.kind == "power"]
-        assert pairs == [(voltage, pytest.approx(voltage / 2.6987))] * 5
 
 
 def test_instruments_show_the_effects_that_are_on():
@@ -183,3 +175,154 @@ def test_guard_finds_nothing_in_a_sound_bench_of_any_drive(drive, leads, count):
         guard.commanded((2.0 * voltage[0],))
         guard.power("wire", *power, now, now, limits)
     assert "disagreement: wire gets" in guard.fault(now)
+
+
+def test_an_instruments_noise_is_its_seeds_one_by_one_and_many_at_once():
+    true = np.linspace(-0.3, 2.0, 9000)
+    first, again, other = (
+        Instrument(0.1, 0.0, np.random.SeedSequence(seed)).read_all(true) for seed in (3, 3, 4)
+    )
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+    apart, together = (Instrument(0.08, 0.1, np.random.SeedSequence(5)) for _ in range(2))
+    one_by_one = np.array([apart.read(value) for value in true.tolist()])
+    parts = [together.read_all(true[:10]), [together.read(true[10])], together.read_all(true[11:])]
+    assert np.concatenate(parts).tobytes() == one_by_one.tobytes()
+
+
+SLICE = 0.05
+TIMEOUT = 0.5
+PATIENCE = 2.0
+
+
+class Simulation:
+    """Runs slices whenever allowed, and turns its own wall clock."""
+
+    def __init__(self, speed):
+        self.lockstep = Lockstep(SLICE, speed, TIMEOUT, PATIENCE)
+        self.slices = 0
+        self.wall = 100.0
+
+    @property
+    def simulated(self):
+        return self.slices * SLICE
+
+    def run(self, seconds, tick=0.001):
+        end = self.wall + seconds
+        while self.wall < end:
+            while self.lockstep.may_advance(self.simulated, self.wall):
+                self.slices += 1
+            self.wall += tick
+        return self.simulated
+
+    def command(self):
+        self.lockstep.commanded(self.simulated, self.wall)
+
+
+def test_without_a_driver_time_runs_at_the_asked_speed_and_catches_up():
+    assert Simulation(20.0).run(2.0) == pytest.approx(40.0, abs=2 * SLICE)
+    simulation = Simulation(1.0)
+    simulation.run(1.0)
+    simulation.command()
+    simulation.wall += 3.0
+    assert simulation.run(1.0) == pytest.approx(5.0, abs=2 * SLICE)
+
+
+def test_a_driver_that_begins_finds_time_standing_until_all_it_sent_is_heard():
+    simulation = Simulation(20.0)
+    before = simulation.run(1.0)
+    for _ in range(3):  # each for a slice that ran before the first of them came
+        simulation.command()
+        assert simulation.run(0.02) == before
+    assert simulation.run(0.2) - before == pytest.approx(SLICE)
+    simulation = Simulation(20.0)
+    simulation.run(1.0)
+    simulation.command()
+    simulation.run(1.0)  # the driver thinks
+    before = simulation.simulated
+    simulation.command()
+    simulation.run(0.02)
+    assert simulation.simulated - before == pytest.approx(SLICE)
+
+
+@given(st.lists(st.floats(0.001, 1.0), min_size=1, max_size=30))
+@settings(max_examples=30, deadline=None)
+def test_every_command_is_worth_one_slice_whatever_the_delays(delays):
+    simulation = Simulation(1000.0)
+    simulation.command()
+    simulation.run(0.2, tick=0.01)
+    begin = simulation.slices
+    for delay in delays:
+        simulation.run(delay, tick=0.01)
+        simulation.command()
+    simulation.run(0.1, tick=0.01)
+    assert simulation.slices - begin == len(delays)
+
+
+def test_a_driver_that_left_is_waited_for_no_longer_than_its_patience():
+    simulation = Simulation(100.0)
+    simulation.run(0.1)
+    simulation.command()
+    begin = simulation.simulated
+    assert simulation.run(PATIENCE - 0.1) == pytest.approx(begin + SLICE)
+    # Once as a slow driver, once for good.
+    assert simulation.run(2 * PATIENCE + 0.5) > begin + 10 * TIMEOUT
+    simulation = Simulation(100.0)
+    simulation.command()
+    simulation.run(3 * PATIENCE)
+    simulation.command()
+    begin = simulation.slices
+    simulation.run(1.0)
+    assert simulation.slices - begin == 1
+
+
+def test_a_driver_slower_than_declared_stalls_the_simulation_once():
+    simulation = Simulation(100.0)
+    simulation.command()
+    simulation.run(PATIENCE + 0.3)  # its next command is due two slices later
+    assert simulation.slices >= 2
+    stalls = 0
+    for _ in range(20):
+        due = simulation.slices + 2
+        simulation.command()
+        before = simulation.wall
+        while simulation.slices < due:
+            simulation.run(0.01)
+        stalls += simulation.wall - before > PATIENCE
+    assert stalls == 0
+
+
+EFFECT = {"effect.side_heat_coupling.conductance": 0.002}
+DRIVE = (2.0, 1.0)  # V, half of the stroke
+STEP = 0.05  # s
+SETTLED = 15.0  # s, eight time constants of the wire
+
+
+def virtual_course(parameters):
+    """Deflection (n,) m of a bench whose sensors are perfect, driven at both sides by turns."""
+    bench, found = VirtualBench(parameters, PERFECT), []
+    for k in range(round(2.0 * SETTLED / STEP)):
+        voltage = DRIVE if k * STEP < SETTLED else DRIVE[::-1]
+        for reading in bench.advance(voltage, round((k + 1) * STEP * NANOSECONDS)):
+            if reading.kind == "mechanics":
+                front, back = reading.values
+                found.append(0.5 * (back - front))
+    return np.array(found)
+
+
+@pytest.fixture
+def improved(planted_diagnosis, tmp_path):
+    """Path of the file that the diagnosis of the planted bench writes."""
+    path = tmp_path / "improved.yaml"
+    write_improved(str(path), planted_diagnosis, "a test")
+    return path
+
+
+def test_the_virtual_bench_comes_nearer_to_the_truth_with_improved_parameters(improved):
+    parameters = read_parameters(improved)
+    assert active_effects(parameters)[0] == "side_heat_coupling"
+    truth = virtual_course(true_bench(EFFECT))
+    gaps = [
+        float(np.sqrt(np.mean((virtual_course(p) - truth) ** 2))) for p in (believed(), parameters)
+    ]
+    assert gaps[0] > 5e-4
+    assert gaps[1] < 0.1 * gaps[0]
