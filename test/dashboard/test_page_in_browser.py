@@ -118,24 +118,24 @@ def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, b
         said = shown.text("#stop-result")
         assert "0 V read on all 2 wires" in said and "serial_bridge: stopped" in said
         assert "front_1 0.00 V, back_1 0.00 V" in said
+        bench.volts["back_1"] = 5.0  # a voltage that comes back after the stop
+        shown.until("document.getElementById('stop-result').className === 'bad'")
+        assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
     assert bench.stops == 1
 
 
-def test_a_stop_that_does_not_work_is_red_and_says_so(browser, bench, url):
-    bench.obeys = False
+def test_a_stop_that_does_not_work_is_red_and_it_works_without_javascript(browser, bench, url):
+    with opened(browser, url, java_script_enabled=False) as shown:
+        shown.page.click("#stop")
+        assert json.loads(shown.page.inner_text("body"))["stopped"] is True
+    assert bench.stops == 1
+    bench.obeys, bench.volts = False, dict.fromkeys(bench.volts, 3.0)
     with opened(browser, url) as shown:
         shown.until(SETTLED)
         shown.page.keyboard.press("Escape")
         shown.until(ANSWERED + " && document.getElementById('stop-result').className === 'bad'")
         assert "NOT STOPPED, voltage is on: front_1 3.00 V, back_1 3.00 V" in shown.text(
             "#stop-result")
-
-
-def test_the_stop_works_without_javascript(browser, bench, url):
-    with opened(browser, url, java_script_enabled=False) as shown:
-        shown.page.click("#stop")
-        assert json.loads(shown.page.inner_text("body"))["stopped"] is True
-    assert bench.stops == 1
 
 
 def test_a_silent_bench_is_not_shown_as_live(browser, bench):
@@ -169,16 +169,6 @@ def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, ben
         bench.state.show(panel, right)
         shown.until("document.body.className === 'live'")
         shown.until("document.getElementById('meters').innerText.includes('140.0 °C')")
-
-
-def test_a_voltage_that_comes_back_after_a_stop_is_red(browser, bench, url):
-    with opened(browser, url) as shown:
-        shown.until(SETTLED)
-        shown.page.keyboard.press("Escape")
-        shown.until("document.getElementById('stop-result').className === 'ok'")
-        bench.volts["back_1"] = 5.0
-        shown.until("document.getElementById('stop-result').className === 'bad'")
-        assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
 
 
 def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(browser, bench):

@@ -111,22 +111,3 @@ def test_stamps_are_acquisition_times_within_a_millisecond(uno, rate, drift):
         assert reading.time == pytest.approx(middle * (1.0 + drift), abs=1e-3)
     assert link.status.drift == pytest.approx(drift, abs=2e-4)
     assert link.status.lost == link.status.damaged == 0
-
-
-@pytest.mark.acceptance
-def test_a_minute_at_500_hz_loses_nothing(uno):
-    port = VirtualPort(uno)
-    count = [0]
-
-    def note(_):
-        count[0] += 1
-
-    link = SerialLink(lambda: port, LinkOptions(rate=500), note, clock=port.clock)
-    link.start()
-    while count[0] < 60 * 500:
-        assert link.status.problem == ""
-        time.sleep(0.05)
-    link.close()
-    status = link.status
-    assert status.lost == status.damaged == status.not_understood == 0
-    assert status.clock_uncertainty < 2e-3

@@ -234,7 +234,7 @@ class CountingDevice:
         self.answers = [line(f"S {COUNTERS}"), line("K R 1")]
 
 
-def test_counters_that_nobody_asked_for_are_not_kept():
+def test_answers_are_found_among_counters_that_are_not_kept():
     conversation = Conversation(CountingDevice())
 
     def held_after(seconds):
@@ -250,9 +250,6 @@ def test_counters_that_nobody_asked_for_are_not_kept():
     finally:
         tracemalloc.stop()
     assert a_second < 10.0
-
-
-def test_an_answer_is_found_among_counters():
     conversation = Conversation(CountingDevice())
     conversation.receive()
     found = conversation.ask("R", complete=lambda answers: len(answers) == 2, pump=True)

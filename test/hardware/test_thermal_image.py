@@ -31,16 +31,13 @@ def test_band_radiance_is_plancks_law_and_temperature_reads_it_backwards():
     assert np.isnan(kelvin) and np.isnan(std)
 
 
-def test_pixel_values_are_the_drivers_tenths_of_a_degree():
+def test_pixels_are_tenths_of_a_degree_and_the_slope_the_derivative():
     assert raw_from_kelvin(273.15 + 80.0) == pytest.approx(1800.0)
     assert kelvin_from_raw(1234) == pytest.approx(273.15 + 23.4)
     pixels = np.array([[1230, 1800]], np.uint16)
     np.testing.assert_allclose(
         radiance_of_raw(pixels), band_radiance(kelvin_from_raw(pixels)), rtol=1e-6
     )
-
-
-def test_slope_is_the_derivative_and_its_exponent_no_constant():
     step = band_radiance([349.0, 351.0])
     assert slope_at(350.0) == pytest.approx((step[1] - step[0]) / 2.0, rel=1e-4)
     exponents = [kelvin * slope_at(kelvin) / float(band_radiance(kelvin)) for kelvin in (300, 400)]
@@ -127,14 +124,11 @@ def test_equal_frames_are_frozen_until_one_differs(camera, judge):
     assert judge.objection(camera.empty(), 0.4, 0.4) == ""
 
 
-def test_the_cameras_own_word_holds_frames_back(camera, judge):
+def test_stale_frames_and_those_the_camera_warns_of_are_held_back(camera, judge):
     judge.flag(closed=True)
     assert "shutter" in judge.objection(camera.empty(), 0.0, 0.0)
     judge.flag(closed=False)
     assert judge.objection(camera.empty(), 0.2, 0.2) == ""
-
-
-def test_old_repeated_and_future_stamps_are_stale(camera, judge):
     assert "0.5 s old" in judge.objection(camera.empty(), 1.0, 1.5)
     assert judge.objection(camera.empty(), 1.6, 1.6) == ""
     assert "there before" in judge.objection(camera.empty(), 1.6, 1.65)
@@ -173,7 +167,7 @@ def test_pictures_agree_with_brute_force(thickness, sideways):
     assert frame.sum() == pytest.approx(truth.sum(), abs=0.01 * (truth - thermal_scene.ROOM).sum())
 
 
-def test_a_wire_along_rows_is_the_same_picture_turned():
+def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace():
     upright = SyntheticWire((20.3, 5.0), (22.0, 55.0), 0.8)
     lying = SyntheticWire((5.0, 20.3), (55.0, 22.0), 0.8)
     turned = SyntheticCamera(HEIGHT, WIDTH, [lying], noise=0.0)
@@ -181,17 +175,11 @@ def test_a_wire_along_rows_is_the_same_picture_turned():
     np.testing.assert_array_equal(
         turned.picture([350.0], 4.0), quiet(upright).picture([350.0], 4.0).T
     )
-
-
-def test_noise_has_the_stated_size_and_differs_from_frame_to_frame():
-    camera = SyntheticCamera(200, 200, [], noise=0.5)
-    one, other = kelvin_from_raw(camera.empty()), kelvin_from_raw(camera.empty())
-    assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)
-
-
-def test_a_wire_out_of_the_picture_leaves_no_trace_and_each_has_its_temperature():
     camera = quiet(SyntheticWire((-20.0, 5.0), (-20.0, 55.0), 1.0))
     np.testing.assert_array_equal(camera.picture([400.0], -5.0), camera.empty())
     assert camera.picture([400.0], 60.0).max() > camera.empty().max()
     with pytest.raises(InputError, match="2 temperatures for 1 wires"):
         quiet(SyntheticWire((20.0, 5.0), (20.0, 55.0), 1.0)).picture([300.0, 300.0])
+    camera = SyntheticCamera(200, 200, [], noise=0.5)
+    one, other = kelvin_from_raw(camera.empty()), kelvin_from_raw(camera.empty())
+    assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)

@@ -54,7 +54,7 @@ def test_a_wire_thinner_than_a_pixel_reads_right_whatever_the_blur(width, blur):
     assert abs(off.mean()) < 0.03 + 0.03 / width
 
 
-def test_the_steps_of_a_quiet_camera_are_in_the_deviation():
+def test_rounding_and_a_bent_background_are_in_the_deviation():
     """Without noise to dither it the error of rounding is the same in all lines."""
     off, stated = [], []
     for x in np.linspace(25.0, 26.0, 15):
@@ -64,9 +64,6 @@ def test_the_steps_of_a_quiet_camera_are_in_the_deviation():
         stated.append(reading.std)
     assert max(np.abs(off)) < 3 * np.mean(stated)
     assert np.mean(stated) < 0.5
-
-
-def test_a_background_that_slopes_does_not_matter_and_one_that_bends_is_in_the_deviation():
     columns = np.arange(WIDTH)
     slope = thermal_scene.scene(
         WIDTH, HEIGHT, straight(30.0), 0.75, HOT,
@@ -115,12 +112,16 @@ def test_emissivity_fill_and_the_cameras_accuracy_are_corrected_together():
     assert 2.5 < reading.std < 4.5
 
 
-def test_pixels_at_the_end_of_the_range_are_held_back():
+def test_the_ends_of_the_range_and_a_second_wire_are_told():
     truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 4.0, 420.0)
     (reading,) = readings(truth, optics(4.0, highest=373.15), n=1)
     assert "end of the camera's range (100 degC)" in reading.reason and reading.seen
     (cold,) = readings(truth, optics(4.0, lowest=300.0), n=1)
     assert "end of the camera's range (26.85 degC)" in cold.reason
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, HOT)
+    truth += thermal_scene.scene(WIDTH, HEIGHT, straight(37.0), 0.75, HOT - 10.0) - ROOM
+    (reading,) = readings(truth, optics(0.75), n=1)
+    assert "another line within 11 pixels" in reading.reason
 
 
 # --- where the wire is ----------------------------------------------------------------------------
@@ -194,13 +195,6 @@ def test_a_hot_wire_beside_its_region_is_not_taken_for_a_cold_one(place):
     assert reading.reason
 
 
-def test_a_second_wire_in_the_background_is_told():
-    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, HOT)
-    truth += thermal_scene.scene(WIDTH, HEIGHT, straight(37.0), 0.75, HOT - 10.0) - ROOM
-    (reading,) = readings(truth, optics(0.75), n=1)
-    assert "another line within 11 pixels" in reading.reason
-
-
 # --- nothing to be seen ---------------------------------------------------------------------------
 
 
@@ -212,14 +206,6 @@ def test_a_wire_as_warm_as_its_background_is_not_invented(kelvin):
         assert math.isnan(reading.kelvin) and math.isnan(reading.std)
 
 
-def test_a_wire_colder_than_its_background_is_not_read_unless_that_is_asked_for():
-    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, 280.0)
-    for reading in readings(truth, optics(0.75)):
-        assert "colder than its background" in reading.reason and math.isnan(reading.kelvin)
-    frame = photograph(truth, np.random.default_rng(3))
-    assert abs(read_wire(frame, WHOLE, optics(0.75), BLACK, cold=True).kelvin - 280.0) < 0.3
-
-
 @pytest.mark.parametrize("shape", [(288, 382), (40, 300), (30, 60)])
 def test_noise_is_no_wire(shape):
     height, width = shape
@@ -229,13 +215,18 @@ def test_noise_is_no_wire(shape):
     assert sum(seen) == 0
 
 
-def test_a_faint_wire_is_either_read_right_or_not_at_all():
+def test_a_faint_wire_is_read_right_or_not_at_all_and_a_colder_one_where_asked_for():
     """No bias from reading only what stands out."""
     truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, ROOM + 0.9)
     found = [r for r in readings(truth, optics(0.75), n=80) if not r.reason]
     assert found
     off = np.array([r.kelvin for r in found]) - ROOM - 0.9
     assert abs(off.mean()) < np.mean([r.std for r in found])
+    truth = thermal_scene.scene(WIDTH, HEIGHT, straight(30.0), 0.75, 280.0)
+    for reading in readings(truth, optics(0.75)):
+        assert "colder than its background" in reading.reason and math.isnan(reading.kelvin)
+    frame = photograph(truth, np.random.default_rng(3))
+    assert abs(read_wire(frame, WHOLE, optics(0.75), BLACK, cold=True).kelvin - 280.0) < 0.3
 
 
 # --- regions --------------------------------------------------------------------------------------

@@ -48,14 +48,6 @@ def run_to_the_end(bench, controller, name):
     assert states[-1].data == f"done: {name}"
 
 
-def short_staircase(reference):
-    return reference(
-        name="short", unit="K",
-        steps=[{"kind": "staircase", "name": "up", "start": 308.15, "stop": 328.15,
-                "increment": 10.0, "dwell": 4.0}],
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "levels", "dwell"),
     [
@@ -73,7 +65,11 @@ def test_staircase_of_e8_runs_closed_loop_on_the_simulator(bench, reference, nam
     markers = bench.listen("experiment/marker", String)
     setpoints = bench.listen("temperature_controller/setpoint", Float64MultiArray)
     bench.start("simulator", **FAST)
-    followed = short_staircase(reference) if name == "short" else name
+    followed = name if name != "short" else reference(
+        name=name, unit="K",
+        steps=[{"kind": "staircase", "name": "up", "start": 308.15, "stop": 328.15,
+                "increment": 10.0, "dwell": dwell}],
+    )  # fmt: skip
     node = bench.start("temperature_controller", use_sim_time=True, reference=followed)
     bench.until(lambda: celsius and force)  # heard before the run, which takes less than a second
     run_to_the_end(bench, "temperature_controller", name)

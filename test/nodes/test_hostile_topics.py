@@ -93,7 +93,7 @@ def test_what_people_and_pages_see_of_hostile_texts_is_short_and_bounded():
 
 
 def test_an_experiment_and_a_dashboard_outlive_every_hostile_text(bench, tmp_path):
-    from test_dashboard import dashboard
+    from test_dashboard import dashboard, read
 
     bench.start("experiment", protocol="staircase")
     talkers = {
@@ -118,11 +118,6 @@ def test_an_experiment_and_a_dashboard_outlive_every_hostile_text(bench, tmp_pat
         bench.until(lambda: len(page.panels().get("diagnostics", {})) > 100)
         assert "progress" not in page.panels()
         assert bench.trigger("experiment/stop").success
-        assert read_stop(page)
+        answers = read(page.press())["answers"]
+        assert any(answer["node"] == "experiment" for answer in answers)
         assert page.process.poll() is None
-
-
-def read_stop(page):
-    from test_dashboard import read
-
-    return any(answer["node"] == "experiment" for answer in read(page.press())["answers"])

@@ -17,6 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
 from sma_bench.protocols import parse_protocol
+from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
 from sma_bench.tasks.jobs import Worker, output_inside, records_inside, require_own
 
@@ -31,27 +32,16 @@ def bag(tmp_path_factory):
     time, voltage = parse_protocol({"steps": [stairs]}, parameters).sample(1.0 / RATE)
     result = simulate(parameters, time, voltage)
     noise = np.random.default_rng(1).normal(size=(3, time.size))
-    signals = {
-        "wire.voltage": (time, voltage[:, 0] + 0.002 * noise[2]),
-        "wire.current": (time, result.current[:, 0] + 0.02 * noise[0]),
-        "wire.temperature": (time, result.temperature[:, 0] + 0.08 * noise[1]),
+    columns = {
+        "voltage": ("V", voltage[:, 0] + 0.002 * noise[2]),
+        "current": ("A", result.current[:, 0] + 0.02 * noise[0]),
+        "temperature": ("K", result.temperature[:, 0] + 0.08 * noise[1]),
     }
     path = tmp_path_factory.mktemp("records") / "stairs"
-    write(path, signals)
+    write_record(path, [
+        Signal(f"wire.{name}", unit, time, values) for name, (unit, values) in columns.items()
+    ])  # fmt: skip
     return path
-
-
-def write(path, signals):
-    from sma_bench.records import Signal
-
-    units = {"voltage": "V", "current": "A", "temperature": "K"}
-    write_record(
-        path,
-        [
-            Signal(name, units[name.split(".")[1]], time, values, None, "")
-            for name, (time, values) in signals.items()
-        ],
-    )
 
 
 def processor_seconds(node):

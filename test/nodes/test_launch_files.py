@@ -123,7 +123,7 @@ def test_the_end_of_a_node_that_holds_the_outputs_ends_the_bench(monkeypatch):
     assert going_on == {"recorder", "twin", "diagnosis"}
 
 
-def test_arguments_reach_the_nodes(monkeypatch):
+def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperatures(monkeypatch):
     actions = built(
         BENCHES["wire_bench"], monkeypatch, protocol="ramp", speed="10", output="20261121",
         autostart="True", namespace="lab", twin="true",
@@ -137,6 +137,16 @@ def test_arguments_reach_the_nodes(monkeypatch):
     # Else launch_ros reads a number where the node wants a text.
     assert isinstance(node(actions, "recorder").parameters[-1]["output"], Text)
     assert {action.given.namespace for action in actions} == {"lab"}
+    actions = built(BENCHES["composite_bench"], monkeypatch, camera="true")
+    moved = dict(node(actions, "simulator").remappings)
+    channels = read_parameters(ROOT / "config" / COMPOSITE.file)["bench.channels"]
+    assert moved == {f"{c}/temperature": f"{c}/true_temperature" for c in channels}
+    exact = {"sensor.temperature_noise": 0.0, "sensor.temperature_resolution": 0.0}
+    assert exact.items() <= own(actions, "simulator").items()
+    reader, pictures = own(actions, "ir_camera"), own(actions, "synthetic_camera")
+    assert reader["read_cold_wires"] is True and len(reader["regions"]) == len(channels)
+    alike = ("image_width", "image_height", "pixel_size")
+    assert [reader[name] for name in alike] == [pictures[name] for name in alike]
 
 
 @pytest.mark.parametrize("name", list(BENCHES))
@@ -148,19 +158,6 @@ def test_nodes_are_bound_to_this_machine_unless_the_network_is_asked_for(name, m
         given = [action.given.additional_env for action in actions]
         assert {variables[RANGE] for variables in given} == {expected}
         assert {PROFILE in variables for variables in given} == {network == "false"}
-
-
-def test_a_synthetic_camera_takes_the_place_of_the_true_temperatures(monkeypatch):
-    actions = built(BENCHES["composite_bench"], monkeypatch, camera="true")
-    moved = dict(node(actions, "simulator").remappings)
-    channels = read_parameters(ROOT / "config" / COMPOSITE.file)["bench.channels"]
-    assert moved == {f"{c}/temperature": f"{c}/true_temperature" for c in channels}
-    exact = {"sensor.temperature_noise": 0.0, "sensor.temperature_resolution": 0.0}
-    assert exact.items() <= own(actions, "simulator").items()
-    reader, pictures = own(actions, "ir_camera"), own(actions, "synthetic_camera")
-    assert reader["read_cold_wires"] is True and len(reader["regions"]) == len(channels)
-    alike = ("image_width", "image_height", "pixel_size")
-    assert [reader[name] for name in alike] == [pictures[name] for name in alike]
 
 
 def test_what_the_rig_file_says_of_its_camera_stays(tmp_path):
@@ -360,7 +357,7 @@ def test_twin_camera_and_services_run_beside_on_its_clock(bag):
         plan_replay({"bag": str(bag), "nodes": "experiment"})
 
 
-def test_the_launch_file_ends_with_the_record(bag, monkeypatch):
+def test_the_launch_file_ends_with_the_record_and_a_damaged_one_is_one_line(bag, monkeypatch):
     actions = built(
         ROOT / "launch" / "replay.launch.py", monkeypatch, bag=str(bag), twin="true"
     )
@@ -369,6 +366,9 @@ def test_the_launch_file_ends_with_the_record(bag, monkeypatch):
     assert nodes == ["twin"] and len(player) == 1
     assert isinstance(player[0].on_exit, Shutdown)
     assert player[0].cmd[:3] == ["ros2", "bag", "play"]
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    with pytest.raises(InputError, match="list of topics"):
+        plan_replay({"bag": str(bag)})
 
 
 @pytest.mark.parametrize(
@@ -380,12 +380,6 @@ def test_what_cannot_be_played_is_one_line(changed, said, bag):
     with pytest.raises(InputError) as refused:
         plan_replay({"bag": str(bag), **changed})
     assert said in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_a_damaged_list_of_topics_is_one_line(bag):
-    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-    with pytest.raises(InputError, match="list of topics"):
-        plan_replay({"bag": str(bag)})
 
 
 BEAM_RIG = Parameters({

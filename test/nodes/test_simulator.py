@@ -22,13 +22,14 @@ def volts(*values):
     return Float64MultiArray(data=[float(v) for v in values])
 
 
+def text(diagnostics, key):
+    """Newest text under a key of the simulator's diagnostics, "" before the first."""
+    values = (item for array in reversed(diagnostics) for item in array.status[0].values)
+    return next((item.value for item in values if item.key == key), "")
+
+
 def counter(diagnostics, key):
-    """Newest number under a key of the simulator's diagnostics, None before the first."""
-    for array in reversed(diagnostics):
-        for item in array.status[0].values:
-            if item.key == key:
-                return float(item.value)
-    return None
+    return float(text(diagnostics, key) or 0.0)
 
 
 def commander(bench, diagnostics, channels=1):
@@ -149,11 +150,6 @@ def test_simulated_time_goes_on_without_a_driver_that_left_and_its_silence_times
     bench.until(lambda: power[-1].voltage < 0.1)
     bench.until(lambda: counter(diagnostics, "command_timeouts") >= 1)
     assert len([m for m in power if m.voltage > 1.0]) == pytest.approx(0.5 * 100, abs=6)
-
-
-def text(diagnostics, key):
-    """Newest text under a key of the simulator's diagnostics."""
-    return next((i.value for i in diagnostics[-1].status[0].values if i.key == key), "")
 
 
 def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(bench):

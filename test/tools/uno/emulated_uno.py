@@ -90,7 +90,6 @@ class EmulatedUno:
             getattr(self._library, function).argtypes = [
                 ctypes.c_void_p, ctypes.c_char_p, ctypes.c_uint32,
             ]
-        self._library.uno_outputs.argtypes = [ctypes.c_void_p]
         self._library.uno_hang.argtypes = [ctypes.c_void_p, ctypes.c_int]
         self._library.uno_reset.argtypes = [ctypes.c_void_p, ctypes.c_uint8]
         self._library.uno_stall.argtypes = [ctypes.c_void_p, ctypes.c_double]
@@ -99,12 +98,8 @@ class EmulatedUno:
         if not self._uno:
             raise RuntimeError(f"{image}: not an image that the emulator can load")
         self._buffer = ctypes.create_string_buffer(_CHUNK)
-        self.electrics = self._library.uno_electrics(self._uno).contents
-        self._connect_bench()
-
-    def _connect_bench(self) -> None:
-        """Four wires, a 12 V supply, a relay, ACS712-20A sensors, range sensors at 1.5 V."""
-        electrics = self.electrics
+        # Four wires, a 12 V supply, a relay, ACS712-20A sensors, range sensors at 1.5 V.
+        self.electrics = electrics = self._library.uno_electrics(self._uno).contents
         electrics.supply = 12.0
         electrics.supply_limit = math.inf
         electrics.resistance[:] = [2.7] * CHANNELS
@@ -123,12 +118,6 @@ class EmulatedUno:
     def time(self) -> float:
         """Virtual time in s since power-up."""
         return self.electrics.time
-
-    @property
-    def outputs(self) -> tuple[bool, ...]:
-        """Which output pins are high now."""
-        bits = self._library.uno_outputs(self._uno)
-        return tuple(bool(bits >> channel & 1) for channel in range(CHANNELS))
 
     def run(self, seconds: float) -> None:
         """Let virtual time pass, to the end of what the processor does then: up to 0.1 ms more,

@@ -500,14 +500,6 @@ uint32_t uno_read(struct uno *uno, uint8_t *bytes, uint32_t size)
     return length;
 }
 
-uint8_t uno_outputs(const struct uno *uno)
-{
-    uint8_t bits = 0;
-    for (int c = 0; c < CHANNELS; c++)
-        bits |= (uint8_t)(uno->high[c] << c);
-    return bits;
-}
-
 /* The main loop jumps to nowhere, with interrupts on or off. */
 void uno_hang(struct uno *uno, int interrupts)
 {
