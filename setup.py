@@ -52,7 +52,7 @@ REQUIRED = [
 ]
 
 # Files of the package beside its Python, by their ending.
-KINDS = ("html", "css", "svg", "js", "j2")
+KINDS = ("html", "css", "svg", "js", "j2", "yaml")
 
 # Of `setup.py install` and `develop`, which colcon runs: setuptools' own searches the metadata of
 # everything installed first, and a Ctrl-C during that is a traceback.

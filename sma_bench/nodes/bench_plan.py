@@ -68,11 +68,16 @@ class PlannedNode:
         return self.executable in VITAL
 
 
-_NETWORK = Argument(
-    "false", "Let other machines of the network reach the bench, and drive it; else this one "
-    "only, unless the environment says otherwise.", SWITCH,
-)  # fmt: skip
-_DESCRIPTION = Argument("false", "Publish the beam's URDF, so that RViz shows it bend.", SWITCH)
+def launch_arguments(of: str, **defaults: str) -> dict[str, Argument]:
+    """Arguments of a launch file, by name, with these defaults over the table's."""
+    table = read_yaml(Path(__file__).with_name("launch_arguments.yaml"))
+    found = {}
+    for name, row in {**table[of], **table["both"]}.items():
+        switch = row.get("switch", False)
+        default = defaults.get(name, row.get("default", "false" if switch else ""))
+        choices = SWITCH if switch else tuple(row.get("choices", ()))
+        found[name] = Argument(default, row["description"], choices)
+    return found
 
 
 @dataclass(frozen=True)
@@ -87,40 +92,10 @@ class LaunchedRig:
     def arguments(self) -> dict[str, Argument]:
         """Arguments of its launch file, by name."""
         params = str(share_directory() / "config" / self.file)
-        return {
-            "mode": Argument("simulated", "Simulated, or an Uno.", ("simulated", "hardware")),
-            "namespace": Argument("bench", "Namespace of all topics and nodes."),
-            "params": Argument(
-                params, "ROS parameter file: Table I, or what an identification wrote."
-            ),
-            "protocol": Argument(
-                self.protocol, "Name in config/protocols, or the path of a .yaml file."
-            ),
-            "autostart": Argument(
-                "false", "Start the protocol as soon as the bench answers; simulated only.", SWITCH
-            ),
-            "speed": Argument(
-                "1.0", "Simulated seconds per second; above 1 the nodes run on /clock."
-            ),
-            "camera": Argument(
-                "auto", "Temperatures by ir_camera: of the driver's pictures on hardware, of "
-                "synthetic ones otherwise. auto: on hardware only.", ("auto", *SWITCH),
-            ),
-            "twin": Argument(
-                "false", "Run the model beside the bench: predictions and residuals below twin/, "
-                "and where a gap grows.", SWITCH,
-            ),
-            "record": Argument("true", "Record all topics of the bench.", SWITCH),
-            "output": Argument("", "New folder for the bag; empty for record_<date>_<time>."),
-            "nodes": Argument(
-                "identification",
-                f"Further nodes, separated by commas: {', '.join(SERVICES)}; {INVESTIGATION}, "
-                f"which records by itself, so that no recorder is started; or {NO_NODES}.",
-            ),
-            "port": Argument("", "Serial port of the Uno; empty for the only one."),
-            "network": _NETWORK,
-            **({"description": _DESCRIPTION} if self.bends else {}),
-        }  # fmt: skip
+        found = launch_arguments("bench", params=params, protocol=self.protocol)
+        if not self.bends:
+            del found["description"]
+        return found
 
 
 WIRE = LaunchedRig("wire_rig.yaml", "staircase")
@@ -249,29 +224,9 @@ def _number(values: Mapping[str, str], name: str) -> float:
 COMMAND, ASIDE = "voltage_command", "replayed"
 _CLOCK_RATE = "100"  # Hz
 
-ARGUMENTS = {
-    "bag": Argument("", "Record to play: a rosbag2 folder, an .mcap or a .db3 file."),
-    "namespace": Argument(
-        "replay", "Namespace to play into. `bench` suits the plot layouts, where no bench runs."
-    ),
-    "rate": Argument("1.0", "Times real time."),
-    "loop": Argument("false", "Begin again at the end.", SWITCH),
-    "params": Argument(
-        str(share_directory() / "config" / "composite_rig.yaml"), "ROS parameter file of the bench."
-    ),
-    "camera": Argument(
-        "false", "Read the recorded pictures anew with ir_camera; recorded temperatures step "
-        "aside.", SWITCH,
-    ),
-    "twin": Argument(
-        "false", "Run the model of `params` beside the record, and say where a gap grows.", SWITCH
-    ),
-    "nodes": Argument(
-        NO_NODES, f"Further nodes, separated by commas: {', '.join(SERVICES)}; or {NO_NODES}."
-    ),
-    "description": _DESCRIPTION,
-    "network": _NETWORK,
-}  # fmt: skip
+ARGUMENTS = launch_arguments(
+    "replay", params=str(share_directory() / "config" / "composite_rig.yaml")
+)
 
 
 def plan_replay(given: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]]:
