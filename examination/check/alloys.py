@@ -4,15 +4,12 @@ Alloys are drawn as NiTi wires of the field differ (examination/alloys/), near t
 from it, with tests of each whose noise goes from tiny to 10 K. What is identified without any
 parameter file, but the diameter and A_s that E8 cannot do without, is compared with what was drawn.
 
-    ./bench check alloys --draws 200 --seed 1 [--joint 20]
+    ./bench check alloys --draws 200 --seed 1 [--joint 20] [--json FILE]
 
-Draws that were done before are kept beside (--kept FOLDER) and not done again. Exits with 1 where
-the 90 % intervals hold less than 85 or more than 95 % of all numbers, or of those far from the
-paper's.
+Exits with 1 where the 90 % intervals hold less than 85 or more than 95 % of all numbers, or of
+those far from the paper's.
 """
 
-import argparse
-import json
 import math
 import sys
 import tempfile
@@ -30,6 +27,7 @@ from examination.alloys.drawn import (
     isobaric_tests,
     tensile_tests,
 )
+from examination.pieces import in_pieces, parser_of
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
@@ -43,21 +41,13 @@ SECTION = math.pi * 0.3e-3**2 / 4.0
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print a row a method and number; 0 where the intervals hold, else 1."""
-    options = _options(argv)
-    kept = Path(options.kept) / f"alloys_{options.seed}.jsonl"
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    done = {row["draw"] for row in rows}
-    with kept.open("a") as file:
-        for draw in range(options.draws):
-            if draw in done:
-                continue
-            rows.append({"draw": draw, "found": examine(options.seed, draw, options.joint)})
-            file.write(json.dumps(rows[-1]) + "\n")
-            file.flush()
-            print(f"\r{draw + 1} of {options.draws}", end="", file=sys.stderr)
-    print(file=sys.stderr)
-    found = [f for row in rows if row["draw"] < options.draws for f in row["found"]]
+    parser = parser_of("alloys", __doc__)
+    parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--joint", type=int, default=20, metavar="N", help="E9 of every N-th draw")
+    options = parser.parse_args(argv)
+    jobs = [(options.seed, draw, options.joint) for draw in range(options.draws)]
+    found = [row for rows in in_pieces(_examine, jobs, options) for row in rows]
     print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
     for method in METHODS:
         own = [f for f in found if f["method"] == method]
@@ -89,6 +79,10 @@ def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
         if joint and draw % joint == 0:
             found += compare("E9", alloy, isobaric)
     return found
+
+
+def _examine(job: tuple[int, int, int]) -> list[dict[str, Any]]:
+    return examine(*job)
 
 
 def compare(
@@ -128,16 +122,6 @@ def _print_row(method: str, name: str, found: Sequence[dict[str, Any]]) -> float
         f"rms z {math.sqrt(float(np.mean(z**2))):5.2f}  std {typical:.3g}"
     )
     return share
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--joint", type=int, default=20, metavar="N", help="E9 of every N-th draw")
-    default = Path(tempfile.gettempdir()) / "sma_bench_checks"
-    parser.add_argument("--kept", default=str(default), help="folder of what was done")
-    return parser.parse_args(argv)
 
 
 if __name__ == "__main__":

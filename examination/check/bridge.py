@@ -34,6 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 from uno.emulated_bench import emulated_bench
 from uno.emulated_uno import START_UP, missing_tools
 
+from examination.perf.timing import processor_of
 from sma_bench.hardware.serial_messages import Splitter, Telemetry, decode
 from sma_bench.parameters import Parameters
 from sma_bench.ros.node import MEASURED
@@ -49,7 +50,6 @@ PATIENCE = 30.0
 # Readings in a row whose noise no other ones have.
 _UNMISTAKABLE = 50
 _PRIORITY = -5
-_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass
@@ -197,9 +197,9 @@ def _measure(logs: Path, rate: int, seconds: float) -> dict[str, Any]:
         listen(SETTLED)
         heard.power.clear()
         uno.largest_lag()
-        began = _cpu_seconds(nodes.pid("serial_bridge"))
+        began = processor_of(nodes.pid("serial_bridge"))
         listen(seconds)
-        cpu = _cpu_seconds(nodes.pid("serial_bridge")) - began
+        cpu = processor_of(nodes.pid("serial_bridge")) - began
         sent = logs / f"sent_{rate}.npy"
         lag = uno.largest_lag(sent)
         stamps, currents = heard.readings()
@@ -248,11 +248,6 @@ def _to_ros() -> int:
     looks = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(100)]
     before, ros, after = min(looks, key=lambda look: look[2] - look[0])
     return ros - (before + after) // 2
-
-
-def _cpu_seconds(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 def _show(fast: dict[str, Any], slow: dict[str, Any]) -> None:

@@ -1,7 +1,6 @@
 """Pictures of the documentation, taken by a browser from pages of synthetic records.
 
     ./bench check pictures [--write]     which are older than what they show; takes them anew
-    ./bench check pictures --look DIR    every page at 1280 and 390 px, light and dark
 
 The record, its results and the bench on the dashboard are of the first tutorial; the diagnosis
 takes minutes. The notebook is run, and keeps what its cells show. What a picture shows is known by
@@ -13,7 +12,6 @@ import ast
 import base64
 import contextlib
 import hashlib
-import importlib.util
 import io
 import json
 import subprocess
@@ -72,7 +70,6 @@ _COMMANDS = (
     f"simulate --protocol composite_triangle --params {RIG} --rate 50 "
     f"--effect {EFFECT[0]}={EFFECT[1]} --noise 1 --out monday",
     "identify monday --params lab.yaml --json identified.json",
-    "report monday identified.json --params lab.yaml --out page",
     "diagnose monday --params lab.yaml --report gap --json gap.json",
 )
 
@@ -154,8 +151,7 @@ def _show(
 def pages(folder: Path) -> Iterator[dict[str, str]]:
     """Addresses of the pages by name."""
     with served(live_bench(folder)) as dashboard:
-        reports = {name: (folder / name / "index.html").as_uri() for name in ("gap", "page")}
-        yield {"dashboard": dashboard, **reports}
+        yield {"dashboard": dashboard, "gap": (folder / "gap" / "index.html").as_uri()}
 
 
 @contextmanager
@@ -171,14 +167,13 @@ def browser() -> Iterator[Any]:
             found.close()
 
 
-def taken(window: Any, url: str, size: tuple[int, int], scheme: str, element: str = "",
-          whole: bool = False) -> bytes:  # fmt: skip
+def taken(window: Any, url: str, size: tuple[int, int], scheme: str, element: str = "") -> bytes:
     """A picture of a page, as PNG."""
     with opened(window, url, size, scheme) as shown:
         shown.page.wait_for_timeout(1500)  # figures and the first updates are drawn
         if element:
             return shown.page.locator(element).screenshot()
-        return shown.page.screenshot(full_page=whole)
+        return shown.page.screenshot()
 
 
 def small(picture: bytes) -> bytes:
@@ -203,10 +198,9 @@ def main(arguments: Sequence[str]) -> int:
     """0 when no picture is older than what it shows."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="take them anew")
-    parser.add_argument("--look", type=Path, metavar="DIR", help="every page, in every way")
     parser.add_argument("--results", type=Path, metavar="DIR", help="the tutorial's files, kept")
     args = parser.parse_args(arguments)
-    if not (args.write or args.look):
+    if not args.write:
         lines = stale()
         print("\n".join(lines) or f"{len(PICTURES)} pictures, none is old")
         return 1 if lines else 0
@@ -215,10 +209,7 @@ def main(arguments: Sequence[str]) -> int:
         folder.mkdir(exist_ok=True, parents=True)
         make_results(folder)
         with pages(folder) as urls, browser() as window:
-            if args.look:
-                _look(window, urls, args.look)
-            if args.write:
-                _write(window, urls)
+            _write(window, urls)
     return 0
 
 
@@ -237,80 +228,48 @@ def _write(window: Any, urls: dict[str, str]) -> None:
     print(f"{FOLDER}: {len(made)} pictures and those of the notebook, {total} bytes")
 
 
-class _Cells:
-    """Keeps what each cell shows, as Jupyter does: its text, its value, its figures."""
+def _execute_notebook() -> int:
+    """Run the notebook's cells in one namespace as Jupyter does, and keep what each shows: its
+    text, its value, its figures; the bytes of its pictures."""
+    import matplotlib.pyplot as plt
 
-    def __init__(self, cells: Sequence[dict[str, Any]], printed: io.StringIO) -> None:
-        self._cells, self._printed = iter(cells), printed
-        self.pictures = 0  # bytes
-
-    def end(self, number: int, value: Any = None) -> None:
-        """Called behind a cell, with the value of the expression at its end."""
-        import matplotlib.pyplot as plt
-
-        cell = next(self._cells)
+    document = json.loads(NOTEBOOK.read_text())
+    cells = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
+    names: dict[str, Any] = {"__name__": "__main__"}
+    total = 0
+    for number, cell in enumerate(cells, 1):
         outputs: list[dict[str, Any]] = []
         cell["outputs"], cell["execution_count"] = outputs, number
-        if text := self._printed.getvalue():
+
+        # The value of an expression at the end is shown, unless a semicolon follows.
+        source, printed, value = "".join(cell["source"]), io.StringIO(), None
+        tree = ast.parse(source)
+        last = tree.body[-1]
+        shown = isinstance(last, ast.Expr) and not source.rstrip().endswith(";")
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
+            body = ast.Module(tree.body[: -1 if shown else None], [])
+            exec(compile(body, "cell", "exec"), names)  # noqa: S102 (the repository's own notebook)
+            if shown and isinstance(last, ast.Expr):
+                value = eval(compile(ast.Expression(last.value), "cell", "eval"), names)  # noqa: S307
+        if text := printed.getvalue():
             outputs.append({"output_type": "stream", "name": "stdout",
                             "text": text.splitlines(True)})  # fmt: skip
         if value is not None:
             data: dict[str, Any] = {"text/plain": repr(value).splitlines(True)}
-            if shown := getattr(value, "_repr_html_", lambda: "")():
-                data["text/html"] = shown.splitlines(True)
+            if page := getattr(value, "_repr_html_", lambda: "")():
+                data["text/html"] = page.splitlines(True)
             outputs.append({"output_type": "execute_result", "execution_count": number,
                             "metadata": {}, "data": data})  # fmt: skip
         for figure in map(plt.figure, plt.get_fignums()):
             stream = io.BytesIO()
             figure.savefig(stream, format="png", dpi=80, facecolor="white")
             picture = small(stream.getvalue())
-            self.pictures += len(picture)
+            total += len(picture)
             data = {"image/png": base64.b64encode(picture).decode(), "text/plain": ["<Figure>"]}
             outputs.append({"output_type": "display_data", "metadata": {}, "data": data})
         plt.close("all")
-        self._printed.seek(0)
-        self._printed.truncate()
-
-
-def _execute_notebook() -> int:
-    """Run the notebook as a module, and keep what its cells show; the bytes of its pictures."""
-    document = json.loads(NOTEBOOK.read_text())
-    cells = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
-    printed, said = io.StringIO(), io.StringIO()
-    shown = _Cells(cells, printed)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "notebook.py"
-        path.write_text("\n".join(_ending_told("".join(cell["source"]), number)
-                                  for number, cell in enumerate(cells, 1)))  # fmt: skip
-        spec = importlib.util.spec_from_file_location("__main__", path)
-        assert spec and spec.loader
-        module = importlib.util.module_from_spec(spec)
-        vars(module)["_end_of_cell"] = shown.end
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
-            spec.loader.exec_module(module)
     NOTEBOOK.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return shown.pictures
-
-
-def _ending_told(source: str, number: int) -> str:
-    """A cell that hands on the value of the expression at its end, unless a semicolon follows."""
-    tree = ast.parse(source)
-    last = tree.body[-1]
-    value = ""
-    if isinstance(last, ast.Expr) and not source.rstrip().endswith(";"):
-        tree.body.pop()
-        value = f", {ast.unparse(last.value)}"
-    return f"{ast.unparse(tree)}\n_end_of_cell({number}{value})\n"
-
-
-def _look(window: Any, urls: dict[str, str], folder: Path) -> None:
-    folder.mkdir(exist_ok=True, parents=True)
-    for page, url in urls.items():
-        for size in (DESKTOP, PHONE):
-            for scheme in ("light", "dark"):
-                path = folder / f"{page}_{size[0]}_{scheme}.png"
-                path.write_bytes(taken(window, url, size, scheme, whole=True))
-                print(path)
+    return total
 
 
 if __name__ == "__main__":

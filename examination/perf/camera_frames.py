@@ -1,6 +1,5 @@
 """How many thermal pictures a second are read, and what the nodes take of a core at 80 Hz."""
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from examination.perf.figures import Figure, Outcome, at_least
+from examination.perf.timing import processor_of
 from sma_bench.hardware.thermal_image import FrameFormat
 from sma_bench.hardware.thermal_settings import (
     frame_judge,
@@ -97,11 +97,11 @@ def _in_processes(name: str, channels: tuple[str, ...], seconds: float) -> list[
             limit = time.monotonic() + _STARTING
             spin(lambda: len(received) > RATE or time.monotonic() > limit)
             processes = {name: running.pid(name) for name in _NODES}
-            begin, before = time.monotonic(), {k: _cpu(pid) for k, pid in processes.items()}
+            begin, before = time.monotonic(), {k: processor_of(pid) for k, pid in processes.items()}
             received.clear()
             spin(lambda: time.monotonic() - begin > seconds)
             elapsed = time.monotonic() - begin
-            used = {k: (_cpu(pid) - before[k]) / elapsed for k, pid in processes.items()}
+            used = {k: (processor_of(pid) - before[k]) / elapsed for k, pid in processes.items()}
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
@@ -118,12 +118,6 @@ def _in_processes(name: str, channels: tuple[str, ...], seconds: float) -> list[
 def _age(node: Any, message: Any) -> float:
     stamp = message.header.stamp
     return float(node.get_clock().now().nanoseconds * 1e-9 - stamp.sec - stamp.nanosec * 1e-9)
-
-
-def _cpu(pid: int) -> float:
-    """CPU time of a process so far [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _settings(node: str) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """The simulated bench as a node: rate held, jitter, command to reading, share of a core."""
 
-import os
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,6 +9,7 @@ import numpy as np
 
 from examination.perf.camera_frames import measure as camera_frames
 from examination.perf.figures import Figure, Outcome, Skipped, at_least
+from examination.perf.timing import processor_of
 
 RATES = (100.0, 500.0, 1000.0)
 _NAMESPACE = "/perf"
@@ -97,12 +97,12 @@ def _simulator(rate: float, seconds: float) -> list[Outcome]:
             if not listener.latencies:
                 return [Skipped(case, f"no reading within {_STARTING:g} s")]
             pid = running.pid("simulator")
-            begin, before = time.monotonic(), _cpu(pid)
+            begin, before = time.monotonic(), processor_of(pid)
             for values in (listener.arrivals, listener.stamps, listener.latencies):
                 values.clear()
             spin(begin + seconds)
             elapsed = time.monotonic() - begin
-            share = (_cpu(pid) - before) / elapsed
+            share = (processor_of(pid) - before) / elapsed
     finally:
         listener.node.destroy_node()
     arrivals, stamps = np.array(listener.arrivals), np.array(listener.stamps)
@@ -121,9 +121,3 @@ def _simulator(rate: float, seconds: float) -> list[Outcome]:
 
 def _at(values: list[float], percent: float) -> float:
     return float(np.percentile(values, percent)) if values else float("nan")
-
-
-def _cpu(pid: int) -> float:
-    """CPU time of a process so far [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -5,9 +5,11 @@ machine hardly touch; what runs on several threads or processes by the clock on 
 """
 
 import gc
+import os
 import resource
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +20,12 @@ def processor() -> float:
     """Seconds of the processor that this process and those that it has waited for have had."""
     had = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in had)
+
+
+def processor_of(pid: int) -> float:
+    """Seconds of the processor that another process has had."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def interleaved(

@@ -1,6 +1,5 @@
 """Whether the twin keeps pace: readings at 500 Hz in real time, and what it takes of a core."""
 
-import os
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from examination.perf.figures import Figure, Outcome, Skipped, at_least, at_most
+from examination.perf.timing import processor_of
 from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin import Twin, compile_model
@@ -87,11 +87,11 @@ def _node(case: str, rig: Path, seconds: float) -> list[Outcome]:
             while not (told and float(told[-1][1]["model_time"])) and time.monotonic() < limit:
                 spin(time.monotonic() + 0.2)
             pids = {k: running.pid(k) for k in ("twin", "simulator")}
-            before, begin = {k: _cpu(pid) for k, pid in pids.items()}, time.monotonic()
+            before, begin = {k: processor_of(pid) for k, pid in pids.items()}, time.monotonic()
             told.clear()
             spin(begin + seconds)
             elapsed = time.monotonic() - begin
-            used = {k: (_cpu(pid) - before[k]) / elapsed for k, pid in pids.items()}
+            used = {k: (processor_of(pid) - before[k]) / elapsed for k, pid in pids.items()}
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
@@ -113,10 +113,4 @@ def _node(case: str, rig: Path, seconds: float) -> list[Outcome]:
         Figure(case, "readings too late", grown("readings_late"), "readings", at_most(0.0)),
         *shares,
     ]  # fmt: skip
-
-
-def _cpu(pid: int) -> float:
-    """CPU time of a process so far [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -143,16 +143,3 @@ def test_every_lock_installs_exactly_what_it_pins(
         for package in pins.read_lock(pins.LOCKS / file).values()
         if package.marker is None or package.marker.evaluate()
     }
-
-
-@pytest.mark.parametrize("pip", ["22.3"], indirect=True)
-def test_an_extra_that_a_newer_version_has_too_would_stop_a_pip_that_resolves(
-    house: House, pip: Path, tmp_path: Path
-) -> None:
-    python = environment(tmp_path / "environment")
-    files = (pins.BUILD, pins.RUNTIME, pins.TEST)
-    arguments = [each for file in files for each in house.arguments[file]]
-    assert house.pip(pip, python, "--dry-run", *arguments).returncode == 0
-    resolving = [each for each in arguments if each != "--no-deps"]
-    process = house.pip(pip, python, "--dry-run", *resolving)
-    assert process.returncode != 0 and "coverage" in process.stderr

@@ -143,8 +143,11 @@ def within(condition):
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("after", [0.25, 0.6, 3.0])
+@pytest.mark.parametrize(
+    ("number", "after"),
+    [(signal.SIGINT, 0.25), (signal.SIGINT, 0.6), (signal.SIGINT, 3.0), (signal.SIGTERM, 0.6),
+     (signal.SIGHUP, 0.6)],
+)  # fmt: skip
 def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, after):
     pytest.importorskip("rclpy")
     log = tmp_path / "log"
