@@ -16,7 +16,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, mean_of_repeats
+from sma_bench.identify.estimate import mean_of_repeats
 from sma_bench.identify.instruments.stress_temperature import (
     SMALLEST_STRESS_RANGE,
     BranchCosine,
@@ -84,46 +84,6 @@ class Level:
         return tuple(r for r in self.readings if r.branch.direction == direction)
 
 
-def read_branches(
-    records: Sequence[IsobaricRecord], parameters: Parameters, findings: list[Finding]
-) -> list[BranchReading]:
-    """Tangents and cosine of every branch; one without a transformation becomes a finding.
-
-    Raises:
-        InputError: no branch has one.
-    """
-    readings = []
-    for record in records:
-        believable = record.strain_unit == "1" and record.stress <= STRONGEST
-        stress = record.stress if believable else 0.0
-        for cycle in record.cycles:
-            for branch in cycle.branches:
-                other = cycle.get("cooling" if branch.direction == "heating" else "heating")
-                try:
-                    tangents = strain_tangents(branch, other)
-                except InputError as error:
-                    text = f"{record.name}, cycle {cycle.number}: {error}"
-                    findings.append(Finding("warning", "tangents", text))
-                else:
-                    cosine = fit_cosine(branch, tangents, parameters, stress)
-                    readings.append(BranchReading(record, cycle.number, branch, tangents, cosine))
-    if not readings:
-        raise InputError(f"{records[0].path}: no branch shows a transformation")
-    return readings
-
-
-def group_levels(readings: Sequence[BranchReading]) -> list[Level]:
-    """Readings at the same stress together, in order of stress."""
-    groups: list[list[BranchReading]] = []
-    for reading in sorted(readings, key=lambda r: r.record.stress):
-        stress = reading.record.stress
-        if groups and abs(stress - groups[-1][0].record.stress) <= max(_SAME_STRESS * stress, 1e6):
-            groups[-1].append(reading)
-        else:
-            groups.append([reading])
-    return [Level(float(np.mean([r.record.stress for r in g])), tuple(g)) for g in groups]
-
-
 def mean_and_deviation(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Mean of repeats and their deviation (as the paper gives them), not below the reading error.
 
@@ -172,29 +132,58 @@ def identify_isobaric(
     if not records:
         raise InputError("isobaric test: no records")
     findings = [finding for record in records for finding in record.findings]
-    readings = read_branches(records, parameters, findings)
-    levels = group_levels(readings)
-    points = points_of(levels, "cosine")
+
+    # Tangents and cosine of every branch; one without a transformation becomes a finding.
+    readings: list[BranchReading] = []
+    for record in records:
+        believable = record.strain_unit == "1" and record.stress <= STRONGEST
+        stress = record.stress if believable else 0.0
+        for cycle in record.cycles:
+            for branch in cycle.branches:
+                other = cycle.get("cooling" if branch.direction == "heating" else "heating")
+                try:
+                    tangents = strain_tangents(branch, other)
+                except InputError as error:
+                    text = f"{record.name}, cycle {cycle.number}: {error}"
+                    findings.append(Finding("warning", "tangents", text))
+                else:
+                    cosine = fit_cosine(branch, tangents, parameters, stress)
+                    readings.append(BranchReading(record, cycle.number, branch, tangents, cosine))
+    if not readings:
+        raise InputError(f"{records[0].path}: no branch shows a transformation")
+
+    # Readings at the same stress together, in order of stress.
+    groups: list[list[BranchReading]] = []
+    for reading in sorted(readings, key=lambda r: r.record.stress):
+        stress = reading.record.stress
+        if groups and abs(stress - groups[-1][0].record.stress) <= max(_SAME_STRESS * stress, 1e6):
+            groups[-1].append(reading)
+        else:
+            groups.append([reading])
+    levels = [Level(float(np.mean([r.record.stress for r in g])), tuple(g)) for g in groups]
+
+    points = _points(levels, "cosine")
     estimates, details = _temperatures(points, levels, parameters, findings)
-    beside, _ = _temperatures(points_of(levels, "tangent"), levels, parameters, [])
-    details.update({
-        f"{name} (tangent), stress free": replace(beside[parameter], method=_TANGENTS_AT_ZERO)
-        for name, parameter in _TEMPERATURES.items() if parameter in beside
-    })
+    beside, _ = _temperatures(_points(levels, "tangent"), levels, parameters, [])
+    method = "tangents, referred to zero stress: inside the range of eqs. (10), (11)"
+    for phase in PHASES.values():
+        details |= {
+            f"{name} (tangent), stress free": replace(beside[parameter], method=method)
+            for name, parameter in phase[:2] if parameter in beside
+        }
     strains, strain_details = _strains(levels, parameters, findings)
-    details.update(_details(levels))
-    findings.extend(about_ends(records))
-    findings.extend(about_tangents(readings))
-    findings.extend(about_cosines(readings))
-    findings.extend(about_training(readings))
+    details |= _details(levels) | strain_details
+    findings.extend(about_branches(records, readings))
+    curves = {}
+    for r in readings:
+        key = f"{r.record.name}/{r.cycle}/{r.branch.direction}"
+        curves[f"{key}/temperature"] = r.branch.temperature
+        curves[f"{key}/strain"] = r.branch.strain
+        curves[f"{key}/tangents"] = r.tangents.polyline(r.branch)
+        curves[f"{key}/cosine"] = np.column_stack([r.cosine.temperature, r.cosine.strain])
     return Experiment(
-        name=NAME,
-        title=TITLE,
-        estimates=with_scales({**estimates, **strains}, parameters),
-        details={**details, **strain_details},
-        findings=tuple(findings),
-        curves={**_curves(readings), **diagram_curves(points)},
-        source="; ".join(str(record.path) for record in records),
+        NAME, TITLE, with_scales(estimates | strains, parameters), tuple(findings),
+        curves | diagram_curves(points), "; ".join(str(record.path) for record in records), details,
     )
 
 
@@ -224,118 +213,79 @@ def diameter_error(parameters: Parameters) -> float:
     return (BY_NAME[name].uncertainty or 0.0) / parameters[name]
 
 
-_TEMPERATURES = {name: parameter for phase in PHASES.values() for name, parameter in phase[:2]}
-_TANGENTS_AT_ZERO = "tangents, referred to zero stress: inside the range of eqs. (10), (11)"
-
-
-def points_of(levels: Sequence[Level], convention: Convention) -> dict[str, Points]:
+def _points(levels: Sequence[Level], convention: Convention) -> dict[str, Points]:
     """A_s, A_f, M_s, M_f against stress."""
-    return {
-        name: _points(levels, direction, end, convention)
-        for direction, phase in PHASES.items()
-        for end, (name, _) in enumerate(phase[:2])
-    }
-
-
-def _points(levels: Sequence[Level], direction: str, end: int, convention: Convention) -> Points:
-    repeats = [
-        (level.stress, [r.ends(convention)[end] for r in level.along(direction)])
-        for level in levels if level.along(direction)
-    ]
-    # Cycles differ at one stress as at the other: all of them tell by how much.
-    freedom = sum(len(cycles) - 1 for _, cycles in repeats)
-    squares = sum(len(cycles) * float(np.var([v for v, _ in cycles])) for _, cycles in repeats)
-    scatter = squares / freedom if freedom else None
-    found = [
-        (stress, *mean_of_repeats(cycles, scatter, freedom))
-        for stress, cycles in repeats
-    ]
-    stress, value, own, common = np.array(found, dtype=np.float64).reshape(-1, 4).T
-    return Points(stress, value, np.hypot(own, common), common)
+    points = {}
+    for direction, phase in PHASES.items():
+        driven = [(level.stress, level.along(direction)) for level in levels]
+        for end, (name, _) in enumerate(phase[:2]):
+            repeats = [
+                (stress, [r.ends(convention)[end] for r in along])
+                for stress, along in driven if along
+            ]
+            # Cycles differ at one stress as at the other: all of them tell by how much.
+            freedom = sum(len(c) - 1 for _, c in repeats)
+            squares = sum(len(c) * float(np.var([v for v, _ in c])) for _, c in repeats)
+            scatter = squares / freedom if freedom else None
+            found = [(stress, *mean_of_repeats(c, scatter, freedom)) for stress, c in repeats]
+            stress, value, own, common = np.array(found, dtype=np.float64).reshape(-1, 4).T
+            points[name] = Points(stress, value, np.hypot(own, common), common)
+    return points
 
 
 def _temperatures(
-    points: dict[str, Points],
-    levels: Sequence[Level],
-    parameters: Parameters,
+    points: dict[str, Points], levels: Sequence[Level], parameters: Parameters,
     findings: list[Finding],
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
+    """Stress-free temperatures, C_A and C_M, and the slope of each temperature by itself."""
     estimates: dict[str, Estimate] = {}
     details: dict[str, Estimate] = {}
     if levels[-1].stress > STRONGEST:
         text = (
-            f"stress {levels[-1].stress / 1e6:.0f} MPa is not believable, so the temperatures are "
-            "given as measured and not referred to zero stress"
+            f"stress {levels[-1].stress / 1e6:.0f} MPa is not believable: temperatures are given "
+            "as measured, not referred to zero stress"
         )
         findings.append(Finding("warning", "transition temperatures", text))
         return estimates, details
     for direction, phase in PHASES.items():
-        ends = [points[name] for name, _ in phase[:2]]
+        names, (label, influence) = [name for name, _ in phase[:2]], phase[2]
+        ends = [points[name] for name in names]
         n = sum(len(r.branch.strain) for level in levels for r in level.along(direction))
         if not n:
-            names = ", ".join(name for name, _ in phase)
-            text = f"no {direction} branch: {names} are not identified"
-            findings.append(Finding("info", names, text))
+            listed = ", ".join((*names, label))
+            text = f"no {direction} branch: {listed} are not identified"
+            findings.append(Finding("info", listed, text))
         elif stress_range(ends) >= SMALLEST_STRESS_RANGE:
-            found, more = _several_stresses(phase, ends, n, findings)
-            estimates.update(found)
-            details.update(more)
+            lines = fit_transition_lines(ends)
+            method = f"cosines at {len(ends[0].stress)} stresses, line to zero stress"
+            for (name, parameter), at_zero, slope in zip(
+                phase[:2], lines.at_zero, lines.own_slopes, strict=True
+            ):
+                estimates[parameter] = Estimate(*at_zero, "K", method, n)
+                what = "line through this transition alone"
+                details[f"d{name}/dsigma"] = Estimate(*slope, "K/Pa", what, n)
+            findings.extend(about_lines(label, names, lines))
+            if lines.is_significant:
+                low, high = ends[0].stress.min() / 1e6, ends[0].stress.max() / 1e6
+                method = f"common slope of {' and '.join(names)} over {low:.0f} to {high:.0f} MPa"
+                estimates[influence] = lines.influence(method, n)
         else:
-            estimates.update(_one_stress(phase, ends, n, parameters, findings))
+            c, doubt = parameters[influence], parameters.std(influence)
+            stress = float(ends[0].stress.mean())
+            shift, shift_std = stress / c, stress * doubt / c**2
+            text = (
+                f"tests at {stress / 1e6:.3g} MPa alone do not give {label}; temperatures are "
+                f"referred to zero stress by -{shift:.2f} K with {label} = {c / 1e6:.3g} +- "
+                f"{doubt / 1e6:.2g} MPa/K"
+                + (", which nobody stated" if influence not in parameters.given else "")
+            )
+            findings.append(Finding("info", label, text, {"stress": stress, "shift": shift}))
+            method = f"cosine at {stress / 1e6:.3g} MPa, referred to zero stress with {label}"
+            for (_, parameter), p in zip(phase[:2], ends, strict=True):
+                value, std = float(p.value.mean()) - shift, float(p.std.mean())
+                estimate = Estimate(value, std, "K", method, n)
+                estimates[parameter] = estimate.with_shares({influence: shift_std})
     return estimates, details
-
-
-def _several_stresses(
-    phase: Sequence[tuple[str, str]],
-    ends: Sequence[Points],
-    n: int,
-    findings: list[Finding],
-) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
-    lines = fit_transition_lines(ends)
-    method = f"cosines at {len(ends[0].stress)} stresses, line to zero stress"
-    found = {
-        parameter: Estimate(*at_zero, "K", method, n)
-        for (_, parameter), at_zero in zip(phase[:2], lines.at_zero, strict=True)
-    }
-    details = {
-        f"d{name}/dsigma": Estimate(*slope, "K/Pa", "line through this transition alone", n)
-        for (name, _), slope in zip(phase[:2], lines.own_slopes, strict=True)
-    }
-    label, parameter = phase[2]
-    findings.extend(about_lines(label, [name for name, _ in phase[:2]], lines))
-    if lines.is_significant:
-        found[parameter] = lines.influence(
-            f"common slope of {phase[0][0]} and {phase[1][0]} over "
-            f"{ends[0].stress.min() / 1e6:.0f} to {ends[0].stress.max() / 1e6:.0f} MPa",
-            n,
-        )
-    return found, details
-
-
-def _one_stress(
-    phase: Sequence[tuple[str, str]],
-    ends: Sequence[Points],
-    n: int,
-    parameters: Parameters,
-    findings: list[Finding],
-) -> dict[str, Estimate]:
-    label, parameter = phase[2]
-    influence, doubt = parameters[parameter], parameters.std(parameter)
-    stress = float(ends[0].stress.mean())
-    shift, shift_std = stress / influence, stress * doubt / influence**2
-    text = (
-        f"tests at {stress / 1e6:.3g} MPa alone do not give {label}; temperatures are referred to "
-        f"zero stress by -{shift:.2f} K with {label} = {influence / 1e6:.3g} +- {doubt / 1e6:.2g} "
-        "MPa/K" + (", which nobody stated" if parameter not in parameters.given else "")
-    )
-    findings.append(Finding("info", label, text, {"stress": stress, "shift": shift}))
-    return {
-        name: Estimate(
-            float(p.value.mean()) - shift, float(p.std.mean()), "K",
-            f"cosine at {stress / 1e6:.3g} MPa, referred to zero stress with {label}", n,
-        ).with_shares({parameter: shift_std})
-        for (_, name), p in zip(phase[:2], ends, strict=True)
-    }
 
 
 def _strains(
@@ -356,10 +306,16 @@ def _strains(
         )
         if is_relative or level.stress > STRONGEST:
             continue
+        # Strain by which martensite gives more than austenite at this stress and temperature.
         middle = float(np.mean([r.cosine.start[0] + r.cosine.finish[0] for r in readings])) / 2
-        elastic, elastic_std = _elastic_step(level.stress, middle, parameters)
+        warmer = middle - parameters["environment.ambient_temperature"]
+        stress = level.stress - parameters[_EXPANSION] * warmer
+        soft, stiff = (stress / parameters[name] for name in _MODULI)
+        of_soft, of_stiff = (parameters.std(name) / parameters[name] for name in _MODULI)
+        expansion = parameters.std(_EXPANSION) * warmer * (soft - stiff) / stress if stress else 0.0
+        elastic_std = math.hypot(soft * of_soft, stiff * of_stiff, expansion)
         estimate = Estimate(
-            value - elastic, std, "1",
+            value - (soft - stiff), std, "1",
             f"recovered strain at {level.stress / 1e6:.3g} MPa less "
             "[sigma - Theta_T (T - T_inf)] (1/E_M - 1/E_A)", n,
         ).with_shares({_ELASTIC: elastic_std})
@@ -372,62 +328,26 @@ def _strains(
     return ({RECOVERABLE_STRAIN: largest} if largest.value > 0.0 else {}), details
 
 
-def _elastic_step(
-    stress: float, temperature: float, parameters: Parameters
-) -> tuple[float, float]:
-    """Strain by which martensite gives more than austenite at this stress (Pa) and temperature (K),
-    and its error."""
-    warmer = temperature - parameters["environment.ambient_temperature"]
-    stress = stress - parameters[_EXPANSION] * warmer
-    soft, stiff = (stress / parameters[name] for name in _MODULI)
-    doubts = [parameters.std(name) / parameters[name] for name in _MODULI]
-    expansion = parameters.std(_EXPANSION) * warmer * (soft - stiff) / stress if stress else 0.0
-    return soft - stiff, math.hypot(soft * doubts[0], stiff * doubts[1], expansion)
-
-
 def _details(levels: Sequence[Level]) -> dict[str, Estimate]:
     """Every transition temperature at its stress, by both conventions, and by cycle."""
     details = {}
     for level in levels:
         for direction, phase in PHASES.items():
             readings = level.along(direction)
+            if not readings:
+                continue
             n = sum(len(r.branch.strain) for r in readings)
             for end, (name, _) in enumerate(phase[:2]):
                 for convention in ("tangent", "cosine"):
-                    values = [r.ends(convention)[end] for r in readings]
-                    if not values:
-                        continue
-                    what = f"{convention}, {len(values)} readings: mean and deviation"
+                    what = f"{convention}, {len(readings)} readings: mean and deviation"
+                    mean = mean_and_deviation([r.ends(convention)[end] for r in readings])
                     key = f"{name} ({convention}) at {level.stress / 1e6:.0f} MPa"
-                    details[key] = Estimate(*mean_and_deviation(values), "K", what, n)
-                for r, value in _repeats(readings, end):
-                    details[f"{name}, {_label(r)}"] = Estimate(
-                        *value, "K", "tangent", len(r.branch.strain)
+                    details[key] = Estimate(*mean, "K", what, n)
+                for r in readings if len(readings) > 1 else ():
+                    details[f"{name}, {r.record.name}, cycle {r.cycle}, {direction}"] = Estimate(
+                        *r.ends("tangent")[end], "K", "tangent", len(r.branch.strain)
                     )
     return details
-
-
-def _repeats(
-    readings: Sequence[BranchReading], end: int
-) -> list[tuple[BranchReading, tuple[float, float]]]:
-    if len(readings) < 2:
-        return []
-    return [(r, r.ends("tangent")[end]) for r in readings]
-
-
-def _label(reading: BranchReading) -> str:
-    return f"{reading.record.name}, cycle {reading.cycle}, {reading.branch.direction}"
-
-
-def _curves(readings: Sequence[BranchReading]) -> dict[str, Array]:
-    curves = {}
-    for r in readings:
-        key = f"{r.record.name}/{r.cycle}/{r.branch.direction}"
-        curves[f"{key}/temperature"] = r.branch.temperature
-        curves[f"{key}/strain"] = r.branch.strain
-        curves[f"{key}/tangents"] = r.tangents.polyline(r.branch)
-        curves[f"{key}/cosine"] = np.column_stack([r.cosine.temperature, r.cosine.strain])
-    return curves
 
 
 # --- Remarks on isobaric tests.
@@ -442,37 +362,13 @@ _CLIPPED = 20
 _ENDS = (("cold", "M_f", "A_s"), ("hot", "M_s", "A_f"))
 
 
-def about_tangents(readings: Sequence[BranchReading]) -> list[Finding]:
-    """Branches turned round early, and temperature that jumps within the transformation."""
+def about_branches(
+    records: Sequence[IsobaricRecord], readings: Sequence[BranchReading]
+) -> list[Finding]:
+    """Strain that is clipped, branches turned round early or logged with gaps, no cosines, and
+    cycles that are no repeats."""
     findings = []
-    early: dict[tuple[str, str, str], list[int]] = {}
-    for r in readings:
-        for side, on_cooling, on_heating in _ENDS:
-            if getattr(r.tangents, f"{side}_is_short"):
-                name = on_cooling if r.branch.direction == "cooling" else on_heating
-                early.setdefault((r.record.name, name, side), []).append(r.cycle)
-        width = abs(r.tangents.finish[0] - r.tangents.start[0])
-        gap = r.tangents.widest_gap
-        if gap > max(_GAP * width, 3.0):
-            text = (
-                f"{r.record.name}, cycle {r.cycle}: on {r.branch.direction} temperature jumps by "
-                f"{gap:.1f} K within the {width:.1f} K of the transformation: too fast for the "
-                "logging, or heat of transformation"
-            )
-            findings.append(Finding("warning", "temperature", text, {"gap": gap}))
-    for (record, name, side), cycles in early.items():
-        text = (
-            f"{record}: no straight stretch at the {side} end in cycle "
-            f"{', '.join(map(str, cycles))}, so the transformation may not be complete there; "
-            f"{name} is drawn with the other branch's slope and is a bound"
-        )
-        findings.append(Finding("warning", name, text, {"cycles": float(len(cycles))}))
-    return findings
-
-
-def about_ends(records: Sequence[IsobaricRecord]) -> list[Finding]:
-    """Strain that stays at its extreme to the last digit: the extensometer has no more travel."""
-    findings = []
+    # Strain that stays at its extreme to the last digit: the extensometer has no more travel.
     for record in records:
         strain = np.concatenate([b.strain for c in record.cycles for b in c.branches])
         for extreme, word in ((strain.max(), "highest"), (strain.min(), "lowest")):
@@ -486,38 +382,49 @@ def about_ends(records: Sequence[IsobaricRecord]) -> list[Finding]:
                     "readings: the extensometer ends, and what is beyond is not seen"
                 )
                 findings.append(Finding("warning", "strain", text, {"value": float(extreme)}))
-    return findings
 
-
-def about_cosines(readings: Sequence[BranchReading]) -> list[Finding]:
-    """Branches that no cosine describes: what a simulation takes are then ends of the nearest."""
+    early: dict[tuple[str, str, str], list[int]] = {}
     rough: dict[str, list[BranchReading]] = {}
     for r in readings:
+        for side, on_cooling, on_heating in _ENDS:
+            if getattr(r.tangents, f"{side}_is_short"):
+                name = on_cooling if r.branch.direction == "cooling" else on_heating
+                early.setdefault((r.record.name, name, side), []).append(r.cycle)
         if r.cosine.rms > _ROUGH:
             rough.setdefault(r.branch.direction, []).append(r)
-    findings = []
+        width, gap = abs(r.tangents.finish[0] - r.tangents.start[0]), r.tangents.widest_gap
+        if gap > max(_GAP * width, 3.0):
+            text = (
+                f"{r.record.name}, cycle {r.cycle}: on {r.branch.direction} temperature jumps by "
+                f"{gap:.1f} K within the {width:.1f} K of the transformation: too fast for the "
+                "logging, or heat of transformation"
+            )
+            findings.append(Finding("warning", "temperature", text, {"gap": gap}))
+    for (where, name, side), cycles in early.items():
+        text = (
+            f"{where}: no straight stretch at the {side} end in cycle "
+            f"{', '.join(map(str, cycles))}, so the transformation may not be complete there; "
+            f"{name} is drawn with the other branch's slope and is a bound"
+        )
+        findings.append(Finding("warning", name, text, {"cycles": float(len(cycles))}))
     for direction, found in rough.items():
         worst = max(found, key=lambda r: r.cosine.rms)
         text = (
             f"{len(found)} {direction} branches are no cosine of eqs. (10), (11): it leaves up to "
-            f"{worst.cosine.rms:.1%} of the strain ({worst.record.name}); what is given are the "
-            "ends of the nearest one, their errors hold how far the choice of points moves them"
+            f"{worst.cosine.rms:.1%} of the strain ({worst.record.name}); given are the ends of "
+            "the nearest one, their errors hold how far the choice of points moves them"
         )
         findings.append(Finding("warning", "cosine", text, {"rms": worst.cosine.rms}))
-    return findings
 
-
-def about_training(readings: Sequence[BranchReading]) -> list[Finding]:
-    """Temperatures that drift from cycle to cycle of one record are no repeats."""
-    findings = []
+    # Temperatures that drift from cycle to cycle of one record are no repeats.
     for record in {r.record.name: r.record for r in readings}.values():
         for direction, phase in PHASES.items():
             mine = [r for r in readings if r.record is record and r.branch.direction == direction]
             if len(mine) < _FEWEST_CYCLES:
                 continue
+            cycle = np.array([float(r.cycle) for r in mine])
             for end, (name, _) in enumerate(phase[:2]):
                 ends = np.array([r.ends("tangent")[end][0] for r in mine])
-                cycle = np.array([float(r.cycle) for r in mine])
                 correlation = float(np.corrcoef(cycle, ends)[0, 1])
                 if abs(correlation) < _TREND or np.ptp(ends) < _SMALLEST_DRIFT:
                     continue
