@@ -8,7 +8,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, LinearFit, Mask, fit_linear
+from sma_bench.identify.estimate import Array, LinearFit, fit_linear
 from sma_bench.identify.result import Experiment
 from sma_bench.identify.signals import AVERAGE, CAMERA, SETTLE, Means, Staircase, means, same_level
 from sma_bench.identify.thermal.resistance import VOLTAGE
@@ -63,23 +63,9 @@ class _Points:
         return fit
 
 
-@dataclass(frozen=True)
-class _Heating:
-    """Heating (p,) in V^2 as if R were constant, its covariance (p, p), and its name."""
-
-    value: Array
-    covariance: Array
-    what: str
-
-
 def identify_heat_transfer(
-    record: Record,
-    staircase: Staircase,
-    parameters: Parameters,
-    resistance: Estimate,
-    current_offset: float = 0.0,
-    settle: float = SETTLE,
-    average: float = AVERAGE,
+    record: Record, staircase: Staircase, parameters: Parameters, resistance: Estimate,
+    current_offset: float = 0.0, settle: float = SETTLE, average: float = AVERAGE,
 ) -> Experiment:
     """Heat transfer coefficient and ambient temperature from a voltage staircase.
 
@@ -105,7 +91,15 @@ def identify_heat_transfer(
     channel = staircase.channel
     v = means(*samples(record, f"{channel}.voltage"), bounds, f"{channel}.voltage")
     t = means(*samples(record, f"{channel}.temperature"), bounds, f"{channel}.temperature")
-    room, drift = _room(record, bounds)
+    # What the room did from plateau to plateau, or one standard deviation of what it may have done.
+    middle = bounds.mean(axis=1)
+    if has_samples(record, _ROOM):
+        room = np.interp(middle, *samples(record, _ROOM))
+        room, drift = room - room.mean(), np.zeros(len(middle))
+    else:
+        duration = float(np.ptp(middle))
+        size = _DRIFT_STD * min(1.0, duration / _DRIFT_TIME)
+        room, drift = np.zeros(len(middle)), size * (middle - middle.mean()) / (0.5 * duration)
     t = replace(t, value=t.value - room)
     points = _Points(v, t, same_level(v.value, staircase.tolerance), drift)
     slope = float(np.polyfit(points.square, t.value, 1)[0])
@@ -119,24 +113,62 @@ def identify_heat_transfer(
     ambient, ambient_std = float(fit.beta[0]), float(fit.std[0])
     remarks = list(findings)
 
-    drifted, finding = _drifted(points, gain)
-    if finding is not None:
-        remarks.append(finding)
-    moving = _moving(points)
+    # How far the room went to either side of its mean, as the staircase shows it.
+    went, size = 0.0, float(np.max(np.abs(points.drift)))
+    if size and len(bounds) >= _FEWEST_TO_DRIFT:
+        design = np.column_stack([np.ones(len(bounds)), points.square, points.drift / size])
+        still = replace(points, drift=0.0 * points.drift).covariance(gain)
+        drifting = fit_linear(design, t.value, still)
+        went, error = float(drifting.beta[2]), float(drifting.std[2])
+        rise = gain * float(np.ptp(points.square))
+        if abs(went) < max(_SIGNIFICANT * error, _SMALL_DRIFT * rise):
+            went = 0.0
+        else:
+            remarks.append(Finding(
+                "info", AMBIENT,
+                f"the wire's temperature without heating went by {2.0 * went:+.2f} +- "
+                f"{2.0 * error:.2f} K over the staircase: the room drifts, and nobody recorded it; "
+                "it is allowed for", {"drift": 2.0 * went, "std": 2.0 * error},
+            ))
+
+    # Plateaus whose temperature still changed while it was averaged.
+    limit = max(_SMALLEST_DRIFT, _LARGE_DRIFT * float(np.ptp(t.value)))
+    moving = (np.abs(t.drift) > _SIGNIFICANT_DRIFT * t.drift_std) & (np.abs(t.drift) > limit)
     if moving.any():
         moved = points.fit(t.value + np.where(moving, t.drift, 0.0))
         gain_std = math.hypot(gain_std, float(moved.beta[1]) - gain)
         ambient_std = math.hypot(ambient_std, float(moved.beta[0]) - ambient)
-        remarks.append(_moving_finding(points, moving))
-    heating = _heating(
-        record, channel, points, bounds, resistance, parameters, current_offset,
-        staircase.tolerance,
+        worst = int(np.argmax(np.where(moving, np.abs(t.drift), 0.0)))
+        remarks.append(Finding(
+            "warning", PARAMETER,
+            f"{int(moving.sum())} of {len(moving)} plateaus had not settled: the temperature moved "
+            f"by {t.drift[worst]:+.2f} K while it was averaged at {v.value[worst]:.2f} V",
+            {"plateaus": float(moving.sum()), "largest_drift": float(t.drift[worst])},
+        ))
+
+    change, finding = _bend(
+        record, staircase, points, bounds, gain, resistance, parameters, current_offset
     )
-    spread, finding = _bend(points, heating, gain)
     if finding is not None:
+        gain_std = math.hypot(gain_std, gain * change / math.sqrt(12.0))
         remarks.append(finding)
-        gain_std = math.hypot(gain_std, gain * spread / math.sqrt(12.0))
-    remarks.extend(_ambient_findings(record, parameters, ambient, ambient_std))
+
+    # Is the room as warm as it was said, or measured, to be?
+    known: list[tuple[str, float, float]] = []
+    if AMBIENT in parameters.given:
+        known.append(("stated", parameters[AMBIENT], parameters.std(AMBIENT)))
+    if has_samples(record, _ROOM):
+        _, measured = samples(record, _ROOM)
+        stated = record[_ROOM].std
+        own_std = parameters.std(AMBIENT) if stated is None else float(np.median(stated))
+        known.append(("measured", float(np.mean(measured)), max(float(np.std(measured)), own_std)))
+    for how, value, std in known:
+        far = abs(ambient - value) > _SIGNIFICANT * math.hypot(ambient_std, std)
+        remarks.append(Finding(
+            "warning" if far else "info", AMBIENT,
+            f"the wire's own temperature without heating is {ambient:.2f} K, the {how} ambient "
+            f"{value:.2f} K: {ambient - value:+.2f} K", {"difference": ambient - value},
+        ))
 
     n = len(bounds)
     # Nobody calibrates a camera's zero better than to its own step.
@@ -150,7 +182,11 @@ def identify_heat_transfer(
         PARAMETER: coefficient(thermal_gain, resistance, parameters),
         AMBIENT: Estimate(
             ambient, ambient_std, "K", "steady temperature at zero voltage", n
-        ).with_shares(_of_the_zero(ambient, parameters) | {"drift of the room": drifted}),
+        ).with_shares({
+            "sensor.temperature.offset": parameters.std("sensor.temperature.offset"),
+            CAMERA[0]: parameters.std(CAMERA[0]) * (ambient - CELSIUS_ZERO),
+            "drift of the room": abs(went),
+        }),
     }
     line = np.linspace(0.0, float(v.value.max()), 100)
     curves = {
@@ -191,136 +227,42 @@ def scale_of_gain(parameters: Parameters) -> dict[str, float]:
     }
 
 
-def _of_the_zero(ambient: float, parameters: Parameters) -> dict[str, float]:
-    return {
-        "sensor.temperature.offset": parameters.std("sensor.temperature.offset"),
-        CAMERA[0]: parameters.std(CAMERA[0]) * (ambient - CELSIUS_ZERO),
-    }
-
-
-def _room(record: Record, bounds: Array) -> tuple[Array, Array]:
-    """(p,) K: what the room did from plateau to plateau as recorded, or one standard deviation of
-    what it may have done."""
-    middle = bounds.mean(axis=1)
-    if has_samples(record, _ROOM):
-        room = np.interp(middle, *samples(record, _ROOM))
-        return room - room.mean(), np.zeros(len(middle))
-    duration = float(np.ptp(middle))
-    size = _DRIFT_STD * min(1.0, duration / _DRIFT_TIME)
-    return np.zeros(len(middle)), size * (middle - middle.mean()) / (0.5 * duration)
-
-
-def _drifted(points: _Points, gain: float) -> tuple[float, Finding | None]:
-    """How far (K) the room went to either side of its mean, as the staircase shows it."""
-    size = float(np.max(np.abs(points.drift)))
-    if size == 0.0 or len(points.square) < _FEWEST_TO_DRIFT:
-        return 0.0, None
-    design = np.column_stack([np.ones(len(points.square)), points.square, points.drift / size])
-    fit = fit_linear(
-        design, points.temperature.value, replace(points, drift=0.0 * points.drift).covariance(gain)
-    )
-    went, error = float(fit.beta[2]), float(fit.std[2])
-    rise = gain * float(np.ptp(points.square))
-    if abs(went) < max(_SIGNIFICANT * error, _SMALL_DRIFT * rise):
-        return 0.0, None
-    text = (
-        f"the wire's temperature without heating went by {2.0 * went:+.2f} +- {2.0 * error:.2f} K "
-        "over the staircase: the room drifts, and nobody recorded it; it is allowed for"
-    )
-    return abs(went), Finding("info", AMBIENT, text, {"drift": 2.0 * went, "std": 2.0 * error})
-
-
-def _moving(points: _Points) -> Mask:
-    """(p,) plateaus whose temperature still changed while it was averaged."""
-    t = points.temperature
-    limit = max(_SMALLEST_DRIFT, _LARGE_DRIFT * float(np.ptp(t.value)))
-    return (np.abs(t.drift) > _SIGNIFICANT_DRIFT * t.drift_std) & (np.abs(t.drift) > limit)
-
-
-def _moving_finding(points: _Points, moving: Mask) -> Finding:
-    worst = int(np.argmax(np.where(moving, np.abs(points.temperature.drift), 0.0)))
-    drift = float(points.temperature.drift[worst])
-    text = (
-        f"{int(moving.sum())} of {len(moving)} plateaus had not settled: the temperature moved by "
-        f"{drift:+.2f} K while it was averaged at {points.voltage.value[worst]:.2f} V"
-    )
-    return Finding(
-        "warning", PARAMETER, text, {"plateaus": float(moving.sum()), "largest_drift": drift}
-    )
-
-
-def _heating(
-    record: Record,
-    channel: str,
-    points: _Points,
-    bounds: Array,
-    resistance: Estimate,
-    parameters: Parameters,
-    current_offset: float,
-    tolerance: float,
-) -> _Heating:
-    """V^2, or R times a wire's power where there is a current, so that R may vary."""
-    if not has_samples(record, f"{channel}.current"):
-        return _Heating(points.square, np.zeros((len(bounds), len(bounds))), "squared voltage")
-    current = means(*samples(record, f"{channel}.current"), bounds, f"{channel}.current")
-    undriven = np.abs(points.voltage.value) < tolerance
-    if undriven.any():
-        # Better than the line's intercept, which is off where the line is not straight.
-        current_offset = float(np.mean(current.value[undriven]))
-        common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
-    else:
-        common = float(np.median(current.noise))
-    volts, amperes = points.voltage.value, current.value - current_offset
-    leads = parameters["bench.lead_resistance"]
-    per_wire = resistance.value / parameters["wire.count"]
-    scale = per_wire * (volts - 2.0 * leads * amperes)
-    covariance = np.diag((scale * current.noise) ** 2) + np.outer(scale, scale) * common**2
-    power = per_wire * (volts - leads * amperes) * amperes
-    return _Heating(power, covariance, "electrical power")
-
-
-def _bend(points: _Points, heating: _Heating, gain: float) -> tuple[float, Finding | None]:
-    """Relative change of the slope of T over heating across the range, and its remark."""
-    x = heating.value / float(np.max(heating.value))
-    covariance = points.covariance(gain) + gain**2 * heating.covariance
+def _bend(
+    record: Record, staircase: Staircase, points: _Points, bounds: Array, gain: float,
+    resistance: Estimate, parameters: Parameters, current_offset: float,
+) -> tuple[float, Finding | None]:
+    """Relative change of the slope of T across the range, over V^2, or over R times a wire's power
+    where there is a current, so that R may vary; and its remark."""
+    name, volts = f"{staircase.channel}.current", points.voltage.value
+    heating, covariance, what = points.square, points.covariance(gain), "squared voltage"
+    if has_samples(record, name):
+        current = means(*samples(record, name), bounds, name)
+        undriven = np.abs(volts) < staircase.tolerance
+        if undriven.any():
+            # Better than the line's intercept, which is off where the line is not straight.
+            current_offset = float(np.mean(current.value[undriven]))
+            common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
+        else:
+            common = float(np.median(current.noise))
+        amperes = current.value - current_offset
+        leads = parameters["bench.lead_resistance"]
+        per_wire = resistance.value / parameters["wire.count"]
+        scale = per_wire * (volts - 2.0 * leads * amperes)
+        heating, what = per_wire * (volts - leads * amperes) * amperes, "electrical power"
+        own = np.diag((scale * current.noise) ** 2) + np.outer(scale, scale) * common**2
+        covariance = covariance + gain**2 * own
+    x = heating / float(np.max(heating))
     design = np.column_stack([np.ones(len(x)), x, x * (x - 1.0)])
-    fit = fit_linear(design, points.temperature.value, covariance)
-    slope = float(fit.beta[1])
-    change, error = 2.0 * float(fit.beta[2]) / slope, 2.0 * float(fit.std[2]) / slope
-    if abs(change) < _SIGNIFICANT * error or abs(change) < _LARGE_BEND:
+    bent = fit_linear(design, points.temperature.value, covariance)
+    change, error = (2.0 * float(b[2]) / float(bent.beta[1]) for b in (bent.beta, bent.std))
+    if abs(change) < max(_SIGNIFICANT * error, _LARGE_BEND):
         return 0.0, None
     # h at a plateau is the inverse slope of the chord from ambient: 1 - change/2 at its coldest.
     growth = -0.5 * change
     text = (
-        f"steady temperature over {heating.what} is not a straight line: the coefficient "
+        f"steady temperature over {what} is not a straight line: the coefficient "
         f"{'rises' if growth > 0.0 else 'falls'} by {100.0 * abs(growth):.1f} +- "
         f"{50.0 * error:.1f} % from the coldest to the hottest plateau"
     )
-    return abs(change), Finding(
-        "warning", PARAMETER, text, {"growth": growth, "growth_std": 0.5 * error}
-    )
-
-
-def _ambient_findings(
-    record: Record, parameters: Parameters, ambient: float, std: float
-) -> list[Finding]:
-    known: list[tuple[str, float, float]] = []
-    if AMBIENT in parameters.given:
-        known.append(("stated", parameters[AMBIENT], parameters.std(AMBIENT)))
-    if has_samples(record, _ROOM):
-        _, measured = samples(record, _ROOM)
-        stated = record[_ROOM].std
-        own = parameters.std(AMBIENT) if stated is None else float(np.median(stated))
-        known.append(("measured", float(np.mean(measured)), max(float(np.std(measured)), own)))
-    findings = []
-    for how, value, error in known:
-        difference = ambient - value
-        far = abs(difference) > _SIGNIFICANT * math.hypot(std, error)
-        text = (
-            f"the wire's own temperature without heating is {ambient:.2f} K, the {how} ambient "
-            f"{value:.2f} K: {difference:+.2f} K"
-        )
-        findings.append(
-            Finding("warning" if far else "info", AMBIENT, text, {"difference": difference})
-        )
-    return findings
+    numbers = {"growth": growth, "growth_std": 0.5 * error}
+    return abs(change), Finding("warning", PARAMETER, text, numbers)
