@@ -9,14 +9,13 @@ and compares that with config/sros2/policy.xml. `--write` writes the policy from
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from itertools import product
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import rclpy
-from rclpy.node import Node
 
 from sma_bench.hardware.thermal_settings import regions_side_by_side
 from sma_bench.nodes.start import node_class
@@ -60,86 +59,55 @@ Rules = dict[str, dict[str, set[str]]]
 def nodes_rules() -> Rules:
     """What the nodes of this package have."""
     private_ros_environment()
-    rules: Rules = {}
-    for name in NODE_TABLES:
-        for rig in RIGS:
-            if name == "deflection_controller" and rig == RIGS[0]:
-                continue  # a straight wire bends nothing
-            channels = _channels(rig)
-            with tempfile.TemporaryDirectory() as folder:
-                found = _made(name, ROOT / "config" / rig, channels, Path(folder))
-            _add(rules, name, found, channels)
+    rules: Rules = {name: {kind: set() for kind in KINDS} for name in (*NODE_TABLES, DASHBOARD)}
+    groups = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
+    own_groups = groups - {name.split(".")[0] for name in Parameters.defaults()}
+    for name, rig in product(NODE_TABLES, RIGS):
+        if name == "deflection_controller" and rig == RIGS[0]:
+            continue  # a straight wire bends nothing
+        file = ROOT / "config" / rig
+        channels = read_parameters(file, ignore=own_groups)["bench.channels"]
+        with tempfile.TemporaryDirectory() as folder:
+            # What a node cannot do without.
+            needed = {
+                "recorder": {"output": Path(folder, "bag")},
+                "serial_bridge": {"port": "/dev/no_such_port"},
+                "ir_camera": {
+                    "image_width": _PICTURE[0], "image_height": _PICTURE[1],
+                    "regions": list(regions_side_by_side(len(channels), *_PICTURE)),
+                },
+            }.get(name, {})  # fmt: skip
+            words = [word for key, value in needed.items() for word in ("-p", f"{key}:={value}")]
+            rclpy.init(args=["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", str(file),
+                             *words])  # fmt: skip
+            node = node_class(name)()
+            try:
+                found = {
+                    "publish": {publisher.topic_name for publisher in node.publishers},
+                    "subscribe": {s.topic_name for s in node.subscriptions} | {_CLOCK},
+                    "reply": {service.service_name for service in node.services},
+                    "request": {client.service_name for client in node.clients},
+                }
+            finally:
+                node.close()
+                node.destroy_node()
+                rclpy.try_shutdown()
+
+        # `*/power` of /bench/front_1/power, `~start` of /bench/experiment/start.
+        own = f"{NAMESPACE}/{name}/"
+        for kind, names in found.items():
+            for absolute in names:
+                parts = absolute.removeprefix(f"{NAMESPACE}/").split("/")
+                shared = "/".join("*" if part in channels else part for part in parts)
+                rules[name][kind].add(
+                    "~" + absolute.removeprefix(own) if absolute.startswith(own) else shared
+                )
     for name in LISTENERS:
-        of = rules.setdefault(name, {kind: set() for kind in KINDS})
-        of["subscribe"] |= set(CONTRACT)
+        rules[name]["subscribe"] |= set(CONTRACT)
     rules[DASHBOARD]["subscribe"] |= set(_STATES)
     rules[DASHBOARD]["publish"] |= {"voltage_command", "/rosout", "/parameter_events"}
     rules[DASHBOARD]["request"] |= {*_STOPS, *_WORK}
     return rules
-
-
-def _channels(rig: str) -> tuple[str, ...]:
-    groups = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
-    own = groups - {name.split(".")[0] for name in Parameters.defaults()}
-    return read_parameters(ROOT / "config" / rig, ignore=own)["bench.channels"]
-
-
-def _made(
-    name: str, file: Path, channels: tuple[str, ...], folder: Path
-) -> dict[str, set[str]]:
-    """Absolute names by kind."""
-    rclpy.init(args=["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", str(file),
-                     *_needed(name, channels, folder)])  # fmt: skip
-    node = node_class(name)()
-    try:
-        return _names(node)
-    finally:
-        node.close()
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def _needed(name: str, channels: tuple[str, ...], folder: Path) -> list[str]:
-    """What a node cannot do without."""
-    if name == "recorder":
-        return ["-p", f"output:={folder / 'bag'}"]
-    if name == "serial_bridge":
-        return ["-p", "port:=/dev/no_such_port"]
-    if name == "ir_camera":
-        regions = regions_side_by_side(len(channels), *_PICTURE)
-        size = ["-p", f"image_width:={_PICTURE[0]}", "-p", f"image_height:={_PICTURE[1]}"]
-        return [*size, "-p", f"regions:={list(regions)}"]
-    return []
-
-
-def _names(node: Node) -> dict[str, set[str]]:
-    def resolved(things: Iterable[Any], attribute: str) -> set[str]:
-        return {getattr(thing, attribute) for thing in things}
-
-    return {
-        "publish": resolved(node.publishers, "topic_name"),
-        "subscribe": resolved(node.subscriptions, "topic_name") | {_CLOCK},
-        "reply": resolved(node.services, "service_name"),
-        "request": resolved(node.clients, "service_name"),
-    }
-
-
-def _add(
-    rules: Rules, name: str, found: dict[str, set[str]], channels: tuple[str, ...]
-) -> None:
-    of = rules.setdefault(name, {kind: set() for kind in KINDS})
-    for kind, names in found.items():
-        of[kind] |= {_relative(absolute, name, channels) for absolute in names}
-
-
-def _relative(absolute: str, node: str, channels: tuple[str, ...]) -> str:
-    """`*/power` of /bench/front_1/power, `~start` of /bench/experiment/start."""
-    own = f"{NAMESPACE}/{node}/"
-    if absolute.startswith(own):
-        return "~" + absolute.removeprefix(own)
-    name = absolute.removeprefix(f"{NAMESPACE}/")
-    parts = name.split("/")
-    return "/".join("*" if part in channels else part for part in parts)
 
 
 def read_policy(path: Path = POLICY) -> Rules:
@@ -174,16 +142,14 @@ def _require(holds: bool, what: str) -> None:
 
 def missing_rules(wanted: Rules, given: Rules) -> Rules:
     """What is in `wanted` that no rule of `given` covers."""
-    return {
-        node: {kind: lacking}
-        for node, kinds in wanted.items()
-        for kind, names in kinds.items()
-        if (lacking := {n for n in names if not _covered(n, given.get(node, {}).get(kind, ()))})
-    }
-
-
-def _covered(name: str, rules: Iterable[str]) -> bool:
-    return any(name == rule or fnmatchcase(name, rule) for rule in rules)
+    missing: Rules = {}
+    for node, kinds in wanted.items():
+        for kind, names in kinds.items():
+            rules = given.get(node, {}).get(kind, set())
+            if lacking := {n for n in names if not any(fnmatchcase(n, rule) for rule in rules)
+                           and n not in rules}:  # fmt: skip
+                missing.setdefault(node, {})[kind] = lacking
+    return missing
 
 
 def write_policy(rules: Rules, path: Path = POLICY) -> None:
