@@ -48,15 +48,12 @@ def end_with_starter(number: int = signal.SIGTERM) -> None:
     if _VARIABLE in os.environ:
         end_with_parent(number)
     elif os.getpgrp() != os.getpid():
-        end_after(os.getppid() if _same_session(os.getppid()) else -1, number)
-
-
-def _same_session(parent: int) -> bool:
-    """No where the one that started this process was gone before it could be asked for."""
-    try:
-        return os.getsid(parent) == os.getsid(0)
-    except OSError:
-        return False
+        parent = os.getppid()
+        try:
+            starter = parent if os.getsid(parent) == os.getsid(0) else -1
+        except OSError:  # it was gone before it could be asked for
+            starter = -1
+        end_after(starter, number)
 
 
 def end_after(parent: int, number: int = signal.SIGTERM) -> None:

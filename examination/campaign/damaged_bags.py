@@ -42,25 +42,15 @@ _RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 Damage = Callable[[random.Random, bytes, int, int], bytes]
 
 
-def _flip(rng: random.Random, raw: bytes, at: int, _: int) -> bytes:
-    return raw[:at] + bytes([raw[at] ^ 1 << rng.randrange(8)]) + raw[at + 1 :]
-
-
-def _garbage(rng: random.Random, raw: bytes, at: int, n: int) -> bytes:
-    n = min(n, len(raw) - at)
-    return raw[:at] + rng.randbytes(n) + raw[at + n :]
-
-
-def _zero(_: random.Random, raw: bytes, at: int, n: int) -> bytes:
-    n = min(n, len(raw) - at)
-    return raw[:at] + bytes(n) + raw[at + n :]
-
-
 DAMAGES: dict[str, Damage] = {
-    "a bit flipped": _flip,
+    "a bit flipped": lambda rng, raw, at, n: (
+        raw[:at] + bytes([raw[at] ^ 1 << rng.randrange(8)]) + raw[at + 1 :]
+    ),
     "cut off": lambda rng, raw, at, n: raw[:at],
-    "zeroed": _zero,
-    "overwritten": _garbage,
+    "zeroed": lambda rng, raw, at, n: raw[:at] + bytes(min(n, len(raw) - at)) + raw[at + n :],
+    "overwritten": lambda rng, raw, at, n: (
+        raw[:at] + rng.randbytes(min(n, len(raw) - at)) + raw[at + n :]
+    ),
     "a block twice": lambda rng, raw, at, n: raw[: at + n] + raw[at:],
     "a block gone": lambda rng, raw, at, n: raw[:at] + raw[at + n :],
 }

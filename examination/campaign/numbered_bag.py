@@ -62,9 +62,19 @@ class NumberedBag:
 
 def numbered_bag(path: Path, form: str) -> NumberedBag:
     """Write MESSAGES messages, the k-th of k mV at k times STEP s, in one of FORMATS."""
-    stream = _stream()
+    time = np.arange(MESSAGES) * STEP
+    signal = Signal("wire.voltage", "V", time, np.arange(MESSAGES) * 1e-3)
+    (stream,) = streams_of({signal.name: signal}, "/bench/", START)
     if form in _OTHERS:
-        _write_as_others(path, stream, *_OTHERS[form])
+        plugin, mode = _OTHERS[form]
+        writer: Any = Writer(path, version=9, storage_plugin=plugin)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            connection = writer.add_connection(stream.topic, stream.type, typestore=TYPES)
+            for k, blob in enumerate(stream.blobs):
+                writer.write(connection, int(stream.received[k]), blob)
+                if plugin == StoragePlugin.MCAP and k % _CHUNK == _CHUNK - 1:
+                    writer.storage.close_chunk()
     else:
         with BagWriter(path, flush_every=float("inf")) as bag:
             bag.add_topic(_TOPIC, BATTERY_STATE)
@@ -93,26 +103,6 @@ def numbers_in(record: Record) -> dict[int, int]:
         if away[k] < _SAME_STAMP and 0 <= place < MESSAGES:
             found[place] = int(number) if np.isfinite(number) and abs(number) < 1e9 else -1
     return found
-
-
-def _stream() -> Stream:
-    time = np.arange(MESSAGES) * STEP
-    signal = Signal("wire.voltage", "V", time, np.arange(MESSAGES) * 1e-3)
-    (stream,) = streams_of({signal.name: signal}, "/bench/", START)
-    return stream
-
-
-def _write_as_others(
-    path: Path, stream: Stream, plugin: StoragePlugin, mode: CompressionMode
-) -> None:
-    writer: Any = Writer(path, version=9, storage_plugin=plugin)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection(stream.topic, stream.type, typestore=TYPES)
-        for k, blob in enumerate(stream.blobs):
-            writer.write(connection, int(stream.received[k]), blob)
-            if plugin == StoragePlugin.MCAP and k % _CHUNK == _CHUNK - 1:
-                writer.storage.close_chunk()
 
 
 def _ends(storage: Path, stream: Stream) -> np.ndarray:

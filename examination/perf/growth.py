@@ -34,12 +34,18 @@ def measure(tiny: bool = False) -> list[Outcome]:
     """Exponents, and the price of all effects."""
     scale = 20 if tiny else 1
     with TemporaryDirectory() as folder:
-        outcomes = [
+        lengths = (10.0, 20.0) if tiny else (60.0, 180.0, 600.0)
+        longer = (30.0, 60.0) if tiny else (120.0, 360.0, 1080.0)
+        bags = {duration: Path(folder, f"{duration:g}") for duration in (*lengths, *longer)}
+        for duration, bag in bags.items():
+            write_record(bag, staircase_signals(duration))
+        records = {duration: read_record(bags[duration]) for duration in longer}
+        return [
             *_simulated(scale),
-            _of_records(Path(folder), (10.0, 20.0) if tiny else (60.0, 180.0, 600.0)),
-            _of_identification((30.0, 60.0) if tiny else (120.0, 360.0, 1080.0)),
+            _exponent("reading over the record's length", lengths, lambda d: read_record(bags[d])),
+            _exponent("identification over the record's length", longer,
+                      lambda d: identify([records[d]], Parameters.of_paper()), rounds=3),
         ]
-    return outcomes
 
 
 def _simulated(scale: int) -> list[Outcome]:
@@ -86,27 +92,6 @@ def _rig(wire: Parameters, wires: int) -> Parameters:
     sides = ["front"] * (wires // 2) + ["back"] * (wires // 2)
     names = tuple(f"{side}_{k}" for k, side in enumerate(sides))
     return wire.replace({"bench.channels": names, "bench.channel_sides": tuple(sides)})
-
-
-def _of_records(folder: Path, durations: Sequence[float]) -> Figure:
-    bags = {}
-    for duration in durations:
-        bags[duration] = folder / f"{duration:g}"
-        write_record(bags[duration], staircase_signals(duration))
-    return _exponent("reading over the record's length", durations, lambda d: read_record(bags[d]))
-
-
-def _of_identification(durations: Sequence[float]) -> Figure:
-    with TemporaryDirectory() as name:
-        records = {}
-        for duration in durations:
-            bag = Path(name, f"{duration:g}")
-            write_record(bag, staircase_signals(duration))
-            records[duration] = read_record(bag)
-        return _exponent(
-            "identification over the record's length", durations,
-            lambda d: identify([records[d]], Parameters.of_paper()), rounds=3,
-        )
 
 
 def _exponent(
