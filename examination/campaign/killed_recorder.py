@@ -49,7 +49,14 @@ def killed_recorder(size: int, seed: int, folder: Path) -> list[Outcome]:
 def _kill_writers(rng: random.Random, count: int, folder: Path) -> list[float]:
     """s lost by each of several writers that run beside one another."""
     bags = [folder / f"writer_{k}" for k in range(count)]
-    children = [_fork_writer(bag) for bag in bags]
+    children = []
+    for bag in bags:
+        if (child := os.fork()) == 0:
+            try:
+                _write_forever(bag)
+            finally:
+                os._exit(1)
+        children.append(child)
     while not all(_begun(bag).exists() for bag in bags):
         time.sleep(0.01)
     kills = sorted((rng.uniform(0.0, _LATEST_KILL), k) for k in range(count))
@@ -67,16 +74,6 @@ def _kill_writers(rng: random.Random, count: int, folder: Path) -> list[float]:
         shutil.rmtree(bag, ignore_errors=True)
         _begun(bag).unlink(missing_ok=True)
     return lost
-
-
-def _fork_writer(bag: Path) -> int:
-    child = os.fork()
-    if child:
-        return child
-    try:
-        _write_forever(bag)
-    finally:
-        os._exit(1)
 
 
 def _write_forever(path: Path) -> None:

@@ -1,7 +1,6 @@
 """Nodes killed and started again in every order: 0 V meanwhile, and the bench works afterwards."""
 
 import time
-from collections.abc import Iterator
 from itertools import permutations
 from pathlib import Path
 
@@ -88,7 +87,7 @@ def _restart(
     drive()
     for name in end:
         talker.kill(name)
-        if name == "experiment" and "simulator" in _alive(end, name):
+        if name == "experiment" and "simulator" in end[end.index(name) + 1 :]:
             killed = time.monotonic()
             talker.until("0 V", lambda: powers[-1].voltage < 0.1 * _VOLTS)
             if (took := time.monotonic() - killed) > _TIMEOUT + _SLACK:
@@ -109,7 +108,3 @@ def _restart(
         if record["wire.voltage"].values.max() < 0.5 * _VOLTS:
             return f"the drive is not in the bag {bag}"
     return ""
-
-
-def _alive(end: tuple[str, ...], name: str) -> Iterator[str]:
-    return iter(end[end.index(name) + 1 :])

@@ -101,14 +101,10 @@ def panel_names(node):
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_every_panel_of_foxglove_has_its_place(rig):
-    document = json.loads((LAYOUTS / f"foxglove_{rig}.json").read_text())
-    assert sorted(panel_names(document["layout"])) == sorted(document["configById"])
-
-
-@pytest.mark.parametrize("rig", RIGS)
-def test_other_topics_of_foxglove_are_the_benchs(rig):
+def test_every_panel_of_foxglove_has_its_place_and_its_topics_are_the_benchs(rig):
     text = (LAYOUTS / f"foxglove_{rig}.json").read_text()
+    document = json.loads(text)
+    assert sorted(panel_names(document["layout"])) == sorted(document["configById"])
     topics = set(re.findall(r'"(/[\w/]+)"', text))
     strange = {t for t in topics if t not in WHOLE and place_of(t) is None}
     assert strange == set() and f"{NAMESPACE}/thermal_image" in topics

@@ -4,7 +4,6 @@ import html
 import os
 
 import numpy as np
-import pytest
 
 from sma_bench.cli import main
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
@@ -14,31 +13,21 @@ from sma_bench.records.bag_writer import write_record
 HOSTILE = "<img src=x onerror=alert(1)>&{{7*7}}"
 
 
-@pytest.fixture
-def hostile_bag(tmp_path, pytestconfig):
-    bag = tmp_path / HOSTILE
+def test_names_of_bags_and_results_are_escaped_in_the_report(tmp_path, pytestconfig):
+    bag, result = tmp_path / HOSTILE, tmp_path / f"{HOSTILE}.json"
     rig = pytestconfig.rootpath / "config" / "wire_rig.yaml"
     assert main([
         "simulate", "--protocol", "quick_staircase", "--params", str(rig), "--rate", "20",
         "--noise", "1", "--out", str(bag),
     ]) == 0  # fmt: skip
-    return bag
-
-
-def test_names_of_bags_are_escaped_in_the_report(hostile_bag, tmp_path):
-    assert main(["report", str(hostile_bag), "--out", str(tmp_path / "report")]) == 0
-    (page,) = (tmp_path / "report").glob("*.html")
-    text = page.read_text()
-    assert html.escape(HOSTILE) in text or html.escape(HOSTILE, quote=False) in text
-    assert "<img src=x" not in text
-
-
-def test_names_of_results_are_escaped_in_the_report(hostile_bag, tmp_path):
-    result = tmp_path / f"{HOSTILE}.json"
-    assert main(["identify", str(hostile_bag), "--json", str(result)]) == 0
-    assert main(["report", str(result), "--out", str(tmp_path / "report")]) == 0
-    (page,) = (tmp_path / "report").glob("*.html")
-    assert "<img src=x" not in page.read_text()
+    assert main(["identify", str(bag), "--json", str(result)]) == 0
+    for given, out in ((bag, tmp_path / "of_bag"), (result, tmp_path / "of_result")):
+        assert main(["report", str(given), "--out", str(out)]) == 0
+        (page,) = out.glob("*.html")
+        text = page.read_text()
+        assert "<img src=x" not in text
+        if given == bag:
+            assert html.escape(HOSTILE) in text or html.escape(HOSTILE, quote=False) in text
 
 
 def test_names_do_nothing_to_a_terminal_a_yaml_file_or_a_report(tmp_path, capsys):
