@@ -83,28 +83,41 @@ def read_curve(record: TensileRecord) -> TensileReading:
         InputError: no elastic part can be found.
     """
     top = int(np.argmax(record.stress))
-    x, y = _even(record.strain[: top + 1], record.stress[: top + 1])
+    # Means over narrow intervals of strain.
+    strain, stress = record.strain[: top + 1], record.stress[: top + 1]
+    width = float(np.ptp(strain)) / _GRID
+    x = y = strain[:0]
+    if width > 0.0:
+        index = np.floor((strain - strain.min()) / width).astype(int)
+        _, index, count = np.unique(index, return_inverse=True, return_counts=True)
+        x, y = np.bincount(index, strain) / count, np.bincount(index, stress) / count
     if len(x) < 20:
         raise InputError(f"{record.path}: {len(x)} points while loading, expected 20 or more")
     noise = 1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / math.sqrt(6.0)
     pieces = straight_pieces(x, y, max(_STRAIGHT * float(np.ptp(y)), 1.2 * noise))
-    plateau = _plateau(x, y, pieces)
-    before = [p for p in pieces if plateau is None or p.last < plateau[0]]
-    initial = _steepest(x, y, before)
+    plateau = _plateau(x, pieces)
+    initial = _steepest(x, y, [p for p in pieces if plateau is None or p.last < plateau[0]])
     if initial is None:
         raise InputError(f"{record.path}: no elastic rise before the plateau")
-    behind = [p for p in pieces if plateau is not None and p.first > plateau[1]]
-    after = _steepest(x, y, behind)
-    if after is not None and x[after.last] - x[after.first] < _SHORTEST_AFTER:
-        after = None
-    level = None
+    after, level = None, None
     if plateau is not None:
         first, last = plateau
         level = (float(x[first]), float(x[last]), float(np.mean(y[first : last + 1])))
+        after = _steepest(x, y, [p for p in pieces if p.first > last])
+        if after is not None and x[after.last] - x[after.first] < _SHORTEST_AFTER:
+            after = None
+    # Unloading: from 90 to 50 % of the largest stress on the way down.
+    unloading = None
+    down, way = record.stress[top:], record.strain[top:]
+    high, low = (share * float(down[0]) for share in _UNLOADED)
+    if len(down) >= 10 and down.min() <= low:
+        chosen = np.flatnonzero(down[: int(np.argmax(down <= low)) + 1] <= high)
+        if len(chosen) >= 5 and np.ptp(way[chosen]) > 0.0:
+            unloading = _modulus(way[chosen], down[chosen])
     return TensileReading(
-        initial=_rise(record, top, x, initial),
-        after=_rise(record, top, x, after) if after else None,
-        unloading=_unloading(record, top),
+        initial=_rise(strain, stress, x, initial),
+        after=_rise(strain, stress, x, after) if after else None,
+        unloading=unloading,
         plateau=level,
         toe=initial.at - initial.value / initial.slope,
         pieces=np.array([
@@ -113,17 +126,7 @@ def read_curve(record: TensileRecord) -> TensileReading:
     )
 
 
-def _even(strain: Array, stress: Array) -> tuple[Array, Array]:
-    """Means over narrow intervals of strain."""
-    width = float(np.ptp(strain)) / _GRID
-    if width <= 0.0:
-        return strain[:0], stress[:0]
-    index = np.floor((strain - strain.min()) / width).astype(int)
-    _, index, count = np.unique(index, return_inverse=True, return_counts=True)
-    return np.bincount(index, strain) / count, np.bincount(index, stress) / count
-
-
-def _plateau(x: Array, y: Array, pieces: Sequence[Piece]) -> tuple[int, int] | None:
+def _plateau(x: Array, pieces: Sequence[Piece]) -> tuple[int, int] | None:
     """First and last point of the longest run of flat pieces after the first steep one."""
     steep = max(p.slope for p in [p for p in pieces if _is_long(x, p)] or pieces)
     runs: list[tuple[int, int]] = []
@@ -160,10 +163,9 @@ def _steepest(x: Array, y: Array, pieces: Sequence[Piece]) -> Piece | None:
     return fit_piece(x, y, pieces[first].first, pieces[last].last)
 
 
-def _rise(record: TensileRecord, top: int, x: Array, piece: Piece) -> Rise:
+def _rise(strain: Array, stress: Array, x: Array, piece: Piece) -> Rise:
     low, high = float(x[piece.first]), float(x[piece.last])
     trim = _TRIM * (high - low)
-    strain, stress = record.strain[: top + 1], record.stress[: top + 1]
     chosen = (strain >= low + trim) & (strain <= high - trim)
     if np.sum(chosen) < 5:
         chosen = (strain >= low) & (strain <= high)
@@ -198,19 +200,6 @@ def _modulus(strain: Array, stress: Array) -> Rise:
         slope, math.hypot(math.sqrt(variance), bend),
         (float(strain.min()), float(strain.max())), (float(stress.min()), float(stress.max())), n,
     )
-
-
-def _unloading(record: TensileRecord, top: int) -> Rise | None:
-    """Slope from 90 to 50 % of the largest stress on the way down."""
-    stress, strain = record.stress[top:], record.strain[top:]
-    high, low = (share * float(record.stress[top]) for share in _UNLOADED)
-    if len(stress) < 10 or stress.min() > low:
-        return None
-    last = int(np.argmax(stress <= low))
-    chosen = np.flatnonzero(stress[: last + 1] <= high)
-    if len(chosen) < 5 or np.ptp(strain[chosen]) == 0.0:
-        return None
-    return _modulus(strain[chosen], stress[chosen])
 
 
 # --- the experiment
@@ -259,11 +248,17 @@ def identify_tensile(
         raise InputError("tensile test: no records")
     records = [_of_specimen(record, parameters) for record in records]
     findings = [finding for record in records for finding in record.findings]
-    _check_phases(phases or {}, records)
+    phases = phases or {}
+    for pattern, phase in phases.items():
+        if phase not in PHASES:
+            raise InputError(f"phase of {pattern} is {phase!r}, expected {' or '.join(PHASES)}")
+        if not any(fnmatch(record.path.name, pattern) for record in records):
+            names = ", ".join(record.path.name for record in records)
+            raise InputError(f"phase of {pattern}: no such tensile test among {names}")
     readings: dict[Phase, list[tuple[TensileRecord, TensileReading]]] = {}
     curves: dict[str, Array] = {}
     for record in records:
-        phase = _phase(record, phases or {}, parameters)
+        phase = _phase(record, phases, parameters)
         reading = read_curve(record)
         readings.setdefault(phase, []).append((record, reading))
         curves[f"{phase}/{record.path.name}/strain"] = record.strain
@@ -282,7 +277,14 @@ def identify_tensile(
             value, std, "Pa", f"slope on {part}{at}, {repeats}", sum(r.n for r in rises)
         )
         details.update(_details(phase, [reading for _, reading in group]))
-        findings.extend(_remarks(phase, value))
+        low, high = NITI_MODULUS[phase]
+        if not low <= value <= high:
+            text = (
+                f"{SYMBOL[phase]} = {value / 1e9:.3g} GPa, NiTi has {low / 1e9:g} to "
+                f"{high / 1e9:g}: crosshead travel instead of an extensometer, a wrong area, or a "
+                "wrong unit"
+            )
+            findings.append(Finding("warning", "E_M, E_A", text, {"modulus": value}))
     section = -2.0 * diameter_error(parameters)
     estimates = {
         n: e.with_shares({
@@ -290,11 +292,17 @@ def identify_tensile(
         })
         for n, e in estimates.items()
     }
-    findings.extend(_about_order(estimates))
-    return Experiment(
-        name=NAME, title=TITLE, estimates=estimates, findings=tuple(findings), curves=curves,
-        source="; ".join(str(record.path) for record in records), details=details,
-    )
+    # Martensite that is stiffer than austenite: the tests' phases are probably swapped.
+    soft, stiff = (estimates.get(MODULUS[phase]) for phase in ("martensite", "austenite"))
+    if soft and stiff and soft.value - stiff.value > 3.0 * math.hypot(soft.std, stiff.std):
+        text = (
+            f"E_M = {soft.value / 1e9:.1f} GPa lies above E_A = {stiff.value / 1e9:.1f} GPa: on "
+            "NiTi austenite is the stiffer phase; are the phases of the tests swapped?"
+        )
+        numbers = {"E_M": soft.value, "E_A": stiff.value}
+        findings.append(Finding("warning", "E_M, E_A", text, numbers))
+    source = "; ".join(str(record.path) for record in records)
+    return Experiment(NAME, TITLE, estimates, tuple(findings), curves, source, details)
 
 
 def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
@@ -325,17 +333,6 @@ def about_length(parameters: Parameters) -> Finding:
         "section"
     )
     return Finding("info", "wire length", text, {"length": length})
-
-
-def _check_phases(phases: Mapping[str, Phase], records: Sequence[TensileRecord]) -> None:
-    for pattern, phase in phases.items():
-        if phase not in PHASES:
-            raise InputError(
-                f"phase of {pattern} is {phase!r}, expected {' or '.join(PHASES)}"
-            )
-        if not any(fnmatch(record.path.name, pattern) for record in records):
-            names = ", ".join(record.path.name for record in records)
-            raise InputError(f"phase of {pattern}: no such tensile test among {names}")
 
 
 def _phase(
@@ -380,50 +377,30 @@ def _chosen(
         return CONVENTION[phase], [reading.initial for _, reading in group]
     after = [reading.after for _, reading in group if reading.after is not None]
     for record, reading in group:
-        findings.extend(_about_detwinning(record, reading, bool(after)))
+        name, before, late, plateau = (
+            record.path.name, reading.initial, reading.after, reading.plateau
+        )
+        if late is None:
+            what = (
+                f"the test ends on the detwinning plateau at {plateau[1]:.2%}" if plateau else
+                "no detwinning plateau"
+            )
+            use = (
+                "left out, as other tests show the rise after it" if after else
+                "E_M is the slope before it, in which detwinning has begun" if plateau else
+                "E_M is the slope of the first rise"
+            )
+            findings.append(Finding("warning", "E_M", f"{name}: {what}, {use}"))
+        elif abs(before.modulus - late.modulus) > 3.0 * math.hypot(before.std, late.std):
+            text = (
+                f"{name}: {before.modulus / 1e9:.1f} GPa before the detwinning plateau, "
+                f"{late.modulus / 1e9:.1f} GPa after it; E_M is the latter"
+            )
+            numbers = {"before": before.modulus, "after": late.modulus}
+            findings.append(Finding("info", "E_M", text, numbers))
     if after:
         return CONVENTION[phase], after
     return "loading before detwinning ends", [reading.initial for _, reading in group]
-
-
-def _about_detwinning(
-    record: TensileRecord, reading: TensileReading, others_show_it: bool
-) -> list[Finding]:
-    name = record.path.name
-    if reading.after is None:
-        what = (
-            "no detwinning plateau" if reading.plateau is None else
-            f"the test ends on the detwinning plateau at {reading.plateau[1]:.2%}"
-        )
-        use = (
-            "left out, as other tests show the rise after it" if others_show_it else
-            "E_M is the slope before it, in which detwinning has begun"
-            if reading.plateau is not None else "E_M is the slope of the first rise"
-        )
-        return [Finding("warning", "E_M", f"{name}: {what}, {use}")]
-    before, after = reading.initial, reading.after
-    if abs(before.modulus - after.modulus) <= 3.0 * math.hypot(before.std, after.std):
-        return []
-    text = (
-        f"{name}: {before.modulus / 1e9:.1f} GPa before the detwinning plateau, "
-        f"{after.modulus / 1e9:.1f} GPa after it; E_M is the latter"
-    )
-    return [Finding("info", "E_M", text, {"before": before.modulus, "after": after.modulus})]
-
-
-def _about_order(estimates: Mapping[str, Estimate]) -> list[Finding]:
-    """Martensite that is stiffer than austenite: the tests' phases are probably swapped."""
-    soft, stiff = (estimates.get(MODULUS[phase]) for phase in ("martensite", "austenite"))
-    if soft is None or stiff is None:
-        return []
-    apart = soft.value - stiff.value
-    if apart <= 3.0 * math.hypot(soft.std, stiff.std):
-        return []
-    text = (
-        f"E_M = {soft.value / 1e9:.1f} GPa lies above E_A = {stiff.value / 1e9:.1f} GPa: on NiTi "
-        "austenite is the stiffer phase; are the phases of the tests swapped?"
-    )
-    return [Finding("warning", "E_M, E_A", text, {"E_M": soft.value, "E_A": stiff.value})]
 
 
 def _details(phase: str, readings: Sequence[TensileReading]) -> dict[str, Estimate]:
@@ -452,14 +429,3 @@ def _details(phase: str, readings: Sequence[TensileReading]) -> dict[str, Estima
         float(toes.mean()), deviation, "1", "first rise extended to zero stress", len(toes)
     )
     return details
-
-
-def _remarks(phase: str, modulus: float) -> list[Finding]:
-    low, high = NITI_MODULUS[phase]
-    if low <= modulus <= high:
-        return []
-    text = (
-        f"{SYMBOL[phase]} = {modulus / 1e9:.3g} GPa, NiTi has {low / 1e9:g} to {high / 1e9:g}: "
-        "crosshead travel instead of an extensometer, a wrong area, or a wrong unit"
-    )
-    return [Finding("warning", "E_M, E_A", text, {"modulus": modulus})]
