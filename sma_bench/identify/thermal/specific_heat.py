@@ -11,7 +11,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.observation import Observation, observe, shared_bin
-from sma_bench.estimation.residual import Block, Problem
+from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Number, Off, Result, result_of
 from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import Unknown, Unknowns
@@ -90,45 +90,6 @@ def identify_specific_heat(
         for (record, drive), cut in zip(drives, cuts, strict=True)
     ]
     windows = [window for of_drive in chosen for window in of_drive]
-    _require_rise(windows, sources, limit)
-    used = [(*drive, own) for drive, own in zip(drives, chosen, strict=True) if own]
-    observations = _observations(used, parameters)
-    result, blind = _fitted(observations, windows, parameters, heat_loss)
-    estimate, remarks = _estimate(result, blind, windows, parameters, heat_loss)
-    models = [
-        _model(result, place, own)
-        for place, (_, _, of_drive) in enumerate(used) for own in of_drive
-    ]
-    paper, rates = slope_of_rates(
-        windows, [float(model.min()) for model in models], heat_loss.resistance.value,
-        heat_loss.coefficient.value * parameters["wire.surface_area"], parameters["wire.mass"],
-    )
-    n = sum(len(w.temperature) for w in windows)
-    delay, delay_std = _delay(result)
-    lag = _number(result, LAG)
-    details = {
-        "differentiator": paper,
-        "time_constant": _time_constant(result, parameters, n),
-        "delay": Estimate(delay, delay_std, "s", "stamps of temperature - voltage", n),
-        "lag": Estimate(lag.value, lag.std, "s", "lag of the temperature", n,
-                        informed=lag.informed),
-    }  # fmt: skip
-    estimates = {PARAMETER: estimate}
-    if lag.value > _SIGNIFICANT * lag.std:
-        estimates[CAMERA_LAG] = details["lag"]
-    if not heat_loss.known:
-        # c_p and h belong together: a file with this c_p and another h has the wrong tau.
-        h = _number(result, COEFFICIENT)
-        estimates[COEFFICIENT] = Estimate(
-            h.value, h.std, "W/(m2 K)", "output-error fit of eq. (2) to the ramps", n
-        ).with_shares(_scales(h.value, heat_loss, parameters))
-    return Experiment(
-        "E3", "Specific heat", estimates, (*findings, *remarks),
-        _curves(windows, models) | rates, "; ".join(sources), details,
-    )
-
-
-def _require_rise(windows: Sequence[Window], sources: Sequence[str], limit: float) -> None:
     where = "; ".join(sources)
     if not windows:
         raise InputError(
@@ -143,22 +104,66 @@ def _require_rise(windows: Sequence[Window], sources: Sequence[str], limit: floa
             f"expected {_SMALLEST_RISE:g} times as much or more"
         )
 
-
-# --- The fit: what is observed, what is unknown.
-
-_Used = tuple[Record, ChannelDrive, list[Window]]
-
-
-def _observations(used: Sequence[_Used], parameters: Parameters) -> list[Observation]:
-    """One a drive: the readings within its windows."""
+    # One observation a drive: the readings within its windows.
+    used = [(*drive, own) for drive, own in zip(drives, chosen, strict=True) if own]
     lean = [_lean(*one) for one in used]
     rigs = [_one_wire(parameters, drive.channel) for _, drive, _ in used]
     shortest = max(shared_bin([r], p, 0.0) for r, p in zip(lean, rigs, strict=True))
-    return [
+    observations = [
         _camera_as_it_is(observe(record, rig, shortest, ("temperature",)), record)
         for record, rig in zip(lean, rigs, strict=True)
     ]
+    result, blind = _fitted(observations, windows, parameters, heat_loss)
+    estimate, remarks = _estimate(result, blind, windows, parameters, heat_loss)
+    models = []
+    for place, (_, _, of_drive) in enumerate(used):
+        observation = result.fit.problem.observations[place]
+        simulation = observation.simulate(result.fit.parameters)
+        zero = _off(result, OFFSET)[place].value
+        course = observation.course(observation.signals[0], simulation)
+        models += [
+            np.asarray(zero + np.interp(window.temperature_time, observation.grid, course))
+            for window in of_drive
+        ]
+    paper, rates = slope_of_rates(
+        windows, [float(model.min()) for model in models], heat_loss.resistance.value,
+        heat_loss.coefficient.value * parameters["wire.surface_area"], parameters["wire.mass"],
+    )
+    n = sum(len(w.temperature) for w in windows)
+    delay = min(_off(result, DELAY), key=lambda off: off.std)  # of the record that tells it best
+    lag = _number(result, LAG)
+    details = {
+        "differentiator": paper,
+        "time_constant": _time_constant(result, parameters, n),
+        "delay": Estimate(delay.value, delay.std, "s", "stamps of temperature - voltage", n),
+        "lag": Estimate(lag.value, lag.std, "s", "lag of the temperature", n,
+                        informed=lag.informed),
+    }  # fmt: skip
+    estimates = {PARAMETER: estimate}
+    if lag.value > _SIGNIFICANT * lag.std:
+        estimates[CAMERA_LAG] = details["lag"]
+    if not heat_loss.known:
+        # c_p and h belong together: a file with this c_p and another h has the wrong tau.
+        h = _number(result, COEFFICIENT)
+        estimates[COEFFICIENT] = Estimate(
+            h.value, h.std, "W/(m2 K)", "output-error fit of eq. (2) to the ramps", n
+        ).with_shares(_scales(h.value, heat_loss, parameters))
+    # Measured and fitted temperature, one window after the other, NaN in between.
+    volts = [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows]
+    columns = {
+        "time": [w.temperature_time for w in windows],
+        "temperature": [w.temperature for w in windows], "model": models, "voltage": volts,
+    }
+    curves = {
+        name: np.concatenate([piece for part in parts for piece in (part, [np.nan])])
+        for name, parts in columns.items()
+    }
+    return Experiment(
+        "E3", "Specific heat", estimates, (*findings, *remarks), curves | rates, where, details
+    )
 
+
+# --- The fit: what is observed, what is unknown.
 
 def observe_channel(
     record: Record, channel: str, parameters: Parameters, quantities: Collection[str]
@@ -219,7 +224,12 @@ def _fitted(
     if lag > _lag(parameters)[0] + _SIGNIFICANT * camera:
         # A camera as slow as that is not one of those that were thought of.
         found = dict(zip(free.names, free.values(blind.x).tolist(), strict=True))
-        values = _camera_or_wire(found, parameters)
+        # Of two time constants in a row no reading says which is the wire's: that whose c_p is
+        # nearer to what is known of it.
+        loss = found[COEFFICIENT] * parameters["wire.surface_area"] / parameters["wire.mass"]
+        swapped = {**found, PARAMETER: found[LAG] * loss, LAG: found[PARAMETER] / loss}
+        expected = float(parameters[PARAMETER])
+        values = min(found, swapped, key=lambda v: abs(math.log(v[PARAMETER] / expected)))
         camera = values[LAG]
         free = _unknowns(parameters, heat_loss, cold, camera, known=False)
         blind = fit(blind.problem, free, free.x_of(values.values()))
@@ -231,15 +241,6 @@ def _fitted(
     first = np.clip(unknowns.x_of(free.values(blind.x)), -_NEAR, _NEAR)
     known = fit(blind.problem, unknowns, first, keep_noise=True)
     return result_of(known, [known]), result_of(blind, tried)
-
-
-def _camera_or_wire(values: dict[str, float], parameters: Parameters) -> dict[str, float]:
-    """Of two time constants in a row no reading says which is the wire's: that whose c_p is nearer
-    to what is known of it."""
-    loss = values[COEFFICIENT] * parameters["wire.surface_area"] / parameters["wire.mass"]
-    swapped = {**values, PARAMETER: values[LAG] * loss, LAG: values[PARAMETER] / loss}
-    known = float(parameters[PARAMETER])
-    return min(values, swapped, key=lambda v: abs(math.log(v[PARAMETER] / known)))
 
 
 def _lag(parameters: Parameters) -> tuple[float, float]:
@@ -296,14 +297,6 @@ def _logs(result: Result, *names: str) -> Array:
     return np.asarray(result.correlation[np.ix_(chosen, chosen)] * np.outer(std, std))
 
 
-def _delay(result: Result) -> tuple[float, float]:
-    """Of the stamps of temperature behind those of the voltage, s: of the record that tells it
-    best."""
-    found = _off(result, DELAY)
-    best = min(found, key=lambda off: off.std)
-    return best.value, best.std
-
-
 def _off(result: Result, kind: str) -> list[Off]:
     return [off for off in result.off if off.kind == kind]
 
@@ -314,15 +307,6 @@ def _time_constant(result: Result, parameters: Parameters, n: int) -> Estimate:
     weights = np.array([1.0, -1.0])
     std = math.sqrt(float(weights @ _logs(result, PARAMETER, COEFFICIENT) @ weights))
     return Estimate(tau, tau * std, "s", "m c_p/(h A_c)", n)
-
-
-def _model(result: Result, place: int, window: Window) -> Array:
-    """(m,) K, what the fit says to the readings of a window of one observation."""
-    observation = result.fit.problem.observations[place]
-    simulation = observation.simulate(result.fit.parameters)
-    zero = _off(result, OFFSET)[place].value
-    course = observation.course(observation.signals[0], simulation)
-    return np.asarray(zero + np.interp(window.temperature_time, observation.grid, course))
 
 
 def _estimate(
@@ -365,23 +349,6 @@ def _scales(value: float, heat_loss: HeatLoss, parameters: Parameters) -> dict[s
     return {name: value * share for name, share in shares.items()}
 
 
-def _curves(windows: Sequence[Window], models: Sequence[Array]) -> dict[str, Array]:
-    """Measured and fitted temperature, one window after the other, NaN in between."""
-    gap = np.array([np.nan])
-
-    def joined(parts: Sequence[Array]) -> Array:
-        return np.concatenate([piece for part in parts for piece in (part, gap)])
-
-    return {
-        "time": joined([w.temperature_time for w in windows]),
-        "temperature": joined([w.temperature for w in windows]),
-        "model": joined(models),
-        "voltage": joined(
-            [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows]
-        ),
-    }
-
-
 # --- What may be wrong with a fit of the heat equation, and by how much c_p is then in doubt.
 
 SUBJECT = "wire.specific_heat"
@@ -409,8 +376,18 @@ def check_delay(result: Result, tau: float) -> Check:
     Args:
         result: the fit with its delay; tau: s.
     """
-    late, std = _lateness(result)
-    assumed = min(off.prior_std for off in _off(result, DELAY))
+    # Delay and lag of the record that tells them best: their sum is known better than they.
+    fitted, delays = result.fit, _off(result, DELAY)
+    best = min(range(len(delays)), key=lambda k: delays[k].std)
+    items = [item for own in fitted.problem.nuisances for item in own.items]
+    place = [k for k, item in enumerate(items) if item.kind == DELAY][best]
+    weights = np.zeros(len(fitted.joint))
+    weights[len(fitted.x) + place] = items[place].std
+    k = fitted.unknowns.names.index(LAG)
+    weights[k] = fitted.unknowns.items[k].std
+    late = delays[best].value + _number(result, LAG).value
+    std = math.sqrt(float(weights @ fitted.joint @ weights))
+    assumed = min(off.prior_std for off in delays)
     numbers = {"delay": late, "delay_std": std}
     if std > 0.5 * assumed:
         text = (
@@ -428,20 +405,6 @@ def check_delay(result: Result, tau: float) -> Check:
         text += "; taken at face value they would pass for thermal inertia"
     far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _lag(result.fit.parameters)[1])
     return Check(Finding("warning" if far else "info", "temperature", text, numbers))
-
-
-def _lateness(result: Result) -> tuple[float, float]:
-    """Delay and lag of the record that tells them best, s: their sum is known better than they."""
-    fitted, delays = result.fit, _off(result, DELAY)
-    best = min(range(len(delays)), key=lambda k: delays[k].std)
-    items = [item for own in fitted.problem.nuisances for item in own.items]
-    place = [k for k, item in enumerate(items) if item.kind == DELAY][best]
-    weights = np.zeros(len(fitted.joint))
-    weights[len(fitted.x) + place] = items[place].std
-    k = fitted.unknowns.names.index(LAG)
-    weights[k] = fitted.unknowns.items[k].std
-    value = delays[best].value + _number(result, LAG).value
-    return value, math.sqrt(float(weights @ fitted.joint @ weights))
 
 
 def check_lag(result: Result, tau: float, parameters: Parameters) -> Check:
@@ -498,10 +461,23 @@ def check_gain(result: Result, blind: Result, scales: float) -> Check:
 
 def check_misfit(result: Result, tau: float) -> Check:
     """Whether residuals stay on one side over a time constant (s) anywhere."""
-    mean, errors, share = max(
-        (_largest_misfit(block, result, tau) for block in result.fit.problem.blocks),
-        key=lambda found: found[1],
-    )
+    # Largest mean residual over a time constant: in K, over what such means scatter by where the
+    # wire is cold, and over the rise.
+    found: list[tuple[float, float, float]] = []
+    for block in result.fit.problem.blocks:
+        left, model = result.fit.left[block.rows], result.fit.predicted[block.rows]
+        signal, rise = block.signal, float(np.ptp(model))
+        width = max(tau, _FEWEST_IN_BIN * signal.period)
+        which = np.floor((signal.time - signal.time[0]) / width).astype(np.intp)
+        _, which, count = np.unique(which, return_inverse=True, return_counts=True)
+        means = np.bincount(which, left) / count
+        cold = np.bincount(which, model - model.min() < _COLD * rise) == count
+        scatter = float(np.sqrt(np.mean(means[cold] ** 2))) if cold.any() else 0.0
+        error = np.maximum(scatter, signal.noise / np.sqrt(count))
+        worst = int(np.argmax(np.where(count >= _FEWEST_IN_BIN, np.abs(means) / error, 0.0)))
+        largest = float(means[worst])
+        found.append((largest, abs(largest) / float(error[worst]), abs(largest) / rise))
+    mean, errors, share = max(found, key=lambda one: one[1])
     if errors < _BAD_MISFIT or share < _SMALL:
         return Check()
     text = (
@@ -512,24 +488,6 @@ def check_misfit(result: Result, tau: float) -> Check:
     )
     numbers = {"misfit": mean, "standard_errors": errors}
     return Check(Finding("warning", SUBJECT, text, numbers), factor=errors / _SIGNIFICANT)
-
-
-def _largest_misfit(block: Block, result: Result, tau: float) -> tuple[float, float, float]:
-    """Largest mean residual over a time constant: in K, over what such means scatter by where the
-    wire is cold, and over the rise."""
-    left, model = result.fit.left[block.rows], result.fit.predicted[block.rows]
-    signal = block.signal
-    rise = float(np.ptp(model))
-    width = max(tau, _FEWEST_IN_BIN * signal.period)
-    which = np.floor((signal.time - signal.time[0]) / width).astype(np.intp)
-    _, which, count = np.unique(which, return_inverse=True, return_counts=True)
-    mean = np.bincount(which, left) / count
-    cold = np.bincount(which, model - model.min() < _COLD * rise) == count
-    scatter = float(np.sqrt(np.mean(mean[cold] ** 2))) if cold.any() else 0.0
-    error = np.maximum(scatter, signal.noise / np.sqrt(count))
-    worst = int(np.argmax(np.where(count >= _FEWEST_IN_BIN, np.abs(mean) / error, 0.0)))
-    largest = float(mean[worst])
-    return largest, abs(largest) / float(error[worst]), abs(largest) / rise
 
 
 # --- The paper's own way to the specific heat: slope of dT/dt over f(T, V) (eq. 5, Fig. 5).
