@@ -1,32 +1,27 @@
 """Cases: what every effect moves, which case hides what, and all that is drawn for it."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import yaml
 
-from examination.blind.case_files import STAGE_OF
+from examination.blind.case_files import RECALIBRATION, STAGE_OF
 from examination.blind.reality import BY_NAME
 from examination.blind.rigs import RECORDS, Drive, draw_drives, draw_nominal, draw_truth, draw_wrong
 from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
 from sma_bench.parameters import Parameters
 
-# --- Every effect as features of the reality: what moves, how far it goes in practice.
+# --- Every effect as features of the reality: symptoms.yaml.
 
-LOG, EVEN = "log", "even"
 LOADS = ("beam", "force", "spring", "antagonist")
 
 
 @dataclass(frozen=True)
 class Move:
-    """A feature that goes with the effect's amount a.
-
-    Attributes:
-        feature: of the reality.
-        weight: it moves by a times a number of this range.
-        factor: the amount is the logarithm of a factor on the feature instead of a step.
-    """
+    """A feature that goes with the effect's amount a: by a times a number of the range `weight`, or
+    by the factor exp of that."""
 
     feature: str
     weight: tuple[float, float] = (1.0, 1.0)
@@ -35,130 +30,44 @@ class Move:
 
 @dataclass(frozen=True)
 class Setting:
-    """A feature that shapes the effect whatever its amount."""
+    """A feature that shapes the effect whatever its amount; `spread` even or log."""
 
     feature: str
     low: float
     high: float
-    spread: str = EVEN
+    spread: str = "even"
 
 
 @dataclass(frozen=True)
 class Symptom:
-    """One effect.
-
-    Attributes:
-        moves: the features it moves, the first one being the one that gives it its size.
-        natural: smallest and largest amount to be met in practice.
-        signs: the directions in which it can go.
-        settings: that shape it.
-        stage: where it acts.
-        in_deflection: whether a record of voltages and deflection can show it at all.
-        of_peak_current: its amount is a share of the record's largest current.
-        loads: of the rigs that can have it.
-    """
+    """One effect; the fields are explained in symptoms.yaml."""
 
     moves: tuple[Move, ...]
     natural: tuple[float, float]
+    stage: str
     signs: tuple[int, ...] = (1,)
     settings: tuple[Setting, ...] = ()
-    stage: str = ""
     in_deflection: bool = True
     of_peak_current: bool = False
     loads: tuple[str, ...] = LOADS
 
 
-_BEAM = ("beam",)
-_BOTH = (1, -1)
+def _read() -> tuple[dict[str, Symptom], dict[str, Symptom]]:
+    document = yaml.safe_load(Path(__file__).with_name("symptoms.yaml").read_text())
+    for rows in document.values():
+        for name, row in rows.items():
+            row |= {
+                "moves": [Move(feature, **move) for feature, move in row["moves"].items()],
+                "settings": [Setting(f, **s) for f, s in row.get("settings", {}).items()],
+                "stage": STAGE_OF.get(name) or row["stage"],
+            }
+            rows[name] = Symptom(**{k: tuple(v) if isinstance(v, list) else v
+                                    for k, v in row.items()})  # fmt: skip
+    return document["effects"], document["outside"]
 
-# The contract's effects; sizes of the literature (matrix: 1 to 90 times the wire's own heat
-# capacity; sides: 0.15 to 0.24 W/(m K) over a hand's length; and so on).
-EFFECTS: dict[str, Symptom] = {
-    "phase_dependent_resistance": Symptom(
-        (
-            Move("resistance_austenite_change"),
-            Move("resistance_temperature_coefficient", (0.0, 3e-3)),
-        ),
-        (0.05, 0.25), _BOTH,
-    ),
-    "supply_drop": Symptom((Move("supply_resistance"),), (0.05, 0.5)),
-    "latent_heat": Symptom((Move("latent_heat"),), (4e3, 25e3)),
-    "temperature_dependent_convection": Symptom(
-        (Move("convection_by_correlation"),), (0.2, 1.0)
-    ),
-    "matrix_thermal_mass": Symptom(
-        (Move("silicone_heat_capacity"),), (0.04, 3.4),
-        settings=(Setting("silicone_share", 0.25, 0.75),), loads=_BEAM,
-    ),
-    "side_heat_coupling": Symptom((Move("side_conductance"),), (0.01, 0.05), loads=_BEAM),
-    "ambient_drift": Symptom(
-        (Move("ambient_rate"), Move("ambient_wave", (-60.0, 60.0))), (3.3e-4, 8.3e-3), _BOTH
-    ),
-    "partial_transformation": Symptom((Move("return_point_memory"),), (0.2, 1.0)),
-    "transition_drift": Symptom(
-        (Move("transition_drift"), Move("plastic_strain", (0.0, 3e-4))), (0.5, 10.0), _BOTH,
-        settings=(Setting("drift_cycles", 1.5, 8.0, LOG),),
-    ),
-    "stress_dependent_transition": Symptom(
-        (
-            Move("stress_influence_factor_austenite", factor=True),
-            Move("stress_influence_factor_martensite", (0.5, 1.3), factor=True),
-        ),
-        (0.1, 0.6), _BOTH,
-    ),
-    "residual_strain": Symptom((Move("unrecovered_strain"),), (0.01, 0.3)),
-    "viscoelastic_matrix": Symptom(
-        (Move("matrix_relaxation"),), (0.05, 0.2),
-        settings=(Setting("relaxation_time", 1.0, 100.0, LOG),), loads=_BEAM,
-    ),
-    "opposing_wires": Symptom(
-        (Move("opposing"),), (0.1, 1.0),
-        settings=(Setting("detwinning_stress", 40e6, 150e6, LOG),), loads=_BEAM,
-    ),
-    "side_asymmetry": Symptom(
-        (Move("stiffness_asymmetry"),), (0.05, 0.5), _BOTH, loads=_BEAM
-    ),
-    "slack": Symptom((Move("slack"),), (5e-4, 0.01), loads=("beam", "spring")),
-    "temperature_underfill": Symptom(
-        (Move("spot_fill"),), (0.05, 0.6), (-1,), in_deflection=False
-    ),
-    "temperature_lag": Symptom((Move("camera_lag"),), (0.05, 2.0), in_deflection=False),
-    "deflection_drift": Symptom((Move("deflection_drift"),), (2e-4, 1.75e-3), _BOTH),
-}
-EFFECTS = {
-    name: replace(symptom, stage=STAGE_OF[name]) for name, symptom in EFFECTS.items()
-}
 
-# What no diagnosis has in its library.
-OUTSIDE: dict[str, Symptom] = {
-    "current_limit": Symptom(
-        (Move("current_limit"),), (0.02, 0.4), stage="electrical", of_peak_current=True
-    ),
-    "contact_growth": Symptom((Move("contact_growth"),), (0.02, 0.6), stage="electrical"),
-    "draught": Symptom(
-        (Move("draught"),), (0.05, 1.0), stage="thermal",
-        settings=(Setting("draught_seed", 0.0, 1e6),),
-    ),
-    "r_phase": Symptom((Move("r_phase"),), (0.03, 0.4), stage="transformation"),
-    "transformation_lag": Symptom(
-        (Move("transformation_lag"),), (0.05, 2.0), stage="transformation"
-    ),
-    "friction": Symptom((Move("friction"),), (1e-4, 3e-3), stage="mechanical"),
-    "stiffening": Symptom(
-        (Move("stiffening"),), (10.0, 400.0), stage="mechanical", loads=_BEAM
-    ),
-    "clamp_slip": Symptom(
-        (Move("clamp_slip"),), (1e-4, 2e-3), _BOTH, stage="mechanical",
-        settings=(Setting("clamp_slip_time", 20.0, 90.0),),
-    ),
-    "sensor_nonlinearity": Symptom(
-        (Move("sensor_nonlinearity"),), (0.1, 3.0), _BOTH, stage="sensor"
-    ),
-    "pickup": Symptom((Move("pickup"),), (5e-5, 2e-3), _BOTH, stage="sensor"),
-    "shutter_steps": Symptom(
-        (Move("shutter_steps"),), (0.1, 3.0), stage="sensor", in_deflection=False
-    ),
-}
+# The contract's effects, and what no diagnosis has in its library.
+EFFECTS, OUTSIDE = _read()
 
 # The largest amount that a target may ask for, over the largest natural one.
 STRETCH = 1.5
@@ -208,14 +117,13 @@ def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Dra
     """
     sign = int(rng.choice(symptom.signs))
     weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves)
-    settings = {s.feature: _drawn(s, rng) for s in symptom.settings}
+    settings = {}
+    for s in symptom.settings:
+        if s.spread == "log":
+            settings[s.feature] = float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))))
+        else:
+            settings[s.feature] = float(rng.uniform(s.low, s.high))
     return Draw(symptom, sign, weights, settings, peak_current)
-
-
-def _drawn(setting: Setting, rng: np.random.Generator) -> float:
-    if setting.spread == LOG:
-        return float(np.exp(rng.uniform(np.log(setting.low), np.log(setting.high))))
-    return float(rng.uniform(setting.low, setting.high))
 
 
 def amount_for(
@@ -257,13 +165,7 @@ def _next(tried: list[tuple[float, float]]) -> float:
 
 # --- Which case hides what: kinds, effects, severities and signals dealt in balance.
 
-SINGLE, NONE, RECALIBRATION, PAIR, OUTSIDE_KIND = (
-    "single",
-    "none",
-    "recalibration",
-    "pair",
-    "outside",
-)
+SINGLE, NONE, PAIR, OUTSIDE_KIND = "single", "none", "pair", "outside"
 SHARES = {SINGLE: 0.50, NONE: 0.16, RECALIBRATION: 0.08, PAIR: 0.13, OUTSIDE_KIND: 0.13}
 # Gap over noise that an effect is sized for; None takes a size of the literature as it comes.
 SEVERITIES = (1.0, 2.0, 4.0, 8.0, 16.0, None)
@@ -281,7 +183,7 @@ class Card:
 
     Attributes:
         kind: single, none, recalibration, pair or outside.
-        effects: names of symptoms.EFFECTS or OUTSIDE.
+        effects: names of EFFECTS or OUTSIDE.
         targets: gap over noise to size each effect for; None for a size as it comes.
         signals: "all", or "paper" (voltages and deflection only).
         noise: its model, one of NOISE_MODELS.
@@ -306,29 +208,24 @@ def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
 
     Signals and noise models are dealt within each kind, so that neither reveals the kind.
     """
-    cards: list[Card] = []
-    for kind, count in _counts(n, rng).items():
-        hidden = _HIDDEN[kind](count, rng, load)
-        noises = _in_turns(tuple(NOISE_MODELS), count, rng)
-        signals = _signals([effects for effects, _ in hidden], rng)
-        mild = _mild(kind, noises, rng)
-        cards += [
-            Card(kind, effects, targets, signal, noise, flag)
-            for (effects, targets), signal, noise, flag in zip(
-                hidden, signals, noises, mild, strict=True
-            )
-        ]
-    return [cards[k] for k in rng.permutation(len(cards))]
-
-
-def _counts(n: int, rng: np.random.Generator) -> dict[str, int]:
-    """Largest remainders; which kinds get the last cases is drawn where they are equal."""
+    # Largest remainders; which kinds get the last cases is drawn where they are equal.
     exact = {kind: share * n for kind, share in SHARES.items()}
     counts = {kind: int(value) for kind, value in exact.items()}
     order = sorted(exact, key=lambda kind: (counts[kind] - exact[kind], rng.random()))
     for kind in order[: n - sum(counts.values())]:
         counts[kind] += 1
-    return counts
+    cards: list[Card] = []
+    for kind, count in counts.items():
+        hidden = _hidden(kind, count, rng, load)
+        noises = _in_turns(tuple(NOISE_MODELS), count, rng)
+        signals = _signals([effects for effects, _ in hidden], rng)
+        mild: set[int] = set()
+        if kind == NONE:
+            mild = set(rng.permutation(count)[: round(MILD_KINETICS_SHARE * count)].tolist())
+        cards += [
+            Card(kind, *hidden[k], signals[k], noises[k], k in mild) for k in range(count)
+        ]
+    return [cards[k] for k in rng.permutation(len(cards))]
 
 
 def _in_turns(names: Sequence, n: int, rng: np.random.Generator) -> list:
@@ -338,78 +235,36 @@ def _in_turns(names: Sequence, n: int, rng: np.random.Generator) -> list:
     return dealt[:n]
 
 
-_Hidden = tuple[tuple[str, ...], tuple[float | None, ...]]
-
-
-def _one_of(
-    names: Sequence[str], n: int, rng: np.random.Generator
-) -> list[_Hidden]:
-    """Each name in turn, and each name's severities in turn."""
-    levels = {name: _in_turns(SEVERITIES, n, rng) for name in names}
-    seen: Counter[str] = Counter()
-    hidden: list[_Hidden] = []
-    for name in _in_turns(names, n, rng):
-        hidden.append(((name,), (levels[name][seen[name]],)))
-        seen[name] += 1
-    return hidden
-
-
-def _singles(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
-    return _one_of(possible(EFFECTS, load), n, rng)
-
-
-def _outsiders(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
-    return _one_of(possible(OUTSIDE, load), n, rng)
-
-
-def _pairs(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
+def _hidden(
+    kind: str, n: int, rng: np.random.Generator, load: str
+) -> list[tuple[tuple[str, ...], tuple[float | None, ...]]]:
+    """Effects and their severities: each name in turn, and each name's severities in turn."""
+    if kind in (SINGLE, OUTSIDE_KIND):
+        names = possible(EFFECTS if kind == SINGLE else OUTSIDE, load)
+        levels = {name: iter(_in_turns(SEVERITIES, n, rng)) for name in names}
+        return [((name,), (next(levels[name]),)) for name in _in_turns(names, n, rng)]
+    if kind != PAIR:
+        return [((), ())] * n
     every = possible(EFFECTS, load)
-    names = _in_turns(every, 2 * n, rng)
-    levels = _in_turns(PAIR_SEVERITIES, 2 * n, rng)
-    hidden: list[_Hidden] = []
-    for k in range(n):
-        first, second = names[2 * k], names[2 * k + 1]
-        while second == first:
-            second = str(rng.choice(every))
-        hidden.append(((first, second), (levels[2 * k], levels[2 * k + 1])))
-    return hidden
-
-
-def _nothing(n: int, rng: np.random.Generator, load: str) -> list[_Hidden]:
-    return [((), ())] * n
-
-
-_HIDDEN = {
-    SINGLE: _singles,
-    NONE: _nothing,
-    RECALIBRATION: _nothing,
-    PAIR: _pairs,
-    OUTSIDE_KIND: _outsiders,
-}
+    dealt, both = _in_turns(every, 2 * n, rng), _in_turns(PAIR_SEVERITIES, 2 * n, rng)
+    for k in range(0, 2 * n, 2):
+        while dealt[k + 1] == dealt[k]:
+            dealt[k + 1] = str(rng.choice(every))
+    return [(tuple(dealt[k : k + 2]), tuple(both[k : k + 2])) for k in range(0, 2 * n, 2)]
 
 
 def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator) -> list[str]:
     """Half of each kind shows all signals, those that show in no other way among them."""
     symptoms = {**EFFECTS, **OUTSIDE}
-    free = np.array(
-        [all(symptoms[name].in_deflection for name in names) for names in hidden], dtype=bool
-    )
-    if not free.any():
+    free = [k for k, names in enumerate(hidden) if all(symptoms[n].in_deflection for n in names)]
+    if not free:
         return [ALL] * len(hidden)
     # Every effect's own cases change sides in turn: systematic sampling along sorted names.
-    share = min(0.5 * len(hidden) / free.sum(), 1.0)
-    order = sorted(np.flatnonzero(free), key=lambda k: (hidden[k], rng.random()))
+    share = min(0.5 * len(hidden) / len(free), 1.0)
+    order = sorted(free, key=lambda k: (hidden[k], rng.random()))
     steps = np.floor(share * np.arange(len(order) + 1) + rng.random())
-    paper = {int(k) for k, taken in zip(order, np.diff(steps), strict=True) if taken}
+    paper = {k for k, taken in zip(order, np.diff(steps), strict=True) if taken}
     return [PAPER if k in paper else ALL for k in range(len(hidden))]
-
-
-def _mild(kind: str, noises: list[str], rng: np.random.Generator) -> list[bool]:
-    if kind != NONE:
-        return [False] * len(noises)
-    number = round(MILD_KINETICS_SHARE * len(noises))
-    chosen = set(rng.permutation(len(noises))[:number].tolist())
-    return [k in chosen for k in range(len(noises))]
 
 
 # --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
@@ -512,6 +367,11 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     little = stream("nuisances")
     nuisances = {n: float(little.uniform(*limits)) for n, limits in _NUISANCES.items()}
     bag = stream("bag")
+    storage, namespace = str(bag.choice(_STORAGES)), str(bag.choice(_NAMESPACES))
+    # Some working day, the second record after the first.
+    day = _FIRST_DAY + 86400 * int(bag.integers(_DAYS))
+    first = day + float(bag.uniform(*_WORKING_HOURS))
+    starts = (first, first + float(bag.uniform(*_PAUSE)))
     return Case(
         seed,
         index,
@@ -525,9 +385,9 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         nuisances,
         nuisance_gap=float(little.uniform(*NUISANCE_GAP)),
         mild_gap=float(np.exp(little.uniform(*np.log(MILD_GAP)))),
-        storage=str(bag.choice(_STORAGES)),
-        namespace=str(bag.choice(_NAMESPACES)),
-        starts=_draw_starts(bag),
+        storage=storage,
+        namespace=namespace,
+        starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
     )
 
 
@@ -549,11 +409,3 @@ def _draw_sensors(noise_model: str, rng: np.random.Generator) -> Sensors:
         camera_clock=float(rng.uniform(*_CAMERA_CLOCK)),
         seed=int(rng.integers(2**31)),
     )
-
-
-def _draw_starts(rng: np.random.Generator) -> dict[str, int]:
-    """ns since the epoch: some working day, the second record after the first."""
-    day = _FIRST_DAY + 86400 * int(rng.integers(_DAYS))
-    first = day + float(rng.uniform(*_WORKING_HOURS))
-    times = (first, first + float(rng.uniform(*_PAUSE)))
-    return {name: int(t * 1e9) for name, t in zip(RECORDS, times, strict=True)}

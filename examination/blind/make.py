@@ -13,22 +13,20 @@ import joblib
 import numpy as np
 
 from examination.bags import in_sqlite3
-from examination.blind.case_files import CASES, LABELS, MANIFEST, STAGE_OF, seal
+from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, seal
 from examination.blind.cases import (
+    EFFECTS,
     NONE,
     OUTSIDE,
     QUANTITIES,
-    RECALIBRATION,
     Case,
     draw_cases,
     split_of,
 )
 from examination.blind.rigs import (
     RECORDS,
-    Array,
     Stage,
     gaps,
-    largest,
     quantity_of,
     stage_of_parameter,
     true_values,
@@ -36,81 +34,68 @@ from examination.blind.rigs import (
     world_of,
 )
 from examination.blind.sensors import measure
-from examination.blind.severity import (
-    Separation,
-    Sized,
-    measured,
-    readings_of,
-    rounded,
-    separation,
-    size,
-)
+from examination.blind.severity import Readings, Sized, measured, separation, size
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
-from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters import write_parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
 
-_PLACES = 12
-Readings = Mapping[str, Mapping[str, Array]]
 
-
-def reference(case: Case, stage: Stage, sized: Sized) -> dict[str, dict[str, Array]]:
-    """Noise-free readings without what the case hides: the effect, or the owners' mistakes."""
-    believed = mistaken(case) if case.wrong else None
-    return {record: stage.read(sized.base, record, parameters=believed) for record in RECORDS}
-
-
-def mistaken(case: Case) -> Parameters:
-    """The true rig, but for the numbers about which the owners are badly wrong."""
-    return case.truth.replace({name: case.nominal[name] for name in _with_twins(case.wrong)})
-
-
-def _with_twins(names: Mapping[str, float]) -> list[str]:
-    return [n for name in names for n in (name, name.replace("_front", "_back"))]
-
-
-def make_label(
-    case: Case,
-    stage: Stage,
-    sized: Sized,
-    truth: Readings,
-    without: Readings,
-    separation: Separation | None,
-) -> dict[str, Any]:
+def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
     """Everything that a scorer may want to know, as plain JSON.
 
     Args:
-        case: as it was drawn.
-        stage: the rig and its drives.
-        sized: the features found for it.
-        truth: noise-free readings by record with what is hidden.
-        without: the same without it.
-        separation: from rival explanations; None where nothing is hidden.
+        case: as it was drawn; stage: the rig and its drives; sized: the features found for it.
     """
-    quantities = QUANTITIES[case.card.signals]
-    gap = {r: rounded(gaps(truth[r], without[r], stage.sensors, quantities)) for r in RECORDS}
-    severity = max(largest(gap[record]) for record in RECORDS)
-    hides = case.card.kind != NONE
+    card, quantities = case.card, QUANTITIES[case.card.signals]
+    # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
+    believed = None
+    if case.wrong:
+        twins = {n for name in case.wrong for n in (name, name.replace("_front", "_back"))}
+        believed = case.truth.replace({name: case.nominal[name] for name in twins})
+    truth = {r: stage.read(sized.features, r) for r in RECORDS}
+    without = {r: stage.read(sized.base, r, parameters=believed) for r in RECORDS}
+    gap = {
+        r: {name: round(value, 4) for name, value in
+            gaps(truth[r], without[r], stage.sensors, quantities).items()}
+        for r in RECORDS
+    }  # fmt: skip
+    severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
+    if card.kind == RECALIBRATION:
+        stages = sorted({stage_of_parameter(name) for name in case.wrong})
+    else:
+        stages = [{**EFFECTS, **OUTSIDE}[name].stage for name in card.effects]
+    # Of each effect: the gap that it makes beside the others.
+    severities = dict.fromkeys(card.effects, severity)
+    if len(card.effects) > 1:
+        severities = {
+            name: round(measured(stage, sized.features, sized.without(name), quantities), 4)
+            for name in card.effects
+        }
+    found: dict[str, Any] | None = None
+    if card.kind not in (NONE, RECALIBRATION):
+        own = card.effects[0] if len(card.effects) == 1 else ""
+        found = separation(stage, sized.base, truth, without, quantities, own)
     return {
         "id": case.name,
-        "kind": case.card.kind,
-        "effects": list(case.card.effects),
-        "stages": _stages(case),
-        "signals": case.card.signals,
-        "noise": case.card.noise,
-        "kinetics": case.card.mild_kinetics,
-        "severity": severity if hides else 0.0,
-        "severities": _severities(case, stage, sized, severity),
-        "targets": list(case.card.targets),
+        "kind": card.kind,
+        "effects": list(card.effects),
+        "stages": stages,
+        "signals": card.signals,
+        "noise": card.noise,
+        "kinetics": card.mild_kinetics,
+        "severity": severity,
+        "severities": severities,
+        "targets": list(card.targets),
         "amounts": dict(sized.amounts),
         "gap": gap,
         "nuisance_gap": round(sized.nuisance_gap, 4),
         "kinetics_gap": round(sized.kinetics_gap, 4),
         "wrong": dict(case.wrong),
-        "where": _where(case, stage, truth, without, gap) if hides and severity else None,
-        "distinguishable": separation.distinguishable if separation else True,
-        "separation": separation.to_json() if separation else None,
+        "where": _where(stage, truth, without, gap, stages[0], quantities) if severity else None,
+        "distinguishable": found is None or found["distinguishable"],
+        "separation": found and {k: v for k, v in found.items() if k != "distinguishable"},
         "features": dict(sorted(sized.features.items())),
         "base": dict(sorted(sized.base.items())),
         "load": load_kind(case.truth),
@@ -122,36 +107,13 @@ def make_label(
     }
 
 
-def _stages(case: Case) -> list[str]:
-    if case.card.kind == RECALIBRATION:
-        return sorted({stage_of_parameter(name) for name in case.wrong})
-    return [STAGE_OF.get(name) or OUTSIDE[name].stage for name in case.card.effects]
-
-
-def _severities(
-    case: Case, stage: Stage, sized: Sized, severity: float
-) -> dict[str, float]:
-    """Of each effect: the gap that it makes beside the others."""
-    if len(case.card.effects) < 2:
-        return dict.fromkeys(case.card.effects, severity)
-    quantities = QUANTITIES[case.card.signals]
-    return {
-        name: round(measured(stage, sized.features, sized.without(name), quantities), 4)
-        for name in case.card.effects
-    }
-
-
 def _where(
-    case: Case,
-    stage: Stage,
-    truth: Readings,
-    without: Readings,
-    gap: Mapping[str, Mapping[str, float]],
+    stage: Stage, truth: Readings, without: Readings, gap: Mapping[str, Mapping[str, float]],
+    own_stage: str, quantities: tuple[str, ...],
 ) -> dict[str, Any]:
     """Signal of the largest gap in the record that a diagnosis sees; phase and side of most of
-    that signal's share; stage of the largest effect."""
+    that signal's share; stage of the largest effect; the twelve largest cells."""
     record = RECORDS[0]
-    quantities = QUANTITIES[case.card.signals]
     table = where(truth[record], without[record], stage, record, quantities)
     signal = max(gap[record], key=lambda name: gap[record][name])
     first = next(row for row in table if row["signal"] == signal)
@@ -160,13 +122,10 @@ def _where(
         "channel": signal.rpartition(".")[0],
         "phase": first["phase"],
         "side": first["side"],
-        "stage": _stages(case)[0],
-        "table": [_rounded_row(row) for row in table[:_PLACES]],
-    }
-
-
-def _rounded_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
+        "stage": own_stage,
+        "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
+                  for row in table[:12]],
+    }  # fmt: skip
 
 
 # --- A set in a new folder.
@@ -201,12 +160,22 @@ def make(
         InputError: the folder exists or cannot be made, or a number out of range.
     """
     out = Path(out)
-    _require(0 <= seed < 2**31, f"seed {seed}", "a whole number from 0 to 2147483647")
-    _require(1 <= n <= LARGEST_SET, f"number of cases {n}", f"1 to {LARGEST_SET}")
-    _require(1 <= jobs <= 64, f"jobs {jobs}", "1 to 64")
+    for what, value, low, high in (
+        ("seed", seed, 0, 2**31 - 1), ("number of cases", n, 1, LARGEST_SET), ("jobs", jobs, 1, 64),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise InputError(f"blind make: {what} {value}, expected {low} to {high}")
     with new_folder(out) as folder:
         (folder / CASES).mkdir()
-        labels = _make_all(draw_cases(seed, n, load), folder / CASES, jobs, progress)
+        cases, labels = draw_cases(seed, n, load), []
+        if jobs > 1:
+            calls = (joblib.delayed(make_case)(case, folder / CASES) for case in cases)
+            made = joblib.Parallel(jobs, return_as="generator")(calls)
+        else:  # joblib's own way in one process now and then lets an interrupt past its caller
+            made = (make_case(case, folder / CASES) for case in cases)
+        for label in made:
+            labels.append(label)
+            progress(len(labels))
         manifest = {
             "layout": _LAYOUT,
             "version": VERSION,
@@ -219,11 +188,6 @@ def make(
         }
         (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     return manifest
-
-
-def _require(holds: bool, what: str, expected: str) -> None:
-    if not holds:
-        raise InputError(f"blind make: {what}, expected {expected}")
 
 
 @contextmanager
@@ -250,54 +214,23 @@ def new_folder(out: str | Path) -> Iterator[Path]:
         shutil.rmtree(parent, ignore_errors=True)
 
 
-def _make_all(
-    cases: list[Case], folder: Path, jobs: int, progress: Callable[[int], None]
-) -> list[dict[str, Any]]:
-    labels = []
-    if jobs > 1:
-        calls = (joblib.delayed(make_case)(case, folder) for case in cases)
-        made = joblib.Parallel(jobs, return_as="generator")(calls)
-    else:  # joblib's own way in one process now and then lets an interrupt past its caller
-        made = (make_case(case, folder) for case in cases)
-    for label in made:
-        labels.append(label)
-        progress(len(labels))
-    return labels
-
-
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
     """Write the bags and the believed numbers of a case below `folder`; its label."""
     stage = Stage(case.truth, case.sensors, case.drives)
     sized = size(case, stage)
-    label = _label(case, stage, sized)
+    label = make_label(case, stage, sized)
     place = folder / case.name
     shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
     place.mkdir()
+    world, quantities = world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
     for record in RECORDS:
-        _write_bag(case, stage, sized, record, place / record)
+        outcome, random = stage.play(sized.features, record), case.stream(record)
+        signals = measure(outcome, world, case.sensors, stage.channels, random, quantities)
+        write_record(place / record, signals, case.namespace, case.starts[record])
+        if case.storage == "sqlite3":
+            in_sqlite3(place / record)
     write_parameters(place / NOMINAL, case.nominal, names=sorted(case.nominal.given))
     return label
-
-
-def _label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
-    truth, without = readings_of(stage, sized.features), reference(case, stage, sized)
-    found: Separation | None = None
-    if case.card.kind not in (NONE, RECALIBRATION):
-        quantities = QUANTITIES[case.card.signals]
-        own = case.card.effects[0] if len(case.card.effects) == 1 else ""
-        found = separation(stage, sized.base, truth, without, quantities, own)
-    return make_label(case, stage, sized, truth, without, found)
-
-
-def _write_bag(case: Case, stage: Stage, sized: Sized, record: str, path: Path) -> None:
-    outcome = stage.play(sized.features, record)
-    world, quantities = world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
-    signals = measure(
-        outcome, world, case.sensors, stage.channels, case.stream(record), quantities
-    )
-    write_record(path, signals, case.namespace, case.starts[record])
-    if case.storage == "sqlite3":
-        in_sqlite3(path)
 
 
 def digest(folder: str | Path) -> str:

@@ -486,11 +486,6 @@ def gaps(
     }
 
 
-def largest(gap: Mapping[str, float]) -> float:
-    """The gap of the signal that shows it best."""
-    return max(gap.values())
-
-
 def phases(drive: Drive) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
     """(n,) drive, rest or initial, and (n,) the side driven now or last ("" before)."""
     time = drive.grid(COMMAND_PERIOD)

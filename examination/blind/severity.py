@@ -15,7 +15,6 @@ from examination.blind.cases import (
     QUANTITIES,
     Case,
     Draw,
-    Move,
     Symptom,
     amount_for,
     draw,
@@ -30,7 +29,6 @@ from examination.blind.rigs import (
     RECORDS,
     Stage,
     gaps,
-    largest,
     quantity_of,
     recalibrated,
     stated_std,
@@ -40,6 +38,7 @@ from sma_bench.parameters.parameters import load_kind
 Array = npt.NDArray[np.float64]
 
 Features = Mapping[str, float]
+Readings = Mapping[str, Mapping[str, Array]]
 ALL_QUANTITIES = QUANTITIES["all"]
 # Features that a mildly different kinetics moves together, at amount 1.
 MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
@@ -81,14 +80,17 @@ def size(case: Case, stage: Stage) -> Sized:
     if case.card.mild_kinetics:
         base = _mild_kinetics(case, stage, little)
         kinetics_gap = measured(stage, base, little)
-    rng = case.stream("effect")
+    rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
     for name, target in zip(case.card.effects, case.card.targets, strict=True):
         drawn = draw({**EFFECTS, **OUTSIDE}[name], rng, stage.peak_current())
         natural = drawn.natural(rng)
         amount = natural
         if target is not None:
-            amount = _amount(case, stage, base, drawn, natural, target)
+            def gap(amount: float, drawn: Draw = drawn) -> float:
+                return measured(stage, drawn.features(base, amount), base, quantities, COARSE)
+
+            amount = amount_for(drawn, target, gap, natural)
         features = drawn.features(features, amount)
         draws[name], amounts[name] = drawn, amount
     return Sized(base, features, draws, amounts, nuisance_gap, kinetics_gap)
@@ -105,19 +107,8 @@ def measured(
     found = 0.0
     for record in RECORDS:
         one, two = (stage.read(f, record, fine) for f in (features, other))
-        found = max(found, largest(gaps(one, two, stage.sensors, quantities)))
+        found = max(found, *gaps(one, two, stage.sensors, quantities).values())
     return found
-
-
-def _amount(
-    case: Case, stage: Stage, base: Features, drawn: Draw, start: float, target: float
-) -> float:
-    quantities = QUANTITIES[case.card.signals]
-
-    def gap(amount: float) -> float:
-        return measured(stage, drawn.features(base, amount), base, quantities, COARSE)
-
-    return amount_for(drawn, target, gap, start)
 
 
 def _nuisances(case: Case, stage: Stage) -> tuple[dict[str, float], float]:
@@ -151,16 +142,6 @@ def _mild_kinetics(case: Case, stage: Stage, base: Features) -> dict[str, float]
     return features(amount)
 
 
-def readings_of(stage: Stage, features: Features) -> dict[str, dict[str, Array]]:
-    """Noise-free readings of both records."""
-    return {record: stage.read(features, record) for record in RECORDS}
-
-
-def rounded(gap: Mapping[str, float]) -> dict[str, Any]:
-    """Gaps as a label keeps them."""
-    return {name: round(value, 4) for name, value in gap.items()}
-
-
 # --- Could another explanation look the same? Measured with the reality's own sensitivities.
 #
 # The difference that an effect makes is whitened by the true noise and compared with every rival:
@@ -176,42 +157,16 @@ _TINY = 1e-12
 _SHAPES = (0.25, 0.75)  # places within the range of a setting
 
 
-@dataclass(frozen=True)
-class Separation:
-    """Distances of a case's difference from its rivals, in standard deviations."""
-
-    distances: Mapping[str, float]
-
-    @property
-    def rival(self) -> str:
-        """The explanation that comes closest."""
-        return min(self.distances, key=lambda name: self.distances[name])
-
-    @property
-    def distance(self) -> float:
-        """Of the closest rival."""
-        return self.distances[self.rival]
-
-    @property
-    def distinguishable(self) -> bool:
-        """Whether every rival is out of reach."""
-        return self.distance**2 > DISTINCT
-
-    def to_json(self) -> dict[str, Any]:
-        """As a label keeps it."""
-        distances = {name: round(value, 3) for name, value in self.distances.items()}
-        return {"rival": self.rival, "distance": round(self.distance, 3), "distances": distances}
-
-
 def separation(
     stage: Stage,
     base: Features,
-    truth: Mapping[str, Mapping[str, Array]],
-    without: Mapping[str, Mapping[str, Array]],
+    truth: Readings,
+    without: Readings,
     quantities: tuple[str, ...],
     own: str = "",
-) -> Separation:
-    """Distances of one difference from every rival explanation.
+) -> dict[str, Any]:
+    """Distances [standard deviations] of one difference from every rival explanation, the closest
+    rival with its own, and whether every rival is out of reach.
 
     Args:
         stage: the rig and its drives.
@@ -220,11 +175,36 @@ def separation(
         quantities: that the records hold.
         own: the effect itself, no rival of its own; "" where all are rivals.
     """
-    whitener = _Whitener(stage, quantities)
+    sensors, width = stage.sensors, _WINDOW * COMMAND_PERIOD
+
+    def whitened(one: Readings, other: Readings) -> Array:
+        """(m,) difference in windows of all signals of both records, of unit white noise."""
+        parts = []
+        for record in RECORDS:
+            for name in sorted(one[record]):
+                quantity = quantity_of(name)
+                if quantity not in quantities:
+                    continue
+                values = one[record][name] - other[record][name]
+                n = len(values) // _WINDOW
+                means = np.asarray(values[: n * _WINDOW].reshape(n, _WINDOW).mean(axis=1))
+                samples = sensors.rate(quantity) * width * (1.0 - sensors.dropout)
+                # Rounding is noise like the rest; that it is white makes next to no difference.
+                noise = replace(sensors.noise[quantity], std=sensors.std(quantity))
+                parts.append(noise.whiten_means(means, width, samples))
+        return np.concatenate(parts)
+
     origin = {record: stage.read(base, record, COARSE) for record in RECORDS}
-    difference = whitener(truth, without)
-    sensitivities = _parameter_columns(stage, base, origin, whitener)
-    prior = np.vstack([sensitivities, np.eye(sensitivities.shape[1])])
+    difference, load = whitened(truth, without), load_kind(stage.truth)
+    # What a stated standard deviation of each parameter does, all under their uncertainty.
+    columns = []
+    for name in recalibrated(load):
+        step = _STEP * stated_std(name, stage.truth[name])
+        twins = (FRONT, BACK) if name == FRONT else (name,)
+        moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
+        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}
+        columns.append(whitened(changed, origin) / _STEP)
+    prior = np.vstack([np.column_stack(columns), np.eye(len(columns))])
     free = np.linalg.qr(prior)[0]
 
     def beyond_parameters(columns: Array) -> Array:
@@ -234,17 +214,22 @@ def separation(
 
     rest = beyond_parameters(difference[:, None])[:, 0]
     distances = {RECALIBRATION: float(np.linalg.norm(rest))}
-    load = load_kind(stage.truth)
     for name in possible(EFFECTS, load):
         symptom = EFFECTS[name]
-        if name != own and any(q in quantities for q in _shown_by(symptom)):
-            columns = _effect_columns(symptom, stage, base, origin, whitener)
-            distances[name] = _left_over(rest, beyond_parameters(columns), symptom)
-    return Separation(distances)
-
-
-def _shown_by(symptom: Symptom) -> tuple[str, ...]:
-    return ("deflection", "current", "temperature") if symptom.in_deflection else ("temperature",)
+        if name == own or not (symptom.in_deflection or "temperature" in quantities):
+            continue
+        columns = [
+            whitened({r: stage.read(features, r, COARSE) for r in RECORDS}, origin)
+            for features in _varieties(symptom, base)
+        ]
+        distances[name] = _left_over(rest, beyond_parameters(np.column_stack(columns)), symptom)
+    rival = min(distances, key=lambda name: distances[name])
+    return {
+        "rival": rival,
+        "distance": round(distances[rival], 3),
+        "distances": {name: round(value, 3) for name, value in distances.items()},
+        "distinguishable": distances[rival] ** 2 > DISTINCT,
+    }
 
 
 def _left_over(rest: Array, columns: Array, symptom: Symptom) -> float:
@@ -260,83 +245,21 @@ def _left_over(rest: Array, columns: Array, symptom: Symptom) -> float:
     return float(np.linalg.norm(rest - basis @ (basis.T @ rest)))
 
 
-class _Whitener:
-    """Differences of readings as one vector with unit white noise."""
-
-    def __init__(self, stage: Stage, quantities: tuple[str, ...]) -> None:
-        self.quantities = quantities
-        self._sensors = stage.sensors
-
-    def __call__(
-        self, one: Mapping[str, Mapping[str, Array]], other: Mapping[str, Mapping[str, Array]]
-    ) -> Array:
-        """(m,) of all windows of all signals of both records."""
-        parts = []
-        for record in RECORDS:
-            for name in sorted(one[record]):
-                quantity = quantity_of(name)
-                if quantity in self.quantities:
-                    means = _means(one[record][name] - other[record][name])
-                    parts.append(self._whitened(quantity, means))
-        return np.concatenate(parts)
-
-    def _whitened(self, quantity: str, means: Array) -> Array:
-        sensors, width = self._sensors, _WINDOW * COMMAND_PERIOD
-        samples = sensors.rate(quantity) * width * (1.0 - sensors.dropout)
-        # Rounding is noise like the rest; that it is white makes next to no difference.
-        noise = replace(sensors.noise[quantity], std=sensors.std(quantity))
-        return noise.whiten_means(means, width, samples)
-
-
-def _means(values: Array) -> Array:
-    n = len(values) // _WINDOW
-    return np.asarray(values[: n * _WINDOW].reshape(n, _WINDOW).mean(axis=1))
-
-
-Origin = Mapping[str, Mapping[str, Array]]
-
-
-def _parameter_columns(
-    stage: Stage, base: Features, origin: Origin, whitener: _Whitener
-) -> Array:
-    """(m, p) differences that one stated standard deviation of each parameter makes."""
-    columns = []
-    for name in recalibrated(load_kind(stage.truth)):
-        step = _STEP * stated_std(name, stage.truth[name])
-        twins = (FRONT, BACK) if name == FRONT else (name,)
-        moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
-        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}
-        columns.append(whitener(changed, origin) / _STEP)
-    return np.column_stack(columns)
-
-
-def _effect_columns(
-    symptom: Symptom, stage: Stage, base: Features, origin: Origin, whitener: _Whitener
-) -> Array:
-    """(m, k) differences that each of the effect's features makes, in each of its shapes."""
-    columns = []
-    for features in _varieties(symptom, base):
-        changed = {record: stage.read(features, record, COARSE) for record in RECORDS}
-        columns.append(whitener(changed, origin))
-    return np.column_stack(columns)
-
-
 def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
-    """Worlds with one feature of the effect, at the small end of its natural size."""
+    """Worlds with one feature of the effect, in each of its shapes, at the small end of its natural
+    size."""
     amount = symptom.signs[0] * symptom.natural[0]
     shapes: list[dict[str, float]] = [
         {s.feature: s.low * (s.high / s.low) ** share for s in symptom.settings}
         for share in (_SHAPES if symptom.settings else _SHAPES[:1])
     ]
     for k, move in enumerate(symptom.moves):
+        feature = BY_NAME[move.feature]
+        before = base.get(move.feature, feature.off)
+        weight = max(move.weight, key=abs)
+        if move.factor:
+            moved = before * float(np.exp(amount * weight))
+        else:
+            moved = float(np.clip(before + amount * weight, feature.low, feature.high))
         for shape in shapes if k == 0 else shapes[:1]:
-            yield {**base, **shape, move.feature: _moved(move, base, amount)}
-
-
-def _moved(move: Move, base: Features, amount: float) -> float:
-    feature = BY_NAME[move.feature]
-    before = base.get(move.feature, feature.off)
-    weight = max(move.weight, key=abs)
-    if move.factor:
-        return before * float(np.exp(amount * weight))
-    return float(np.clip(before + amount * weight, feature.low, feature.high))
+            yield {**base, **shape, move.feature: moved}
