@@ -33,16 +33,6 @@ def terminals():
     return [shlex.split(line)[1:] for line in block.splitlines()]
 
 
-@pytest.mark.parametrize(
-    ("service", "said"),
-    [("experiment", "expected NODE/SERVICE"), ("exp riment/start", "no ROS name")],
-)
-def test_a_mistyped_service_is_one_line(service, said, capsys):
-    assert main(["call", service]) == 2
-    printed = capsys.readouterr()
-    assert said in printed.err and printed.err.count("\n") == 1 and not printed.out
-
-
 def test_a_share_survives_the_state_of_a_node():
     assert told_share(busy(0.42, "pairs")) == (0.42, "pairs")
     assert told_share("busy") is None and told_share("idle") is None

@@ -1,4 +1,4 @@
-"""Every command's help ends in examples that its own parser takes; errors and colours."""
+"""Every command's help ends in examples that its own parser takes; errors, colours, JSON."""
 
 import json
 import shlex
@@ -8,9 +8,10 @@ import sys
 import pytest
 from test_documented_commands import check_command
 
-from sma_bench.cli import COMMANDS, main
+from sma_bench.cli import COMMANDS, load_command, main
 
 ESCAPE = "\x1b"
+PRINT_NO_RESULT = {"run", "dashboard", "example"}
 
 
 def help_of(name, capsys):
@@ -45,8 +46,23 @@ def test_help_shows_examples_that_the_command_takes(name, capsys):
         (["completion", "bash"], "_SMA_BENCH_COMPLETE"),
         (["blind", "run"], "./bench blind"),
         (["--nothing"], "--help"),
+        (["identify", "bag", "--parms", "lab.yaml"], "did you mean --params?"),
+        (["simulate", "--protokol", "ramp", "--out", "bag"], "did you mean --protocol?"),
+        (["simulate", "--protocol", "quick_stairs", "--out", "bag"],
+         "did you mean quick_staircase?"),
+        (["info", "nothing.bag"], "nothing.bag"),
+        (["run", "simulater"], "simulator"),
+        (["call", "experiment/start", "--patience", "0"], "expected more than 0"),
+        (["call", "experiment"], "expected NODE/SERVICE"),
+        (["call", "exp riment/start"], "no ROS name"),
+        (["audit", "--set", "wire.resistance"], "expected NAME=VALUE"),
+        (["audit", "--set", "wire.resistence=2.7"], "did you mean wire.resistance?"),
+        (["audit", "--set", "wire.resistance=2.7 ohm"], "expected a number in ohm"),
+        (["audit", "--set", "wire.resistance=.nan"], "finite"),
+        (["audit", "--set", "environment.ambient_temperature=23.0"], "degrees Celsius"),
+        (["audit", "--json", "-", "--set", "wire.resistance=x"], "wire.resistance"),
     ],
-)
+)  # fmt: skip
 def test_a_mistyped_command_line_is_one_line(words, said, capsys):
     assert main(words) == 2
     printed = capsys.readouterr()
@@ -69,6 +85,19 @@ def test_a_terminal_gets_colours(capsys, monkeypatch):
     assert ESCAPE in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", [n for n in COMMANDS if n not in PRINT_NO_RESULT])
+def test_every_command_with_a_result_takes_json(name):
+    assert any("--json" in parameter.opts for parameter in load_command(name).params)
+
+
+@pytest.mark.parametrize("words", [["--json"], ["--json", "-"]])
+def test_without_a_file_it_is_all_there_is_on_standard_output(words, capsys):
+    assert main(["audit", *words]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["findings"]
+    assert "checks found a clash" in printed.err
+
+
 def test_parameters_as_json_are_the_table(tmp_path, capsys):
     target = tmp_path / "p.json"
     words = ["parameters", "--set", "wire.resistance=2.8", "--json", str(target)]
@@ -80,12 +109,14 @@ def test_parameters_as_json_are_the_table(tmp_path, capsys):
     assert entries["bench.channels"]["value"] == ["wire"]
 
 
-def test_a_simulation_as_json_says_what_was_simulated(tmp_path, capsys):
-    target, bag = tmp_path / "s.json", tmp_path / "bag"
+def test_a_simulation_as_json_says_what_was_simulated_and_where_its_bag_is(tmp_path, capsys):
+    bag = tmp_path / "bag"
     words = ["simulate", "--protocol", "ramp", "--rate", "10", "--noise", "3",
-             "--effect", "latent_heat=12e3", "--out", str(bag), "--json", str(target)]  # fmt: skip
+             "--effect", "latent_heat=12e3", "--out", str(bag), "--json"]  # fmt: skip
     assert main(words) == 0
-    found = json.loads(target.read_text())
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
+    assert found["bag"] == str(bag) and "simulated samples" in printed.err
     assert found["protocol"] == "ramp" and found["noise_seed"] == 3
     assert found["effects"] == ["latent_heat=12e3"]
     assert found["signals"]["wire.temperature"] == "K"
@@ -96,7 +127,7 @@ def test_help_loads_nothing_heavy():
     """It is there in a moment, of every command."""
     code = (
         "import contextlib, io, sys\n"
-        "from sma_bench.cli import COMMANDS, main\n"
+        "from sma_bench.cli import COMMANDS, load_command, main\n"
         "for words in [[c] for c in COMMANDS]:\n"
         "    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
         "        main([*words, '--help'])\n"
