@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
@@ -121,14 +120,8 @@ def validation_picture(record: Record, parameters: Parameters) -> tuple[Picture,
         raise InputError(f"{record.path}: no temperature while the voltage was measured")
     error = measured.values[inside] - np.interp(measured.time[inside], time, simulated)
     rmse = float(np.sqrt(np.mean(error**2)))
-    return _validation_figure(record, channel, time, voltage, simulated, rmse), rmse
 
-
-def _validation_figure(
-    record: Record, channel: str, time: Array, voltage: Array, simulated: Array, rmse: float
-) -> Picture:
     figure, (upper, lower) = new_figure(rows=2, height=5.0)
-    measured = record[f"{channel}.temperature"]
     upper.plot(time, voltage[:, 0], color=MEASURED, lw=1)
     upper.set(ylabel="voltage [V]")
     lower.plot(
@@ -139,66 +132,55 @@ def _validation_figure(
     lower.set(xlabel="time [s]", ylabel="temperature [K]")
     legend_above(lower)
     caption = f"Eq. (2) with the identified parameters, as Fig. 6. {record.path}"
-    return Picture("figure_06_validation", "Triangular voltage and temperature", caption, figure)
+    title = "Triangular voltage and temperature"
+    return Picture("figure_06_validation", title, caption, figure), rmse
 
 
 # --- Fig. 7 of the paper: heat flow of a DSC run with the tangents that give the temperatures.
 
-_ENDS = ("start", "finish")
-
-
 def dsc_pictures(e5: Experiment) -> list[Picture]:
     """One picture a scan: heat flow (transformation upward), baselines, tangents, crossings."""
-    flows = [name for name in e5.curves if name.endswith("/heat_flow")]
-    return [_scan_picture(e5, name.removesuffix("/heat_flow")) for name in flows]
+    pictures = []
+    for label in [n.removesuffix("/heat_flow") for n in e5.curves if n.endswith("/heat_flow")]:
+        figure, (ax,) = new_figure()
+        prefix = f"{label}/"
+        curves = {
+            name.removeprefix(prefix): curve
+            for name, curve in e5.curves.items() if name.startswith(prefix)
+        }  # fmt: skip
+        temperature, flow = curves["temperature"], curves["heat_flow"]
+        ax.plot(temperature, flow, color=MEASURED, label="heat flow")
+        ax.plot(temperature, curves["base"], ":", color=FAINT, label="baseline of the area")
 
+        # Baseline and tangent of each end, and where they meet.
+        onsets = {end: e5.details[f"{label}/{end}"] for end in ("start", "finish")}
+        for end, onset in onsets.items():
+            for line in ("baseline", "tangent"):
+                across = curves[f"{end}/{line}_temperature"]
+                ax.plot(across, curves[f"{end}/{line}"], color=MODEL, lw=1)
+            ax.plot(
+                curves[f"{end}/tangent_temperature"][0], curves[f"{end}/tangent"][0], "o",
+                color=SECOND, ms=6, mfc="none",
+                label=f"{end} {onset.value:.2f} ± {onset.std:.2f} K",
+            )
 
-def _scan_picture(e5: Experiment, label: str) -> Picture:
-    figure, (ax,) = new_figure()
-    curves = {
-        name.removeprefix(f"{label}/"): curve
-        for name, curve in e5.curves.items()
-        if name.startswith(f"{label}/")
-    }
-    ax.plot(curves["temperature"], curves["heat_flow"], color=MEASURED, label="heat flow")
-    ax.plot(curves["temperature"], curves["base"], ":", color=FAINT, label="baseline of the area")
-    for end in _ENDS:
-        _draw_onset(ax, e5, label, end, curves)
-    _frame(ax, e5, label, curves)
-    ax.set(xlabel="temperature [K]", ylabel="heat flow [W/kg]")
-    ax.legend()
-    heat = e5.details[f"{label}/latent_heat"]
-    caption = (
-        f"Baselines and tangents, as Fig. 7; latent heat {heat.value / 1e3:.1f} ± "
-        f"{heat.std / 1e3:.1f} kJ/kg. {e5.source}"
-    )
-    name = label.replace("/", "_")
-    return Picture(f"figure_07_dsc_{name}", f"DSC, {label.replace('_', ' ')}", caption, figure)
-
-
-def _draw_onset(
-    ax: Axes, e5: Experiment, label: str, end: str, curves: dict[str, Array]
-) -> None:
-    onset = e5.details[f"{label}/{end}"]
-    for line in ("baseline", "tangent"):
-        ax.plot(
-            curves[f"{end}/{line}_temperature"], curves[f"{end}/{line}"], color=MODEL, lw=1,
+        # The peak and 40 K around it: a run's ends would flatten what matters.
+        ends = [onset.value for onset in onsets.values()]
+        low, high = min(ends) - 40.0, max(ends) + 40.0
+        near = flow[(temperature > low) & (temperature < high)]
+        margin = 0.08 * (near.max() - near.min())
+        ax.set_xlim(low, high)
+        ax.set_ylim(near.min() - margin, near.max() + margin)
+        ax.set(xlabel="temperature [K]", ylabel="heat flow [W/kg]")
+        ax.legend()
+        heat = e5.details[f"{label}/latent_heat"]
+        caption = (
+            f"Baselines and tangents, as Fig. 7; latent heat {heat.value / 1e3:.1f} ± "
+            f"{heat.std / 1e3:.1f} kJ/kg. {e5.source}"
         )
-    ax.plot(
-        curves[f"{end}/tangent_temperature"][0], curves[f"{end}/tangent"][0], "o", color=SECOND,
-        ms=6, mfc="none", label=f"{end} {onset.value:.2f} ± {onset.std:.2f} K",
-    )
-
-
-def _frame(ax: Axes, e5: Experiment, label: str, curves: dict[str, Array]) -> None:
-    """The peak and 40 K around it: a run's ends would flatten what matters."""
-    ends = [e5.details[f"{label}/{end}"].value for end in _ENDS]
-    low, high = min(ends) - 40.0, max(ends) + 40.0
-    inside = (curves["temperature"] > low) & (curves["temperature"] < high)
-    flow = curves["heat_flow"][inside]
-    margin = 0.08 * (flow.max() - flow.min())
-    ax.set_xlim(low, high)
-    ax.set_ylim(flow.min() - margin, flow.max() + margin)
+        name, title = f"figure_07_dsc_{label.replace('/', '_')}", label.replace("_", " ")
+        pictures.append(Picture(name, f"DSC, {title}", caption, figure))
+    return pictures
 
 
 # --- Fig. 7 of the paper: all scans of a DSC run in one graph.
@@ -233,7 +215,12 @@ def dsc_overview_picture(e5: Experiment) -> Picture:
             text = f"${symbol}$ ({counts[direction]})"
             # One row of labels a cycle: the onsets of cycles may coincide.
             below = -9.5 * sign * counts[direction]
-            _mark(ax, e5, f"{scan}/{end}", onset, sign, colour, text, below)
+            level = sign * float(e5.curves[f"{scan}/{end}/tangent"][0])
+            ax.plot([onset.value], [level], "o", ms=5, mfc="none", color=colour)
+            ax.annotate(
+                text, (onset.value, level), (0, below), textcoords="offset points", ha="center",
+                va="center", fontsize=8, color=colour,
+            )
     ax.set(xlabel="temperature [K]", ylabel="heat flow, endothermic up [W/kg]")
     ax.text(0.015, 0.93, "heating", transform=ax.transAxes, color=FAINT, fontsize=9)
     ax.text(0.015, 0.04, "cooling", transform=ax.transAxes, color=FAINT, fontsize=9)
@@ -244,18 +231,6 @@ def dsc_overview_picture(e5: Experiment) -> Picture:
         f"eqs. (10), (11). {e5.source}"
     )
     return Picture("figure_07_dsc", "DSC measurement curve", caption, figure)
-
-
-def _mark(
-    ax: Axes, e5: Experiment, end: str, onset: Estimate, sign: float, colour: str, text: str,
-    below: float,
-) -> None:
-    level = sign * float(e5.curves[f"{end}/tangent"][0])
-    ax.plot([onset.value], [level], "o", ms=5, mfc="none", color=colour)
-    ax.annotate(
-        text, (onset.value, level), (0, below), textcoords="offset points", ha="center",
-        va="center", fontsize=8, color=colour,
-    )
 
 
 # --- Fig. 8 of the paper and the stress-temperature diagram, from E6.
@@ -284,66 +259,34 @@ def isobaric_pictures(e6: Experiment) -> list[Picture]:
 def upfr_picture(e6: Experiment) -> Picture:
     """Fig. 8: contraction over temperature under a held load, with tangents and their crossings."""
     figure, (ax,) = new_figure(height=4.6)
-    branches = _branches(e6)
+    branches: dict[tuple[str, str, str], dict[str, Array]] = {}  # by test, cycle, direction
+    for key, values in e6.curves.items():
+        if not key.startswith("diagram/"):
+            test, cycle, direction, quantity = key.rsplit("/", 3)
+            branches.setdefault((test, cycle, direction), {})[quantity] = values
+
+    # Contraction counts from the strain of a test where it is coldest.
     tests = list(dict.fromkeys(test for test, _, _ in branches))
-    zeros = {test: _zero(branches, test) for test in tests}
+    zeros = {}
+    for one in tests:
+        mine = [curves for (test, _, _), curves in branches.items() if test == one]
+        temperature = np.concatenate([curves["temperature"] for curves in mine])
+        strain = np.concatenate([curves["strain"] for curves in mine])
+        zeros[one] = float(np.median(strain[temperature < np.quantile(temperature, 0.1)]))
     seen: set[str] = set()
     for (test, _, direction), curves in branches.items():
         colour, style = _DIRECTIONS[direction]
         if len(tests) > _SEVERAL:
             colour = f"C{tests.index(test) % 10}"
         label = direction if len(tests) <= _SEVERAL else test.rpartition("/")[2]
+        step = max(len(curves["strain"]) // _DRAWN, 1)
         ax.plot(
-            *_thinned(curves["temperature"], 100.0 * (zeros[test] - curves["strain"])), style,
+            curves["temperature"][::step], 100.0 * (zeros[test] - curves["strain"][::step]), style,
             color=colour, lw=1.2, alpha=0.75, label=None if label in seen else label,
         )
         seen.add(label)
-    _draw_tangents(ax, branches, zeros)
-    _mark_temperatures(ax, e6)
-    relative = any(e.unit == "relative" for e in e6.details.values())
-    of = "% of its range" if relative else "%"
-    ax.set(xlabel="temperature [K]", ylabel=f"contraction [{of}]")
-    ax.legend(loc="center left", fontsize=8)
-    strain = e6.estimates.get("wire.maximum_recoverable_strain")
-    limit = f"; ε_L = {strain.value:.2%} ± {strain.std:.2%}" if strain else ""
-    caption = (
-        f"Contraction under a held load: eqs. (6), (9) with the cosines of (10) and, on cooling, "
-        f"(11), whose ends a simulation takes; dotted the tangents, whose crossings (rings) are "
-        f"the paper's start and finish{limit}. {e6.source}"
-    )
-    return Picture("figure_08_upfr", "Contraction against temperature (UPFR)", caption, figure)
 
-
-def _branches(e6: Experiment) -> dict[tuple[str, str, str], dict[str, Array]]:
-    """Curves by test, cycle and direction."""
-    found: dict[tuple[str, str, str], dict[str, Array]] = {}
-    for key, values in e6.curves.items():
-        if key.startswith("diagram/"):
-            continue
-        test, cycle, direction, quantity = key.rsplit("/", 3)
-        found.setdefault((test, cycle, direction), {})[quantity] = values
-    return found
-
-
-def _zero(branches: dict[tuple[str, str, str], dict[str, Array]], test: str) -> float:
-    """Strain of a test where it is coldest: contraction counts from there."""
-    mine = [curves for (name, _, _), curves in branches.items() if name == test]
-    temperature = np.concatenate([curves["temperature"] for curves in mine])
-    strain = np.concatenate([curves["strain"] for curves in mine])
-    cold = temperature < np.quantile(temperature, 0.1)
-    return float(np.median(strain[cold]))
-
-
-def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    step = max(len(x) // _DRAWN, 1)
-    return x[::step], y[::step]
-
-
-def _draw_tangents(
-    ax: Axes, branches: dict[tuple[str, str, str], dict[str, Array]], zeros: dict[str, float]
-) -> None:
-    """Tangents and cosine of the test in the middle: those of all would hide the curves."""
-    tests = list(zeros)
+    # Tangents and cosine of the test in the middle: those of all would hide the curves.
     shown = tests[len(tests) // 2]
     first = next(cycle for test, cycle, _ in branches if test == shown)
     for (test, cycle, _), curves in branches.items():
@@ -355,21 +298,30 @@ def _draw_tangents(
                 marker="o", markevery=[1, 2], ms=4, mfc="none", zorder=3,
             )
 
-
-def _mark_temperatures(ax: Axes, e6: Experiment) -> None:
-    """A_s and A_f under the load, where one load was tested."""
+    # A_s and A_f under the load, where one load was tested.
     for name, height in (("A_s", 0.3), ("A_f", 0.7)):
-        found = [e for key, e in e6.details.items() if key.startswith(f"{name} (tangent) at ")]
-        if len(found) != 1:
-            continue
-        (mean,) = found
-        ax.axvline(mean.value, color=FAINT, lw=0.8, ls=":")
-        ax.annotate(
-            f"${name}$ = {with_error(mean.value, mean.std)} K",
-            (mean.value, height), (28, 0),
-            xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=8,
-            va="center", color=SECOND, arrowprops={"arrowstyle": "->", "color": FAINT, "lw": 0.7},
-        )
+        means = [e for key, e in e6.details.items() if key.startswith(f"{name} (tangent) at ")]
+        if len(means) == 1:
+            (mean,) = means
+            ax.axvline(mean.value, color=FAINT, lw=0.8, ls=":")
+            ax.annotate(
+                f"${name}$ = {with_error(mean.value, mean.std)} K",
+                (mean.value, height), (28, 0), xycoords=("data", "axes fraction"),
+                textcoords="offset points", fontsize=8, va="center", color=SECOND,
+                arrowprops={"arrowstyle": "->", "color": FAINT, "lw": 0.7},
+            )
+    relative = any(e.unit == "relative" for e in e6.details.values())
+    of = "% of its range" if relative else "%"
+    ax.set(xlabel="temperature [K]", ylabel=f"contraction [{of}]")
+    ax.legend(loc="center left", fontsize=8)
+    most = e6.estimates.get("wire.maximum_recoverable_strain")
+    limit = f"; ε_L = {most.value:.2%} ± {most.std:.2%}" if most else ""
+    caption = (
+        f"Contraction under a held load: eqs. (6), (9) with the cosines of (10) and, on cooling, "
+        f"(11), whose ends a simulation takes; dotted the tangents, whose crossings (rings) are "
+        f"the paper's start and finish{limit}. {e6.source}"
+    )
+    return Picture("figure_08_upfr", "Contraction against temperature (UPFR)", caption, figure)
 
 
 def stress_temperature_picture(e6: Experiment) -> Picture:
@@ -425,9 +377,27 @@ def tensile_picture(e7: Experiment) -> Picture:
             label=None if phase in seen else phase,
         )
         if phase not in seen and MODULUS[phase] in e7.estimates:  # type: ignore[index]
-            _draw_slope(ax, e7, phase, strain, stress)
+            # The line begins where the part that gave the modulus does.
+            modulus, symbol = e7.estimates[MODULUS[phase]], SYMBOL[phase]  # type: ignore[index]
+            after = phase == "martensite" and f"{symbol} after the plateau" in e7.details
+            part = "plateau end" if after else "toe"
+            begins = max(e7.details[f"{phase} {part}"].value, 0.0)
+            lowest = float(np.interp(begins, strain, stress))
+            longest = (_BEYOND * float(stress.max()) - lowest) / modulus.value
+            ends = np.array([begins, begins + min(_LINE_STRAIN, longest)])
+            ax.plot(
+                100.0 * ends, (lowest + modulus.value * (ends - begins)) / 1e6, "--", color=MODEL,
+                lw=1.5, zorder=3,
+                label=f"${symbol}$ = {modulus.value / 1e9:.1f} ± {modulus.std / 1e9:.1f} GPa",
+            )
         seen.add(phase)
-    _draw_detwinning(ax, e7)
+    begin, end = (e7.details.get(f"martensite plateau {name}") for name in ("begin", "end"))
+    if begin is not None and end is not None:
+        ax.axvspan(100.0 * begin.value, 100.0 * end.value, color=FAINT, alpha=0.12, lw=0)
+        ax.text(
+            50.0 * (begin.value + end.value), 0.02, "detwinning", ha="center", fontsize=8,
+            color=FAINT, transform=ax.get_xaxis_transform(),
+        )
     ax.set(xlabel="strain [%]", ylabel="stress [MPa]")
     ax.legend(loc="upper left")
     caption = (
@@ -435,41 +405,6 @@ def tensile_picture(e7: Experiment) -> Picture:
         f"outside toe and plateau. {e7.source}"
     )
     return Picture("figure_09_tensile", "Stress against strain", caption, figure)
-
-
-def _draw_slope(ax: Axes, e7: Experiment, phase: str, strain: Array, stress: Array) -> None:
-    modulus = e7.estimates[MODULUS[phase]]  # type: ignore[index]
-    begins = _slope_begins(e7, phase)
-    lowest = float(np.interp(begins, strain, stress))
-    longest = (_BEYOND * float(stress.max()) - lowest) / modulus.value
-    ends = np.array([begins, begins + min(_LINE_STRAIN, longest)])
-    ax.plot(
-        100.0 * ends, (lowest + modulus.value * (ends - begins)) / 1e6, "--", color=MODEL, lw=1.5,
-        zorder=3, label=f"${SYMBOL[phase]}$ = {_gigapascal(modulus)}",
-    )
-
-
-def _gigapascal(modulus: Estimate) -> str:
-    return f"{modulus.value / 1e9:.1f} ± {modulus.std / 1e9:.1f} GPa"
-
-
-def _slope_begins(e7: Experiment, phase: str) -> float:
-    """Strain at which the part that gave the modulus begins."""
-    after = phase == "martensite" and f"{SYMBOL['martensite']} after the plateau" in e7.details
-    name = f"{phase} plateau end" if after else f"{phase} toe"
-    return max(e7.details[name].value, 0.0)
-
-
-def _draw_detwinning(ax: Axes, e7: Experiment) -> None:
-    bounds = [e7.details.get(f"martensite plateau {name}") for name in ("begin", "end")]
-    begin, end = bounds
-    if begin is None or end is None:
-        return
-    ax.axvspan(100.0 * begin.value, 100.0 * end.value, color=FAINT, alpha=0.12, lw=0)
-    ax.text(
-        50.0 * (begin.value + end.value), 0.02, "detwinning", ha="center", fontsize=8,
-        color=FAINT, transform=ax.get_xaxis_transform(),
-    )
 
 
 def thermal_expansion_picture(e8: Experiment) -> Picture:
@@ -533,34 +468,33 @@ def constitutive_picture(e9: Experiment) -> Picture:
 
 def bench_fit_pictures(e10: Experiment) -> list[Picture]:
     """Signals of the rig over time with the fitted simulation, one picture a record."""
-    signals = [key.removesuffix(".model") for key in e10.curves if key.endswith(".model")]
     records: dict[str, list[str]] = {}
-    for signal in signals:
+    for signal in (key.removesuffix(".model") for key in e10.curves if key.endswith(".model")):
         head, _, rest = signal.partition(".")
         records.setdefault(head if head.isdecimal() and rest else "", []).append(signal)
-    return [_bench_fit_picture(e10, head, chosen) for head, chosen in records.items()]
-
-
-def _bench_fit_picture(e10: Experiment, head: str, signals: list[str]) -> Picture:
-    shown = sorted(signals, key=lambda s: _FIRST.index(_quantity(s)))[:_ROWS]
-    figure, axes = new_figure(rows=len(shown), height=1.2 + 1.9 * len(shown))
-    for ax, signal in zip(axes, shown, strict=True):
-        time, measured, model = (
-            e10.curves[f"{signal}.{part}"] for part in ("time", "measured", "model")
+    pictures = []
+    for head, signals in records.items():
+        shown = sorted(signals, key=lambda s: _FIRST.index(_quantity(s)))[:_ROWS]
+        figure, axes = new_figure(rows=len(shown), height=1.2 + 1.9 * len(shown))
+        for ax, signal in zip(axes, shown, strict=True):
+            time, measured, model = (
+                e10.curves[f"{signal}.{part}"] for part in ("time", "measured", "model")
+            )
+            rms = float(np.sqrt(np.nanmean((measured - model) ** 2)))
+            unit = _UNITS[_quantity(signal)]
+            ax.plot(time, measured, ".", ms=1.5, color=MEASURED, label="measured", rasterized=True)
+            ax.plot(time, model, color=MODEL, lw=1, label=f"model, rms {rms:.2g} {unit}")
+            ax.set(ylabel=f"{signal.removeprefix(f'{head}.')}\n[{unit}]")
+            ax.legend(fontsize=8)
+        axes[-1].set(xlabel="time [s]")
+        number = f"_{head}" if head else ""
+        caption = (
+            "The baseline model, eqs. (2), (6), (7), (9) to (11), (22), (23), simulated on the "
+            f"measured voltages with the fitted parameters. {e10.source}"
         )
-        rms = float(np.sqrt(np.nanmean((measured - model) ** 2)))
-        unit = _UNITS[_quantity(signal)]
-        ax.plot(time, measured, ".", ms=1.5, color=MEASURED, label="measured", rasterized=True)
-        ax.plot(time, model, color=MODEL, lw=1, label=f"model, rms {rms:.2g} {unit}")
-        ax.set(ylabel=f"{signal.removeprefix(f'{head}.')}\n[{unit}]")
-        ax.legend(fontsize=8)
-    axes[-1].set(xlabel="time [s]")
-    number = f"_{head}" if head else ""
-    caption = (
-        "The baseline model, eqs. (2), (6), (7), (9) to (11), (22), (23), simulated on the "
-        f"measured voltages with the fitted parameters. {e10.source}"
-    )
-    return Picture(f"bench_fit{number}", "Measured and fitted signals", caption, figure)
+        title = "Measured and fitted signals"
+        pictures.append(Picture(f"bench_fit{number}", title, caption, figure))
+    return pictures
 
 
 def _quantity(signal: str) -> str:
@@ -578,15 +512,13 @@ _PICTURES: dict[str, Callable[[Experiment], list[Picture]]] = {
     "E6": isobaric_pictures,
     "E7": lambda e7: [tensile_picture(e7)],
     "E8": lambda e8: [thermal_expansion_picture(e8)],
-    "E9": lambda e9: _load_frame_pictures(e9),
+    # Loops of isobaric tests, or the signals of the load frame's bags.
+    "E9": lambda e9: (
+        [constitutive_picture(e9)] if any(name.endswith("/model") for name in e9.curves)
+        else bench_fit_pictures(e9)
+    ),
     "E10": bench_fit_pictures,
 }
-
-
-def _load_frame_pictures(e9: Experiment) -> list[Picture]:
-    """Loops of isobaric tests, or the signals of the load frame's bags."""
-    has_loops = any(name.endswith("/model") for name in e9.curves)
-    return [constitutive_picture(e9)] if has_loops else bench_fit_pictures(e9)
 
 
 def experiment_pictures(experiment: Experiment) -> list[Picture]:
