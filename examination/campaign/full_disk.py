@@ -62,7 +62,7 @@ def full_disk(size: int, seed: int, folder: Path) -> list[Outcome]:
                 commands.append(_fill_with(command, folder / f"out_{number}"))
     return [
         _outcome(f"recorder's bag fills the disk ({kind})", bags),
-        _outcome(f"{', '.join(_COMMANDS)}, parameter file ({kind})", commands),
+        _outcome(f"{', '.join(_COMMANDS)} ({kind})", commands),
     ]
 
 
@@ -100,35 +100,28 @@ def _fill_with_a_bag(path: Path) -> str:
     return ""
 
 
-# Commands that write more than these disks hold, with the option that says where.
+# Commands that write more than these disks hold; `good` is a good file on them.
 _COMMANDS = {
-    "simulate": ["simulate", "--params", "{params}", "--protocol", "quick_ramp", "--out", "{out}"],
-    "simulate --json": ["simulate", "--protocol", "quick_ramp", "--out", "{bag}", "--json",
-                        "{out}", "--force"],
-    "write": [],
+    "simulate": ["simulate", "--params", "{params}", "--protocol", "quick_ramp", "--out",
+                 "{disk}/bag"],
+    "simulate --json": ["simulate", "--protocol", "quick_ramp", "--out", "{beside}/bag", "--json",
+                        "{disk}/good", "--force"],
+    "parameters": ["parameters", "--params", "{params}", "--out", "{disk}/good", "--force"],
 }  # fmt: skip
 
 
 def _fill_with(command: str, disk: Path) -> str:
     """What went wrong, or "": a command's file or bag on a full disk, over a good file."""
-    good = disk / "good"
-    good.write_text("good")
-    _fill(disk / "ballast")
+    (disk / "good").write_text("good")
+    # Take what room the disk has left; with a limit on files there is no need.
+    with (disk / "ballast").open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        for _ in range(1000):
+            file.write(bytes(4096))
     beside = disk.parent / f"{disk.name}_beside"
     shutil.rmtree(beside, ignore_errors=True)
     beside.mkdir()
-    params = beside / "params.yaml"
-    write_parameters(params, Parameters.defaults())
-    if not _COMMANDS[command]:
-        try:
-            write_parameters(good, Parameters.defaults())
-        except InputError as error:
-            said, status = str(error), 2
-        else:
-            said, status = "", 0
-        return _judge(command, status, said, disk)
-    out = good if "--json" in command else disk / "bag"
-    names = {"params": params, "bag": beside / "bag", "out": out}
+    write_parameters(beside / "params.yaml", Parameters.defaults())
+    names = {"params": beside / "params.yaml", "beside": beside, "disk": disk}
     errors = io.StringIO()
     arguments = [part.format(**names) for part in _COMMANDS[command]]
     with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
@@ -139,13 +132,6 @@ def _fill_with(command: str, disk: Path) -> str:
         except Exception as error:  # that is what is looked for
             return f"{command}: {type(error).__name__}: {error}"
     return _judge(command, status, errors.getvalue(), disk)
-
-
-def _fill(ballast: Path) -> None:
-    """Take what room the disk has left; with a limit on files there is no need."""
-    with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):
-        for _ in range(1000):
-            file.write(bytes(4096))
 
 
 def _judge(command: str, status: int, said: str, disk: Path) -> str:

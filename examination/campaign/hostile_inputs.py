@@ -30,6 +30,7 @@ from examination.bags import in_sqlite3
 from examination.campaign.allowance import allowance
 from examination.campaign.hostile_bags import (
     TOPICS,
+    TRICKS,
     Cdr,
     chunk,
     journal_naming,
@@ -249,17 +250,6 @@ def hostile_mcap(rng: random.Random, folder: Path) -> Case:
     return Case(path)
 
 
-_TRICKS = (
-    "CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
-    "SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(64) AS data FROM r",
-    "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
-    "data BLOB AS (zeroblob(60000000)))",
-    "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)",
-    "CREATE TABLE messages (topic_id INTEGER PRIMARY KEY, timestamp, data) WITHOUT ROWID",
-    "CREATE TABLE messages (rowid TEXT, topic_id, timestamp, data)",
-)
-
-
 def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
     """Tables with anything in them, views and virtual tables in their place, journals beside."""
     path = folder / "bag.db3"
@@ -276,10 +266,10 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
                 "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
                 [(number, time % 2**63, data) for time, data in _series(rng, msgtype)],
             )
-        trick = rng.randrange(3 * len(_TRICKS))
-        if trick < len(_TRICKS):
+        trick = rng.randrange(3 * len(TRICKS))
+        if trick < len(TRICKS):
             database.execute("DROP TABLE messages")
-            database.execute(_TRICKS[trick])
+            database.execute(TRICKS[trick])
         for _ in range(rng.choice((0, 0, 2))):
             value = rng.choice(("x" * 100_000, -1, None, 1e308, b"", 2**63 - 1))
             column = rng.choice(("topic_id", "timestamp", "data"))

@@ -12,6 +12,7 @@ import zstandard
 
 from examination.campaign.allowance import allowance
 from examination.campaign.hostile_bags import (
+    TRICKS,
     chunk,
     journal_naming,
     mcap_of,
@@ -64,13 +65,7 @@ def test_a_journal_that_is_a_link_is_not_followed(db3, tmp_path):
     assert len(read_record(db3)["wire.voltage"]) == 20
 
 
-@pytest.mark.parametrize("statement", [
-    "CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
-    "SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(64) AS data FROM r",
-    "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
-    "data BLOB AS (zeroblob(60000000)))",
-    "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)",
-])  # fmt: skip
+@pytest.mark.parametrize("statement", TRICKS[:3])
 def test_messages_that_a_program_makes_are_refused(db3, statement):
     with sqlite3.connect(db3) as database:
         database.execute("DROP TABLE messages")
