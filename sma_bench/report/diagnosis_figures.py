@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
-from sma_bench.diagnose.result import Cell, DiagnosisResult
+from sma_bench.diagnose.result import DiagnosisResult
 from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, locate, sample_noise
-from sma_bench.estimation.observation import QUANTITIES, BinnedSignal, Observation
+from sma_bench.estimation.observation import QUANTITIES, BinnedSignal
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.simulate import Simulation
 from sma_bench.protocols import parse_protocol
 from sma_bench.report.drawing import (
     FAINT,
@@ -56,7 +55,52 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
     pictures = []
     for quantity, _ in result.worst_first:
         obs = next(v for v in result.held_out if quantity in v.quantities)
-        pictures.append(_signals_over_time(result, obs, quantity))
+        unit, factor = scale_of(quantity)
+
+        # Of each side the signal that the belief misses most.
+        before = obs.readings(obs.simulate(result.parameters))
+        after = obs.readings(obs.simulate(result.improved))
+        worst: dict[str, tuple[float, tuple[BinnedSignal, Array, Array]]] = {}
+        for signal, old, new in zip(obs.signals, before, after, strict=True):
+            if signal.quantity == quantity:
+                miss = float(np.mean((signal.value - old) ** 2))
+                side = obs.sides[signal.wire]
+                if side not in worst or miss > worst[side][0]:
+                    worst[side] = (miss, (signal, old, new))
+        shown = [row for _, row in worst.values()]
+
+        # Readings, and below them their errors with the band of the noise.
+        figure = Figure(figsize=(7.2, 0.8 + 2.9 * len(shown)), layout="constrained")
+        axes = figure.subplots(
+            2 * len(shown), 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1.0) * len(shown)}
+        )
+        for upper, lower, (signal, old, new) in zip(axes[::2], axes[1::2], shown, strict=True):
+            time, value = signal.time, factor * signal.value
+            upper.plot(time, value, color=MEASURED, lw=2.6, alpha=0.45, label="measured")
+            noise_band(lower, 2.0 * factor * sample_noise(result.model.problem, signal.name))
+            for simulated, label, look in (
+                (factor * old, "as believed", {"color": FAINT, "lw": 1.0, "ls": "--"}),
+                (factor * new, "improved", {"color": MODEL, "lw": 1.0}),
+            ):
+                upper.plot(time, simulated, label=label, **look)
+                lower.plot(time, value - simulated, **look)
+            upper.set_ylabel(f"[{unit}]")
+            upper.set_title(signal.name, loc="left", fontsize=9)
+            lower.set_ylabel(f"error [{unit}]")
+        axes[0].legend(
+            fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False
+        )
+        axes[-1].set_xlabel("time [s]")
+        plain_axes(*axes)
+        caption = (
+            f"{obs.path}, held out; means over {shown[0][0].period:.2g} s; of each side the signal "
+            "with the largest error. Error: measured less simulated, the band is twice the noise "
+            "of a sample. The improved parameters are those of --out, fitted to all records."
+        )
+        title = f"Measured and simulated {quantity}"
+        pictures.append(
+            Picture(f"diagnosis_{quantity}", title, caption, figure, over_time=True)
+        )
     return pictures
 
 
@@ -202,65 +246,6 @@ def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Pictur
     return Picture("diagnosis_next_experiment", "The next experiment", caption, figure)
 
 
-def _signals_over_time(result: Diagnosis, obs: Observation, quantity: str) -> Picture:
-    unit, factor = scale_of(quantity)
-    shown = _worst_of_sides(result, obs, quantity)
-    figure = Figure(figsize=(7.2, 0.8 + 2.9 * len(shown)), layout="constrained")
-    axes = figure.subplots(
-        2 * len(shown), 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1.0) * len(shown)}
-    )
-    for k, (signal, old, new) in enumerate(shown):
-        signals, error = axes[2 * k : 2 * k + 2]
-        signals.plot(signal.time, factor * signal.value, color=MEASURED, lw=2.6, alpha=0.45,
-                    label="measured")
-        signals.plot(signal.time, factor * old, color=FAINT, lw=1.0, ls="--", label="as believed")
-        signals.plot(signal.time, factor * new, color=MODEL, lw=1.0, label="improved")
-        signals.set_ylabel(f"[{unit}]")
-        signals.set_title(signal.name, loc="left", fontsize=9)
-        _error(error, result, (signal, factor * old, factor * new))
-        error.set_ylabel(f"error [{unit}]")
-    axes[0].legend(
-        fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False
-    )
-    axes[-1].set_xlabel("time [s]")
-    plain_axes(*axes)
-    caption = (
-        f"{obs.path}, held out; means over {shown[0][0].period:.2g} s; of each side the signal "
-        "with the largest error. Error: measured less simulated, the band is twice the noise of a "
-        "sample. The improved parameters are those of --out, fitted to all records."
-    )
-    return Picture(
-        f"diagnosis_{quantity}", f"Measured and simulated {quantity}", caption, figure,
-        over_time=True,
-    )
-
-
-def _worst_of_sides(
-    result: Diagnosis, obs: Observation, quantity: str
-) -> list[tuple[BinnedSignal, Array, Array]]:
-    """Of each side the signal that the belief misses most, with its readings before and after."""
-    before = obs.readings(obs.simulate(result.parameters))
-    after = obs.readings(obs.simulate(result.improved))
-    worst: dict[str, tuple[float, tuple[BinnedSignal, Array, Array]]] = {}
-    for signal, old, new in zip(obs.signals, before, after, strict=True):
-        if signal.quantity == quantity:
-            miss = float(np.mean((signal.value - old) ** 2))
-            side = obs.sides[signal.wire]
-            if side not in worst or miss > worst[side][0]:
-                worst[side] = (miss, (signal, old, new))
-    return [row for _, row in worst.values()]
-
-
-def _error(ax: Axes, result: Diagnosis, row: tuple[BinnedSignal, Array, Array]) -> None:
-    """Differences in the unit on paper, which `row` has already."""
-    signal, old, new = row
-    factor = scale_of(signal.name).factor
-    noise = 2.0 * factor * sample_noise(result.model.problem, signal.name)
-    noise_band(ax, noise)
-    ax.plot(signal.time, factor * signal.value - old, color=FAINT, lw=1.0, ls="--")
-    ax.plot(signal.time, factor * signal.value - new, color=MODEL, lw=1.0)
-
-
 def _colour(stages: Sequence[str]) -> str:
     if not stages:
         return FAINT
@@ -278,7 +263,6 @@ def _stage_legend(ax: Axes, stages: Iterable[Sequence[str]]) -> None:
 # --- Heat maps of a diagnosis: the gap by signal, side and phase, and what each stage explains.
 
 PHASES = (INITIAL, DRIVE, REST)
-STAGES = ("electrical", "thermal", "transformation", "mechanical", "sensor")
 _LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
 _NATS = 3.0  # within which the colours of evidence are linear
 
@@ -286,16 +270,34 @@ _NATS = 3.0  # within which the colours of evidence are linear
 def gap_picture(result: Diagnosis) -> Picture:
     """Root mean square over noise of each cell: before, what explains it, and what is left."""
     problem = result.model.problem
+    names, middle = result.model.unknowns.effects, list(result.where.table)
+    if result.decision.verdict == UNEXPLAINED:
+        head = "what is missing: left\nby recalibration"
+        middle = locate(problem, result.search.recalibrated.left)
+    elif names:
+        head = "what " + "\nand ".join(names) + f" {'does' if len(names) == 1 else 'do'}"
+    else:
+        head = "what recalibration\nchanges"
     maps = (
         ("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
-        _explanation(result),
+        (head, middle),
         ("left by the\nbest model", locate(problem, result.model.left)),
     )
-    rows = _rows(result)
+
+    # Signals by quantity, the worst first; the deflection once a side.
+    rows = list(dict.fromkeys(
+        f"{signal.name}, {side}" if side else signal.name
+        for quantity in _quantities(result) for view in result.observations
+        for signal in view.signals if signal.quantity == quantity
+        for side in (view.sides if quantity == "deflection" else ("",))
+    ))  # fmt: skip
     figure = Figure(figsize=(7.8, 1.6 + 0.34 * len(rows)), layout="constrained")
     axes = figure.subplots(1, len(maps), sharey=True)
     for ax, (title, cells) in zip(axes, maps, strict=True):
-        numbers = {(_row(c), c.phase): c.gap for c in cells}
+        numbers = {
+            (f"{c.signal}, {c.side}" if c.signal == "deflection" else c.signal, c.phase): c.gap
+            for c in cells
+        }
         table = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
         image = _draw(ax, table, LogNorm(_LOWEST, _HIGHEST), _HEAT)
         ax.set_title(title, fontsize=8)
@@ -313,7 +315,10 @@ def gap_picture(result: Diagnosis) -> Picture:
 
 def stage_picture(result: Diagnosis) -> Picture:
     """Evidence that the best effect of each stage earns, by quantity and phase."""
-    best = _best_of_stages(result)
+    best: dict[str, tuple[str, Fit]] = {}
+    for name in result.search.ranked:
+        best.setdefault(EFFECTS[name].stage, (name, result.search.singles[name]))
+    best = {stage: best[stage] for stage in STAGE_COLOURS if stage in best}
     quantities = _quantities(result)
     columns = [(q, p) for q in quantities for p in PHASES]
     whole = _power(result, result.search.recalibrated)
@@ -347,15 +352,6 @@ def stage_picture(result: Diagnosis) -> Picture:
     return Picture("diagnosis_stages", "What each stage explains", caption, figure)
 
 
-def _best_of_stages(result: Diagnosis) -> dict[str, tuple[str, Fit]]:
-    found = {}
-    for stage in STAGES:
-        name = next((n for n in result.search.ranked if EFFECTS[n].stage == stage), None)
-        if name is not None:
-            found[stage] = (name, result.search.singles[name])
-    return found
-
-
 def _power(result: Diagnosis, fitted: Fit) -> Mapping[tuple[str, str], float]:
     """Whitened squared residual by quantity and phase."""
     noise = result.model.problem.noise
@@ -371,44 +367,11 @@ def _power(result: Diagnosis, fitted: Fit) -> Mapping[tuple[str, str], float]:
     return found
 
 
-def _explanation(result: Diagnosis) -> tuple[str, list[Cell]]:
-    if result.decision.verdict == UNEXPLAINED:
-        cells = locate(result.model.problem, result.search.recalibrated.left)
-        return "what is missing: left\nby recalibration", cells
-    names = result.model.unknowns.effects
-    if not names:
-        return "what recalibration\nchanges", list(result.where.table)
-    verb = "does" if len(names) == 1 else "do"
-    return "what " + "\nand ".join(names) + f" {verb}", list(result.where.table)
-
-
 def _quantities(result: Diagnosis) -> list[str]:
     """Those that were compared, the worst first."""
     compared = {quantity for view in result.observations for quantity in view.quantities}
-    return [q for q in _by_error(result) if q in compared]
-
-
-def _by_error(result: Diagnosis) -> list[str]:
-    """Quantities, those that the belief misses most first."""
     held_out = [quantity for quantity, _ in result.worst_first]
-    return held_out + [q for q in QUANTITIES if q not in held_out]
-
-
-def _row(cell: Cell) -> str:
-    return f"{cell.signal}, {cell.side}" if cell.signal == "deflection" else cell.signal
-
-
-def _rows(result: Diagnosis) -> list[str]:
-    """Signals by quantity, the worst first; the deflection once a side."""
-    rows: dict[str, None] = {}
-    for quantity in _quantities(result):
-        for view in result.observations:
-            for signal in view.signals:
-                if signal.quantity != quantity:
-                    continue
-                sides = view.sides if quantity == "deflection" else ("",)
-                rows |= dict.fromkeys(f"{signal.name}, {s}" if s else signal.name for s in sides)
-    return list(rows)
+    return [q for q in dict.fromkeys((*held_out, *QUANTITIES)) if q in compared]
 
 
 class _Look(NamedTuple):
@@ -478,7 +441,17 @@ def _missing(result: Diagnosis, name: str) -> Picture:
             if smooth.any():
                 over_time.plot(time, factor * smooth, color=SECOND, lw=1.2,
                             label="of it a smooth response of free form")
-        warm, volts = _causes(obs, block.signal, obs.simulate(model.parameters))
+        # What the term may depend on: of a wire, or of the sides' warmest and highest.
+        at = np.clip(np.searchsorted(obs.grid, time), 0, len(obs.grid) - 1)
+        causes = (obs.simulate(model.parameters).temperature[at], obs.voltage[at])
+        if block.signal.quantity == "deflection":
+            front = np.array(obs.sides) == obs.sides[0]
+            warm, volts = (
+                values[:, front].max(axis=1) - values[:, ~front].max(axis=1)
+                if (~front).any() else values[:, front].max(axis=1) for values in causes
+            )
+        else:
+            warm, volts = (values[:, block.signal.wire] for values in causes)
         phases = obs.phase_of(time)
         for phase, colour in _COLOURS.items():
             here = phases == phase
@@ -506,21 +479,6 @@ def _missing(result: Diagnosis, name: str) -> Picture:
     )
     title = f"What is missing in {name}"
     return Picture(f"diagnosis_missing_{name.replace('.', '_')}", title, caption, figure)
-
-
-def _causes(obs: Observation, signal: BinnedSignal, simulation: Simulation) -> tuple[Array, Array]:
-    """Temperature and voltage (b,) that the term may depend on."""
-    at = np.clip(np.searchsorted(obs.grid, signal.time), 0, len(obs.grid) - 1)
-    temperature, voltage = simulation.temperature[at], obs.voltage[at]
-    if signal.quantity != "deflection":
-        return temperature[:, signal.wire], voltage[:, signal.wire]
-    front = np.array(obs.sides) == obs.sides[0]
-    return _difference(temperature, front), _difference(voltage, front)
-
-
-def _difference(values: Array, front: NDArray[np.bool_]) -> Array:
-    back = values[:, ~front].max(axis=1) if (~front).any() else np.zeros(len(values))
-    return np.asarray(values[:, front].max(axis=1) - back)
 
 
 # --- The response of free form, as far as the records separate it from wrong parameters.
