@@ -374,7 +374,7 @@ def end_by(bench: PtyBench, link: Watched, spoilt: Callable[[Receive], Receive])
         connected = link.status.connections
         conversation = link._conversation
         conversation.receive = spoilt(conversation.receive)
-        wait_for(lambda: link.status.connections > connected and link.status.stopped)
+        wait_for(lambda n=connected: link.status.connections > n and link.status.stopped)
         assert bench.device.duties == (0.0,) * 4
         if link.status.cause_text == "stop byte":
             return
