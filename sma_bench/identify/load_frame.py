@@ -193,7 +193,7 @@ def _branch_by_branch(
 ) -> tuple[dict[str, Estimate], list[Finding]]:
     tests: list[IsobaricRecord] = []
     for record in records:
-        if not is_clamped(record):
+        if not is_clamped(record) and has_samples(record, f"{record.channels[0]}.temperature"):
             tests += isobaric_tests(record, parameters)
     if not tests:
         return {}, []

@@ -353,19 +353,23 @@ def failure(messages):
 def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
     bench, link, change, said
 ):
-    link.arm()
-    drive_until(link, lambda: bench.device.duties[0] > 0.2)
-    receive = link._conversation.receive
-
-    def changed(patience):
-        messages, now = receive(patience)
-        return change(messages), now
-
-    link._conversation.receive = changed
-    wait_for(lambda: link.status.connections == 2)
+    for _ in range(5):
+        link.arm()
+        drive_until(link, lambda: bench.device.duties[0] > 0.2)
+        connected, receive = link.status.connections, link._conversation.receive
+        link._conversation.receive = lambda wait, receive=receive: (
+            change(receive(wait)[0]), time.monotonic()
+        )  # fmt: skip
+        wait_for(lambda n=connected: link.status.connections > n and link.status.stopped)
+        assert bench.device.duties == (0.0,) * 4
+        if link.status.cause_text == "stop byte":
+            break
+        # A busy machine may stand still for the device's own timeout first.
+        assert link.status.cause_text == "command timeout"
+        link.reset()
+    else:
+        raise AssertionError("the stop byte never came before the device's own timeout")
     assert f"not connected: {said}" in link.events
-    wait_for(lambda: link.status.cause_text == "stop byte")
-    assert bench.device.duties == (0.0,) * 4
 
 
 def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(bench, link):

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
+from examination.check.rigs import FINE, draw_record, draw_rig, try_rig
 from examination.simulated_lab.drawn_bench import draw_bench
 from examination.simulated_lab.experiments import LOADS, clamped, isobaric
 from sma_bench.errors import InputError
@@ -141,3 +142,11 @@ def test_a_record_without_load_frame_is_refused(lab):
     }
     with pytest.raises(InputError, match="no load frame"):
         identify_load_frame([replace(records["clamped"], signals=signals)], bench.known)
+
+
+def test_held_load_without_a_thermometer_is_fitted_all_the_same():
+    rng = np.random.default_rng([38, 86])
+    record = draw_record(draw_rig("force", rng), rng)
+    assert {"elongation", "force"} <= set(record.signals)
+    assert "front_wire.temperature" not in record.signals
+    assert try_rig(86)["identify"] == FINE
