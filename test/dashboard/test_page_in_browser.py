@@ -6,6 +6,7 @@ import pytest
 from browser_page import DESKTOP, PHONE, opened
 from stand_in import StandIn, served
 
+from sma_bench.dashboard import stopping
 from sma_bench.dashboard.live_state import Seen, shown_limits
 
 EVIL = "<img src=x onerror=alert(1)>"
@@ -16,7 +17,8 @@ EXPECTED = ("ERR_CONNECTION_REFUSED", "WebSocket connection to")
 
 
 @pytest.fixture
-def bench():
+def bench(monkeypatch):
+    monkeypatch.setattr(stopping, "_STAYS_OFF", 0.3)
     made = StandIn()
     made.state.show("limits", {
         "values": shown_limits({"bench.maximum_temperature": 423.15, "bench.maximum_current": 3.0}),
@@ -49,8 +51,7 @@ def url(bench):
         yield found
 
 
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("size", "scheme"), [(DESKTOP, "light"), (PHONE, "dark")])
 def test_it_fits_can_be_read_and_complains_of_nothing(browser, url, size, scheme):
     with opened(browser, url, size, scheme) as shown:
         shown.until(SETTLED)
@@ -84,10 +85,9 @@ def test_it_shows_signals_limits_progress_nodes_and_the_diagnosis_as_text(browse
         assert shown.complaints == []
 
 
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, bench, url, size):
+def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, bench, url):
     told = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
-    with opened(browser, url, size) as shown:
+    with opened(browser, url, PHONE) as shown:
         shown.until(SETTLED)
         assert shown.page.evaluate("document.getElementById('plug').hidden")
         bench.state.merge("states", {"serial_bridge": told})
@@ -106,22 +106,22 @@ def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, be
         assert not shown.page.evaluate("document.title").startswith("PULL")
 
 
-@pytest.mark.parametrize("how", ["Escape", "Enter", "Space", "click"])
-def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, bench, url, how):
+def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, bench, url):
     with opened(browser, url) as shown:
         shown.until(SETTLED)
-        if how == "click":
-            shown.page.mouse.click(60, 40)
-        else:
-            shown.page.keyboard.press(how)
-        shown.until("document.getElementById('stop-result').className === 'ok'")
-        said = shown.text("#stop-result")
-        assert "0 V read on all 2 wires" in said and "serial_bridge: stopped" in said
-        assert "front_1 0.00 V, back_1 0.00 V" in said
-        bench.volts["back_1"] = 5.0  # a voltage that comes back after the stop
-        shown.until("document.getElementById('stop-result').className === 'bad'")
-        assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
-    assert bench.stops == 1
+        for k, how in enumerate(("Escape", "Enter", "Space", "click")):
+            if how == "click":
+                shown.page.mouse.click(60, 40)
+            else:
+                shown.page.keyboard.press(how)
+            shown.until("document.getElementById('stop-result').className === 'ok'")
+            assert bench.stops == k + 1
+            said = shown.text("#stop-result")
+            assert "0 V read on all 2 wires" in said and "serial_bridge: stopped" in said
+            assert "front_1 0.00 V, back_1 0.00 V" in said
+            bench.volts["back_1"] = 5.0  # a voltage that comes back after the stop
+            shown.until("document.getElementById('stop-result').className === 'bad'")
+            assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
 
 
 def test_a_stop_that_does_not_work_is_red_and_it_works_without_javascript(browser, bench, url):
@@ -156,19 +156,19 @@ WRONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("panel", WRONG)
-def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, bench, url, panel):
-    right = bench.state.update(Seen())["panels"].get(panel)
+def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, bench, url):
     with opened(browser, url) as shown:
-        shown.until("document.body.className === 'live'")
-        bench.state.show(panel, WRONG[panel])
-        bench.celsius = 140.0
-        shown.until("document.body.className === 'lost'")
-        assert "LOST: this page cannot show what the bench sends" in shown.text("#connection")
-        assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
-        bench.state.show(panel, right)
-        shown.until("document.body.className === 'live'")
-        shown.until("document.getElementById('meters').innerText.includes('140.0 °C')")
+        for k, (panel, wrong) in enumerate(WRONG.items()):
+            shown.until("document.body.className === 'live'")
+            right = bench.state.update(Seen())["panels"].get(panel)
+            bench.state.show(panel, wrong)
+            bench.celsius = 140.0 + k
+            shown.until("document.body.className === 'lost'")
+            assert "LOST: this page cannot show what the bench sends" in shown.text("#connection")
+            assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
+            bench.state.show(panel, right)
+            shown.until("document.body.className === 'live'")
+            shown.until(f"document.getElementById('meters').innerText.includes('{140 + k}.0 °C')")
 
 
 def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(browser, bench):
