@@ -20,15 +20,11 @@ def arguments(tmp_path, text):
 
 BAD = {
     "wire.resistence: 2.0": "unknown parameter wire.resistence, did you mean wire.resistance?",
-    "uncertainty.wire.resistence: 2.0": "unknown parameter uncertainty.wire.resistence",
-    "sensor.current_niose: 0.1": "did you mean sensor.current_noise?",
     "wire.resistance: 3": "wire.resistance is the integer 3, ROS expects 3.0",
-    "wire.resistance: high": "wire.resistance is 'high', expected a number in ohm",
     "wire.diameter: 0.3": "times 0.001 it would fit: wrong unit prefix?",
     "environment.ambient_temperature: 23.0": "degrees Celsius?",
     "wire.resistance: .nan": "expected a finite number",
     "bench.channels: [a, b]": "bench.channel_sides has 1 entries, expected 2",
-    "speed: 0.1": "speed is 0.1",
     "seed: 1.5": "seed is 1.5, expected a whole number",
     "managed: true": "managed: nodes are no lifecycle nodes any more: they start active",
 }
@@ -82,20 +78,12 @@ def run(name, *arguments):
     )
 
 
-def test_a_node_refuses_a_bad_file_with_one_line_and_status_2(tmp_path, ros_domain):
-    done = run("simulator", *arguments(tmp_path, "    wire.resistence: 2.0\n"))
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1 and "did you mean wire.resistance?" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("name", "given", "expected"),
     [
         ("experiment", ["-p", "protocol:=stairs"], "protocol stairs: not one of"),
-        ("experiment", ["-p", "feedback:=[smell]"], "feedback: 'smell', expected power or"),
         ("recorder", ["--params-file", "none.yaml"], "none.yaml: cannot read"),
         ("simulator", ["-p", "speed"], "-p speed: expected name:=value"),
-        ("simulator", ["-r", "wire"], "wire"),
     ],
 )
 def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(
@@ -103,7 +91,7 @@ def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(
 ):
     done = run(name, "--ros-args", *given)
     assert done.returncode == 2
-    assert expected in done.stderr and "Traceback" not in done.stderr
+    assert expected in done.stderr and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("node", sorted(NODE_TABLES))

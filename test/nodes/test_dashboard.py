@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import tornado.websocket
 from emulated_rig import bridged_rig
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import String
 
 from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
@@ -157,21 +157,6 @@ def test_a_record_is_identified_from_the_page_and_its_card_comes_back(bench, tmp
         assert read(shown.press("work", other))["said"] == "no node here does diagnose"
 
 
-def test_a_bench_without_a_stop_service_is_commanded_to_zero(bench, tmp_path):
-    bench.start("simulator", bench__command_timeout=5.0)
-    command = bench.talk("voltage_command", Float64MultiArray)
-    with dashboard(bench, tmp_path) as shown:
-
-        def driven():
-            command.publish(Float64MultiArray(data=[3.0]))
-            newest = [s["latest"] for s in shown.update()["signals"] if s["quantity"] == "voltage"]
-            return newest and max(newest) > 2.9
-
-        bench.until(driven)
-        answer = read(shown.press())
-        assert answer["stopped"] and answer["answers"] == []
-
-
 @pytest.mark.acceptance
 def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
     bench, uno, tmp_path, record_property
@@ -212,16 +197,6 @@ def test_it_ends_at_a_signal_and_says_in_one_line_why_it_cannot_begin(bench, tmp
         shown.process.send_signal(signal.SIGINT)
         assert shown.process.wait(30.0) == 0
         assert "Traceback" not in shown.output
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(["--namespace", "a b"], "namespace '/a b'"), (["--port", "70000"], "--port is 70000")],
-)
-def test_what_cannot_be_is_one_line(bench, tmp_path, words, said):
-    process = Dashboard(tmp_path, *words)
-    assert process.process.wait(30.0) == 2
-    assert said in process.output and len(process.output.splitlines()) == 1
 
 
 def test_without_ros_it_says_what_is_missing(tmp_path):

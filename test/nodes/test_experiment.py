@@ -3,9 +3,7 @@
 import json
 import os
 import signal
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
@@ -13,7 +11,6 @@ from fake_bench import FakeBench
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64MultiArray, String
 
-from sma_bench.nodes.experiment import ExperimentNode
 from sma_bench.ros.node import LATCHED
 
 SHORT = {
@@ -65,71 +62,6 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert sent[40:80] == pytest.approx([2.0 + 0.05 * k for k in range(40)], abs=1e-6)
     assert sent[80:100] == [0.0] * 20
     assert node.end() == 0
-
-
-def test_steps_end_when_the_bench_gets_there(bench, protocol):
-    states = bench.latched("experiment/state", String)
-    commands = bench.listen("voltage_command", Float64MultiArray)
-    bench.start("simulator", speed=50.0)
-    path = protocol({"name": "waits", "steps": [
-        {"kind": "hold", "level": 2.7, "duration": 900.0, "until": {"temperature_above": 308.15}},
-        {"kind": "rest", "duration": 900.0, "until": "settled"},
-    ]})  # fmt: skip
-    bench.start("experiment", protocol=path, use_sim_time=True, autostart=True)
-    bench.until(lambda: states and states[-1].data == "done: waits")
-    assert 0 < [m.data[0] for m in commands].count(2.7) < 100
-    assert len(commands) < 2000  # of 36000 that the limits allow
-    assert list(commands[-1].data) == [0.0]
-
-
-def test_readings_of_a_protocol_are_the_same_at_any_speed_and_after_any_wait(bench, protocol):
-    path = protocol(SHORT)
-    slow, fast = (readings(bench, path, speed) for speed in (10.0, 60.0))
-    assert len(slow) == 400
-    assert slow == fast
-
-
-def test_a_timer_that_is_called_twice_at_one_moment_commands_once_and_keeps_the_next_moment():
-    moments, sent, set_back = iter([100, 100, 150]), [], []
-    node = SimpleNamespace(
-        _bench_clock=SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(moments))),
-        _ticks=SimpleNamespace(reset=lambda: set_back.append(sent[-1])),
-        _ticked=-1,
-        _run=SimpleNamespace(tick=lambda now, time: sent.append(time)),
-    )
-    for _ in range(3):
-        ExperimentNode._tick(node)
-    assert sent == [100e-9, 150e-9] and set_back == [100e-9]
-
-
-def readings(bench, path, speed):
-    """Voltage and current of the four seconds in which SHORT drives the wire; once more where the
-    network loses one of so many on the way to this test, which the stamps show."""
-    for _ in range(5):
-        driven = readings_of_one_run(bench, path, speed)
-        stamps = [m.header.stamp.sec * 1000 + m.header.stamp.nanosec // 1_000_000 for m in driven]
-        if set(np.diff(stamps)) == {10}:
-            return [(m.voltage, m.current) for m in driven[1:]]
-    raise AssertionError(f"readings are lost every time: {stamps}")
-
-
-def readings_of_one_run(bench, path, speed):
-    """The last reading before the drive, and 400 more."""
-    power = bench.listen("wire/power", BatteryState, 20_000)
-    states = bench.latched("experiment/state", String)
-    nodes = [
-        bench.start("simulator", speed=speed),
-        bench.start("experiment", protocol=path, use_sim_time=True),
-    ]
-    bench.until(lambda: power and states)
-    bench.until(lambda: bench.trigger("experiment/start").success)
-    bench.until(lambda: states and states[-1].data == "done: short")
-    # The state may overtake readings that still wait in the test's own queue.
-    first = bench.until(lambda: next((k for k, m in enumerate(power) if m.voltage > 1.0), 0))
-    bench.until(lambda: len(power) >= first + 400)
-    for node in nodes:
-        node.end()
-    return power[first - 1 : first + 400]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
