@@ -18,92 +18,47 @@ class Recorded:
     def __init__(self, *args, **kwargs):
         self.args, self.given = args, SimpleNamespace(**kwargs)
 
-
-class Node(Recorded): ...
-
-
-class ExecuteProcess(Recorded): ...
-
-
-class Shutdown(Recorded): ...
-
-
-class Text(Recorded):
-    """launch_ros.parameter_descriptions.ParameterValue"""
-
-
-class Context:
-    """launch.LaunchContext"""
-
-    def __init__(self):
-        self.launch_configurations = {}
-
-
-class DeclareLaunchArgument:
-    """launch.actions.DeclareLaunchArgument"""
-
-    def __init__(self, name, *, default_value, description):
-        self.name, self.default = name, default_value
-
     def visit(self, context):
-        context.launch_configurations.setdefault(self.name, self.default)
+        """Of the two that do something: an argument's default, and a function's actions."""
+        if hasattr(self.given, "function"):
+            return self.given.function(context)
+        context.launch_configurations.setdefault(self.args[0], self.given.default_value)
+        return []
 
 
-class OpaqueFunction:
-    """launch.actions.OpaqueFunction"""
-
-    def __init__(self, *, function):
-        self._function = function
-
-    def visit(self, context):
-        return self._function(context)
-
-
-class LaunchDescription:
-    """launch.LaunchDescription"""
-
-    def __init__(self, entities):
-        self.entities = entities
-
-
-_STAND_IN = {
-    "launch": {"LaunchDescription": LaunchDescription, "LaunchContext": Context},
-    "launch.actions": {
-        "DeclareLaunchArgument": DeclareLaunchArgument, "OpaqueFunction": OpaqueFunction,
-        "ExecuteProcess": ExecuteProcess, "Shutdown": Shutdown,
-    },
-    "launch_ros": {},
-    "launch_ros.actions": {"Node": Node},
-    "launch_ros.parameter_descriptions": {"ParameterValue": Text},
+NAMES = {
+    "launch": ("LaunchDescription", "LaunchContext"),
+    "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "ExecuteProcess", "Shutdown"),
+    "launch_ros": (),
+    "launch_ros.actions": ("Node",),
+    "launch_ros.parameter_descriptions": ("ParameterValue",),
 }
+KINDS = {name: type(name, (Recorded,), {}) for names in NAMES.values() for name in names}
+Node, ExecuteProcess, Shutdown = (KINDS[n] for n in ("Node", "ExecuteProcess", "Shutdown"))
+Text = KINDS["ParameterValue"]
+KINDS["LaunchDescription"] = lambda entities: SimpleNamespace(entities=entities)
+KINDS["LaunchContext"] = lambda: SimpleNamespace(launch_configurations={})
 
 
 def built(path, monkeypatch, **arguments):
     """Nodes and processes that a launch file would start with these arguments."""
     if not INSTALLED:
-        for name, members in _STAND_IN.items():
-            module = ModuleType(name)
-            vars(module).update(members)
-            monkeypatch.setitem(sys.modules, name, module)
+        for module, names in NAMES.items():
+            made = ModuleType(module)
+            vars(made).update({name: KINDS[name] for name in names})
+            monkeypatch.setitem(sys.modules, module, made)
     monkeypatch.delitem(sys.modules, "sma_bench.nodes.bench_launch", raising=False)
     actions = importlib.import_module("sma_bench.nodes.bench_launch")
     monkeypatch.setitem(sys.modules, "sma_bench.nodes.bench_launch", actions)
     # What a Node was given cannot be read back from the real ones.
-    for kind in (Node, ExecuteProcess, Shutdown):
-        monkeypatch.setattr(actions, kind.__name__, kind)
-    monkeypatch.setattr(actions, "ParameterValue", Text)
+    for kind in ("Node", "ExecuteProcess", "Shutdown", "ParameterValue"):
+        monkeypatch.setattr(actions, kind, KINDS[kind])
     context = importlib.import_module("launch").LaunchContext()
     context.launch_configurations.update(arguments)
-    found = []
-    for entity in load(path).generate_launch_description().entities:
-        found += entity.visit(context) or []
-    return found
-
-
-def load(path):
-    """The launch file as a module."""
     spec = importlib.util.spec_from_file_location("launch_file", path)
-    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module
+    found = []
+    for entity in module.generate_launch_description().entities:
+        found += entity.visit(context) or []
+    return found
