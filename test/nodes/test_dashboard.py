@@ -3,7 +3,6 @@
 import asyncio
 import http.client
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -197,17 +196,3 @@ def test_it_ends_at_a_signal_and_says_in_one_line_why_it_cannot_begin(bench, tmp
         shown.process.send_signal(signal.SIGINT)
         assert shown.process.wait(30.0) == 0
         assert "Traceback" not in shown.output
-
-
-def test_without_ros_it_says_what_is_missing(tmp_path):
-    (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError('no rclpy', name='rclpy')")
-    found = subprocess.run(
-        [sys.executable, "-m", "sma_bench.cli", "dashboard"], capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)}, timeout=60.0, check=False,
-    )
-    assert found.returncode == 2
-    assert found.stderr == (
-        "sma-bench: dashboard: rclpy is not installed: source a ROS 2 Jazzy setup file, "
-        "or use ./bench\n"
-    )
-

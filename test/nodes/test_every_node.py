@@ -1,6 +1,7 @@
 """What holds of every node, seen on the nodes themselves, made in this process."""
 
 import gc
+import time
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,8 @@ def make(ros_domain, tmp_path, monkeypatch):
     made = []
 
     def make(name, *arguments):
-        rclpy.init(args=["--ros-args", "-r", "__ns:=/bench", *arguments])
+        if not rclpy.ok():
+            rclpy.init(args=["--ros-args", "-r", "__ns:=/bench", *arguments])
         made.append(node_class(name)())
         return made[-1]
 
@@ -50,24 +52,35 @@ def assert_overridable(node):
             assert overridden == (topic not in ROS_OWN), f"{kind} of {topic}"
 
 
-@pytest.mark.parametrize("name", NODE_TABLES)
-def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(make, name):
-    rig = ["--params-file", str(COMPOSITE)] if name == "deflection_controller" else []
-    node = make(name, *rig)
-    assert_overridable(node)
-    result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
-    assert not result.successful and "read-only" in result.reason
-    heard = []
-    node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+def test_qos_of_every_topic_can_be_overridden_and_every_node_gives_diagnostics(make):
+    nodes, heard = {}, {name: [] for name in NODE_TABLES}
     executor = OneThreadExecutor()
-    executor.add_node(node)
-    for _ in range(200):
+    for name in NODE_TABLES:
+        node = nodes[name] = make(
+            name, "--params-file", str(COMPOSITE), "-p", "regions:=['', '', '', '']"
+        )
+        executor.add_node(node)
+        assert_overridable(node)
+        result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
+        assert not result.successful and "read-only" in result.reason
+
+    def on_diagnostics(message):
+        for status in message.status:
+            heard[status.name.split("/")[2].partition(": ")[0]].append(message.header.stamp.sec)
+
+    listener = rclpy.create_node("listener")
+    listener.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 100)
+    executor.add_node(listener)
+    end = time.monotonic() + 60.0
+    while not all(heard.values()) and time.monotonic() < end:
         executor.spin_once(timeout_sec=0.1)
-        if heard:
-            break
-    assert heard[0].status and all(s.name.startswith(f"/bench/{name}: ") for s in heard[0].status)
-    assert heard[0].header.stamp.sec > 0
+    assert all(stamps and min(stamps) > 0 for stamps in heard.values())
+    for name in ("simulator", "serial_bridge"):  # a best-effort commander is heard
+        (commands,) = [s for s in nodes[name].subscriptions
+                       if s.topic_name == "/bench/voltage_command"]  # fmt: skip
+        assert commands.qos_profile.reliability.name == "BEST_EFFORT"
     executor.shutdown()
+    listener.destroy_node()
 
 
 def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden(ros_domain):
@@ -109,37 +122,25 @@ def test_an_override_of_one_topic_is_that_topics_alone_and_the_marker_is_there_f
     assert marker.qos_profile.depth == 1
 
 
-@pytest.mark.parametrize("name", ["simulator", "serial_bridge"])
-def test_a_best_effort_commander_is_heard(make, name):
-    node = make(name)
-    (heard,) = [s for s in node.subscriptions if s.topic_name == "/bench/voltage_command"]
-    assert heard.qos_profile.reliability.name == "BEST_EFFORT"
-
-
 @pytest.mark.parametrize(
-    ("policy", "value"), [("reliability", "rather"), ("depth", "-3"), ("depth", "many")]
+    ("policy", "value"), [("reliability", "rather"), ("depth", "-3")]
 )
 def test_an_override_that_is_no_qos_is_one_line(make, policy, value):
     with pytest.raises(InputError, match="voltage_command") as refused:
-        make(
-            "experiment",
-            "-p",
-            f"qos_overrides./bench/voltage_command.publisher.{policy}:={value}",
-        )
+        topic = "qos_overrides./bench/voltage_command.publisher"
+        make("experiment", "-p", f"{topic}.{policy}:={value}")
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("node", "name"),
-    [("diagnosis", "improved"), ("diagnosis", "report"), ("identification", "output_directory"),
-     ("investigation", "folder")],
-)
-def test_a_result_outside_its_root_is_refused_when_it_is_set(make, node, name):
-    made = make(node)
-    before = made.get_parameter(name).value
-    (result,) = made.set_parameters([RosParameter(name, value="/etc/x.yaml")])
-    assert not result.successful and "/etc/x.yaml lies outside output_root" in result.reason
-    assert made.get_parameter(name).value == before
+def test_a_result_outside_its_root_is_refused_when_it_is_set(make):
+    for node, name in (("diagnosis", "improved"), ("diagnosis", "report"),
+                       ("identification", "output_directory"), ("investigation", "folder")):
+        made = make(node)
+        before = made.get_parameter(name).value
+        (result,) = made.set_parameters([RosParameter(name, value="/etc/x.yaml")])
+        assert not result.successful and "/etc/x.yaml lies outside output_root" in result.reason
+        assert made.get_parameter(name).value == before
+        made.destroy_node()
 
 
 @pytest.mark.parametrize("stray", [["--params-file", "lab.yaml"], ["speed:=2.0"], ["--", "x"]])
@@ -153,26 +154,21 @@ def test_an_argument_that_ros_would_pass_over_is_refused(stray):
 CHANNELS = ("front_1", "back_1")
 
 
-def test_a_command_says_which_channels_it_is_for():
-    command = voltage_command(CHANNELS, [1.0, 2.0])
-    (dim,) = command.layout.dim
+def test_a_command_says_which_channels_it_is_for_and_one_for_others_is_refused():
+    (dim,) = voltage_command(CHANNELS, [1.0, 2.0]).layout.dim
     assert (dim.label, dim.size, dim.stride) == ("front_1 back_1", 2, 2)
-    assert layout_fault(command, CHANNELS) == ""
-    assert layout_fault(voltage_command(CHANNELS, [1.0, 2.0], "/bench/a#1"), CHANNELS) == ""
-    assert layout_fault(voltage_command((), [1.0, 2.0], "/bench/a#1"), CHANNELS) == ""
-    assert layout_fault(Float64MultiArray(data=[1.0, 2.0]), CHANNELS) == ""  # says nothing
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+    for command in (
+        voltage_command(CHANNELS, [1.0, 2.0]), voltage_command(CHANNELS, [1.0, 2.0], "/bench/a#1"),
+        voltage_command((), [1.0, 2.0], "/bench/a#1"),
+        Float64MultiArray(data=[1.0, 2.0]),  # says nothing
+    ):
+        assert layout_fault(command, CHANNELS) == ""
+    for change, words in (
         (lambda layout: setattr(layout.dim[0], "label", "back_1 front_1"), "expected 'front_1 b"),
         (lambda layout: setattr(layout.dim[0], "size", 3), "a dimension of 3, expected 2"),
         (lambda layout: layout.dim.append(MultiArrayDimension()), "expected one dimension"),
         (lambda layout: setattr(layout, "data_offset", 1), "no offset"),
-    ],
-)
-def test_a_command_for_other_channels_is_refused(change, words):
-    command = voltage_command(CHANNELS, [1.0, 2.0])
-    change(command.layout)
-    assert words in layout_fault(command, CHANNELS)
+    ):
+        command = voltage_command(CHANNELS, [1.0, 2.0])
+        change(command.layout)
+        assert words in layout_fault(command, CHANNELS)

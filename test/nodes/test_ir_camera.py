@@ -58,17 +58,15 @@ class Camera:
         )
         self._publisher = bench.talk("thermal_image", Image)
 
-    def show(self, kelvin=350.0, frame=None, **fields):
-        frame = self._scene.picture([kelvin]) if frame is None else frame
+    def show(self, kelvin=350.0, **fields):
+        frame = self._scene.picture([kelvin])
+        big = fields.get("is_bigendian", 0)
         message = Image(width=120, height=80, step=240, encoding="mono16")
-        message.data = array.array("B", frame.astype("<u2").tobytes())
+        message.data = array.array("B", frame.astype(">u2" if big else "<u2").tobytes())
         message.header.stamp = self._bench.node.get_clock().now().to_msg()
         for name, value in fields.items():
             setattr(message, name, value)
         self._publisher.publish(message)
-
-    def frame(self, kelvin=350.0):
-        return self._scene.picture([kelvin])
 
 
 def test_a_simulated_wire_seen_by_the_camera_reads_its_true_temperature(bench):
@@ -127,81 +125,62 @@ def test_four_wires_that_bend_are_read_each_by_itself(bench):
             assert message.header.frame_id == channel
 
 
-FAULTS = {
-    "silent": ("camera", "no frame for"),
-    "frozen": ("camera", "frozen: frame equal to the one before"),
-    "shutter": ("camera", "shutter: the flag covers the detector"),
-    "moved": ("wire", "no wire stands out"),
-}
-
-
 def test_readings_stop_and_the_diagnostics_say_why_at_one_fault_after_another(bench):
+    """Judgement of frames is that of test/hardware; here, that topics and diagnostics follow it."""
     read = bench.listen("wire/temperature", Temperature)
     diagnostics = Diagnostics(bench)
     camera, node = (bench.start(name, **SMALL) for name in ("synthetic_camera", "ir_camera"))
     told = bench.talk("wire/true_temperature", Temperature)
-    told.publish(celsius(80.0))
     bench.until(lambda: told.publish(celsius(80.0)) or len(read) > 20)
     answer = bench.set_parameter("synthetic_camera", "fault", "upside_down")
     assert not answer.successful and "expected none, frozen" in answer.reason
-    for fault, (part, said) in FAULTS.items():
-        show_fault(bench, read, diagnostics, fault, part, said)
-    # A camera that is lost.
-    bench.until(lambda: diagnostics.says("wire", "degC", DiagnosticStatus.OK))
-    assert camera.end() == 0
-    bench.until(lambda: diagnostics.says("camera", "no frame for", DiagnosticStatus.ERROR))
-    stopped = len(read)
-    assert diagnostics.says("wire", "no good frames", DiagnosticStatus.ERROR)
-    bench.until(lambda: diagnostics.says("camera", "no frame for 3", DiagnosticStatus.ERROR))
-    assert len(read) == stopped
+    for fault, part, said in (
+        ("frozen", "camera", "frozen: frame equal to the one before"),
+        ("moved", "wire", "no wire stands out"),
+        ("none", "camera", "no frame for"),  # which is lost then
+    ):
+        bench.until(lambda: diagnostics.says("wire", "degC", DiagnosticStatus.OK))
+        freshness = Freshness("wire/temperature", 1.0)
+        assert bench.set_parameter("synthetic_camera", "fault", fault).successful
+        if fault == "none":
+            assert camera.end() == 0
+        bench.until(lambda: diagnostics.says(part, said, DiagnosticStatus.ERROR))  # noqa: B023
+        stopped = len(read)
+        freshness.seen(seconds(read[-1]), 0.0)
+        bench.until(lambda: diagnostics.says("wire", "", DiagnosticStatus.ERROR))
+        assert len(read) == stopped
+        # Nothing fresh comes: the experiment's rule for stale feedback trips.
+        assert "stale feedback" in freshness.fault(1.1)
+        if fault != "none":
+            assert bench.set_parameter("synthetic_camera", "fault", "none").successful
+            bench.until(lambda: len(read) > stopped + 20)  # noqa: B023
+            assert read[-1].temperature == pytest.approx(80.0, abs=1.0)
     assert node.end() == 0
-
-
-def show_fault(bench, read, diagnostics, fault, part, said):
-    """Readings stop while the fault is there, and come back after it."""
-    bench.until(lambda: diagnostics.says("wire", "degC", DiagnosticStatus.OK))
-    freshness = Freshness("wire/temperature", 1.0)
-    assert bench.set_parameter("synthetic_camera", "fault", fault).successful
-    bench.until(lambda: diagnostics.says(part, said, DiagnosticStatus.ERROR))
-    stopped = len(read)
-    freshness.seen(seconds(read[-1]), 0.0)
-    bench.until(lambda: diagnostics.says("wire", "", DiagnosticStatus.ERROR))
-    assert len(read) == stopped
-    # Nothing fresh comes: the experiment's rule for stale feedback trips.
-    assert "stale feedback" in freshness.fault(1.1)
-    assert bench.set_parameter("synthetic_camera", "fault", "none").successful
-    bench.until(lambda: len(read) > stopped + 20)
-    assert read[-1].temperature == pytest.approx(80.0, abs=1.0)
 
 
 def test_wrong_pictures_and_unseen_wires_are_withheld_and_cold_ones_read_where_not_heated(bench):
     read = bench.listen("wire/temperature", Temperature)
     diagnostics = Diagnostics(bench)
+    bad = bench.start("ir_camera", **SMALL, statistic="mode", remap={"__node": "bad"})
     node = bench.start("ir_camera", **SMALL)
     camera = Camera(bench)
-    bench.until(
-        lambda: camera.show(297.65)  # the background's
-        or diagnostics.says("wire", "no wire stands out", DiagnosticStatus.ERROR)
-    )
-    wrong = {
-        "thermal_image has encoding 'bgr8'": {"encoding": "bgr8"},
-        "thermal_image is 60 x 80, expected 120 x 80": {"width": 60},
-        "thermal_image has step 100": {"step": 100},
-    }
-    for said, fields in wrong.items():
+    for part, said, shown in (
+        ("wire", "no wire stands out", {"kelvin": 297.65}),  # the background's
+        ("camera", "thermal_image has encoding 'bgr8'", {"encoding": "bgr8"}),
+        ("camera", "thermal_image is 60 x 80, expected 120 x 80", {"width": 60}),
+    ):
         bench.until(
-            lambda: camera.show(**fields)  # noqa: B023
-            or diagnostics.says("camera", said, DiagnosticStatus.ERROR)  # noqa: B023
+            lambda: camera.show(**shown)  # noqa: B023
+            or diagnostics.says(part, said, DiagnosticStatus.ERROR)  # noqa: B023
         )
     assert read == []
     bench.until(lambda: camera.show() or len(read) > 5)
     assert read[-1].temperature == pytest.approx(350.0 - 273.15, abs=1.0)
-    bench.until(
-        lambda: camera.show(frame=camera.frame(340.0).byteswap(), is_bigendian=1)
-        or read[-1].temperature < 70.0
-    )
+    bench.until(lambda: camera.show(340.0, is_bigendian=1) or read[-1].temperature < 70.0)
     assert read[-1].temperature == pytest.approx(340.0 - 273.15, abs=1.0)
     assert node.end() == 0 and "Traceback" not in node.output
+    assert bad.process.wait(30.0) == 2
+    assert "statistic: 'mode', expected mean, median, hottest" in bad.output
 
     bench.start("ir_camera", read_cold_wires=True, **SMALL)
     read.clear()
@@ -217,20 +196,3 @@ def test_wrong_pictures_and_unseen_wires_are_withheld_and_cold_ones_read_where_n
         return diagnostics.says("wire", "its voltage makes it", DiagnosticStatus.ERROR)
 
     bench.until(heated)
-
-
-BAD = {
-    "regions": ({"regions": "['0 0 500 80']"}, "regions: wire: '0 0 500 80' goes beyond"),
-    "count": ({"regions": "['', '']"}, "regions has 2 entries"),
-    "statistic": ({"statistic": "mode"}, "statistic: 'mode', expected mean, median, hottest"),
-    "range": ({"camera_lowest": 500.0, "camera_highest": 400.0}, "camera_lowest 500 K must lie"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_a_bad_setting_is_one_line_and_status_2(bench, case):
-    parameters, expected = BAD[case]
-    node = bench.start("ir_camera", **SMALL, **parameters)
-    assert node.process.wait(30) == 2
-    lines = [line for line in node.output.splitlines() if line.startswith("ir_camera: ")]
-    assert len(lines) == 1 and expected in lines[0]
