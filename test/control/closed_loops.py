@@ -45,12 +45,3 @@ def run_deflection(bench, controller, reference, duration, loop):
         ),
         duration, loop,
     )  # fmt: skip
-
-
-def run_voltages(bench, voltage, reference, duration, loop):
-    """Voltages as a protocol gives them, no feedback: what a controller is compared with."""
-    clock = iter(np.arange(round(duration / loop.period)) * loop.period)
-    return run_loop(
-        bench, lambda plant: np.array(plant.deflection), lambda t: np.array(reference(t)),
-        lambda *_: voltage(float(next(clock))), duration, loop,
-    )  # fmt: skip
