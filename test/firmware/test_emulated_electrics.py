@@ -25,12 +25,6 @@ def mean(host, seconds=0.3):
     return statistics.fmean(frame.current[0] for frame in host.telemetry[start:])
 
 
-def resets(host):
-    return [
-        int(m.values["reset"]) for m in host.messages if isinstance(m, Named) and m.letter == "H"
-    ]
-
-
 def test_no_wire_is_connected_behind_an_open_relay_and_the_sensor_clips(host):
     host.uno.electrics.relay_is = Relay.HELD_OPEN
     host.uno.electrics.switch_is[0] = Switch.STUCK_ON
@@ -57,11 +51,14 @@ def test_interrupts_off_for_longer_than_two_bytes_lose_the_third(host, length):
 
 
 def test_a_reset_keeps_the_memory_and_waits_for_the_bootloader(host):
-    host.uno.reset(Reset.POWER_ON)
-    host.run(0.1)
-    host.uno.reset()
-    host.run(0.1)
-    assert resets(host) == [Reset.POWER_ON, Reset.POWER_ON, Reset.PIN]
+    def resets():
+        named = [m for m in host.messages if isinstance(m, Named) and m.letter == "H"]
+        return [int(m.values["reset"]) for m in named]
+
+    for why in (Reset.POWER_ON, Reset.PIN):
+        host.uno.reset(why)
+        host.run(0.1)
+    assert resets() == [Reset.POWER_ON, Reset.POWER_ON, Reset.PIN]
     host.uno.electrics.bootloader_time = 0.5
     host.uno.reset()
     host.messages.clear()
@@ -70,7 +67,7 @@ def test_a_reset_keeps_the_memory_and_waits_for_the_bootloader(host):
     host.run(0.4)
     assert not host.messages
     host.run(0.15)
-    assert resets(host) == [Reset.PIN]
+    assert resets() == [Reset.PIN]
 
 
 def test_opening_the_port_resets_it_each_time(uno):
@@ -99,20 +96,15 @@ def test_opening_the_port_resets_it_each_time(uno):
 PERIOD = 0.05
 
 
-def hold(host, plant, seconds, *millivolts):
-    for _ in range(round(seconds / PERIOD)):
-        host.drive(*millivolts)
-        plant.run(PERIOD)
-        host.run(0.0)
-
-
 def test_pulses_heat_a_wire_as_the_commanded_direct_voltage_would(host):
     plant = Plant(host.uno, Parameters.defaults())
     reference = Bench(Parameters.defaults())
     host.arm()
     plant.advance()
-    hold(host, plant, 1.5, 3000, 0, 0, 0)
     for _ in range(30):
+        host.drive(3000, 0, 0, 0)
+        plant.run(PERIOD)
+        host.run(0.0)
         reference.advance(np.array([3.0]), PERIOD)
     risen = reference.temperature[0] - 296.15
     assert risen > 10.0

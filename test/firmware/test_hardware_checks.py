@@ -25,31 +25,26 @@ def estimates(relative_std=0.01, **factors):
 
 
 def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there():
-    assert hardware.right(estimates(), TRUTH)
-    assert hardware.right(estimates(R=1.029, h=0.971), TRUTH)
-    assert not hardware.right(estimates(c_p=1.031), TRUTH)
-    assert not hardware.right(estimates(0.001, R=1.004), TRUTH)
-    assert not hardware.right(estimates(c_p=0.0), TRUTH)
-    # A large stated error excuses nothing.
-    assert hardware.right(estimates(0.099), TRUTH)
-    assert not hardware.right(estimates(0.101), TRUTH)
+    for std, factors, right in (
+        (0.01, {}, True), (0.01, {"R": 1.029, "h": 0.971}, True), (0.01, {"c_p": 1.031}, False),
+        (0.001, {"R": 1.004}, False), (0.01, {"c_p": 0.0}, False),
+        (0.101, {}, False),  # a large stated error excuses nothing
+    ):
+        assert hardware.right(estimates(std, **factors), TRUTH) == right
     rows = hardware.table(estimates(0.01, R=1.025), TRUTH).splitlines()
     row = next(line for line in rows if line.startswith("R "))
     assert row.split()[-2:] == ["+2.50%", "+2.50"]
 
 
-def test_without_the_tools_it_says_which_in_one_line(tmp_path, monkeypatch, capsys):
+def test_without_the_tools_or_a_firmware_that_compiles_it_is_one_line(
+    firmware_image, tmp_path, monkeypatch, capsys
+):
+    with pytest.raises(InputError, match="^make: [^\n]+$"):
+        emulated_uno.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
     monkeypatch.setattr(emulated_uno.shutil, "which", lambda name: None)
     assert hardware.main([]) == 2
     error = capsys.readouterr().err
     assert "gcc-avr" in error and error.count("\n") == 1
-    with pytest.raises(InputError, match="gcc-avr"):
-        emulated_uno.build_uno(tmp_path)
-
-
-def test_firmware_that_does_not_compile_is_one_line(firmware_image, tmp_path):
-    with pytest.raises(InputError, match="^make: [^\n]+$"):
-        emulated_uno.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
 
 
 @pytest.mark.acceptance
@@ -61,24 +56,16 @@ def test_a_wire_is_identified_over_a_serial_port_and_through_a_camera(emulator, 
     assert (tmp_path / "bench" / "identified.yaml").is_file()
 
 
-def program(folder, text):
-    path = folder / "program"
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
+def test_fuzzing_tells_a_part_that_failed(tmp_path, monkeypatch):
+    monkeypatch.setattr(fuzz, "LONGEST", 0.5)
+    program = tmp_path / "program"
+    for text, problem in (
         ("echo 'input 7: driven in silence' >&2; exit 134", "seed 5: input 7: driven in silence"),
-        ("kill -SEGV $$", "seed 5: crashed"),
-        ("exec sleep 60", "seed 5: hangs"),
-    ],
-)
-def test_fuzzing_tells_a_part_that_failed(tmp_path, monkeypatch, text, problem):
-    monkeypatch.setattr(fuzz, "LONGEST", 1.0)
-    assert fuzz.fuzzed(program(tmp_path, text), 10, 5) == ((0, 0, 0), problem)
+        ("kill -SEGV $$", "seed 5: crashed"), ("exec sleep 60", "seed 5: hangs"),
+    ):
+        program.write_text(f"#!/bin/sh\n{text}\n")
+        program.chmod(0o755)
+        assert fuzz.fuzzed(program, 10, 5) == ((0, 0, 0), problem)
 
 
 @pytest.mark.acceptance

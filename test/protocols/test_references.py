@@ -1,10 +1,12 @@
 """Reference files: levels in kelvin and metres, with the steps of protocols."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters
+from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols.reading import (
     DEFLECTION,
     QUANTITIES,
@@ -15,12 +17,7 @@ from sma_bench.protocols.reading import (
 )
 
 WIRE = Parameters.defaults()
-COMPOSITE = WIRE.replace(
-    {
-        "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-        "bench.channel_sides": ("front", "front", "back", "back"),
-    }
-)
+COMPOSITE = read_parameters(Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml")
 
 
 def test_staircase_of_e8_stays_below_a_s_and_rests_at_ambient():
@@ -33,19 +30,14 @@ def test_staircase_of_e8_stays_below_a_s_and_rests_at_ambient():
     assert reference.step_at(15.0) == "up 308.15 K"
 
 
-def test_triangle_of_deflections_goes_both_ways_from_zero():
+def test_deflections_go_both_ways_and_wires_that_are_not_driven_rest_at_ambient():
     reference = load_reference("deflection_triangle", COMPOSITE, DEFLECTION)
     assert reference.channels == ("tip",)
     assert [reference.level(t)[0] for t in (0.0, 10.0, 15.0, 25.0, 40.0)] == pytest.approx(
         [0.0, 0.03, 0.015, 0.0, -0.03]
     )
-
-
-def test_wires_that_are_not_driven_rest_at_ambient():
-    document = {"unit": "K", "steps": [
-        {"kind": "triangle", "peak": 310.0, "rise": 1.0, "fall": 1.0, "drive": "back"}
-    ]}
-    reference = parse_reference(document, COMPOSITE, TEMPERATURE)
+    step = {"kind": "triangle", "peak": 310.0, "rise": 1.0, "fall": 1.0, "drive": "back"}
+    reference = parse_reference({"unit": "K", "steps": [step]}, COMPOSITE, TEMPERATURE)
     np.testing.assert_allclose(reference.level(0.5), [296.15, 296.15, 303.075, 303.075])
 
 
@@ -63,27 +55,17 @@ def test_every_shipped_reference_is_read_by_one_quantity_and_refused_by_the_othe
         assert accepted == 1
 
 
-@pytest.mark.parametrize(
-    ("document", "expected"),
-    [
+def test_bad_reference_is_one_line():
+    stairs = {"kind": "staircase", "start": 300, "stop": 310, "increment": 3, "dwell": 1}
+    for document, expected in (
         ({"steps": []}, "unit is None, expected K"),
         ({"unit": "m", "steps": []}, "unit is 'm', expected K"),
         ({"unit": "K", "steps": []}, "expected a list of one step"),
         ({"unit": "K", "steps": [{"kind": "hold", "level": "x", "duration": 1}]}, "number in K"),
-        (
-            {"unit": "K", "steps": [
-                {"kind": "staircase", "start": 300, "stop": 310, "increment": 3, "dwell": 1}
-            ]},
-            "increment 3 K does not divide 300 to 310 K",
-        ),
+        ({"unit": "K", "steps": [stairs]}, "increment 3 K does not divide 300 to 310 K"),
         (["unit"], "expected a mapping"),
-    ],
-)
-def test_bad_reference_is_one_line(document, expected):
-    with pytest.raises(InputError, match=expected):
-        parse_reference(document, WIRE, TEMPERATURE, "r.yaml")
-
-
-def test_unknown_reference_names_the_known_ones():
+    ):
+        with pytest.raises(InputError, match=expected):
+            parse_reference(document, WIRE, TEMPERATURE, "r.yaml")
     with pytest.raises(InputError, match="reference stairs: not one of .*temperature_staircase"):
         load_reference("stairs", WIRE, TEMPERATURE)

@@ -5,7 +5,8 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.protocols import Waiting, load_protocol, parse_protocol
+from sma_bench.physics import simulate
+from sma_bench.protocols import Waiting, parse_protocol
 from sma_bench.synthetic.bench_records import played
 
 WIRE = Parameters.defaults()
@@ -15,22 +16,6 @@ def hold(level, seconds, until):
     return {"kind": "hold", "level": level, "duration": seconds, "until": until}
 
 
-@pytest.mark.parametrize("given", [
-    "ramp to 2.7 V in 7 s; hold until settled, 60 s at most", "hold at 2 V\nfor 3 s", "said.txt",
-])  # fmt: skip
-def test_steps_in_words_are_refused_in_one_line(given):
-    with pytest.raises(InputError, match="protocol .*yaml") as refused:
-        load_protocol(given, WIRE)
-    assert "\n" not in str(refused.value)
-    with pytest.raises(InputError, match="steps: expected a list"):
-        parse_protocol({"steps": given}, WIRE)
-
-
-def test_an_until_at_which_the_bench_switches_off_is_refused():
-    with pytest.raises(InputError, match="maximum_temperature"):
-        parse_protocol({"steps": [hold(2.0, 9.0, {"temperature_above": 473.15})]}, WIRE)
-
-
 @pytest.mark.parametrize(
     "until, expected",
     [
@@ -38,26 +23,21 @@ def test_an_until_at_which_the_bench_switches_off_is_refused():
         ({"settled": "range"}, "expected temperature or deflection"),
         ({"settled": True, "over": 0.0}, "expected more than 0"),
         ({"temperature_below": "cold"}, "expected a number in K"),
+        ({"temperature_above": 473.15}, "maximum_temperature"),  # where the bench switches off
         ({}, "says nothing"),
         ("warm", "expected a mapping"),
     ],
 )
 def test_a_wrong_until_is_one_line(until, expected):
-    step = {"kind": "hold", "level": 1.0, "duration": 9.0, "until": until}
     with pytest.raises(InputError, match="step 1 .hold.: until: ") as refused:
-        parse_protocol({"steps": [step]}, WIRE)
+        parse_protocol({"steps": [hold(1.0, 9.0, until)]}, WIRE)
     assert expected in str(refused.value)
-
-
-def test_a_triangle_waits_for_nothing():
     step = {"kind": "triangle", "peak": 1.0, "rise": 9.0, "fall": 9.0, "until": "settled"}
     with pytest.raises(InputError, match="a triangle ends with its time"):
         parse_protocol({"steps": [step]}, WIRE)
 
 
 def test_a_simulated_step_ends_where_the_bench_gets_there_and_never_after_its_limit():
-    from sma_bench.physics import simulate
-
     protocol = parse_protocol({"steps": [
         {"kind": "ramp", "start": 0.0, "stop": 2.7, "duration": 70.0,
          "until": {"temperature_above": 303.15}},
