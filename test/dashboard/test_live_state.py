@@ -17,7 +17,6 @@ from sma_bench.dashboard.live_state import (
     Trace,
     diagnosis_summary,
     identification_summary,
-    shown_limits,
 )
 from sma_bench.dashboard.stopping import Wires, stop
 
@@ -81,10 +80,6 @@ def test_an_update_has_what_is_new_and_is_json_for_any_browser(clock):
     assert state.update(Seen())["panels"].keys() == {"stops", "states"}
 
 
-def test_limits_are_shown_in_the_units_of_the_signals():
-    assert shown_limits({"bench.maximum_temperature": 423.15}) == {"temperature": 150.0}
-
-
 def diagnosis(**changes):
     return json.dumps({
         "verdict": "effect",
@@ -102,14 +97,6 @@ def test_the_last_results_are_their_cards_candidates_and_numbers():
     said = identification_summary(diagnosis(parameters=numbers))
     assert said["title"] == "slack explains it"
     assert said["rows"] == [("wire.resistance", "2.7 ± 0.01 ohm"), ("odd", "")]
-
-
-@pytest.mark.parametrize(
-    "text", ["", "[]", "{", '{"verdict": 3}', diagnosis(candidates=3), diagnosis(card=[["a"]]),
-             diagnosis(card=[])],
-)  # fmt: skip
-def test_what_is_no_diagnosis_is_said_to_be_none(text):
-    assert set(diagnosis_summary(text)) == {"problem"}
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -282,26 +281,6 @@ def test_device_that_does_not_speak_the_protocol_is_refused():
     with on_a_port(stranger) as bench, linked(lambda: bench.path) as link:
         wait_for(lambda: link.status.problem)
         assert link.status.problem.startswith("no answer to the handshake")
-
-
-def test_back_off_doubles_to_its_limit():
-    waits = []
-
-    class Recording(threading.Event):
-        def wait(self, timeout=None):
-            waits.append(timeout or 0.0)
-            return super().wait(0.001)
-
-    def fail():
-        raise FileNotFoundError("no such port")
-
-    link = Watched(fail, LinkOptions(first_back_off=0.5, longest_back_off=4.0))
-    link._closing = Recording()
-    link.start()
-    wait_for(lambda: len(waits) >= 6)
-    link.close()
-    assert waits[:6] == [0.5, 1.0, 2.0, 4.0, 4.0, 4.0]
-    assert link.events == ["not connected: no such port"]
 
 
 def test_port_is_found_by_its_stable_name(tmp_path):

@@ -49,23 +49,7 @@ def errors(found, kelvin):
 # --- the fill factor ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("width", "blur"), [(0.3, 1.0), (0.5, 0.4), (1.5, 1.0), (4.0, 0.4)])
-def test_a_wire_thinner_than_a_pixel_reads_right_whatever_the_blur(width, blur):
-    truth = scene(straight(28.3, 0.07), width, blur=blur)
-    off = errors(readings(truth, optics(width)), HOT)
-    # The pixel sees less than half of the excess that is read, where the wire is thin.
-    if width < 0.6:
-        assert truth.max() - ROOM < 0.55 * (HOT - ROOM)
-    assert abs(off.mean()) < 0.03 + 0.03 / width
-
-
-def test_rounding_and_a_bent_background_are_in_the_deviation():
-    """Without noise to dither it the error of rounding is the same in all lines."""
-    found = [
-        reading(scene(straight(x), 0.5), optics(0.5), noise=0.0) for x in np.linspace(25, 26, 6)
-    ]
-    stated = np.mean([r.std for r in found])
-    assert np.abs(errors(found, HOT)).max() < 3 * stated < 1.5
+def test_a_bent_background_is_in_the_deviation():
     columns = np.arange(WIDTH) - 30.0
     for background, low, high in ((0.1 * columns, -0.1, 0.1), (0.01 * columns**2, -8.0, -1.0)):
         wall = np.broadcast_to(ROOM + background, (HEIGHT, WIDTH))
@@ -89,16 +73,6 @@ def test_a_wide_wire_needs_no_correction_a_thin_one_does_and_a_wrong_width_is_se
     assert abs(near.kelvin - HOT) == pytest.approx(near.std, rel=0.3)
 
 
-def test_emissivity_fill_and_the_cameras_accuracy_are_corrected_together():
-    truth, surface = scene(straight(30.2), 0.75, emissivity=0.3), Surface(0.3, ROOM)
-    assert abs(errors(readings(truth, optics(0.75), surface), HOT).mean()) < 0.2
-    uncertain = Surface(0.3, ROOM, emissivity_std=0.02)
-    # dT = (T excess) de/e, about.
-    std = reading(truth, optics(0.75), surface=uncertain).std
-    assert std == pytest.approx((HOT - ROOM) * 0.02 / 0.3, rel=0.3)
-    assert 2.5 < reading(truth, optics(0.75, accuracy=1.2), surface=surface).std < 4.5
-
-
 def test_the_ends_of_the_range_and_a_second_wire_are_told():
     truth = scene(straight(30.0), 4.0, 420.0)
     hot = reading(truth, optics(4.0, highest=373.15))
@@ -112,19 +86,11 @@ def test_the_ends_of_the_range_and_a_second_wire_are_told():
 # --- where the wire is ----------------------------------------------------------------------------
 
 
-def test_a_bent_or_moving_wire_is_followed():
+def test_a_bent_wire_is_followed():
     for sideways in (-18.0, 25.0):
         found = readings(scene(bent(28.0, sideways, HEIGHT), 0.75), optics(0.75))
         assert abs(errors(found, HOT).mean()) < 0.1
         assert found[0].centre == pytest.approx(28.0 + sideways / 3.0, abs=0.5)
-    wire = SyntheticWire((30.0, 40.0), (350.0, 44.0), 0.75)
-    camera = SyntheticCamera(382, 90, [wire], BLACK, unevenness=3.0)
-    region = Region.parse("", 382, 90, "regions")
-    found = [
-        read_wire(camera.picture([HOT], 20.0 * math.sin(k / 3.0)), region, optics(0.75), BLACK)
-        for k in range(20)
-    ]
-    assert np.abs(errors(found, HOT)).max() < 0.2
 
 
 def test_neither_a_hot_spot_nor_a_clamp_attracts_the_reading():
@@ -283,26 +249,23 @@ def gauge(cold):
 
 
 def test_an_unseen_wire_is_its_background_only_with_leave(camera):
-    reading = gauge(cold=False).read(camera.picture([ROOM]), 0.0)
-    assert "no wire stands out" in reading.reason and math.isnan(reading.kelvin)
-    reading = gauge(cold=True).read(camera.picture([ROOM]), 0.0)
-    assert reading.reason == "" and not reading.seen
-    assert reading.kelvin == pytest.approx(ROOM, abs=0.1)
-    assert reading.std == pytest.approx(reading.limit / 2, rel=0.05)
-    assert 0.1 < reading.limit < 2.0
+    found = gauge(cold=False).read(camera.picture([ROOM]), 0.0)
+    assert "no wire stands out" in found.reason and math.isnan(found.kelvin)
     own = gauge(cold=True)
-    limit = own.read(camera.picture([ROOM]), 0.0).limit
-    seen = [own.read(camera.picture([ROOM + 2 * limit]), k * FRAME).seen for k in range(20)]
-    assert sum(seen) == 20
+    found = own.read(camera.picture([ROOM]), 0.0)
+    assert found.reason == "" and not found.seen
+    assert found.kelvin == pytest.approx(ROOM, abs=0.1)
+    assert found.std == pytest.approx(found.limit / 2, rel=0.05) and 0.1 < found.limit < 2.0
+    warm = ROOM + 2 * found.limit
+    assert all(own.read(camera.picture([warm]), k * FRAME).seen for k in range(20))
 
 
 def test_a_cooling_wire_is_read_all_the_way_down(camera):
     own = gauge(cold=True)
     for k in range(160):
         kelvin = ROOM + 60.0 * math.exp(-k * FRAME / 0.2)
-        reading = own.read(camera.picture([kelvin]), k * FRAME)
-        assert reading.reason == ""
-        assert abs(reading.kelvin - kelvin) < 4 * reading.std + 0.2
+        found = own.read(camera.picture([kelvin]), k * FRAME)
+        assert found.reason == "" and abs(found.kelvin - kelvin) < 4 * found.std + 0.2
 
 
 def test_a_hot_wire_that_is_not_seen_is_lost_unless_it_can_have_cooled(camera):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted import believed, true_bench
 
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
@@ -14,8 +13,7 @@ from sma_bench.live.virtual_bench import NANOSECONDS, Lockstep, VirtualBench
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
-from sma_bench.physics.effects import active_effects, effect_values
-from sma_bench.tasks.work import write_improved
+from sma_bench.physics.effects import effect_values
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
 PERFECT = SETTINGS | {
@@ -273,34 +271,3 @@ def test_a_driver_that_left_or_is_slow_is_waited_for_no_longer_than_its_patience
         while simulation.slices < due:
             simulation.run(0.01)
         assert simulation.wall - before <= PATIENCE
-
-
-EFFECT = {"effect.side_heat_coupling.conductance": 0.002}
-DRIVE = (2.0, 1.0)  # V, half of the stroke
-STEP = 0.05  # s
-SETTLED = 15.0  # s, eight time constants of the wire
-
-
-def virtual_course(parameters):
-    """Deflection (n,) m of a bench whose sensors are perfect, driven at both sides by turns."""
-    bench, found = VirtualBench(parameters, PERFECT), []
-    for k in range(round(2.0 * SETTLED / STEP)):
-        voltage = DRIVE if k * STEP < SETTLED else DRIVE[::-1]
-        for reading in bench.advance(voltage, round((k + 1) * STEP * NANOSECONDS)):
-            if reading.kind == "mechanics":
-                front, back = reading.values
-                found.append(0.5 * (back - front))
-    return np.array(found)
-
-
-def test_the_virtual_bench_comes_nearer_to_the_truth_with_improved_parameters(
-    planted_diagnosis, tmp_path
-):
-    write_improved(str(tmp_path / "improved.yaml"), planted_diagnosis, "a test")
-    improved = read_parameters(tmp_path / "improved.yaml")
-    assert active_effects(improved)[0] == "side_heat_coupling"
-    truth = virtual_course(true_bench(EFFECT))
-    gaps = [
-        float(np.sqrt(np.mean((virtual_course(p) - truth) ** 2))) for p in (believed(), improved)
-    ]
-    assert gaps[0] > 5e-4 and gaps[1] < 0.1 * gaps[0]

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from planted import supply_drop_lab
 from std_msgs.msg import String
 
 from examination.blind.case_files import checked_answer
-from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.physics import simulate
@@ -44,12 +42,6 @@ def bag(tmp_path_factory):
     return path
 
 
-def processor_seconds(node):
-    stat = Path(f"/proc/{node.process.pid}/stat").read_text()
-    fields = stat.rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / 100.0
-
-
 def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_meanwhile(
     bench, bag, tmp_path
 ):
@@ -76,14 +68,12 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     bench.until(lambda: states[-1].data == "idle")
     first = bench.trigger_later("identification/identify")
     bench.until(lambda: states and states[-1].data.startswith("busy"))
-    before = processor_seconds(node)
     second = bench.trigger("identification/identify")
     assert not second.success and second.message.startswith("busy")
     # The request at work keeps what it was asked; this is for the next one.
     (tmp_path / "file").touch()
     assert bench.set_parameter("identification", "output_directory", "file/out").successful
     bench.until(first.done)
-    assert processor_seconds(node) - before < 1.0
     answer = first.result()
     assert answer.success, answer.message
     found = json.loads(answer.message)["parameters"]
@@ -112,47 +102,40 @@ def output(root, path, suffix=""):
     return output_inside({"output_root": str(root), "report": path}, "report", suffix)
 
 
-def test_only_records_and_results_inside_their_roots_are_taken(tmp_path):
+def test_only_records_and_results_inside_their_roots_are_taken(tmp_path, monkeypatch):
     root, outside = tmp_path / "root", tmp_path / "outside"
-    root.mkdir()
-    outside.mkdir()
+    for folder in (root / "bag", outside):
+        folder.mkdir(parents=True)
     (root / "link").symlink_to(outside)
     assert records(root, "a", "") == [str(root / "a")]
-    assert records("", "a") == ["a"]
-    assert records("/", str(outside)) == [str(outside)]
+    assert records("", "a") == ["a"] and records("/", str(outside)) == [str(outside)]
     for record in ("link", "../outside", str(outside)):
         with pytest.raises(InputError, match="lies outside record_root"):
             records(root, record)
     with pytest.raises(InputError, match="outside record_root .*where the node was started"):
         records("", str(outside))
-    root = tmp_path / "root"
-    (root / "bag").mkdir(parents=True)
     assert records(root, "bag") == [str(root / "bag")]
     (root / "bag" / "bag.mcap").symlink_to("/etc/passwd")
     with pytest.raises(InputError, match="record: .*bag lies outside record_root"):
         records(root, "bag")
-    assert output(root, "out/deep") == str(root / "out" / "deep")
-    assert output(root, "") == ""
-    for path in ("../out", "/etc/cron.d", "a\0b"):
-        with pytest.raises(InputError, match="report: .*lies outside output_root"):
-            output(root, path)
 
-
-def test_results_have_a_folder_of_their_own_and_replace_nothing_foreign(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    assert output(root, "out/deep") == str(root / "out" / "deep") and output(root, "") == ""
     assert output("", "a.yaml", ".yaml") == "sma_bench_results/a.yaml"
+    (tmp_path / "mine.yaml").write_text("# Misfit.\n# Improved by x\n")
+    (tmp_path / "theirs.yaml").write_text("a: 1\n")
+    assert output(tmp_path, "mine.yaml", ".yaml")
+    for path, suffix, said in (
+        ("../out", "", "report: .*lies outside output_root"),
+        ("/etc/cron.d", "", "report: .*lies outside output_root"),
+        ("a\0b", "", "report: .*lies outside output_root"), (".bashrc", "", "is hidden"),
+        ("a/.git/hooks", "", "is hidden"), ("Makefile", ".yaml", "ends in .yaml"),
+        ("theirs.yaml", ".yaml", "not a file that sma-bench has written"),
+    ):
+        with pytest.raises(InputError, match=said):
+            output(tmp_path, path, suffix)
     with pytest.raises(InputError, match="lies outside output_root .*sma_bench_results"):
         output("", "../a.yaml", ".yaml")
-    for hidden in (".bashrc", ".config/a.yaml", "a/.git/hooks"):
-        with pytest.raises(InputError, match="is hidden"):
-            output(tmp_path, hidden)
-    with pytest.raises(InputError, match="ends in .yaml"):
-        output(tmp_path, "Makefile", ".yaml")
-    for name, content in (("mine.yaml", "# Misfit.\n# Improved by x\n"), ("theirs.yaml", "a: 1\n")):
-        (tmp_path / name).write_text(content)
-    assert output(tmp_path, "mine.yaml", ".yaml")
-    with pytest.raises(InputError, match="not a file that sma-bench has written"):
-        output(tmp_path, "theirs.yaml", ".yaml")
     with pytest.raises(InputError, match="not a file that sma-bench has written"):
         require_own(tmp_path / "mine.yaml", tmp_path / "theirs.yaml", parameter="output_directory")
 
@@ -182,18 +165,6 @@ def test_a_task_has_what_was_given_and_its_failures_are_one_line():
 
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
-
-ANSWER = {
-    "verdict": "effect", "cause": ["slack"],
-    "candidates": [{"name": "slack", "probability": 0.9}],
-    "where": {"signal": "deflection", "phase": "drive", "side": "front", "stage": "mechanical"},
-    "shrinkage": {
-        "deflection": {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4,
-                       "fraction": 0.94, "ci90": [0.9, 0.97]},
-        "current": {"rmse_before": 1e-2, "rmse_after": 1e-2, "noise_floor": 1e-2,
-                    "fraction": None, "ci90": [None, None]},
-    },
-}
 
 
 @pytest.fixture(scope="module")
@@ -245,19 +216,3 @@ def test_a_bag_is_diagnosed_its_gap_published_and_bad_requests_are_one_line(benc
     bench.until(lambda: states[-1].data.startswith("busy"))
     assert node.end() == 0 and not unheard.done()
     assert "Traceback" not in node.output
-
-
-def gap(**changes):
-    return diagnosis_from(ANSWER | changes, "answer").to_json()["gap"]
-
-
-def test_the_gap_warns_where_it_is_and_only_there():
-    whole, deflection, current = gap()
-    assert (whole["is_gap"], deflection["is_gap"], current["is_gap"]) == (True, True, False)
-    assert whole["values"]["phase"] == "drive"
-    assert "94 %" in deflection["message"]
-    assert current["values"]["fraction"] == "nan"
-    for verdict in ("no_gap", "recalibration", "ambiguous", "unexplained"):
-        other, deflection, _ = gap(verdict=verdict, cause=[])
-        assert other["is_gap"] == deflection["is_gap"] == (verdict != "no_gap")
-        assert other["message"] != whole["message"]

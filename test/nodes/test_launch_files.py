@@ -150,17 +150,6 @@ def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperat
     assert [reader[name] for name in alike] == [pictures[name] for name in alike]
 
 
-def test_what_the_rig_file_says_of_its_camera_stays(tmp_path):
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(
-        "/**:\n  ros__parameters:\n    image_width: 200\n    regions: ['5 5 100 50 x']\n"
-        "    read_cold_wires: false\n"
-    )
-    nodes = {n.executable: n for n in plan_bench(WIRE, {"params": str(rig), "camera": "true"})}
-    assert nodes["synthetic_camera"].parameters["image_width"] == 200
-    assert not {"image_width", "regions", "read_cold_wires"} & set(nodes["ir_camera"].parameters)
-
-
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -183,12 +172,23 @@ def test_arguments_that_cannot_be_are_one_line(changed, said):
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_file(monkeypatch):
+def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_file(
+    monkeypatch, tmp_path
+):
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "my_lab", "lab.launch.py"])
     assert executables(built(BENCHES["wire_bench"], monkeypatch, lamp="on"))
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "sma_bench", "wire_bench.launch.py"])
     with pytest.raises(InputError, match="unknown argument lamp"):
         built(BENCHES["wire_bench"], monkeypatch, lamp="on")
+    # What the rig's file says of its camera stays.
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(
+        "/**: {ros__parameters: {image_width: 200, regions: ['5 5 100 50 x'],"
+        " read_cold_wires: false}}\n"
+    )
+    nodes = {n.executable: n for n in plan_bench(WIRE, {"params": str(rig), "camera": "true"})}
+    assert nodes["synthetic_camera"].parameters["image_width"] == 200
+    assert not {"image_width", "regions", "read_cold_wires"} & set(nodes["ir_camera"].parameters)
 
 
 def test_the_planned_nodes_work_together_until_the_camera_freezes(bench, tmp_path):
