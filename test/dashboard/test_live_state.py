@@ -28,11 +28,6 @@ class Clock:
         return self.now
 
 
-@pytest.fixture
-def clock():
-    return Clock()
-
-
 def test_a_trace_keeps_peaks_tells_each_point_once_and_shows_gaps():
     trace = Trace()
     for k in range(1000):
@@ -61,7 +56,8 @@ def test_a_trace_keeps_peaks_tells_each_point_once_and_shows_gaps():
     assert trace.heard == 5.0 and math.isnan(trace.latest)
 
 
-def test_an_update_has_what_is_new_and_is_json_for_any_browser(clock):
+def test_an_update_has_what_is_new_and_is_json_for_any_browser():
+    clock = Clock()
     state, seen = LiveState(clock), Seen()
     state.reading("temperature", "wire", 300.0)
     state.show("stops", ["experiment"])
@@ -152,11 +148,10 @@ def test_a_wire_that_stays_on_is_named_and_commanded_to_zero_meanwhile(bench):
 
 
 def test_a_bench_that_measures_no_voltage_is_not_called_stopped(bench):
-    result = stopped(bench, before=False, after=False)
-    assert not result["stopped"] and result["said"].startswith("Not confirmed")
-    bench.answers = {}
-    result = stopped(bench, before=False, after=False)
-    assert not result["stopped"] and result["said"].startswith("Nothing to stop")
+    for answers, said in ((bench.answers, "Not confirmed"), ({}, "Nothing to stop")):
+        bench.answers = answers
+        result = stopped(bench, before=False, after=False)
+        assert not result["stopped"] and result["said"].startswith(said)
 
 
 def test_a_node_that_does_not_answer_or_refuses_is_named(bench):

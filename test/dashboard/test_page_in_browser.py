@@ -20,28 +20,29 @@ EXPECTED = ("ERR_CONNECTION_REFUSED", "WebSocket connection to")
 def bench(monkeypatch):
     monkeypatch.setattr(stopping, "_STAYS_OFF", 0.3)
     made = StandIn()
-    made.state.show("limits", {
-        "values": shown_limits({"bench.maximum_temperature": 423.15, "bench.maximum_current": 3.0}),
-        "of": ["serial_bridge"],
-    })  # fmt: skip
-    made.state.show("channels", ["front_1", "back_1"])
-    made.state.show("there", ["experiment", EVIL])
-    made.state.show("stops", ["serial_bridge", EVIL])
-    made.state.merge("states", {"experiment": "running: staircase", EVIL: EVIL, "lost": "idle"})
     later = made.state.clock() + 1e6
-    made.state.merge("diagnostics", {
-        "simulator: bench": {"level": "warning", "message": EVIL, "heard": later},
-        "camera": {"level": "ok", "message": "", "heard": later},
-    })  # fmt: skip
-    made.state.show("progress", {
-        "protocol": "staircase", "step": "hold at 3 V", "elapsed": 30.0, "duration": 120.0,
-        "node": "experiment", "heard": later,
-    })  # fmt: skip
-    made.state.show("diagnosis", {
-        "title": "The gap is explained by side_heat_coupling.",
-        "candidates": [{"name": "side_heat_coupling", "probability": 0.93}],
-        "lines": ["deflection: error 1.2 mm rms before, 0.2 mm after, noise 0.1 mm", EVIL],
-    })  # fmt: skip
+    limits = {"bench.maximum_temperature": 423.15, "bench.maximum_current": 3.0}
+    for panel, shown in {
+        "limits": {"values": shown_limits(limits), "of": ["serial_bridge"]},
+        "channels": ["front_1", "back_1"],
+        "there": ["experiment", EVIL],
+        "stops": ["serial_bridge", EVIL],
+        "states": {"experiment": "running: staircase", EVIL: EVIL, "lost": "idle"},
+        "diagnostics": {
+            "simulator: bench": {"level": "warning", "message": EVIL, "heard": later},
+            "camera": {"level": "ok", "message": "", "heard": later},
+        },
+        "progress": {
+            "protocol": "staircase", "step": "hold at 3 V", "elapsed": 30.0, "duration": 120.0,
+            "node": "experiment", "heard": later,
+        },
+        "diagnosis": {
+            "title": "The gap is explained by side_heat_coupling.",
+            "candidates": [{"name": "side_heat_coupling", "probability": 0.93}],
+            "lines": ["deflection: error 1.2 mm rms before, 0.2 mm after, noise 0.1 mm", EVIL],
+        },
+    }.items():
+        made.state.show(panel, shown)
     return made
 
 

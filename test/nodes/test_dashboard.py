@@ -29,11 +29,9 @@ class Dashboard:
 
     def __init__(self, folder, *arguments):
         self.log = folder / f"dashboard_{len(list(folder.iterdir()))}.log"
+        command = [sys.executable, "-m", "sma_bench.cli", "dashboard", "--port", "0", *arguments]
         with self.log.open("wb") as stream:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "sma_bench.cli", "dashboard", "--port", "0", *arguments],
-                stdout=stream, stderr=subprocess.STDOUT,
-            )
+            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
 
     @property
     def output(self):

@@ -6,9 +6,7 @@ import signal
 
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
 from fake_bench import FakeBench
-from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.ros.node import LATCHED
@@ -203,19 +201,3 @@ def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, r
     bench.trigger("experiment/stop")
     assert not bench.set_parameter("experiment", "bench.maximum_temperature", 700.0).successful
     assert bench.set_parameter("experiment", "wire.heat_transfer_coefficient", 200.0).successful
-
-
-def test_bench_goes_to_zero_by_itself_when_the_experiment_is_killed(bench, protocol):
-    power = bench.listen("wire/power", BatteryState)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
-    bench.start("simulator")
-    node = bench.start("experiment", protocol=protocol(LONG), autostart=True)
-    bench.until(lambda: power and power[-1].voltage > 2.9)
-    node.end(signal.SIGKILL)
-    bench.until(lambda: power[-1].voltage < 0.1)
-    bench.until(lambda: counted(diagnostics, "command_timeouts") == 1)
-
-
-def counted(diagnostics, key):
-    values = diagnostics[-1].status[0].values if diagnostics else []
-    return next((int(item.value) for item in values if item.key == key), None)

@@ -3,6 +3,7 @@
 import math
 import re
 import shlex
+import signal
 import statistics
 import sys
 import time
@@ -43,61 +44,41 @@ class PowerOn:
     """The reader: commands in the page's words, hands at the emulated bench."""
 
     def __init__(self, bench, hardware, folder):
-        self.bench = bench
-        self.hardware = hardware
+        self.bench, self.hardware, self.folder = bench, hardware, folder
         self.electrics = hardware.uno.electrics
         self.port = folder / "uno"
         self.port.symlink_to(hardware.path)
-        self.folder = folder
         self.states = bench.latched("serial_bridge/state", String)
         self.power = bench.listen("wire/power", BatteryState)
         # Their reader is still to come.
         self._command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
         self._camera = bench.node.create_publisher(Temperature, "wire/temperature", 100)
-        self.node = None
-        self.volts = []
-        self.asked = ""
-        self.camera = False
-        self._due = 0.0
+        self.node, self.volts, self.asked, self.camera, self._due = None, [], "", False, 0.0
 
     # --- hands ------------------------------------------------------------------------------------
 
     def by_hand(self, action):
         name, *values = action.split()
-        hands = {
-            "supply": lambda volt: self._set("supply", float(volt)),
-            "limit": lambda ampere: self._set("supply_limit", float(ampere)),
-            "injected": lambda ampere: self._first("offset", OFFSET + GAIN * float(ampere)),
-            "resistance": lambda ohm: self._first("resistance", float(ohm)),
-            "disconnected": lambda: self._first("resistance", math.inf),
-            "unplug": lambda: self.hardware.do(self.hardware.port.unplug),
-            "plug": self._plug,
-            "end": lambda _: self._end(kill=False),
-            "kill": lambda _: self._end(kill=True),
-            "camera": lambda: setattr(self, "camera", True),
-        }
-        hands[name](*values)
-
-    def _set(self, name, value):
-        self.hardware.do(lambda: setattr(self.electrics, name, value))
-
-    def _first(self, name, value):
-        def change():
-            getattr(self.electrics, name)[0] = value
-
-        self.hardware.do(change)
-
-    def _plug(self):
-        self.hardware.do(self.hardware.port.plug)
-        self.port.unlink()
-        self.port.symlink_to(self.hardware.path)
-
-    def _end(self, kill):
-        self.volts = self.volts if kill else []
-        if kill:
-            self.node.process.kill()
-        self.node.end()
-        self.off()
+        number = float(values[0]) if values and name not in ("end", "kill") else math.inf
+        if name in ("supply", "limit"):
+            field = {"supply": "supply", "limit": "supply_limit"}[name]
+            self.hardware.do(lambda: setattr(self.electrics, field, number))
+        elif name in ("resistance", "disconnected"):
+            self.hardware.do(lambda: self.electrics.resistance.__setitem__(0, number))
+        elif name == "injected":
+            self.hardware.do(lambda: self.electrics.offset.__setitem__(0, OFFSET + GAIN * number))
+        elif name in ("plug", "unplug"):
+            self.hardware.do(getattr(self.hardware.port, name))
+            if name == "plug":
+                self.port.unlink()
+                self.port.symlink_to(self.hardware.path)
+        elif name == "camera":
+            self.camera = True
+        else:
+            assert name in ("end", "kill")
+            self.volts = self.volts if name == "kill" else []
+            self.node.end(signal.SIGKILL if name == "kill" else signal.SIGINT)
+            self.off()
 
     def off(self):
         """No pulse any more, as the meter shows."""
@@ -116,11 +97,10 @@ class PowerOn:
         programs[name](words[len(name.split()) :], expected)
 
     def _run_node(self, words, expected):
-        name, *arguments = words
         places = {"lab.yaml": self.folder, "config/wire_rig.yaml": ROOT}
-        given = [str(places[word] / word) if word in places else word for word in arguments]
+        given = [str(places[word] / word) if word in places else word for word in words[1:]]
         self.states.clear()
-        self.node = self.bench.start_with(name, given)
+        self.node = self.bench.start_with(words[0], given)
         self.until(lambda: expected in self.node.output)
 
     def _call(self, words, expected):
@@ -162,53 +142,42 @@ class PowerOn:
         self.volts = yaml.safe_load(words[-1])["data"]
 
     def _echo(self, words, expected):
+        def said():
+            power = [(m.voltage, m.current) for m in self.power[-3:]]
+            return f"{power}, {[s.data for s in self.states]}, expected {expected}"
+
         if words[-1].endswith("state"):
-            self.until(
-                lambda: self.states and self.states[-1].data.startswith(expected),
-                lambda: f"{[s.data for s in self.states]}, expected {expected!r}",
-            )
+            self.until(lambda: self.states and self.states[-1].data.startswith(expected), said)
             self.off()
             return
-        volt, ampere = (float(number) for number in re.findall(r"[\d.]+", expected))
+        wanted = [float(number) for number in re.findall(r"[\d.]+", expected)]
 
         def as_written():
-            newest = self.power[-40:]
-            return len(newest) == 40 and all(
-                statistics.median(values) == pytest.approx(number, rel=0.04)
-                for values, number in (
-                    ([m.voltage for m in newest], volt), ([m.current for m in newest], ampere),
-                )
-            )
+            newest = [(m.voltage, m.current) for m in self.power[-40:]]
+            return len(newest) == 40 and [statistics.median(v) for v in zip(*newest, strict=True)
+                                          ] == pytest.approx(wanted, rel=0.04)  # fmt: skip
 
-        self.until(
-            as_written,
-            lambda: f"{[(m.voltage, m.current) for m in self.power[-3:]]}, expected {expected}; "
-            f"{[s.data for s in self.states]}",
-        )
+        self.until(as_written, said)
 
     def until(self, condition, why=str):
         """Wait; the publisher and the camera go on meanwhile."""
         end = time.monotonic() + PATIENCE
 
         def step():
-            self._go_on()
-            assert time.monotonic() < end, why()
+            now = time.monotonic()
+            assert now < end, why()
+            if now >= self._due:
+                self._due = now + PERIOD
+                if self.volts:
+                    self._command.publish(Float64MultiArray(data=self.volts))
+                if self.camera:
+                    kelvin = float(self.hardware.plant.bench.temperature[0])
+                    message = Temperature(temperature=kelvin - CELSIUS_ZERO)
+                    message.header.stamp = self.bench.node.get_clock().now().to_msg()
+                    self._camera.publish(message)
             return condition()
 
         self.bench.until(step, 2.0 * PATIENCE)
-
-    def _go_on(self):
-        now = time.monotonic()
-        if now < self._due:
-            return
-        self._due = now + PERIOD
-        if self.volts:
-            self._command.publish(Float64MultiArray(data=self.volts))
-        if self.camera:
-            message = Temperature()
-            message.header.stamp = self.bench.node.get_clock().now().to_msg()
-            message.temperature = float(self.hardware.plant.bench.temperature[0]) - CELSIUS_ZERO
-            self._camera.publish(message)
 
 
 def test_every_command_of_the_page_has_its_answer():
@@ -221,7 +190,7 @@ def test_every_command_of_the_page_has_its_answer():
 def test_the_page_can_be_followed_to_its_end(bench, uno, tmp_path):
     with emulated_bench(Parameters.defaults(), uno) as hardware:
         reader = PowerOn(bench, hardware, tmp_path)
-        reader._set("divider", DIVIDER)
+        hardware.do(lambda: setattr(reader.electrics, "divider", DIVIDER))
         hardware.do(lambda: reader.electrics.volts_per_ampere.__setitem__(0, GAIN))
         reader.by_hand("injected 0")
         for kind, text, answer in steps():

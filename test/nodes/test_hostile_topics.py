@@ -18,7 +18,7 @@ from sma_bench.ros.node import LATCHED
 
 BRACKETS = "[" * 100_000
 HOSTILE = [
-    "", "null", "1", "[]", BRACKETS, '{"a":' * 50_000, "[" * 50_000 + "]" * 50_000, "9" * 5000,
+    "", "null", "[]", BRACKETS, '{"a":' * 50_000, "[" * 50_000 + "]" * 50_000, "9" * 5000,
     '{"messages":[1]}', '{"state": "recording", "messages": [1]}', "\x1b[2J", '"\\ud800"', "NaN",
     '{"state": "failed", "failure": ["x"]}', '{"state": {"state": "failed"}, "failure": 1e999}',
     '{"state": "recording", "output": "x", "failure": "", "messages": {"a": "1"}}',

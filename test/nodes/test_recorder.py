@@ -102,11 +102,15 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     assert len(read_record(tmp_path / "bag")["voltage_command"].time) > 100
 
 
-@pytest.mark.parametrize(("output", "said"), [("", ": exists already"), ("/proc/bag", "/proc/bag")])
-def test_an_output_that_exists_or_cannot_be_written_is_refused(bench, tmp_path, output, said):
-    node = bench.start("recorder", output=output or tmp_path)
-    assert node.process.wait(30) == 2
-    assert said in node.output and "Traceback" not in node.output
+def test_an_output_that_exists_or_cannot_be_written_is_refused(bench, tmp_path):
+    outputs = {tmp_path: ": exists already", "/proc/bag": "/proc/bag"}
+    nodes = [
+        bench.start("recorder", output=output, remap={"__node": f"recorder_{k}"})
+        for k, output in enumerate(outputs)
+    ]
+    for node, said in zip(nodes, outputs.values(), strict=True):
+        assert node.process.wait(30) == 2
+        assert said in node.output and "Traceback" not in node.output
 
 
 def test_start_stop_and_split_give_a_bag_each_and_a_killed_recorder_leaves_a_readable_one(
