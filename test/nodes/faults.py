@@ -57,23 +57,30 @@ class Fault:
         return f"| {self.hazard} | {self.detection} | {self.reaction} | {limit} | `{self.name}` |"
 
 
+def _do(job):
+    """A fault that is made between two slices of the bench's time."""
+    return lambda rig: rig.hardware.do(lambda: job(rig))
+
+
 def _signal(number):
-    return lambda rig: rig.hardware.do(lambda: rig.node.process.send_signal(number))
+    return _do(lambda rig: rig.node.process.send_signal(number))
 
 
 def _electrics(**values):
+    """Numbers at the pins; of wires by their channel."""
+
     def change(rig):
         for name, value in values.items():
-            if isinstance(value, float):
-                setattr(rig.hardware.uno.electrics, name, value)
+            if isinstance(value, dict):
+                for channel, number in value.items():
+                    getattr(rig.hardware.uno.electrics, name)[channel] = number
             else:
-                getattr(rig.hardware.uno.electrics, name)[0] = value[0]
+                setattr(rig.hardware.uno.electrics, name, value)
 
-    return lambda rig: rig.hardware.do(lambda: change(rig))
+    return _do(change)
 
 
-def _now(rig):
-    return rig.hardware.do(lambda: None)
+_now = _do(lambda rig: None)
 
 
 def _after_restart(rig):
@@ -102,7 +109,7 @@ def _noise(rig):
     """Garbage that leaves no pause for a command, for half a second of the Uno's time."""
     draw = random.Random(1)
     noise = bytes(b for _ in range(12000) if (b := draw.randrange(256)) not in (STOP, 10, 13))
-    return rig.hardware.do(lambda: rig.hardware.uno.write(noise))
+    rig.hardware.uno.write(noise)
 
 
 def _replay(rig):
@@ -151,17 +158,7 @@ def _full_disk(rig):
 def _second_host(rig):
     """The handshake of a host that the port's lock did not keep out, and its attempt to arm."""
     says = b"".join(line(body) for body in ("T 100", "?", "A 1", "V 1 1 9000 0 0 0"))
-    return rig.hardware.do(lambda: rig.hardware.uno.write(b"\n" + says))
-
-
-def _shorted_switch(rig):
-    """Of a second wire on the board, which is not driven."""
-
-    def short():
-        rig.hardware.uno.electrics.resistance[1] = 2.7
-        rig.hardware.uno.electrics.switch_is[1] = Switch.STUCK_ON
-
-    return rig.hardware.do(short)
+    rig.hardware.uno.write(b"\n" + says)
 
 
 def _break(rig, kind):
@@ -169,7 +166,7 @@ def _break(rig, kind):
     rig.ask("stop")
     assert rig.ask("reset").success
     rig.for_a_while(0.2)
-    return _electrics(switch_is=(kind,))(rig)
+    return _electrics(switch_is={0: kind})(rig)
 
 
 def _enable_with(kind):
@@ -200,12 +197,8 @@ def _stuck_behind_a_welded_relay(rig):
     return moment
 
 
+# The timers' interrupts may be off, and nobody did it.
 _TIMSK0, _TIMSK1 = 0x6E, 0x6F
-
-
-def _poke(register):
-    """The timer's interrupts are off, and nobody did it."""
-    return lambda rig: rig.hardware.do(lambda: rig.hardware.uno.poke(register, 0))
 
 
 def _too_much_heat(rig):
@@ -249,7 +242,7 @@ FAULTS = (
     Fault("host_ended", "bridge ended (SIGTERM)", "bridge: stop byte at its end", 0.25,
           "after: stop byte", _signal(signal.SIGTERM), told=_after_restart),
     Fault("cable_pulled", "serial cable pulled", "device: command timeout 0.2 s", 0.25,
-          "not connected", lambda rig: rig.hardware.do(rig.hardware.port.unplug)),
+          "not connected", _do(lambda rig: rig.hardware.port.unplug())),
     Fault("commander_silent", "commanding node dies", "bridge: bench.command_timeout 0.5 s", 0.7,
           "command_timeouts: 1", _rig(voltage=None), told=_value("command_timeouts"),
           reaction="0 V until the next command"),
@@ -260,26 +253,27 @@ FAULTS = (
     Fault("stop_requested", "somebody calls ~/stop", "bridge: stop byte", 0.25,
           "stopped on request", _request("stop")),
     Fault("line_noise", "garbage on the line", "device: checksums, then its command timeout",
-          0.25, "command timeout", _noise, quick=True),
+          0.25, "command timeout", _do(_noise), quick=True),
     Fault("commands_replayed", "recorded commands sent again", "device: session and sequence",
           0.01, "idle", _replay, reaction="refused, nothing is driven"),
     Fault("two_hosts", "second host gets through to the device",
           "device: a greeting disarms; bridge: answers that it did not ask for", 0.25,
-          "another host speaks to the device", _second_host, quick=True),
+          "another host speaks to the device", _do(_second_host), quick=True),
     Fault("firmware_hung", "firmware's main loop hangs", "device: 30 ms without its loop", 0.04,
           "the device restarted", _hang(interrupts=True), quick=True),
     Fault("firmware_dead", "firmware hangs, interrupts off", "device: watchdog 64 ms", 0.08,
           "the device restarted", _hang(interrupts=False)),
     Fault("short_circuit", "wire short-circuited at 6 V",
           "device: each current, and its mean against the duties through the least resistance",
-          0.02, "found by the device|over-current: wire", _electrics(resistance=(0.3,)),
+          0.02, "found by the device|over-current: wire", _electrics(resistance={0: 0.3}),
           volts=6.0, quick=True),
     Fault("clipped_short", "wire short-circuited at 1 V, where a sensor that clips hides it",
           "device: mean current against the duties through the least resistance", 0.1,
-          "more current than the outputs explain", _electrics(resistance=(0.05,)), volts=1.0),
+          "more current than the outputs explain", _electrics(resistance={0: 0.05}), volts=1.0),
     Fault("switch_shorted", "another wire's switch shorts",
           "device: mean current against the duties through the least resistance", 0.05,
-          "more current than the outputs explain", _shorted_switch, quick=True),
+          "more current than the outputs explain", _electrics(
+              resistance={1: 2.7}, switch_is={1: Switch.STUCK_ON}), quick=True),
     Fault("switch_stuck", "switch stuck on before enabling",
           "bridge: self-test; device: current with all outputs off", 0.6, "relay: FAILED",
           _enable_with(Switch.STUCK_ON),
@@ -294,18 +288,18 @@ FAULTS = (
           told=lambda rig: rig.refusal,
           reaction="says so in state, log and diagnostics until somebody pulls the plug"),
     Fault("outputs_frozen", "interrupt of the outputs lost", "device: 5 ms without it", 0.02,
-          "output interrupt lost", _poke(_TIMSK0), quick=True),
+          "output interrupt lost", _do(lambda rig: rig.hardware.uno.poke(_TIMSK0, 0)), quick=True),
     Fault("clock_frozen", "interrupt of the millisecond lost", "device: watchdog 64 ms", 0.08,
-          "the device restarted", _poke(_TIMSK1)),
+          "the device restarted", _do(lambda rig: rig.hardware.uno.poke(_TIMSK1, 0))),
     Fault("heat_limit", "more heat than the rig may have, and a camera that does not see it",
           "device: mean square of a wire's volts, over its cooling time", 1.2,
           "more heat than allowed", _too_much_heat, volts=6.0,
           settings={"bench__maximum_current": 4.0}),
     Fault("over_current", "wire draws more than bench.maximum_current",
           "bridge: current of each reading", 0.25, "over-current: wire", _electrics(
-              resistance=(2.0,)), volts=6.5),
+              resistance={0: 2.0}), volts=6.5),
     Fault("wire_broken", "wire breaks", "bridge: current against the model for 1 s", 1.4,
-          "disagreement: wire carries", _electrics(resistance=(math.inf,))),
+          "disagreement: wire carries", _electrics(resistance={0: math.inf})),
     Fault("over_temperature", "wire hotter than bench.maximum_temperature",
           "bridge: each temperature", 0.3, "over-temperature: wire", _rig(fever=200.0), quick=True),
     Fault("heat_unseen", "wire hotter than bench.maximum_temperature, no camera",
