@@ -1,5 +1,4 @@
-"""What the emulator can break at the pins, and the physics of the wires behind them."""
-
+"""The emulator: its resets, and the physics of the wires behind its pins."""
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from uno.emulated_uno import Reset
 from sma_bench.hardware.serial_messages import Named
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
-
 
 
 def test_a_reset_keeps_the_memory_and_waits_for_the_bootloader(host):

@@ -65,7 +65,7 @@ def test_the_node_waits_for_confirmation_stops_at_0_v_and_goes_on_after_kill_9(b
         return bench.start("investigation", tmp_path / "lab.yaml", use_sim_time=True,
                            folder=tmp_path / "gap", output_root=tmp_path)
 
-    bench.start("simulator", tmp_path / "lab.yaml", speed=5.0, **RATES)
+    bench.start("simulator", tmp_path / "lab.yaml", speed=15.0, **RATES)
     bench.start("experiment", tmp_path / "lab.yaml", use_sim_time=True, require_recorder=True,
                 protocol="composite_triangle", protocol_root=tmp_path)
     node = investigation()
