@@ -14,7 +14,8 @@ from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device import DeviceIdentity, LinkStatus, Reading
 from sma_bench.hardware.expectation import SharedWatch
 from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits
-from sma_bench.hardware.self_test import NEEDED, CheckResult, DeviceLink, self_test
+from sma_bench.hardware.self_test import NEEDED, CheckResult, self_test
+from sma_bench.hardware.serial_link import SerialLink
 from sma_bench.hardware.serial_messages import TIMEOUT_CAUSE, DeviceState
 
 REFRESH = 0.02
@@ -34,7 +35,7 @@ class BenchDriver:
 
     def __init__(
         self,
-        link: DeviceLink,
+        link: SerialLink,
         sensors: BenchSensors,
         guard: Guard,
         channels: Sequence[str],
@@ -118,13 +119,10 @@ class BenchDriver:
         Raises:
             LinkError: why that must not be, or the device's refusal.
         """
-        if self.enabled:
-            raise LinkError("enabled already")
-        obstacle = self._obstacle(now)
-        if obstacle:
+        if obstacle := "enabled already" if self.enabled else self._obstacle(now):
             raise LinkError(obstacle)
-        if self.tested == "due":
-            self._demand_a_self_test()
+        if self.tested == "due" and (failed := _failed(self.self_test())):
+            raise LinkError(f"self-test: {'; '.join(map(str, failed))}")
         self.gate.clear()
         status = self._link.status
         if status.device:
@@ -168,10 +166,6 @@ class BenchDriver:
         if not _failed(findings):
             self._tested = self._link.status.connections
         return findings
-
-    def _demand_a_self_test(self) -> None:
-        if failed := _failed(self.self_test()):
-            raise LinkError(f"self-test: {'; '.join(map(str, failed))}")
 
     # --- what happens -------------------------------------------------------------------------
 
@@ -236,7 +230,9 @@ class BenchDriver:
 
     def _fault(self, now: float) -> str:
         status = self._link.status
-        return _device_fault(status) or _another_host(status) or self._guard.fault(now)
+        another = f"another host speaks to the device: it answered {status.unasked!r}"
+        another = f"{another}, not asked from here" if status.unasked else ""
+        return _device_fault(status) or another or self._guard.fault(now)
 
     def _obstacle(self, now: float) -> str:
         if self.flowing:
@@ -290,18 +286,8 @@ def _failed(findings: Sequence[CheckResult]) -> list[CheckResult]:
 
 def _device_fault(status: LinkStatus) -> str:
     if not status.connected:
-        return _not_connected(status)
+        return f"not connected: {status.problem or 'no handshake yet'}"
     if status.stopped:
         why = f" ({status.silence})" if status.cause == TIMEOUT_CAUSE and status.silence else ""
         return f"{status.cause_text}, found by the device{why}"
     return ""
-
-
-def _another_host(status: LinkStatus) -> str:
-    if not status.unasked:
-        return ""
-    return f"another host speaks to the device: it answered {status.unasked!r}, not asked from here"
-
-
-def _not_connected(status: LinkStatus) -> str:
-    return f"not connected: {status.problem or 'no handshake yet'}"

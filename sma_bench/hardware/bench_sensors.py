@@ -89,7 +89,6 @@ def commanded_millivolts(voltage: float, supply_reading: float, supply: Calibrat
     return round(1e3 * voltage * scale)
 
 
-
 # --- What instruments make of a true value: noise, then quantisation.
 
 
@@ -119,7 +118,8 @@ class Instrument:
     def read(self, value: float) -> float:
         """The reading of a true `value`."""
         if self._noise > 0.0:
-            value += self._next()
+            self._drawn = self._drawn or self._block()
+            value += self._drawn.pop()
         if self._resolution > 0.0:
             value = round(value / self._resolution) * self._resolution
         return value
@@ -135,11 +135,6 @@ class Instrument:
         if self._resolution > 0.0:
             values = np.rint(values / self._resolution) * self._resolution + 0.0  # no -0.0
         return values
-
-    def _next(self) -> float:
-        if not self._drawn:
-            self._drawn = self._block()
-        return self._drawn.pop()
 
     def _block(self) -> list[float]:
         drawn: list[float] = (self._noise * self._random.standard_normal(_BLOCK)).tolist()
@@ -202,7 +197,12 @@ class BenchSensors:
         self._channels = device_channels(sides)
         front, back = (_line(f"{side}_current", settings) for side in SIDES)
         self._power = PowerCalibration(_line("supply", settings), (front, back))
-        self._range = tuple(_range_calibration(side, settings) for side in SIDES)
+        self._range = tuple(
+            RangeCalibration(
+                *(settings[f"calibration.{side}_range.{n}"] for n in ("gain", "offset", "shift"))
+            )
+            for side in SIDES
+        )
         self._standoff = tuple(settings[f"range.{side}_standoff"] for side in SIDES)
         for sensor in settings["range.sensors"]:
             if sensor not in SIDES:
@@ -224,6 +224,7 @@ class BenchSensors:
         """The bench behind one window of telemetry."""
         telemetry = reading.telemetry
         powers = channel_powers(telemetry, self._power)
+        supply, duty = self.supply(telemetry.supply), telemetry.duty
         front, back = (
             sensor.distance(volt)
             for sensor, volt in zip(self._range, telemetry.range_voltage, strict=True)
@@ -234,7 +235,7 @@ class BenchSensors:
             (front, back),
             self._deflection(front, back),
             self.board_currents(telemetry),
-            self._board_volts(telemetry),
+            (supply * sum(duty[:_PER_SIDE]), supply * sum(duty[_PER_SIDE:])),
         )
 
     def board_currents(self, telemetry: Telemetry) -> tuple[float, float]:
@@ -244,10 +245,6 @@ class BenchSensors:
             for sensor, current in zip(self._power.current, telemetry.current, strict=True)
         )
         return front, back
-
-    def _board_volts(self, telemetry: Telemetry) -> tuple[float, float]:
-        supply, duty = self.supply(telemetry.supply), telemetry.duty
-        return supply * sum(duty[:_PER_SIDE]), supply * sum(duty[_PER_SIDE:])
 
     def supply(self, measured: float) -> float:
         """The supply's voltage (V) behind the device's reading of it."""
@@ -274,10 +271,3 @@ class BenchSensors:
 def _line(sensor: str, settings: Mapping[str, Any]) -> Calibration:
     gain, offset = (settings[f"calibration.{sensor}.{name}"] for name in ("gain", "offset"))
     return Calibration(gain, offset)
-
-
-def _range_calibration(side: str, settings: Mapping[str, Any]) -> RangeCalibration:
-    gain, offset, shift = (
-        settings[f"calibration.{side}_range.{name}"] for name in ("gain", "offset", "shift")
-    )
-    return RangeCalibration(gain, offset, shift)

@@ -66,7 +66,16 @@ def fit_calibration(readings: ArrayLike, known: ArrayLike) -> CalibrationFit:
     Raises:
         InputError: fewer than two different readings, values that are not finite, a gain of zero.
     """
-    x, y = _pairs(readings, known)
+    x = np.atleast_1d(np.asarray(readings, dtype=float))
+    y = np.atleast_1d(np.asarray(known, dtype=float))
+    if x.shape != y.shape or x.ndim != 1:
+        raise InputError(
+            f"calibration: {x.size} readings for {y.size} known loads, expected as many"
+        )
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError("calibration: a reading or a load is not finite")
+    if (different := np.unique(x).size) < 2:
+        raise InputError(f"calibration: {different} different readings, expected at least 2")
     centre = x.mean()
     spread = float(((x - centre) ** 2).sum())
     gain = float(((x - centre) * y).sum() / spread)
@@ -102,22 +111,6 @@ def fit_range_calibration(
         )
     line = fit_calibration(voltages, 1.0 / (metres + shift)).calibration
     return RangeCalibration(line.gain, line.offset, shift)
-
-
-def _pairs(readings: ArrayLike, known: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    x = np.atleast_1d(np.asarray(readings, dtype=float))
-    y = np.atleast_1d(np.asarray(known, dtype=float))
-    if x.shape != y.shape or x.ndim != 1:
-        raise InputError(
-            f"calibration: {x.size} readings for {y.size} known loads, expected as many"
-        )
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError("calibration: a reading or a load is not finite")
-    if np.unique(x).size < 2:
-        raise InputError(
-            f"calibration: {np.unique(x).size} different readings, expected at least 2"
-        )
-    return x, y
 
 
 # --- Calibrating one of the device's sensors: which there are, and what a fit becomes on the

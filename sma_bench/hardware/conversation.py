@@ -201,12 +201,25 @@ class Conversation:
         self._port.timeout = max(patience, 0.0)
         received = self._port.read(max(1, self._port.in_waiting))
         now = self._now()
-        messages = list(self._decoded(self._splitter.feed(received)))
+        messages: list[Message] = []
+        for body in self._splitter.feed(received):
+            try:
+                messages.append(decode(body))
+            except ProtocolError:
+                self.not_understood += 1
         answers: Answers = [m for m in messages if not isinstance(m, Telemetry | Pong)]
-        if answers:
-            # Before they are handed over: whoever asked may be gone a moment later.
-            self._look_for_another_host(answers)
-            self._hand_over(answers)
+        # Before they are handed over: whoever asked may be gone a moment later.
+        for answer in answers:
+            if isinstance(answer, Accepted | Refused):
+                foreign = answer.letter in _ALWAYS_ASKED and answer.letter != self._asked
+                if isinstance(answer, Refused) and answer.letter == "V":
+                    foreign = answer.reason == _NOT_OUR_SESSION
+                self.unasked = str(answer) if foreign else self.unasked
+        # Counters, second by second for months: nobody takes them from here.
+        if answers and self._asked:
+            with self._answered:
+                self._answers = self._answers + answers
+                self._answered.notify_all()
         return messages, now
 
     def ask(
@@ -262,30 +275,6 @@ class Conversation:
         return by_kind(
             self.ask(letter, complete=lambda a: by_kind(a).keys() >= wanted, pump=pump)
         )
-
-    def _decoded(self, bodies: list[bytes]) -> Iterable[Message]:
-        for body in bodies:
-            try:
-                yield decode(body)
-            except ProtocolError:
-                self.not_understood += 1
-
-    def _look_for_another_host(self, answers: Answers) -> None:
-        for answer in answers:
-            if not isinstance(answer, Accepted | Refused):
-                continue
-            foreign = answer.letter in _ALWAYS_ASKED and answer.letter != self._asked
-            if isinstance(answer, Refused) and answer.letter == "V":
-                foreign = answer.reason == _NOT_OUR_SESSION
-            if foreign:
-                self.unasked = str(answer)
-
-    def _hand_over(self, answers: Answers) -> None:
-        if not self._asked:  # counters, second by second for months: nobody takes them from here
-            return
-        with self._answered:
-            self._answers = self._answers + answers
-            self._answered.notify_all()
 
     def _wait(self, letter: str, complete: Callable[[Answers], bool], pump: bool) -> Answers:
         until = self._now() + ANSWER_TIMEOUT

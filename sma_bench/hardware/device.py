@@ -54,41 +54,30 @@ class DeviceIdentity:
         """
         said = {key: value for line in lines.values() for key, value in line.values.items()}
         try:
-            _demand(said, "protocol", PROTOCOL_VERSION)
-            _demand(said, "channels", CHANNELS)
-            return cls._from_values(said)
+            for key, expected in (("protocol", PROTOCOL_VERSION), ("channels", CHANNELS)):
+                if int(said[key]) != expected:
+                    raise ValueError(f"the device has {key} {said[key]}, expected {expected}")
+            cause = int(said["before"])
+            stopped = f", after: {name_of(CAUSES, cause)}" if cause else ""
+            return cls(
+                name=said["name"],
+                build=said["build"],
+                reset=resets(int(said["reset"])) + stopped,
+                maximum_voltage=1e-3 * int(said["max_mv"]),
+                command_timeout=1e-3 * int(said["timeout_ms"]),
+                maximum_duty=int(said["duty"]) / 65536.0,
+                maximum_mean_current=1e-3 * int(said["mean_ma"]),
+                maximum_peak_current=1e-3 * int(said["peak_ma"]),
+                maximum_on_time=float(int(said["on_s"])),
+                supply_range=(1e-3 * int(said["supply_min_mv"]), 1e-3 * int(said["supply_max_mv"])),
+                least_resistance=1e-3 * int(said["least_mohm"]),
+                hot_voltage=1e-3 * int(said["hot_mv"]),
+                hot_time=1e-3 * int(said["hot_ms"]),
+            )
         except KeyError as error:
             raise InputError(f"handshake: {error.args[0]} is missing") from None
         except ValueError as error:
             raise InputError(f"handshake: {error}") from None
-
-    @classmethod
-    def _from_values(cls, said: dict[str, str]) -> "DeviceIdentity":
-        return cls(
-            name=said["name"],
-            build=said["build"],
-            reset=_start(int(said["reset"]), int(said["before"])),
-            maximum_voltage=1e-3 * int(said["max_mv"]),
-            command_timeout=1e-3 * int(said["timeout_ms"]),
-            maximum_duty=int(said["duty"]) / 65536.0,
-            maximum_mean_current=1e-3 * int(said["mean_ma"]),
-            maximum_peak_current=1e-3 * int(said["peak_ma"]),
-            maximum_on_time=float(int(said["on_s"])),
-            supply_range=(1e-3 * int(said["supply_min_mv"]), 1e-3 * int(said["supply_max_mv"])),
-            least_resistance=1e-3 * int(said["least_mohm"]),
-            hot_voltage=1e-3 * int(said["hot_mv"]),
-            hot_time=1e-3 * int(said["hot_ms"]),
-        )
-
-
-def _start(flags: int, cause: int) -> str:
-    stopped = f", after: {name_of(CAUSES, cause)}" if cause else ""
-    return resets(flags) + stopped
-
-
-def _demand(said: dict[str, str], key: str, expected: int) -> None:
-    if int(said[key]) != expected:
-        raise ValueError(f"the device has {key} {said[key]}, expected {expected}")
 
 
 # --- The device's microseconds on the host's clock: offset and drift, from what was heard
@@ -236,7 +225,6 @@ def _lower_hull(points: Iterable[tuple[float, float]]) -> list[tuple[float, floa
             corners.pop()
         corners.append((float(x), float(y)))
     return corners
-
 
 
 # --- What a serial link counts and reports.

@@ -322,15 +322,13 @@ class SharedWatch:
             _, old_power, old_heat = self._recent.popleft()
             step = np.subtract(heat, old_heat)
             if np.abs(step).max() >= _LEAST_STEP:
-                self._learn(step, power - old_power)
+                change = power - old_power
+                self._squares = _FORGOTTEN * self._squares + np.outer(step, step)
+                self._products = _FORGOTTEN * self._products + step * change
+                self._power_squares = _FORGOTTEN * self._power_squares + change**2
+                self._pairs = _FORGOTTEN * self._pairs + 1.0
                 self._reason = self._open(model)
         return self._reason
-
-    def _learn(self, step: np.ndarray, change: float) -> None:
-        self._squares = _FORGOTTEN * self._squares + np.outer(step, step)
-        self._products = _FORGOTTEN * self._products + step * change
-        self._power_squares = _FORGOTTEN * self._power_squares + change**2
-        self._pairs = _FORGOTTEN * self._pairs + 1.0
 
     def _open(self, model: WireModel) -> str:
         if self._pairs < _LEAST_PAIRS:

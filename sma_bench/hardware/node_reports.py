@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from sma_bench.hardware.bench_driver import BenchDriver
@@ -67,17 +67,10 @@ def driver_values(driver: BenchDriver, now: float) -> dict[str, str]:
 
 def tally_values(tally: Tally, elapsed: float) -> dict[str, str]:
     """Rates over the last `elapsed` s, and temperatures."""
-    values = {
+    return {
         "power_rate": f"{tally.readings / elapsed:.1f}",
         "oldest_reading_ms": f"{1e3 * tally.oldest:.1f}",
-    }
-    return values | _celsius(tally.temperatures)
-
-
-def _celsius(temperatures: Mapping[str, float]) -> dict[str, str]:
-    return {
-        f"{channel}_degC": f"{kelvin - CELSIUS_ZERO:.1f}"
-        for channel, kelvin in temperatures.items()
+        **{f"{c}_degC": f"{kelvin - CELSIUS_ZERO:.1f}" for c, kelvin in tally.temperatures.items()},
     }
 
 
@@ -110,12 +103,8 @@ class CameraReport:
         self._readings = [WireReading(reason="no frame yet") for _ in channels]
         self._held_readings = [0 for _ in channels]
         self._last_hold = ""
-        self._since = now
-        self._frames = 0
-        self._period_held = 0
         self._longest_gap = 0.0
-        self._latencies: list[float] = []
-        self._published = [0 for _ in channels]
+        self._begin_period(now)
 
     def arrived(self, now: float) -> None:
         """A frame came, of whatever kind."""
@@ -154,7 +143,7 @@ class CameraReport:
         self._frames = 0
         self._period_held = 0
         self._longest_gap = 0.0
-        self._latencies = []
+        self._latencies: list[float] = []
         self._published = [0 for _ in self._channels]
 
     def _camera(self, now: float, elapsed: float) -> Report:

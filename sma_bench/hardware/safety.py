@@ -6,7 +6,7 @@ Every rule answers with a reason, one line for people, or "" when all is well. W
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from sma_bench.hardware.expectation import BoardWatch, WireModel, WireWatch
 from sma_bench.parameters import Parameters
@@ -30,15 +30,9 @@ class Limits:
     @classmethod
     def from_parameters(cls, parameters: Parameters) -> "Limits":
         """The limits among the contract's parameters."""
-        return cls(
-            maximum_voltage=parameters["bench.maximum_voltage"],
-            maximum_current=parameters["bench.maximum_current"],
-            maximum_temperature=parameters["bench.maximum_temperature"],
-            command_timeout=parameters["bench.command_timeout"],
-            maximum_power=parameters["bench.maximum_power"],
-            maximum_heating_rate=parameters["bench.maximum_heating_rate"],
-            model=WireModel.from_parameters(parameters),
-        )
+        names = [field.name for field in fields(cls) if field.name != "model"]
+        allowed = {name: parameters[f"bench.{name}"] for name in names}
+        return cls(**allowed, model=WireModel.from_parameters(parameters))
 
 
 def command_fault(command: Sequence[float], channels: int, limits: Limits) -> str:

@@ -2,13 +2,12 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
 from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.device import LinkStatus
+from sma_bench.hardware.serial_link import SerialLink
 
 _MOST_CURRENT_AT_REST = 0.15
 _MOST_CLOCK_UNCERTAINTY = 2e-3
@@ -17,29 +16,6 @@ _STOP_WITHIN = 0.3
 _CLOSED_FOR = 0.12
 NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
 """checks without which nobody enables"""
-
-
-class DeviceLink(Protocol):
-    """What driving and testing need of a SerialLink."""
-
-    @property
-    def status(self) -> LinkStatus:
-        """Present state and counts."""
-
-    def arm(self) -> None:
-        """Have the device accept voltages; LinkError when it will not."""
-
-    def limit(self, numbers: Sequence[int]) -> None:
-        """Set the device's limits; LinkError when it refuses them."""
-
-    def drive(self, millivolts: Sequence[int]) -> int:
-        """Send a command; LinkError when it cannot be."""
-
-    def stop(self) -> None:
-        """Emergency stop; never fails."""
-
-    def reset(self) -> None:
-        """Forget the latched cause; LinkError when the device does not answer."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +31,7 @@ class CheckResult:
 
 
 def self_test(
-    link: DeviceLink,
+    link: SerialLink,
     newest: BenchReading | None,
     supply: float,
     sensors: BenchSensors,
@@ -71,44 +47,32 @@ def self_test(
     if not status.connected or newest is None:
         text = status.problem or "no reading yet"
         return [CheckResult("connection", False, text)]
-    return [
-        *_link_findings(status),
-        *_sensor_findings(status, newest, supply, sensors.range_sensors),
-        _relay_finding(link, sensors, pause),
-        _stop_finding(link, pause),
-    ]
-
-
-def _link_findings(status: LinkStatus) -> Iterator[CheckResult]:
-    device = status.device
+    device, found = status.device, []
     if device is not None:
         text = f"{device.name} {device.build}, reset: {device.reset}"
-        yield CheckResult("connection", True, text)
+        found.append(CheckResult("connection", True, text))
     bad = status.lost + status.damaged + status.not_understood
     text = f"{status.telemetry} frames, {status.lost} lost, {status.damaged} damaged"
-    yield CheckResult("link", bad == 0, text)
+    found.append(CheckResult("link", bad == 0, text))
     uncertainty = status.clock_uncertainty
     text = f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"
-    yield CheckResult("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY, text)
-
-
-def _sensor_findings(
-    status: LinkStatus, newest: BenchReading, supply: float, range_sensors: tuple[str, ...]
-) -> Iterator[CheckResult]:
-    if status.device is not None:
-        low, high = status.device.supply_range
+    found.append(CheckResult("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY, text))
+    if device is not None:
+        low, high = device.supply_range
         text = f"{supply:.2f} V, expected {low:g} to {high:g} V"
-        yield CheckResult("supply", low <= supply <= high, text)
+        found.append(CheckResult("supply", low <= supply <= high, text))
     most = max(abs(current) for current in newest.board_currents)
     text = f"at most {most:.2f} A at rest, expected under {_MOST_CURRENT_AT_REST:g} A"
-    yield CheckResult("currents", most < _MOST_CURRENT_AT_REST, text)
+    found.append(CheckResult("currents", most < _MOST_CURRENT_AT_REST, text))
     for side, distance in zip(("front", "back"), newest.distances, strict=True):
-        if side in range_sensors:
-            yield CheckResult(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
+        if side in sensors.range_sensors:
+            text = f"{1e3 * distance:.1f} mm"
+            found.append(CheckResult(f"{side} range", math.isfinite(distance), text))
+    return [*found, _relay_finding(link, sensors, pause), _stop_finding(link, pause)]
 
 
 def _relay_finding(
-    link: DeviceLink, sensors: BenchSensors, pause: Callable[[float], None]
+    link: SerialLink, sensors: BenchSensors, pause: Callable[[float], None]
 ) -> CheckResult:
     """With the relay closed and nothing driven, a switch that is stuck or inverted conducts."""
     try:
@@ -125,7 +89,7 @@ def _relay_finding(
     return CheckResult("relay", most < _MOST_CURRENT_AT_REST, text)
 
 
-def _stop_finding(link: DeviceLink, pause: Callable[[float], None]) -> CheckResult:
+def _stop_finding(link: SerialLink, pause: Callable[[float], None]) -> CheckResult:
     """The emergency stop must be heard, and be forgotten on request only."""
     link.stop()
     waited = 0.0

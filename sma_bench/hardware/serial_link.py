@@ -236,7 +236,10 @@ class SerialLink:
                 self._lose(str(error))
             except Exception as error:  # a thread that died would go on looking connected
                 self._lose(f"{type(error).__name__}: {error}")
-            self._hang_up()
+            lost, self._conversation = self._conversation, None
+            if lost is not None:
+                with contextlib.suppress(OSError):
+                    lost.close()
             self._closing.wait(back_off)
             back_off = min(2.0 * back_off, self._options.longest_back_off)
 
@@ -244,7 +247,11 @@ class SerialLink:
         conversation = Conversation(self._open_port(), self._now)
         self._conversation = conversation
         self._device_clock = DeviceClock()
-        self._await_any_message(conversation)
+        # Opening may have reset the device; asking its bootloader would hold it there.
+        until = self._now() + self._options.greeting_timeout
+        while self._now() < until and not self._closing.is_set():
+            if conversation.receive()[0]:
+                break
         device = self._identify(conversation)
         binary = self._options.rate > BINARY_ABOVE
         conversation.say("B" if binary else "T", self._options.rate)
@@ -254,13 +261,6 @@ class SerialLink:
             self._changed.notify_all()
         self._on_event(f"connected to {device.name} {device.build}, last reset: {device.reset}")
         return conversation
-
-    def _await_any_message(self, conversation: Conversation) -> None:
-        """Opening may have reset the device; asking its bootloader would hold it there."""
-        until = self._now() + self._options.greeting_timeout
-        while self._now() < until and not self._closing.is_set():
-            if conversation.receive()[0]:
-                return
 
     def _identify(self, conversation: Conversation) -> DeviceIdentity:
         for _ in range(_ASKS):
@@ -287,12 +287,18 @@ class SerialLink:
             # A host that was stopped itself has not listened: no wait counts for longer than asked.
             silence = 0.0 if messages else silence + min(now - last, _LONGEST_WAIT)
             last = now
-            self._speak_for_driver(now)
+            with self._driving, contextlib.suppress(LinkError):  # its driver is late
+                said = self._said[-1] if self._said else -math.inf
+                if now - said > _REPEAT and now - self._drove < _SPOKEN_FOR:
+                    self._say_volts()
             if silence > self._options.silence_limit:
                 raise LinkError(f"the device is silent for {silence:.2f} s")
             if now >= next_ping:
                 next_ping = now + self._options.ping_period
-                self._send_ping(conversation)
+                number = (self._ping[0] + 1) % _NUMBERS
+                conversation.say("P", number)
+                # Its last byte leaves when the cable has carried all of them.
+                self._ping = (number, self._now() + transmission_time(command("P", number)))
             # Not together with a ping: at 500 Hz there is no time for two answers in a window.
             if now >= next_count and next_ping - now < 0.5 * self._options.ping_period:
                 next_count = now + self._options.counters_period
@@ -302,25 +308,21 @@ class SerialLink:
         if isinstance(message, Telemetry):
             self._take(message, now)
         elif isinstance(message, Pong):
-            self._synchronise(message, now)
+            number, sent = self._ping
+            if message.identity == number:
+                self._device_clock.add(sent, message.arrived_us, message.left_us, now)
+                self._status.round_trip = now - sent
+                self._status.drift = self._device_clock.drift
+                self._status.clock_uncertainty = self._device_clock.uncertainty
         elif isinstance(message, Refused):
-            self._note_refusal(message, now)
+            self._status.refused += 1
+            self._status.last_refusal, self._refused = str(message), now
         elif isinstance(message, Named) and message.letter == "S":
             self._status.counters = {key: int(value) for key, value in message.values.items()}
         elif isinstance(message, Named) and message.letter == "H" and "nonce" not in message.values:
             # Clock and count may have gone on as if nothing had happened: a host that stood still
             # for as long as the device ran before sees no step.
             raise LinkError("the device restarted by itself")
-
-    def _note_refusal(self, refused: Refused, now: float) -> None:
-        self._status.refused += 1
-        self._status.last_refusal, self._refused = str(refused), now
-
-    def _speak_for_driver(self, now: float) -> None:
-        with self._driving, contextlib.suppress(LinkError):
-            said = self._said[-1] if self._said else -math.inf
-            if now - said > _REPEAT and now - self._drove < _SPOKEN_FOR:
-                self._say_volts()
 
     def _why_silent(self, now: float) -> str:
         with self._driving:
@@ -345,34 +347,15 @@ class SerialLink:
         if self._status.stopped and not stopped_already:
             self._session = None
             self._on_event(f"the device stopped: {self._status.cause_text}")
-        self._time_command(telemetry.echo, now)
+        if self._unheard is not None:
+            sequence, sent = self._unheard
+            if (telemetry.echo - sequence) % _NUMBERS < _NUMBERS // 2:
+                self._status.command_latency, self._unheard = now - sent, None
         self._device_clock.heard(telemetry.time_us, now)
         if self._device_clock.synchronised:
             # A window cannot end after it was received.
             ended = min(self._device_clock.host_time(telemetry.time_us), now)
             self._on_reading(Reading(telemetry, ended - 0.5 / self._options.rate))
-
-    def _time_command(self, echo: int, now: float) -> None:
-        if self._unheard is None:
-            return
-        sequence, sent = self._unheard
-        if (echo - sequence) % _NUMBERS < _NUMBERS // 2:
-            self._status.command_latency = now - sent
-            self._unheard = None
-
-    def _send_ping(self, conversation: Conversation) -> None:
-        number = (self._ping[0] + 1) % _NUMBERS
-        conversation.say("P", number)
-        # Its last byte leaves when the cable has carried all of them.
-        self._ping = (number, self._now() + transmission_time(command("P", number)))
-
-    def _synchronise(self, pong: Pong, now: float) -> None:
-        number, sent = self._ping
-        if pong.identity == number:
-            self._device_clock.add(sent, pong.arrived_us, pong.left_us, now)
-            self._status.round_trip = now - sent
-            self._status.drift = self._device_clock.drift
-            self._status.clock_uncertainty = self._device_clock.uncertainty
 
     def _lose(self, problem: str) -> None:
         with self._changed:
@@ -384,9 +367,3 @@ class SerialLink:
             self.stop()
         if news:
             self._on_event(f"not connected: {problem}")
-
-    def _hang_up(self) -> None:
-        conversation, self._conversation = self._conversation, None
-        if conversation is not None:
-            with contextlib.suppress(OSError):
-                conversation.close()

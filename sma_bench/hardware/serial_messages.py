@@ -5,6 +5,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 LINE_END = b"\n"
 FRAME_END = b"\0"
@@ -246,7 +247,7 @@ def decode(body: bytes) -> Message:
     try:
         letter, *fields = body.decode("ascii").split(" ")
         return _DECODERS[letter](letter, fields)
-    except (KeyError, ValueError, IndexError):
+    except (KeyError, ValueError, IndexError, struct.error):
         raise ProtocolError(
             f"message {body[:40]!r} is not of protocol {PROTOCOL_VERSION}"
         ) from None
@@ -263,39 +264,20 @@ def _telemetry(fields: tuple[int, ...]) -> Telemetry:
     )
 
 
-def _text_telemetry(_letter: str, fields: list[str]) -> Telemetry:
-    # Packing them refuses what a frame could not carry.
-    return _telemetry(_BINARY.unpack(_pack([int(field) for field in fields])))
-
-
-def _pack(numbers: list[int]) -> bytes:
-    try:
-        return _BINARY.pack(*numbers)
-    except struct.error as error:
-        raise ValueError(str(error)) from None
-
-
 def _named(letter: str, fields: list[str]) -> Named:
     pairs = [field.split("=", 1) for field in fields]
     return Named(letter, {pair[0]: pair[1] for pair in pairs})
 
 
-def _accepted(_letter: str, fields: list[str]) -> Accepted:
-    letter, value = fields
-    return Accepted(letter, int(value))
-
-
-def _refused(_letter: str, fields: list[str]) -> Refused:
-    letter, reason = fields
-    return Refused(letter, int(reason))
-
-
-def _pong(_letter: str, fields: list[str]) -> Pong:
-    identity, arrived_us, left_us = fields
-    return Pong(int(identity), int(arrived_us), int(left_us))
+def _typed(fields: list[str], *kinds: type) -> list[Any]:
+    return [kind(field) for kind, field in zip(kinds, fields, strict=True)]
 
 
 _DECODERS: dict[str, Callable[[str, list[str]], Message]] = {
-    "T": _text_telemetry, "H": _named, "L": _named, "M": _named, "S": _named,
-    "K": _accepted, "N": _refused, "P": _pong,
+    # Packing them refuses what a frame could not carry.
+    "T": lambda _, fields: _telemetry(_BINARY.unpack(_BINARY.pack(*map(int, fields)))),
+    "H": _named, "L": _named, "M": _named, "S": _named,
+    "K": lambda _, fields: Accepted(*_typed(fields, str, int)),
+    "N": lambda _, fields: Refused(*_typed(fields, str, int)),
+    "P": lambda _, fields: Pong(*_typed(fields, int, int, int)),
 }

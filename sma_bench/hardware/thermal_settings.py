@@ -108,9 +108,6 @@ class WireGauge:
             return reading
         if self._lost:
             return WireReading(reason="wire lost while clear to see: it left its region")
-        return self._at_background(reading)
-
-    def _at_background(self, reading: WireReading) -> WireReading:
         slope = slope_at(reading.background)
         deviation = math.hypot(reading.limit / 2.0, self._optics.accuracy) * slope
         apparent = float(band_radiance(reading.background))
