@@ -453,7 +453,12 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
             f"{branch.direction} has {len(t)} distinct temperatures, "
             f"expected {_FEWEST_BINS} or more for tangents"
         )
-    _check_step(branch.direction, strain)
+    noise = scatter(strain)
+    if float(np.ptp(strain)) < _SMALLEST_STEP * noise:
+        raise InputError(
+            f"{branch.direction}: strain changes by {np.ptp(strain):.3g} with a scatter of "
+            f"{noise:.3g}, no transformation stands out"
+        )
     other = _binned(companion) if companion is not None else None
     drawn: list[_Drawn] = []
     for straight in _STRAIGHT_STRAIN:
@@ -504,15 +509,6 @@ def gap_at(t: Array, where: float) -> float:
     return max(float(np.max(here, initial=0.0)) - 2.0 * float(np.median(steps)), 0.0)
 
 
-def _check_step(direction: str, strain: Array) -> None:
-    noise = scatter(strain)
-    if float(np.ptp(strain)) < _SMALLEST_STEP * noise:
-        raise InputError(
-            f"{direction}: strain changes by {np.ptp(strain):.3g} with a scatter of {noise:.3g}, "
-            "no transformation stands out"
-        )
-
-
 def _draw(
     t: Array, strain: Array, outer: tuple[OuterLine, OuterLine], width: float
 ) -> _Drawn | None:
@@ -555,10 +551,9 @@ def _steep(
         steepness = (share[first] - share[last]) / (t[last] - t[first])
         if steepness > steepest:
             best, steepest = slice(int(first), last + 1), float(steepness)
-    return _steep_line(t[best], strain[best]) if best else None
-
-
-def _steep_line(t: Array, strain: Array) -> tuple[Line, Array] | None:
+    if best is None:
+        return None
+    t, strain = t[best], strain[best]
     # Where the curve is steep the error is in temperature: regress it on strain.
     centred = strain - strain.mean()
     power = float(centred @ centred)

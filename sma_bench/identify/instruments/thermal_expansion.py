@@ -32,6 +32,7 @@ FEWEST_LEVELS = 3
 _SAME_LEVEL = 1.0  # K
 _TAIL = 0.6
 _SLACK = 5.0
+_BAD_MISFIT = 9.0  # chi square per degree of freedom
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,8 @@ class _Plateaus:
 
 
 def identify_thermal_expansion(
-    records: Record | Sequence[Record],
-    parameters: Parameters | None = None,
-    *,
-    temperature: str = "wire.temperature",
-    force: str = "force",
+    records: Record | Sequence[Record], parameters: Parameters | None = None, *,
+    temperature: str = "wire.temperature", force: str = "force",
 ) -> Experiment:
     """Evaluate clamped staircases of temperature.
 
@@ -88,7 +86,18 @@ def identify_thermal_expansion(
             f"{records[0].path}: {levels} temperatures held steady below A_s with the wire tight, "
             f"expected {FEWEST_LEVELS} or more"
         )
-    slope, std, misfit, line = _line(t, t_std, stress, stress_std, group, chosen)
+
+    # One slope, and a zero a record.
+    kinds, centre = np.unique(group[chosen]), float(t[chosen].mean())
+    design = np.column_stack([*((group == k).astype(np.float64) for k in kinds), t - centre])
+    slope = 0.0
+    for _ in range(3):
+        variance = stress_std[chosen] ** 2 + (slope * t_std[chosen]) ** 2
+        floor = (1e-6 * float(np.ptp(stress[chosen])) + 1.0) ** 2
+        fit = fit_linear(design[chosen], stress[chosen], np.diag(variance + floor))
+        slope = float(fit.beta[-1])
+    std = float(fit.std[-1])
+
     # The area behind stress and the camera's scale have errors common to all points.
     shares = {
         "wire.diameter": -2.0 * slope * parameters.std("wire.diameter")
@@ -96,19 +105,24 @@ def identify_thermal_expansion(
         **{name: -slope * parameters.std(name) / parameters[name] for name in CAMERA},
     }
     findings.extend(check_size(slope, math.hypot(std, *shares.values()), parameters))
-    findings.extend(_about_misfit(misfit))
+    if fit.misfit >= _BAD_MISFIT:
+        text = (
+            f"the plateaus scatter {math.sqrt(fit.misfit):.1f} times more about the line than "
+            "their noise: creeping clamps, drifting force, or R-phase; the error is enlarged "
+            "accordingly"
+        )
+        findings.append(Finding("warning", "Theta_T", text, {"misfit": fit.misfit}))
     estimate = Estimate(
         slope, std, "Pa/K",
         f"line through {int(chosen.sum())} plateaus at {levels} temperatures below A_s",
         sum(p.n for p in all_points),
     ).with_shares(shares)
-    return Experiment(
-        name=NAME, title=TITLE, estimates={PARAMETER: estimate}, findings=tuple(findings),
-        curves={
-            "temperature": t, "stress": stress, "used": chosen.astype(np.float64), "line": line,
-        },
-        source="; ".join(str(record.path) for record in records),
-    )
+    curves = {
+        "temperature": t, "stress": stress, "used": chosen.astype(np.float64),
+        "line": design @ fit.beta,
+    }
+    source = "; ".join(str(record.path) for record in records)
+    return Experiment(NAME, TITLE, {PARAMETER: estimate}, tuple(findings), curves, source)
 
 
 def check_size(value: float, std: float, parameters: Parameters) -> list[Finding]:
@@ -223,33 +237,3 @@ def _usable(
         findings.append(Finding("warning", "slack", text))
         below = below & tight
     return np.asarray(below)
-
-
-def _line(
-    t: Array, t_std: Array, stress: Array, stress_std: Array, group: Array, chosen: Array
-) -> tuple[float, float, float, Array]:
-    """Slope and its error, misfit, and the fitted stress at every point; one zero a record."""
-    kinds = np.unique(group[chosen])
-    centre = float(t[chosen].mean())
-
-    def design(of: Array) -> Array:
-        columns = [(group[of] == k).astype(np.float64) for k in kinds]
-        return np.column_stack([*columns, t[of] - centre])
-
-    slope = 0.0
-    for _ in range(3):
-        variance = stress_std[chosen] ** 2 + (slope * t_std[chosen]) ** 2
-        floor = (1e-6 * float(np.ptp(stress[chosen])) + 1.0) ** 2
-        fit = fit_linear(design(chosen), stress[chosen], np.diag(variance + floor))
-        slope = float(fit.beta[-1])
-    return slope, float(fit.std[-1]), fit.misfit, design(np.ones(len(t), dtype=bool)) @ fit.beta
-
-
-def _about_misfit(misfit: float) -> list[Finding]:
-    if misfit < 9.0:
-        return []
-    text = (
-        f"the plateaus scatter {math.sqrt(misfit):.1f} times more about the line than their noise: "
-        "creeping clamps, drifting force, or R-phase; the error is enlarged accordingly"
-    )
-    return [Finding("warning", "Theta_T", text, {"misfit": misfit})]
