@@ -167,7 +167,24 @@ class DeflectionController:
             self._ahead = 0.0
         nominal, applied = np.zeros(self._wires), np.zeros(self._wires)
         if side is not None:
-            wanted, branch = self._feedforward(side, abs(goal), dt)
+            # Power [W] of each wire toward a deflection [m] of this side, and the
+            # branch taken.
+            model, wire, others = side.model, int(np.argmax(side.wires)), 0.0
+            names = list(self._sides)
+            now = self._nominal.contraction
+            if self._coupled:
+                model = SideModel.of(self.parameters, side.name, state=self._nominal.state)
+            else:
+                others = float(sum(now[k] for k, name in enumerate(names) if name != side.name))
+            wanted = abs(goal) / abs(model.lever) + max(others, 0.0)
+            wanted = min(wanted, _LAST_REACHABLE * model.largest_contraction())
+            branch: Branch = "heating" if wanted >= now[names.index(side.name)] else "cooling"
+            state = self._nominal.state
+            kelvin, sigma = float(state.temperature[wire]), float(state.stress[wire])
+            share = model.share(kelvin, sigma, float(state.martensite_fraction[wire]), branch)
+            wanted, branch = float(
+                self.heating.power_toward(model.temperature(wanted, branch, share), kelvin, dt)
+            ), branch
             highest = float(self._budget.highest_power(dt)[side.wires].min())
             limits = OutputLimits(0.0, highest, self.heating.power_rate)
             # What the feed-forward cannot have must not wind up the feedback.
@@ -183,25 +200,6 @@ class DeflectionController:
             return None
         toward = [side for side in self._sides.values() if side.sign * goal > 0.0]
         return toward[0] if toward else None
-
-    def _feedforward(self, side: _Side, goal: float, dt: float) -> tuple[float, Branch]:
-        """Power [W] of each wire toward a deflection [m] of this side, and the branch taken."""
-        model, wire, others = side.model, int(np.argmax(side.wires)), 0.0
-        names = list(self._sides)
-        now = self._nominal.contraction
-        if self._coupled:
-            model = SideModel.of(self.parameters, side.name, state=self._nominal.state)
-        else:
-            others = float(sum(now[k] for k, name in enumerate(names) if name != side.name))
-        wanted = goal / abs(model.lever) + max(others, 0.0)
-        wanted = min(wanted, _LAST_REACHABLE * model.largest_contraction())
-        branch: Branch = "heating" if wanted >= now[names.index(side.name)] else "cooling"
-        state = self._nominal.state
-        kelvin, sigma = float(state.temperature[wire]), float(state.stress[wire])
-        share = model.share(kelvin, sigma, float(state.martensite_fraction[wire]), branch)
-        return float(
-            self.heating.power_toward(model.temperature(wanted, branch, share), kelvin, dt)
-        ), branch
 
     def _power(
         self, side: _Side, branch: Branch, limits: OutputLimits, measured: float, dt: float

@@ -19,7 +19,6 @@ from scipy.ndimage import gaussian_filter1d
 from sma_bench.diagnose.result import Link
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.solver import Fit
-from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.heat import heat_loss, heated_resistance
@@ -65,9 +64,16 @@ def _sees_every_wire(obs: Observation) -> bool:
 def _left_behind_temperature(recalibrated: Fit) -> Array:
     """(n,) what the deflection's block leaves of its signal when measured temperatures drive it."""
     changes = []
+    known = recalibrated.parameters
+    heated = heat_loss(known) * heated_resistance(as_recorded(known))
     for obs in recalibrated.problem.observations:
-        run = obs.simulate(recalibrated.parameters)
-        driven = _driven_by(measured_temperature(obs, run), obs, recalibrated.parameters)
+        run = obs.simulate(known)
+        # The model made to pass through temperatures (n, w) K, ambient at least.
+        ambient = known["environment.ambient_temperature"]
+        volts = np.sqrt(np.maximum(measured_temperature(obs, run) - ambient, 0.0) * heated)
+        ahead = np.vstack([volts[1:], volts[-1:]])  # held until the next time is reached
+        light = known.replace(_LIGHT | {"wire.length": wire_length(known)})
+        driven = obs.simulate(light, ahead)
         changes += [a - b for a, b in zip(obs.readings(driven), obs.readings(run), strict=True)]
     return recalibrated.left - np.concatenate(changes)
 
@@ -79,29 +85,16 @@ def measured_temperature(obs: Observation, run: Simulation) -> Array:
         if signal.quantity == "temperature":
             smooth = gaussian_filter1d(signal.value - reading, _SMOOTHING, mode="nearest")
             left = signal.noise / np.sqrt(2.0 * np.sqrt(np.pi) * _SMOOTHING)
-            correction = _with_play(smooth - smooth[0], _PLAY * left)
+            # A course that follows only beyond `play` on either side.
+            course = smooth - smooth[0]
+            play = _PLAY * left
+            correction = np.empty_like(course)
+            place = course[0]
+            for k, value in enumerate(course):
+                place = min(max(place, value - play), value + play)
+                correction[k] = place
             corrected[:, signal.wire] += np.interp(obs.grid, signal.time, correction)
     return corrected
-
-
-def _with_play(course: Array, play: float) -> Array:
-    """A course that follows only beyond `play` on either side."""
-    followed = np.empty_like(course)
-    place = course[0]
-    for k, value in enumerate(course):
-        place = min(max(place, value - play), value + play)
-        followed[k] = place
-    return followed
-
-
-def _driven_by(temperature: Array, obs: Observation, parameters: Parameters) -> Simulation:
-    """The model made to pass through temperatures (n, w) K, ambient at least."""
-    excess = np.maximum(temperature - parameters["environment.ambient_temperature"], 0.0)
-    heated = heat_loss(parameters) * heated_resistance(as_recorded(parameters))
-    volts = np.sqrt(excess * heated)
-    ahead = np.vstack([volts[1:], volts[-1:]])  # what is held until the next time is reached then
-    as_long = {"wire.length": wire_length(parameters)}
-    return obs.simulate(parameters.replace(_LIGHT | as_long), ahead)
 
 
 def _link(block: str, quantity: str, fitted: Fit, left: Array) -> Link:

@@ -132,7 +132,15 @@ class Weights:
         best = max([0.0, *self._counted.values()])
         scale = scale_of(best)
         logits = {name: self._logit(name, scale) for name in self.gains}
-        doubt = self._doubt(logits)
+        # Log odds that all effects lose to recalibration, where even the best of them
+        # gains only unsteadily: what it gains counts as often as it is told.
+        singles = {name: logit for name, logit in logits.items() if JOIN not in name}
+        steady = [
+            min(logit, self.worth[name]
+                + (self._counted[name] / self.unsteady.get(name, 1.0) - THRESHOLD) / SCALE)
+            for name, logit in singles.items()
+        ]
+        doubt = max(singles.values()) - max(steady) if steady else 0.0
         logits = {name: logit - doubt for name, logit in logits.items()}
         most = LARGEST_SIGN if best <= MUCH else max(LARGEST_BESIDE, self.remains)
         sign = min(max(self.signs, self.surprise), most)
@@ -150,17 +158,6 @@ class Weights:
         extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
         return (single - THRESHOLD + extra) / scale + self.worth[name]
-
-    def _doubt(self, logits: Mapping[str, float]) -> float:
-        """Log odds that all effects lose to recalibration, where even the best of them gains only
-        unsteadily: what it gains counts as often as it is told."""
-        singles = {name: logit for name, logit in logits.items() if JOIN not in name}
-        steady = [
-            min(logit, self.worth[name]
-                + (self._counted[name] / self.unsteady.get(name, 1.0) - THRESHOLD) / SCALE)
-            for name, logit in singles.items()
-        ]
-        return max(singles.values()) - max(steady) if steady else 0.0
 
     @cached_property
     def _counted(self) -> dict[str, float]:
@@ -341,5 +338,3 @@ def _softmax(logits: Mapping[str, float]) -> dict[str, float]:
     values = np.array([logits[name] for name in names])
     powers = np.exp(values - values.max())
     return dict(zip(names, (powers / powers.sum()).tolist(), strict=True))
-
-

@@ -89,7 +89,15 @@ def diagnose(
     """
     if not records:
         raise InputError("diagnose: no record, expected at least one")
-    _refuse_fitted(records, hold_out)
+    # A record that is fitted shows nothing of what a model predicts.
+    paths = {fingerprint(record): record.path for record in records}
+    for record in hold_out:
+        path = paths.get(fingerprint(record))
+        if path is not None:
+            same = "is" if path == record.path else f"holds the samples of {path}, which is"
+            raise InputError(
+                f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
+            )
     progress("records")
     unrelated = [
         replace(f, subject=f"{record.path}, {f.subject}")
@@ -161,18 +169,6 @@ def _next(
     except InputError as error:
         return None, [Finding("warning", "next experiment", f"none is proposed: {error}")]
     return following, _inseparable(following) if decision.verdict == "ambiguous" else []
-
-
-def _refuse_fitted(records: Sequence[Record], hold_out: Sequence[Record]) -> None:
-    """A record that is fitted shows nothing of what a model predicts."""
-    seen = {fingerprint(record): record.path for record in records}
-    for record in hold_out:
-        fitted = seen.get(fingerprint(record))
-        if fitted is not None:
-            same = "is" if fitted == record.path else f"holds the samples of {fitted}, which is"
-            raise InputError(
-                f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
-            )
 
 
 def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:

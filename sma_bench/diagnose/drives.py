@@ -28,7 +28,10 @@ class Drive:
 
     def document(self, level: float, sides: Sequence[str]) -> dict[str, Any]:
         """As a protocol file holds it."""
-        targets = self._targets(sides)
+        one, other = sides[0], sides[-1]
+        targets = {
+            "one side": (one,), "the other side": (other,), "both sides": ("all",),
+        }.get(self.order, (one, other) if one != other else (one,))
         steps: list[dict[str, Any]] = [{"kind": "rest", "duration": _FIRST_REST}]
         left, k = 60.0 * self.minutes - _FIRST_REST, 0
         shares = _SHARES[self.heights]
@@ -53,12 +56,6 @@ class Drive:
     def _pulse(self) -> float:
         warmed = 2.0 * self.seconds if "warmed" in self.order else 0.0
         return self.seconds * (2.0 if self.shape == "triangle" else 1.0) + self.rest + warmed
-
-    def _targets(self, sides: Sequence[str]) -> tuple[str, ...]:
-        one, other = sides[0], sides[-1]
-        return {
-            "one side": (one,), "the other side": (other,), "both sides": ("all",),
-        }.get(self.order, (one, other) if one != other else (one,))
 
     def _steps(self, target: str, volts: float, sides: Sequence[str]) -> list[dict[str, Any]]:
         steps: list[dict[str, Any]] = []

@@ -5,7 +5,7 @@ one stretch and found again in another; a sensor's drift cannot. The response is
 features of the simulation with independent Gaussian weights, whose size is the most likely one.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +56,13 @@ def flexible_residual(fitted: Fit) -> Flexible:
     It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
     """
     made = [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
-    columns = _columns(key for some in made for key, _ in some)
+    # Records share the features of a signal that they share.
+    columns: dict[Key, slice] = {}
+    first = 0
+    for key in ((key for some in made for key, _ in some)):
+        if key not in columns:
+            columns[key] = slice(first, first + key[1])
+            first += key[1]
     features = np.vstack([_placed(some, columns) for some in made])
     own = _likelihood(fitted.problem, fitted.left)
     problem = replace(
@@ -68,34 +74,30 @@ def flexible_residual(fitted: Fit) -> Flexible:
     )
     best = Flexible(0.0, np.zeros_like(fitted.left), np.zeros(features.shape[1]), columns)
     for _ in range(_ROUNDS):
-        marginal, weights = _most_likely(problem, fitted, features)
+        # Gain of the features in marginal likelihood, and their weights, with the
+        # likeliest size.
+        rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
+        normal = rows.T @ rows + np.eye(rows.shape[1])
+        phi, base = problem.whiten(features), problem.whiten(fitted.left)
+        # What the fitted unknowns can still take up is not the features' to explain.
+        across = rows.T @ phi
+        taken = np.linalg.solve(normal, np.column_stack([across, rows.T @ base]))
+        gram = phi.T @ phi - across.T @ taken[:, :-1]
+        values, vectors = np.linalg.eigh(gram)
+        values = np.maximum(values, 0.0)
+        turned = vectors.T @ (phi.T @ base - across.T @ taken[:, -1])
+        marginal, weights = 0.0, np.zeros(len(turned))
+        for size in _SIZES:
+            shrunk = turned / (values + 1.0 / size**2)
+            gain = 0.5 * float(turned @ shrunk - np.sum(np.log1p(size**2 * values)))
+            if gain > marginal:
+                marginal, weights = gain, vectors @ shrunk
         gain = _likelihood(problem, fitted.left) + marginal - own
         response = features @ weights
         if gain > best.gain:
             best = Flexible(gain, response, weights, columns)
         problem = problem.with_noise(fitted.left - response)
     return replace(best, gap=largest_gap(fitted.problem, best.response))
-
-
-def _most_likely(problem: Problem, fitted: Fit, features: Array) -> tuple[float, Array]:
-    """Gain of the features in marginal likelihood, and their weights, with the likeliest size."""
-    rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
-    normal = rows.T @ rows + np.eye(rows.shape[1])
-    phi, base = problem.whiten(features), problem.whiten(fitted.left)
-    # What the fitted unknowns can still take up is not the features' to explain.
-    across = rows.T @ phi
-    taken = np.linalg.solve(normal, np.column_stack([across, rows.T @ base]))
-    gram = phi.T @ phi - across.T @ taken[:, :-1]
-    values, vectors = np.linalg.eigh(gram)
-    values = np.maximum(values, 0.0)
-    turned = vectors.T @ (phi.T @ base - across.T @ taken[:, -1])
-    best, weights = 0.0, np.zeros(len(turned))
-    for size in _SIZES:
-        shrunk = turned / (values + 1.0 / size**2)
-        gain = 0.5 * float(turned @ shrunk - np.sum(np.log1p(size**2 * values)))
-        if gain > best:
-            best, weights = gain, vectors @ shrunk
-    return best, weights
 
 
 def _likelihood(problem: Problem, residual: Array) -> float:
@@ -111,17 +113,6 @@ def _features(obs: Observation, simulation: Simulation) -> list[tuple[Key, Array
         for signal in obs.signals
     ]
     return [((s.name, b.shape[1]), b) for s, b in zip(obs.signals, blocks, strict=True)]
-
-
-def _columns(keys: Iterable[Key]) -> dict[Key, slice]:
-    """Records share the features of a signal that they share."""
-    columns: dict[Key, slice] = {}
-    first = 0
-    for key in keys:
-        if key not in columns:
-            columns[key] = slice(first, first + key[1])
-            first += key[1]
-    return columns
 
 
 def _placed(blocks: list[tuple[Key, Array]], columns: Mapping[Key, slice]) -> Array:
@@ -140,7 +131,19 @@ def _of_signal(signal: BinnedSignal, obs: Observation, simulation: Simulation) -
     courses = [clock, clock**2]
     if signal.quantity == "deflection":
         for side in dict.fromkeys(obs.sides):
-            courses += _of_side(side, obs, simulation)
+            own = [k for k, name in enumerate(obs.sides) if name == side]
+            number = list(dict.fromkeys(obs.sides)).index(side)
+            stroke = _unit(simulation.contraction[:, number])
+            mean = np.mean(simulation.temperature[:, own], axis=1)
+            rise = _unit(mean - simulation.temperature.min())
+            xi = np.mean(simulation.martensite_fraction[:, own], axis=1)
+            turning = np.gradient(xi, obs.grid)
+            courses += [
+                *(_remembered(stroke, memory, obs.grid) for memory in _MEMORIES),
+                stroke, stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke),
+                rise, rise**2, np.maximum(rise - 0.5, 0.0),
+                xi * (1.0 - xi), turning, np.sign(turning),
+            ]
     else:
         courses += _of_wire(signal.wire, obs, simulation)
     for course in courses:
@@ -162,20 +165,6 @@ def _of_wire(wire: int, obs: Observation, simulation: Simulation) -> list[Array]
     return [
         *courses, rise, rise**2, np.maximum(rise - 0.5, 0.0), 1.0 - xi,
         _unit(np.gradient(own, obs.grid)), np.gradient(xi, obs.grid),
-    ]
-
-
-def _of_side(side: str, obs: Observation, simulation: Simulation) -> list[Array]:
-    own = [k for k, name in enumerate(obs.sides) if name == side]
-    number = list(dict.fromkeys(obs.sides)).index(side)
-    stroke = _unit(simulation.contraction[:, number])
-    rise = _unit(np.mean(simulation.temperature[:, own], axis=1) - simulation.temperature.min())
-    xi = np.mean(simulation.martensite_fraction[:, own], axis=1)
-    turning = np.gradient(xi, obs.grid)
-    return [
-        *(_remembered(stroke, memory, obs.grid) for memory in _MEMORIES),
-        stroke, stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke),
-        rise, rise**2, np.maximum(rise - 0.5, 0.0), xi * (1.0 - xi), turning, np.sign(turning),
     ]
 
 

@@ -100,7 +100,11 @@ class Matter:
         self.most = max(given(believed, plain) for plain in _PLAIN) - self.before
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
-        self.level = _highest(observations, parameters)
+        # The voltage that the bench has stood so far, as it is commanded.
+        seen = max(float(obs.voltage.max()) for obs in observations)
+        if parameters["bench.drive"] == "duty":  # records hold the direct voltage of that heat
+            seen = seen**2 / parameters["bench.supply_voltage"]
+        self.level = min(seen, float(parameters["bench.maximum_voltage"]))
         self.minutes, self.records = sum(map(_minutes, observations)), len(observations)
 
     def leading(self) -> dict[str, Fit]:
@@ -162,7 +166,30 @@ def next_experiment(
     """
     matter = Matter(decision, search, weights, observations, parameters)
     if decision.verdict == UNEXPLAINED:
-        return _of_what_is_missing(matter)
+        # The known drive that shows most a minute of what no effect explains, as far as a smooth
+        # response of free form tells it; None where the records have shown as much.
+        missing, recalibrated = matter.search.flexible, matter.search.recalibrated
+        if not missing.gain > 0.0:
+            return None
+        so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
+        shown = []
+        for drive in KNOWN:
+            document = drive.document(matter.level, matter.sides)
+            planned = _planned(document, recalibrated.problem, matter, ())
+            (obs,) = planned.observations
+            _require_cool(obs, recalibrated.parameters)
+            term = missing.on(obs, obs.simulate(recalibrated.parameters))
+            size = float(np.linalg.norm(planned.whiten(term)))
+            minutes = _minutes(obs)
+            shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
+        _, size, minutes, document = max(shown, key=lambda one: one[0])
+        if size < so_far:
+            return None
+        why = (
+            f"{document['description']}: would show what no effect explains by {size:.0f} standard "
+            "deviations, as far as a smooth response of free form tells it"
+        )
+        return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
     if len(decision.credible) == 1 or matter.most < WORTH:
         return None
     tests = [_test(name, matter) for name in TESTS]
@@ -170,49 +197,13 @@ def next_experiment(
     drives = _drives(matter) if len(matter.fits) > 1 else []
     if drives:
         options += [_driven(drives[0], matter, matter.fits)]
-        options += _with_a_sensor(drives[0], matter)
+        # The same drive with each sensor that the bench does not have.
+        options += [
+            _driven(drives[0], matter, matter.fits, mounted=(q,), minutes=_MOUNTED[q][2])
+            for q in _MOUNTED if q not in matter.observation.quantities
+        ]
     if not options:
         return None
-    return _quickest(options)
-
-
-def _parts(name: str) -> frozenset[str]:
-    """Effects in a candidate's name."""
-    return frozenset(() if name == RECALIBRATION else name.split(JOIN))
-
-
-def _minutes(obs: Observation) -> float:
-    return float(obs.grid[-1] - obs.grid[0]) / 60.0
-
-
-def _of_what_is_missing(matter: Matter) -> NextExperiment | None:
-    """The known drive that shows most a minute of what no effect explains, as far as a smooth
-    response of free form tells it; None where the records have shown as much."""
-    missing, recalibrated = matter.search.flexible, matter.search.recalibrated
-    if not missing.gain > 0.0:
-        return None
-    so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
-    shown = []
-    for drive in KNOWN:
-        document = drive.document(matter.level, matter.sides)
-        planned = _planned(document, recalibrated.problem, matter, ())
-        (obs,) = planned.observations
-        _require_cool(obs, recalibrated.parameters)
-        term = missing.on(obs, obs.simulate(recalibrated.parameters))
-        size = float(np.linalg.norm(planned.whiten(term)))
-        minutes = _minutes(obs)
-        shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
-    _, size, minutes, document = max(shown, key=lambda one: one[0])
-    if size < so_far:
-        return None
-    why = (
-        f"{document['description']}: would show what no effect explains by {size:.0f} standard "
-        "deviations, as far as a smooth response of free form tells it"
-    )
-    return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
-
-
-def _quickest(options: Sequence[NextExperiment]) -> NextExperiment:
     most = max(option.worth for option in options)
     good = [o for o in options if o.worth >= most - (1.0 - _AS_GOOD) * abs(most)]
     ranked = sorted(good, key=lambda o: o.worth / (o.minutes + _SETUP), reverse=True)
@@ -229,6 +220,15 @@ def _quickest(options: Sequence[NextExperiment]) -> NextExperiment:
             for o in others[:2]
         )
     return replace(first, why=why)
+
+
+def _parts(name: str) -> frozenset[str]:
+    """Effects in a candidate's name."""
+    return frozenset(() if name == RECALIBRATION else name.split(JOIN))
+
+
+def _minutes(obs: Observation) -> float:
+    return float(obs.grid[-1] - obs.grid[0]) / 60.0
 
 
 def _drives(matter: Matter) -> list[dict[str, Any]]:
@@ -248,7 +248,8 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
 
     def merit(drive: Drive, directions: int) -> float | str:
         try:
-            return _merit(_driven(document(drive), matter, leading, directions))
+            found = _driven(document(drive), matter, leading, directions)
+            return found.worth - 0.002 * found.minutes
         except InputError as error:
             return str(error)
 
@@ -285,11 +286,6 @@ def _drives(matter: Matter) -> list[dict[str, Any]]:
     return [document(drive) for drive in ranked()]
 
 
-def _merit(found: NextExperiment) -> float:
-    """Worth; where a short drive does as well as a long one, the short one's."""
-    return found.worth - 0.002 * found.minutes
-
-
 def _driven(
     document: Mapping[str, Any], matter: Matter, fits: Mapping[str, Fit],
     most: int | None = None, mounted: Sequence[str] = (), minutes: float = 0.0,
@@ -322,15 +318,6 @@ def _require_cool(planned: Observation, parameters: Parameters) -> None:
         )
 
 
-def _with_a_sensor(document: Mapping[str, Any], matter: Matter) -> list[NextExperiment]:
-    """The same drive with each sensor that the bench does not have."""
-    missing = [q for q in _MOUNTED if q not in matter.observation.quantities]
-    return [
-        _driven(document, matter, matter.fits, mounted=(q,), minutes=_MOUNTED[q][2])
-        for q in missing
-    ]
-
-
 def _test(name: str, matter: Matter) -> NextExperiment | None:
     """A test of the paper, of the parameters that it would know better than they are known; a
     cause that is in its readings is as open after it as before."""
@@ -361,14 +348,6 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
         name, f"{test.title} ({', '.join(leaves)})", test.minutes,
         _tellings(predicted, spaces), parameters=leaves,
     )
-
-
-def _highest(observations: Sequence[Observation], parameters: Parameters) -> float:
-    """The voltage that the bench has stood so far, as it is commanded."""
-    seen = max(float(obs.voltage.max()) for obs in observations)
-    if parameters["bench.drive"] == "duty":  # a record holds the direct voltage of the same heat
-        seen = seen**2 / parameters["bench.supply_voltage"]
-    return min(seen, float(parameters["bench.maximum_voltage"]))
 
 
 # --- What an experiment would show of each cause.

@@ -54,8 +54,18 @@ def shrinkage(
         models = [obs.readings(obs.simulate(p)) for p in (nominal, recalibrated, improved)]
         for signal, *readings in zip(obs.signals, *models, strict=True):
             noise = noises[signal.name]
+            # (blocks, models) sums of squares of samples, and (blocks,) counts.
+            which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)
+            _, which = np.unique(which, return_inverse=True)
+            # A bin's mean hides most of its samples' white noise: it is added again.
+            hidden = noise.white**2 * np.median(signal.count) * (signal.count - 1.0)
+            rows = [
+                np.bincount(which, signal.count * (signal.value - model) ** 2 + hidden)
+                for model in readings
+            ]
+            counts = np.bincount(which, signal.count).astype(np.float64)
             found.setdefault(signal.quantity, []).append(
-                (*_blocks(signal, readings, noise), _floor(signal, noise))
+                (*(np.column_stack(rows).astype(np.float64), counts), _floor(signal, noise))
             )
     return {quantity: _of(parts) for quantity, parts in found.items()}
 
@@ -100,22 +110,6 @@ def _states(obs: Observation, parameters: Parameters) -> Array:
 def _floor(signal: BinnedSignal, noise: Noise) -> float:
     """Variance of a sample's noise."""
     return float(noise.white**2 * np.median(signal.count) + noise.drift**2)
-
-
-def _blocks(
-    signal: BinnedSignal, readings: Sequence[Array], noise: Noise
-) -> tuple[Array, Array]:
-    """(blocks, models) sums of squares of samples, and (blocks,) counts."""
-    which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)
-    _, which = np.unique(which, return_inverse=True)
-    # A bin's mean hides most of its samples' white noise: it is added again.
-    hidden = noise.white**2 * np.median(signal.count) * (signal.count - 1.0)
-    rows = [
-        np.bincount(which, signal.count * (signal.value - model) ** 2 + hidden)
-        for model in readings
-    ]
-    counts = np.bincount(which, signal.count).astype(np.float64)
-    return np.column_stack(rows).astype(np.float64), counts
 
 
 def _of(parts: list[tuple[Array, Array, float]]) -> Shrinkage:

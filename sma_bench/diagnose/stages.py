@@ -63,18 +63,15 @@ def stages_of(decision: Decision, found: Search, missing: Sequence[Cell]) -> dic
     for candidate in decision.candidates:
         share = candidate.probability
         if candidate.name == UNEXPLAINED:
-            share -= _without_a_sign(decision)
+            benign = sum(
+                c.probability for c in decision.candidates if c.name in (RECALIBRATION, NO_GAP)
+            )
+            share -= float(np.exp(UNSEEN)) * benign
         if share > 0.0:
             for stage, part in _stages_of_candidate(candidate, found, missing).items():
                 shares[stage] = shares.get(stage, 0.0) + share * part
     ranked = sorted(shares, key=lambda s: shares[s], reverse=True)
     return {s: shares[s] for s in ranked} or {_moved_furthest(found)[0]: 0.0}
-
-
-def _without_a_sign(decision: Decision) -> float:
-    """What `unexplained` has because a record without a sign is no proof."""
-    benign = sum(c.probability for c in decision.candidates if c.name in (RECALIBRATION, NO_GAP))
-    return float(np.exp(UNSEEN)) * benign
 
 
 def _stages_of_candidate(
@@ -137,7 +134,11 @@ def _stages_of_missing(found: Search, missing: Sequence[Cell]) -> dict[str, floa
     if found.left_by_best.outlier > LEFT_OUTLIER and not off:
         return {_OF_AN_EVENT.get(_quantity(found.left_by_best.event), MECHANICAL): 1.0}
     if found.flexible.gain > FLEXIBLE:
-        off |= _noticed(missing)
+        noticed: dict[str, float] = {}
+        for cell in missing:
+            quantity = _quantity(cell.signal)
+            noticed[quantity] = noticed.get(quantity, 0.0) + cell.share
+        off |= {quantity for quantity, share in noticed.items() if share > _NOTICEABLE}
     seen = {_quantity(cell.signal) for cell in missing}
     like = [n for n in found.ranked if not off or set(EFFECTS[n].acts_on) & seen == off]
     if not like:
@@ -150,15 +151,6 @@ def _stages_of_missing(found: Search, missing: Sequence[Cell]) -> dict[str, floa
         stage: str = EFFECTS[name].stage
         shares[stage] = shares.get(stage, 0.0) + float(share)
     return shares
-
-
-def _noticed(missing: Sequence[Cell]) -> set[str]:
-    """Quantities that have a fair share of it."""
-    shares: dict[str, float] = {}
-    for cell in missing:
-        quantity = _quantity(cell.signal)
-        shares[quantity] = shares.get(quantity, 0.0) + cell.share
-    return {quantity for quantity, share in shares.items() if share > _NOTICEABLE}
 
 
 def _quantity(signal: str) -> str:

@@ -60,7 +60,12 @@ def with_tails(fitted: Fit) -> tuple[Fit, tuple[str, ...]]:
         return fitted, ()
     unknowns, far = widened(fitted.unknowns, off)
     again = fit(fitted.problem, unknowns, fitted.x / far, rounds=2)
-    found = _as_stated(again, fitted.unknowns, far)
+    # The same place, x in the deviations of `unknowns`.
+    both = np.concatenate([far, np.ones(len(again.z))])
+    found = replace(
+        again, unknowns=fitted.unknowns, x=again.x * far, joint=again.joint * np.outer(both, both),
+        derivatives=again.derivatives / far,
+    )
     found = replace(found, evidence=found.evidence + len(off) * float(np.log(RARE)))
     return (found, off) if found.evidence > fitted.evidence else (fitted, ())
 
@@ -76,12 +81,3 @@ def _widths(unknowns: Unknowns) -> Array:
     """(k,) deviations of each parameter's tail, as stated ones."""
     known = measured(unknowns.base)
     return np.array([MEASURED if name in known else WIDE for name in unknowns.names])
-
-
-def _as_stated(found: Fit, unknowns: Unknowns, far: Array) -> Fit:
-    """The same place, x in the deviations of `unknowns`."""
-    both = np.concatenate([far, np.ones(len(found.z))])
-    return replace(
-        found, unknowns=unknowns, x=found.x * far, joint=found.joint * np.outer(both, both),
-        derivatives=found.derivatives / far,
-    )

@@ -226,15 +226,7 @@ def resolution(values: Array) -> float:
     if len(levels) < 2 or len(levels) > _FEW_LEVELS * len(values):
         return 0.0
     gaps = np.diff(levels)
-    step = _common_step(gaps)
-    if step == 0.0 or step < 0.4 * float(gaps.min()):
-        return step
-    single = np.abs(np.abs(np.diff(values)) - step) < 0.1 * step
-    return step if float(np.mean(single)) > _OFTEN else 0.0
-
-
-def _common_step(gaps: Array) -> float:
-    """Greatest common divisor of measured gaps (Euclid), 0 where there is none to speak of."""
+    # Greatest common divisor of measured gaps (Euclid), 0 where there is none to speak of.
     smallest = _EXACT * float(gaps.min())
     step = float(gaps[0])
     for gap in np.unique(np.round(gaps, 9)):
@@ -244,7 +236,11 @@ def _common_step(gaps: Array) -> float:
             # A remainder just below the divisor is rounding, not a remainder.
             a, b = b, 0.0 if b - rest < smallest else rest
         step = a
-    return step if step > 2.0 * smallest else 0.0
+    step = step if step > 2.0 * smallest else 0.0
+    if step == 0.0 or step < 0.4 * float(gaps.min()):
+        return step
+    single = np.abs(np.abs(np.diff(values)) - step) < 0.1 * step
+    return step if float(np.mean(single)) > _OFTEN else 0.0
 
 
 def coherence(inputs: Array, step: float, shape: Array | float = 1.0) -> Array:

@@ -164,7 +164,9 @@ class Observation:
         """The same record on cells of a quarter of a bin, for differences: what coarse cells are
         off by drops out of them. It is this one where little would be gained."""
         cell = 0.25 * min((signal.period for signal in self.signals), default=0.0)
-        grid = _every(self.grid, cell)
+        wanted = np.arange(self.grid[0], self.grid[-1], cell) if cell > 0.0 else self.grid
+        nearest = np.searchsorted(0.5 * (self.grid[1:] + self.grid[:-1]), wanted)
+        grid = self.grid[np.unique(np.append(nearest, len(self.grid) - 1))]
         if self.holds or len(grid) > _WORTHWHILE * len(self.grid):
             return self
         onto = _interpolation(grid, self.grid)
@@ -187,7 +189,39 @@ class Observation:
         volts = self.voltage if voltage is None else voltage
         volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
         if self.holds:
-            return self._under_loads(parameters, volts, loads)
+            # One hold after the other, each from where the last one ended.
+            errors = np.zeros(len(self.holds)) if loads is None else loads
+            begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
+            ends = [*begins[1:].tolist(), len(self.grid)]
+            parts: list[Simulation] = []
+            bench: Bench | None = None
+            for hold, error, begin, end in zip(
+                self.holds, errors.tolist(), begins.tolist(), ends, strict=True
+            ):
+                span = slice(begin - 1 if parts else 0, end)
+                if end <= span.start + bool(parts):
+                    continue
+                if bench is None:
+                    load = hold.boundary(error, parameters)
+                    bench = Bench(parameters, initial=Kernel(parameters, load).rest, boundary=load)
+                else:
+                    bench.pull_against(hold.boundary(error, parameters))
+                parts.append(bench.follow(self.grid[span], volts[span]))
+            # One simulation of parts, each of which begins with the last sample of the one before.
+            if len(parts) == 1:
+                return parts[0]
+            histories = (
+                "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
+                "bending", "temperature_reading",
+            )
+            first, *others = parts
+            joined: dict[str, Any] = {
+                name: np.concatenate(
+                    [getattr(first, name), *(getattr(p, name)[1:] for p in others)]
+                )
+                for name in histories
+            }
+            return replace(first, final=parts[-1].final, **joined)
         return simulate(parameters, self.grid, volts, initial=Kernel.of(parameters, None).rest)
 
     def own_bench(self, parameters: Parameters) -> Parameters:
@@ -196,29 +230,6 @@ class Observation:
         if tuple(parameters["bench.channels"]) != self.channels:
             parameters = parameters.replace(own)
         return parameters if self.ohms else as_recorded(parameters)
-
-    def _under_loads(
-        self, parameters: Parameters, volts: Array, loads: Array | None
-    ) -> Simulation:
-        """One hold after the other, each from where the last one ended."""
-        errors = np.zeros(len(self.holds)) if loads is None else loads
-        begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
-        ends = [*begins[1:].tolist(), len(self.grid)]
-        parts: list[Simulation] = []
-        bench: Bench | None = None
-        for hold, error, begin, end in zip(
-            self.holds, errors.tolist(), begins.tolist(), ends, strict=True
-        ):
-            span = slice(begin - 1 if parts else 0, end)
-            if end <= span.start + bool(parts):
-                continue
-            if bench is None:
-                load = hold.boundary(error, parameters)
-                bench = Bench(parameters, initial=Kernel(parameters, load).rest, boundary=load)
-            else:
-                bench.pull_against(hold.boundary(error, parameters))
-            parts.append(bench.follow(self.grid[span], volts[span]))
-        return _joined(parts)
 
     def readings(self, simulation: Simulation) -> list[Array]:
         """What the model's sensors read, one (b,) array a signal."""
@@ -299,22 +310,6 @@ def _course(quantity: str, simulation: Simulation) -> Array:
     return current(simulation.parameters, 1.0, *state)
 
 
-def _joined(parts: Sequence[Simulation]) -> Simulation:
-    """One simulation of parts, each of which begins with the last sample of the one before."""
-    if len(parts) == 1:
-        return parts[0]
-    histories = (
-        "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
-        "bending", "temperature_reading",
-    )
-    first, *others = parts
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(first, name), *(getattr(p, name)[1:] for p in others)])
-        for name in histories
-    }
-    return replace(first, final=parts[-1].final, **joined)
-
-
 # --- from a record ------------------------------------------------------------------------------
 
 
@@ -373,7 +368,38 @@ def observe(
             neither holds a load nor the clamps.
     """
     rig = find_rig(record, parameters)
-    grid = _grid(rig, time_constant(parameters) / _CELLS)
+
+    # Times that are simulated: an even grid (n,), with only every so many points where voltages
+    # have been held for long; finer behind a jump, and on both sides of it.
+    start, stop = rig.start, rig.stop
+    cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
+    sampled = sum(len(measured.time) for measured in rig.measured)
+    most = min(_MOST_CELLS + _CELLS_A_SAMPLE * sampled, _END_OF_CELLS)
+    cell = max(cell, (stop - start) / most)
+    even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
+    volts = np.column_stack([rig.voltage.at(k, even) for k in range(len(rig.voltage.channels))])
+    changes = np.abs(np.diff(volts, axis=0, prepend=volts[:1])).max(axis=1)
+    changed = changes > _HELD * max(float(volts.max()), 1e-9)
+    last = np.maximum.accumulate(np.where(changed, even, -np.inf))
+    first = np.minimum.accumulate(np.where(changed, even, np.inf)[::-1])[::-1]
+    moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
+    stride = max(1, round(_LONG_CELL / cell))
+    even = even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
+    finest = max(time_constant(parameters) / _CELLS, 2.0 * _NARROW)
+    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, finest))
+    loads = [hold.start for hold in rig.holds]
+    jumps = np.unique(np.concatenate([rig.voltage.early, rig.voltage.late, loads]))
+    jumps = jumps[(jumps > start) & (jumps < even[-1])]
+    after = np.add.outer(rig.voltage.late, fine).ravel()
+    others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
+    others = np.concatenate([others, *map(_within, rig.voltage.early, rig.voltage.late)])
+    around = np.concatenate([[-np.inf], jumps, [np.inf]])
+    k = np.searchsorted(around, others)
+    near = np.asarray(np.minimum(around[k] - others, others - around[k - 1]))
+    near[others <= start] = np.inf
+    grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
+    grid = grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
+
     known = [m for m in _known_history(rig, parameters) if m.quantity in quantities]
     if not known and any(m.quantity in quantities for m in rig.measured):
         wait = _FORGOTTEN * time_constant(parameters)
@@ -413,7 +439,23 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
     # Of a record with one wire of a beam, or a bare one of the same alloy, the tip is not asked.
     tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
-    everything = _measured(record, channels, holds, moves, tip)
+    found = []
+    for wire, channel in enumerate(channels):
+        for quantity in ("current", "temperature"):
+            name = f"{channel}.{quantity}"
+            if has_samples(record, name):
+                found.append(Measured(name, quantity, wire, *samples(record, name)))
+    if tip:
+        found += _deflection(record)
+    elif moves:
+        for quantity, name in (("deflection", "elongation"), ("force", "force")):
+            if has_samples(record, name):
+                found.append(Measured(quantity, quantity, 0, *samples(record, name)))
+    elif holds:
+        response = "force" if holds[0].clamped else "elongation"
+        if has_samples(record, response):
+            found.append(Measured(response, response, 0, *samples(record, response)))
+    everything = [m for m in found if len(m.time) >= _FEWEST_SAMPLES]
     measured = tuple(_without_load_changes(_without_jumps(m, voltage), holds) for m in everything)
     if not measured:
         raise InputError(
@@ -438,28 +480,6 @@ def pulls_a_load(record: Record, parameters: Parameters) -> bool:
     kind = load_kind(parameters)
     held = kind == "force" and has_samples(record, "force")
     return kind in LOADS and not held
-
-
-def _measured(
-    record: Record, channels: tuple[str, ...], holds: tuple[Hold, ...], moves: bool, tip: bool
-) -> list[Measured]:
-    found = []
-    for wire, channel in enumerate(channels):
-        for quantity in ("current", "temperature"):
-            name = f"{channel}.{quantity}"
-            if has_samples(record, name):
-                found.append(Measured(name, quantity, wire, *samples(record, name)))
-    if tip:
-        found += _deflection(record)
-    elif moves:
-        for quantity, name in (("deflection", "elongation"), ("force", "force")):
-            if has_samples(record, name):
-                found.append(Measured(quantity, quantity, 0, *samples(record, name)))
-    elif holds:
-        response = "force" if holds[0].clamped else "elongation"
-        if has_samples(record, response):
-            found.append(Measured(response, response, 0, *samples(record, response)))
-    return [m for m in found if len(m.time) >= _FEWEST_SAMPLES]
 
 
 def _deflection(record: Record) -> list[Measured]:
@@ -504,56 +524,10 @@ def _known_history(rig: Rig, parameters: Parameters) -> list[Measured]:
     return [m.where(m.time >= begin) for m in rig.measured if np.sum(m.time >= begin) > 1]
 
 
-def _grid(rig: Rig, finest: float) -> Array:
-    start, stop = rig.start, rig.stop
-    cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
-    sampled = sum(len(measured.time) for measured in rig.measured)
-    most = min(_MOST_CELLS + _CELLS_A_SAMPLE * sampled, _END_OF_CELLS)
-    cell = max(cell, (stop - start) / most)
-    even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
-    even = _thinned(even, rig.voltage, max(1, round(_LONG_CELL / cell)))
-    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(finest, 2.0 * _NARROW)))
-    loads = [hold.start for hold in rig.holds]
-    jumps = np.unique(np.concatenate([rig.voltage.early, rig.voltage.late, loads]))
-    jumps = jumps[(jumps > start) & (jumps < even[-1])]
-    after = np.add.outer(rig.voltage.late, fine).ravel()
-    others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
-    others = np.concatenate([others, *map(_within, rig.voltage.early, rig.voltage.late)])
-    near = _to_the_nearest(jumps, others)
-    near[others <= start] = np.inf
-    grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
-    return grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
-
-
 def _within(early: float, late: float) -> Array:
     """Points between two samples far apart: heat before a jump has cooled off after it."""
     cells = int((late - early) / _FINE_CELL) if _FAR_APART < late - early < _LONG_CELL else 1
     return np.linspace(early, late, cells + 1)[1:-1]
-
-
-def _every(grid: Array, cell: float) -> Array:
-    """Points of a grid (n,) as far apart as they are nearest to `cell` s from the first."""
-    wanted = np.arange(grid[0], grid[-1], cell) if cell > 0.0 else grid
-    nearest = np.searchsorted(0.5 * (grid[1:] + grid[:-1]), wanted)
-    return grid[np.unique(np.append(nearest, len(grid) - 1))]
-
-
-def _to_the_nearest(jumps: Array, points: Array) -> Array:
-    """(n,) how far each point is from the nearest jump; jumps are in order."""
-    around = np.concatenate([[-np.inf], jumps, [np.inf]])
-    k = np.searchsorted(around, points)
-    return np.asarray(np.minimum(around[k] - points, points - around[k - 1]))
-
-
-def _thinned(even: Array, voltage: AppliedVoltage, stride: int) -> Array:
-    """An even grid (n,) with only every so many points where voltages have been held for long."""
-    volts = np.column_stack([voltage.at(k, even) for k in range(len(voltage.channels))])
-    changes = np.abs(np.diff(volts, axis=0, prepend=volts[:1])).max(axis=1)
-    changed = changes > _HELD * max(float(volts.max()), 1e-9)
-    last = np.maximum.accumulate(np.where(changed, even, -np.inf))
-    first = np.minimum.accumulate(np.where(changed, even, np.inf)[::-1])[::-1]
-    moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
-    return even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
 
 
 def _own_bin(measured: Measured) -> float:

@@ -101,7 +101,28 @@ def result_of(
 
     `scales`: of `scale_errors`, where the errors are to hold those of the sensors' scales.
     """
-    apart = _factors(fitted)
+    # A product's deviation x splits by the priors: own share w of it, w' = sqrt(1 - w^2) the
+    # partner's, and w' n against w n, which no record tells, n of unit prior.
+    unknowns = fitted.unknowns
+    split = [k for k, item in enumerate(unknowns.items) if item.partner]
+    items, origin, rows = [], [], []
+    for k, item in enumerate(unknowns.items):
+        row, other = np.zeros((2, len(unknowns.items) + len(split)))
+        row[k] = share = item.share
+        if item.partner:
+            rest = float(np.sqrt(1.0 - share**2))
+            place = len(unknowns.items) + split.index(k)
+            row[place], other[k], other[place] = rest, rest, -share
+        for name, std, own in (
+            (item.name, item.own_std if item.partner else item.std, row),
+            (item.partner, rest * item.std if item.partner else 0.0, other),
+        ):
+            if name and std > 0.0:
+                items.append(_factor(name, std, item, fitted))
+                origin.append(k)
+                rows.append(own)
+    turn = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
+    apart = _Factors(items, origin, turn, len(split))
     turn = fitted.unknowns.turn(fitted.x)
     of_numbers = turn @ fitted.covariance @ turn.T
     covariance = apart.turn @ block_diag(of_numbers, np.eye(apart.open)) @ apart.turn.T
@@ -142,31 +163,6 @@ class _Factors:
     origin: list[int]
     turn: Array
     open: int
-
-
-def _factors(fitted: Fit) -> _Factors:
-    """A product's deviation x splits by the priors: own share w of it, w' = sqrt(1 - w^2) the
-    partner's, and w' n against w n, which no record tells, n of unit prior."""
-    unknowns = fitted.unknowns
-    split = [k for k, item in enumerate(unknowns.items) if item.partner]
-    items, origin, rows = [], [], []
-    for k, item in enumerate(unknowns.items):
-        row, other = np.zeros((2, len(unknowns.items) + len(split)))
-        row[k] = share = item.share
-        if item.partner:
-            rest = float(np.sqrt(1.0 - share**2))
-            place = len(unknowns.items) + split.index(k)
-            row[place], other[k], other[place] = rest, rest, -share
-        for name, std, own in (
-            (item.name, item.own_std if item.partner else item.std, row),
-            (item.partner, rest * item.std if item.partner else 0.0, other),
-        ):
-            if name and std > 0.0:
-                items.append(_factor(name, std, item, fitted))
-                origin.append(k)
-                rows.append(own)
-    turn = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
-    return _Factors(items, origin, turn, len(split))
 
 
 def _factor(name: str, std: float, item: Unknown, fitted: Fit) -> Unknown:

@@ -349,7 +349,23 @@ def unknowns_of(
     stds = together.stds if together else {}
     found = {}
     for name in names:
-        item = _of_bench(name, parameters, derived, names, stds)
+        mean = derived.get(name, parameters[name])
+        std = stds.get(name, 0.0) if name in TEMPERATURES else parameters.std(name)
+        if name in derived and name not in parameters.given_uncertainty and not parameters[name]:
+            std = max(std, _DERIVED_STD * mean)
+        own, partner = std, PRODUCTS.get(name, "")
+        if partner and partner not in names:
+            std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
+        else:
+            partner = ""
+        low, high = _range(name)
+        above = name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ())
+        low = _ABOVE_NOTHING * mean if above else low
+        log = name not in _STRAIGHT and low > 0.0
+        # A prior that is wider than the range is as wide as that.
+        widest = (mean * math.log(high / low) if log else high - low) / max(std, _SMALLEST)
+        std, own = (min(1.0, widest) * one for one in (std, own))
+        item = Unknown(name, mean, std, low, high, log, (), partner, own)
         if item.std > 0.0:
             found[name] = item
     if not sides_apart and _alike(found):
@@ -361,29 +377,6 @@ def unknowns_of(
     items = (*found.values(), *(item for item in extra if item.std > 0.0))
     moving = together if stds else None
     return Unknowns(base, items, len(found), len(items), transitions=moving)
-
-
-def _of_bench(
-    name: str, parameters: Parameters, derived: Mapping[str, float], names: Sequence[str],
-    stds: Mapping[str, float],
-) -> Unknown:
-    mean = derived.get(name, parameters[name])
-    std = stds.get(name, 0.0) if name in TEMPERATURES else parameters.std(name)
-    if name in derived and name not in parameters.given_uncertainty and not parameters[name]:
-        std = max(std, _DERIVED_STD * mean)
-    own, partner = std, PRODUCTS.get(name, "")
-    if partner and partner not in names:
-        std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
-    else:
-        partner = ""
-    low, high = _range(name)
-    above = name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ())
-    low = _ABOVE_NOTHING * mean if above else low
-    log = name not in _STRAIGHT and low > 0.0
-    # A prior that is wider than the range is as wide as that.
-    widest = (mean * math.log(high / low) if log else high - low) / max(std, _SMALLEST)
-    std, own = (min(1.0, widest) * one for one in (std, own))
-    return Unknown(name, mean, std, low, high, log, (), partner, own)
 
 
 def _range(name: str) -> tuple[float, float]:

@@ -129,15 +129,60 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     # The median of three drops single wild samples and keeps edges and ramps.
     smooth = np.asarray(median_filter(voltage, 3, mode="constant"), dtype=np.float64)
     smooth[[0, -1]] = voltage[[0, -1]]
-    tolerance = _tolerance(voltage)
+    # A channel that is switched off may read exactly 0, which says nothing of its noise.
+    second = np.diff(voltage, 2)
+    driven = second[voltage[1:-1] != 0.0]
+    second = driven if len(driven) else second
+    noise = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
+    tolerance = max(
+        _TOLERANCE_STD * noise, _TOLERANCE_STEPS * resolution(voltage), _SMALLEST_TOLERANCE
+    )
     span = float(np.ptp(smooth))
     while True:
-        pieces = _merge(time, smooth, _split(time, smooth, tolerance), tolerance)
+        # Join neighbours that one line describes as well: the chords end on noisy samples.
+        pieces: list[tuple[int, int]] = []
+        for piece in _split(time, smooth, tolerance):
+            while pieces:
+                first, last = pieces[-1][0], piece[1]
+                is_edge = any(b - a == 1 for a, b in (pieces[-1], piece))
+                if _line(time, smooth, first, last)[2] > tolerance / (2.0 if is_edge else 1.0):
+                    break
+                pieces.pop()
+                piece = (first, last)
+            pieces.append(piece)
         if tolerance > span / 8.0 or not _is_fragmented(time, pieces):
             break
         # A ramp commanded in small steps looks like many tiny plateaus: look more coarsely.
         tolerance *= 2.0
-    return _sort(time, smooth, pieces, tolerance)
+
+    # Plateaus, ramps and edges; a plateau's direction is that from the one before.
+    found: list[tuple[bool, float, float, float, float]] = []
+    edges: list[tuple[float, float]] = []
+    for first, last in pieces:
+        if last - first == 1 and abs(smooth[last] - smooth[first]) > tolerance:
+            edges.append((float(time[first]), float(time[last])))
+        if time[last] - time[first] < SHORTEST_SEGMENT:
+            continue
+        begin, end, _ = _line(time, smooth, first, last)
+        found.append(
+            (abs(end - begin) <= tolerance, float(time[first]), float(time[last]), begin, end)
+        )
+    levels = [0.5 * (begin + end) for flat, _, _, begin, end in found if flat]
+    items = []
+    seen = 0
+    for flat, start, stop, begin, end in found:
+        rise = end - begin
+        if flat:
+            reference = levels[max(seen, 1) - 1 : max(seen, 1) + 1]
+            rise = reference[-1] - reference[0] if len(reference) == 2 else 0.0
+            seen += 1
+        items.append(
+            VoltageSegment(
+                "plateau" if flat else "ramp", start, stop, begin, end,
+                "up" if rise >= 0.0 else "down",
+            )
+        )
+    return Segments(tuple(items), tuple(edges), tolerance)
 
 
 def protocol_spans(
@@ -156,17 +201,6 @@ def protocol_spans(
             spans[-1] = (spans[-1][0], spans[-1][1], time)
         spans.append((name, time, duration))
     return tuple(spans) or (("", -np.inf, np.inf),)
-
-
-def _tolerance(voltage: Array) -> float:
-    second = np.diff(voltage, 2)
-    # A channel that is switched off may read exactly 0, which says nothing of its noise.
-    driven = second[voltage[1:-1] != 0.0]
-    second = driven if len(driven) else second
-    noise = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
-    return max(
-        _TOLERANCE_STD * noise, _TOLERANCE_STEPS * resolution(voltage), _SMALLEST_TOLERANCE
-    )
 
 
 def _split(time: Array, voltage: Array, tolerance: float) -> list[tuple[int, int]]:
@@ -196,23 +230,6 @@ def _line(time: Array, voltage: Array, first: int, last: int) -> tuple[float, fl
     return float(fitted[0]), float(fitted[-1]), float(np.max(np.abs(v - fitted)))
 
 
-def _merge(
-    time: Array, voltage: Array, pieces: Sequence[tuple[int, int]], tolerance: float
-) -> list[tuple[int, int]]:
-    """Join neighbours that one line describes as well: the chords end on noisy samples."""
-    merged: list[tuple[int, int]] = []
-    for piece in pieces:
-        while merged:
-            first, last = merged[-1][0], piece[1]
-            is_edge = any(b - a == 1 for a, b in (merged[-1], piece))
-            if _line(time, voltage, first, last)[2] > tolerance / (2.0 if is_edge else 1.0):
-                break
-            merged.pop()
-            piece = (first, last)
-        merged.append(piece)
-    return merged
-
-
 def _is_fragmented(time: Array, pieces: Sequence[tuple[int, int]]) -> bool:
     """Whether some stretch of voltage fell into nothing but crumbs."""
     crumbs = 0.0
@@ -222,38 +239,6 @@ def _is_fragmented(time: Array, pieces: Sequence[tuple[int, int]]) -> bool:
         if crumbs > 2.0 * SHORTEST_SEGMENT:
             return True
     return False
-
-
-def _sort(
-    time: Array, voltage: Array, pieces: Sequence[tuple[int, int]], tolerance: float
-) -> Segments:
-    found: list[tuple[bool, float, float, float, float]] = []
-    edges: list[tuple[float, float]] = []
-    for first, last in pieces:
-        if last - first == 1 and abs(voltage[last] - voltage[first]) > tolerance:
-            edges.append((float(time[first]), float(time[last])))
-        if time[last] - time[first] < SHORTEST_SEGMENT:
-            continue
-        begin, end, _ = _line(time, voltage, first, last)
-        found.append(
-            (abs(end - begin) <= tolerance, float(time[first]), float(time[last]), begin, end)
-        )
-    levels = [0.5 * (begin + end) for flat, _, _, begin, end in found if flat]
-    items = []
-    seen = 0
-    for flat, start, stop, begin, end in found:
-        rise = end - begin
-        if flat:
-            reference = levels[max(seen, 1) - 1 : max(seen, 1) + 1]
-            rise = reference[-1] - reference[0] if len(reference) == 2 else 0.0
-            seen += 1
-        items.append(
-            VoltageSegment(
-                "plateau" if flat else "ramp", start, stop, begin, end,
-                "up" if rise >= 0.0 else "down",
-            )
-        )
-    return Segments(tuple(items), tuple(edges), tolerance)
 
 
 @dataclass(frozen=True)
@@ -477,7 +462,22 @@ def applied_voltage(
         _polygon(time, voltage, None if commands is None else _held(*commands, k, time))
         for k, (time, voltage) in enumerate(channels)
     )
-    return AppliedVoltage(polygons, *_events(polygons))
+    # Jumps of several channels that can have been one command are one event.
+    found = sorted(
+        (polygon.time[knot], polygon.time[knot + 1], channel, order)
+        for channel, polygon in enumerate(polygons)
+        for order, knot in enumerate(polygon.jumps.astype(np.intp))
+    )
+    bounds: list[list[float]] = []
+    events = [np.zeros(len(polygon.jumps)) for polygon in polygons]
+    for before, after, channel, order in found:
+        if bounds and before < bounds[-1][1] - _NARROWEST:
+            bounds[-1] = [max(before, bounds[-1][0]), min(after, bounds[-1][1])]
+        else:
+            bounds.append([before, after])
+        events[channel][order] = len(bounds) - 1
+    edges = np.array(bounds, dtype=np.float64).reshape(-1, 2)
+    return AppliedVoltage(polygons, *(tuple(events), edges[:, 0], edges[:, 1]))
 
 
 def _held(times: Array, commands: Array, channel: int, time: Array) -> Array:
@@ -495,31 +495,10 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     segments = find_segments(time, voltage)
     step = resolution(voltage)
     # A level between two steps of the converter toggles by half a step about its mean.
-    limit = _STRAIGHT * float(np.hypot(_scatter(voltage, step), 0.5 * step))
-    smooth, lines = _free_of_noise(time, voltage, segments, limit, step)
-    left = [n for first, last, n in lines if smooth[first:last].max() > max(step, _OFF)]
-    within = float(np.sqrt(np.mean(np.square(left)))) if left else 0.0
-    hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
-    jumps = _jumps(time, smooth, segments)
-    return Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
-
-
-def _scatter(voltage: Array, step: float) -> float:
-    """Noise [V] of the driven samples, its converter's included."""
     second = np.diff(voltage, 2)[voltage[1:-1] > _OFF]
     robust = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if len(second) else 0.0
-    return max(robust, step / np.sqrt(12.0))
-
-
-def _free_of_noise(
-    time: Array, voltage: Array, segments: Segments, limit: float, step: float
-) -> tuple[Array, list[tuple[int, int, float]]]:
-    """Straight lines where the voltage is straight: first and last knot, and scatter, of each.
-
-    Noise on a plateau would make temperatures turn back and forth, and hysteresis with them. A
-    duty's ramp, which is a root of time in volts, is bent by more than noise and converter explain.
-    A step that is smaller than what one sample may be off is no ramp.
-    """
+    limit = _STRAIGHT * float(np.hypot(max(robust, step / np.sqrt(12.0)), 0.5 * step))
+    # Straight lines where the voltage is straight: first and last knot, and scatter, of each.
     smooth = voltage.copy()
     lines = []
     for segment in segments.items:
@@ -533,11 +512,18 @@ def _free_of_noise(
         line = line + _bend(voltage[begin:end] - line, step)
         parts, line = _levels(voltage[begin:end], line, step)
         for first, last in parts:
-            left = float(np.std(voltage[begin + first : begin + last] - line[first:last]))
-            if left < limit:
+            scatter = float(np.std(voltage[begin + first : begin + last] - line[first:last]))
+            if scatter < limit:
                 smooth[begin + first : begin + last] = line[first:last]
-                lines.append((int(begin + first), int(begin + last), left))
-    return smooth, lines
+                lines.append((int(begin + first), int(begin + last), scatter))
+    left = [n for first, last, n in lines if smooth[first:last].max() > max(step, _OFF)]
+    within = float(np.sqrt(np.mean(np.square(left)))) if left else 0.0
+    hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
+    knots = np.searchsorted(time, [before for before, _ in segments.edges])
+    size = np.abs(smooth[np.minimum(knots + 1, len(smooth) - 1)] - smooth[knots])
+    knots = knots[size > _SMALLEST_JUMP * float(np.max(np.abs(smooth), initial=0.0))]
+    jumps = np.unique(knots).astype(np.float64)
+    return Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
 
 
 def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int]], Array]:
@@ -572,29 +558,3 @@ def _bend(left: Array, step: float) -> Array:
     depth = float(bow @ left) / power
     bent = abs(depth) > max(0.5 * step, _CLEAR * float(np.std(left - depth * bow)) / np.sqrt(power))
     return depth * bow if bent else np.zeros(len(left))
-
-
-def _jumps(time: Array, voltage: Array, segments: Segments) -> Array:
-    knots = np.searchsorted(time, [before for before, _ in segments.edges])
-    size = np.abs(voltage[np.minimum(knots + 1, len(voltage) - 1)] - voltage[knots])
-    knots = knots[size > _SMALLEST_JUMP * float(np.max(np.abs(voltage), initial=0.0))]
-    return np.unique(knots).astype(np.float64)
-
-
-def _events(polygons: tuple[Polygon, ...]) -> tuple[tuple[Array, ...], Array, Array]:
-    """Jumps of several channels that can have been one command are one event."""
-    found = sorted(
-        (polygon.time[knot], polygon.time[knot + 1], channel, order)
-        for channel, polygon in enumerate(polygons)
-        for order, knot in enumerate(polygon.jumps.astype(np.intp))
-    )
-    bounds: list[list[float]] = []
-    events = [np.zeros(len(polygon.jumps)) for polygon in polygons]
-    for before, after, channel, order in found:
-        if bounds and before < bounds[-1][1] - _NARROWEST:
-            bounds[-1] = [max(before, bounds[-1][0]), min(after, bounds[-1][1])]
-        else:
-            bounds.append([before, after])
-        events[channel][order] = len(bounds) - 1
-    edges = np.array(bounds, dtype=np.float64).reshape(-1, 2)
-    return tuple(events), edges[:, 0], edges[:, 1]

@@ -65,32 +65,6 @@ _JOINT = 0.3
 _TRIED_ON_CHANCE = frozenset({"E8"})
 
 
-def _correlation(
-    estimates: Mapping[str, Estimate], experiments: Sequence[Experiment]
-) -> Correlation:
-    """Of the errors of all estimates; between those of different experiments as far as the same
-    sensors are behind them."""
-    names, every = list(estimates), list(estimates.values())
-    sources = sorted({source for e in every for source in e.shares})
-    matrix = np.eye(len(names))
-    for own in (e for e in experiments if e.correlation is not None):
-        assert own.correlation is not None
-        chosen = [
-            (k, names.index(name)) for k, name in enumerate(own.correlation.names)
-            if name in names and own.estimates.get(name) == estimates[name]
-        ]
-        if chosen:
-            here, there = np.array(chosen).T
-            matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
-    std = np.array([max(e.std, 1e-300) for e in every])
-    own_parts = np.array([e.statistical for e in every]) / std
-    shares = [[e.shares.get(s, 0.0) for s in sources] for e in every]
-    common = np.array(shares).reshape(len(every), len(sources)) / std[:, np.newaxis]
-    matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
-    np.fill_diagonal(matrix, 1.0)
-    return Correlation(tuple(names), matrix)
-
-
 # What an experiment on bags reads, and what its numbers go with.
 _READS = {
     "E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
@@ -182,16 +156,10 @@ def identify(
     run.keep_order(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
-    return _result(run, improved, _fit(run, bags, drives, improved))
-
-
-def _result(
-    run: IdentificationRun, improved: Parameters, fit: dict[str, SignalFit]
-) -> Identification:
-    """The estimates with what was stated of them and what is to be said of each."""
-    every: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
-    every += [(f, e) for e in run.experiments for f in e.findings]
-    warned = [(f, own) for f, own in every if f.severity != "info"]
+    # The estimates with what was stated of them and what is to be said of each.
+    remarks: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
+    remarks += [(f, e) for e in run.experiments for f in e.findings]
+    warned = [(f, own) for f, own in remarks if f.severity != "info"]
     doubts: dict[str, dict[str, None]] = {name: {} for name in run.estimates}
     for finding, own in warned:
         for name in concerned(finding, own, run.experiments):
@@ -205,9 +173,29 @@ def _result(
         )
         for name, e in run.estimates.items()
     }
+
+    # Correlation of all errors; between experiments as far as the same sensors are behind them.
+    names, every = list(run.estimates), list(run.estimates.values())
+    sources = sorted({source for e in every for source in e.shares})
+    matrix = np.eye(len(names))
+    for own in (e for e in run.experiments if e.correlation is not None):
+        assert own.correlation is not None
+        chosen = [
+            (k, names.index(name)) for k, name in enumerate(own.correlation.names)
+            if name in names and own.estimates.get(name) == run.estimates[name]
+        ]
+        if chosen:
+            here, there = np.array(chosen).T
+            matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
+    std = np.array([max(e.std, 1e-300) for e in every])
+    own_parts = np.array([e.statistical for e in every]) / std
+    shares = [[e.shares.get(s, 0.0) for s in sources] for e in every]
+    common = np.array(shares).reshape(len(every), len(sources)) / std[:, np.newaxis]
+    matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
+    np.fill_diagonal(matrix, 1.0)
     return Identification(
-        improved, estimates, tuple(run.experiments), tuple(run.notes), fit,
-        _correlation(run.estimates, run.experiments),
+        improved, estimates, tuple(run.experiments), tuple(run.notes),
+        _fit(run, bags, drives, improved), Correlation(tuple(names), matrix),
         tuple(dict.fromkeys(_line(f, own) for f, own in warned)),
     )
 
@@ -386,7 +374,17 @@ def _report_missing(
     error if that leaves nothing."""
     missing = run.missing(EXPERIMENTS)
     if not run.experiments or (run.asked and missing):
-        raise InputError(_nothing(run, records, drives, missing))
+        where = ", ".join(str(r.path) for r in records)
+        reasons = list(dict.fromkeys(r for n in missing for r in run.reasons.get(n, [])))
+        # What was found says more than a reason for each experiment that repeats it.
+        found = [f"{record.path}: {drive.describe()}" for record, drive in drives]
+        if not drives:
+            held = sorted({s for r in records if isinstance(r, Record) for s in r.signals})
+            found = [f"signals {', '.join(held) or 'none'}"] if not reasons else []
+        shown = "; ".join(dict.fromkeys(found + reasons))
+        needs = "; ".join(NEEDS[name] for name in missing)
+        what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
+        raise InputError(f"{where}: {what}: found {shown}; needed: {needs}")
     for name in missing:
         if name in _TRIED_ON_CHANCE:
             continue
@@ -394,22 +392,3 @@ def _report_missing(
         if reasons:
             text = f"not identified ({'; '.join(reasons)}); needed: {NEEDS[name]}"
             run.notes.append(Finding("warning" if name in run.failed else "info", name, text))
-
-
-def _nothing(
-    run: IdentificationRun,
-    records: Sequence[AnyRecord],
-    drives: Sequence[tuple[Record, ChannelDrive]],
-    missing: Sequence[str],
-) -> str:
-    where = ", ".join(str(r.path) for r in records)
-    reasons = list(dict.fromkeys(r for n in missing for r in run.reasons.get(n, [])))
-    # What was found says more than a reason for each experiment that repeats it.
-    found = [f"{record.path}: {drive.describe()}" for record, drive in drives]
-    if not drives:
-        held = sorted({s for r in records if isinstance(r, Record) for s in r.signals})
-        found = [f"signals {', '.join(held) or 'none'}"] if not reasons else []
-    shown = "; ".join(dict.fromkeys(found + reasons))
-    needs = "; ".join(NEEDS[name] for name in missing)
-    what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
-    return f"{where}: {what}: found {shown}; needed: {needs}"

@@ -76,21 +76,19 @@ class IdentificationRun:
         for parameter in dict.fromkeys(p for e in found for p in e.estimates):
             own = combine([e.estimates[parameter] for e in found if parameter in e.estimates])
             if parameter in self.estimates:
-                self._replaced(name, parameter, own)
+                # What an experiment gives that is nearer to what the model uses,
+                # beside what another gave: a calorimeter's tangents, the cosines
+                # of a loaded wire, the joint fit of all.
+                other = self.estimates[parameter]
+                apart = (own.value - other.value) / math.hypot(own.std, other.std)
+                far = abs(apart) > _SIGNIFICANT
+                text = (
+                    f"{own.value:.6g} +- {own.std:.2g} {own.unit} of {name} is taken, {apart:+.1f} "
+                    f"standard errors from {other.value:.6g} +- {other.std:.2g} ({other.method})"
+                ) + (": one of the two is wrong, or the specimens differ" if far else "")
+                numbers = {"deviations": apart}
+                self.notes.append(Finding("warning" if far else "info", parameter, text, numbers))
             self.estimates[parameter] = own
-
-    def _replaced(self, name: str, parameter: str, own: Estimate) -> None:
-        """What an experiment gives that is nearer to what the model uses, beside what another gave:
-        a calorimeter's tangents, the cosines of a loaded wire, the joint fit of all."""
-        other = self.estimates[parameter]
-        apart = (own.value - other.value) / math.hypot(own.std, other.std)
-        far = abs(apart) > _SIGNIFICANT
-        text = (
-            f"{own.value:.6g} +- {own.std:.2g} {own.unit} of {name} is taken, {apart:+.1f} "
-            f"standard errors from {other.value:.6g} +- {other.std:.2g} ({other.method})"
-        ) + (": one of the two is wrong, or the specimens differ" if far else "")
-        numbers = {"deviations": apart}
-        self.notes.append(Finding("warning" if far else "info", parameter, text, numbers))
 
     def improved(self) -> Parameters:
         """The given parameters with what is identified put in, as far as they may hold it."""

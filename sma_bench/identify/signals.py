@@ -82,7 +82,13 @@ def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
             segments = find_segments(*samples(record, f"{channel}.voltage"))
         except InputError as error:
             raise InputError(f"{record.path}: {channel}.{error}") from None
-        drives.append(ChannelDrive(channel, segments, _staircases(record, channel, segments)))
+        found = []
+        for protocol, start, stop in protocol_spans(record.markers, record.duration):
+            part = segments.between(start, stop)
+            plateaus = tuple(p for p in part.plateaus if p.duration >= SHORTEST_PLATEAU)
+            if Segments(plateaus, (), part.tolerance).levels() >= FEWEST_LEVELS:
+                found.append(Staircase(channel, plateaus, part.tolerance, protocol))
+        drives.append(ChannelDrive(channel, segments, tuple(found)))
     return tuple(drives)
 
 
@@ -147,16 +153,6 @@ def missing_findings(record: Record, channel: str) -> tuple[Finding, ...]:
             text = f"{record.path}: {bad} of {len(signal.values)} samples are NaN and left out"
             findings.append(Finding("warning", signal.name, text, {"count": float(bad)}))
     return tuple(findings)
-
-
-def _staircases(record: Record, channel: str, segments: Segments) -> tuple[Staircase, ...]:
-    found = []
-    for protocol, start, stop in protocol_spans(record.markers, record.duration):
-        part = segments.between(start, stop)
-        plateaus = tuple(p for p in part.plateaus if p.duration >= SHORTEST_PLATEAU)
-        if Segments(plateaus, (), part.tolerance).levels() >= FEWEST_LEVELS:
-            found.append(Staircase(channel, plateaus, part.tolerance, protocol))
-    return tuple(found)
 
 
 # --- Settle, then average: one point a plateau, with what its mean is worth.

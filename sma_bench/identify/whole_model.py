@@ -256,8 +256,24 @@ def curves(result: Result) -> dict[str, Array]:
 
 def findings(result: Result) -> tuple[Finding, ...]:
     """What cannot be told, contradicted priors, ends of ranges, starts, sensors, residuals."""
+    remarks = []
+    found = [n for n in result.numbers if n.name not in _NUISANCES]
+    which = [n.name for n in found if n.informed < _UNINFORMED]
+    if which:
+        text = (
+            f"the records hardly improve what was known of {', '.join(which)}: value and error "
+            "are mostly the prior's"
+        )
+        remarks.append(Finding("info", "priors", text, {"parameters": float(len(which))}))
+    for number in result.products:
+        first = number.name.split(" x ")[0]
+        text = (
+            f"only the product {_UNITS[first][2]} with {PRODUCTS[first]} enters the model; the "
+            "priors of the two split it"
+        )
+        remarks.append(Finding("info", first, text))
     return (
-        *_uninformed(result), *_tied(result), *_surprising(result.numbers),
+        *remarks, *_tied(result), *_surprising(result.numbers),
         *_at_end(result.numbers), *_starts(result), *map(_about_off, filter(_is_off, result.off)),
         *_residuals(result), *_about_lag(result),
     )
@@ -284,26 +300,6 @@ def _about_lag(result: Result) -> list[Finding]:
         f"(time constant of the wire {tau:.3g} s)"
     )
     return [Finding("info", SPECIFIC_HEAT, text, {"lag_std": float(std), "time_constant": tau})]
-
-
-def _uninformed(result: Result) -> list[Finding]:
-    remarks = []
-    found = [n for n in result.numbers if n.name not in _NUISANCES]
-    which = [n.name for n in found if n.informed < _UNINFORMED]
-    if which:
-        text = (
-            f"the records hardly improve what was known of {', '.join(which)}: value and error "
-            "are mostly the prior's"
-        )
-        remarks.append(Finding("info", "priors", text, {"parameters": float(len(which))}))
-    for number in result.products:
-        first = number.name.split(" x ")[0]
-        text = (
-            f"only the product {_UNITS[first][2]} with {PRODUCTS[first]} enters the model; the "
-            "priors of the two split it"
-        )
-        remarks.append(Finding("info", first, text))
-    return remarks
 
 
 def _tied(result: Result) -> list[Finding]:

@@ -36,7 +36,7 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
         numbers.
     """
     found = [
-        (finding, _are_papers(parameters, names))
+        (finding, all(parameters[name] == BY_NAME[name].default for name in names))
         for check, names in CHECKS if (finding := check(parameters)) is not None
     ]
     findings = [finding for finding, papers in found if papers_own or not papers]
@@ -51,10 +51,6 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
             Finding("info", "the paper's numbers", text, {"clashes": float(len(clashes))})
         )
     return [replace(finding, audit=True) for finding in findings]
-
-
-def _are_papers(parameters: Parameters, names: Sequence[str]) -> bool:
-    return all(parameters[name] == BY_NAME[name].default for name in names)
 
 
 def wire_length(parameters: Parameters) -> float:

@@ -91,7 +91,11 @@ def effects_page() -> str:
         lines += ["", f"## `{effect.name}`", "", effect.text, ""]
         if effect.loads != LOAD_KINDS:
             lines += [f"Only under `load.kind` {' or '.join(effect.loads)}.", ""]
-        lines += _effect_numbers(effect)
+        lines += [
+            f"- `{p.name}` ({range_of(p)}, default {p.default:g}): {p.description} "
+            f"{p.provenance[0].upper()}{p.provenance[1:]}."
+            for p in effect.parameters
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -107,11 +111,3 @@ def _effect_line(effect: Effect) -> str:
              f"`{size.name.rsplit('.', 1)[1]}`", range_of(size), ", ".join(effect.acts_on),
              effect.shows]
     return "| " + " | ".join(cells) + " |"
-
-
-def _effect_numbers(effect: Effect) -> list[str]:
-    return [
-        f"- `{p.name}` ({range_of(p)}, default {p.default:g}): {p.description} "
-        f"{p.provenance[0].upper()}{p.provenance[1:]}."
-        for p in effect.parameters
-    ]

@@ -65,11 +65,66 @@ class Parameters(Mapping[str, Value]):
         for name, value in values.items():
             self._require_known(name)
             self._values[name] = BY_NAME[name].validated(value, where)
-        self._std |= self._validated_uncertainty(uncertainty)
+        checked = {}
+        for name, std in uncertainty.items():
+            self._require_known(name)
+            if BY_NAME[name].uncertainty is None:
+                raise InputError(f"{self._where}{UNCERTAINTY_PREFIX}{name}: has no uncertainty")
+            number = isinstance(std, (int, float)) and not isinstance(std, bool)
+            if not number or not 0.0 <= std < float("inf"):
+                unit = BY_NAME[name].unit
+                raise InputError(
+                    f"{self._where}{UNCERTAINTY_PREFIX}{name} is {std!r}, "
+                    f"expected a standard deviation >= 0 in {unit}"
+                )
+            checked[name] = float(std)
+        self._std |= checked
         self.given |= frozenset(values) | frozenset(uncertainty)
         for pair in ORDERED:
             self._make_way(*pair)
-        self._check_consistency()
+        for lower, upper in ORDERED:
+            if self[lower] >= self[upper]:
+                raise InputError(
+                    f"{self._where}{lower} {self[lower]:g} K must lie below "
+                    f"{upper} {self[upper]:g} K"
+                )
+        channels, sides = self["bench.channels"], self["bench.channel_sides"]
+        if not channels:
+            raise InputError(f"{self._where}bench.channels is empty, expected one name or more")
+        for channel in channels:
+            if not _CHANNEL_NAME.match(channel):
+                raise InputError(
+                    f"{self._where}bench.channels: {channel!r} is not a ROS name "
+                    "(a letter, then letters, digits, underscores)"
+                )
+        if len(set(channels)) != len(channels):
+            raise InputError(f"{self._where}bench.channels: {list(channels)} has a name twice")
+        if len(sides) != len(channels):
+            raise InputError(
+                f"{self._where}bench.channel_sides has {len(sides)} entries, "
+                f"expected {len(channels)} as bench.channels"
+            )
+        for side in sides:
+            if side not in SIDES:
+                raise InputError(
+                    f"{self._where}bench.channel_sides: {side!r}, expected front or back"
+                )
+        self._check_choice("load.kind", ("", *LOAD_KINDS))
+        self._check_choice("bench.drive", DRIVES)
+        kind, used = load_kind(self), len(set(sides))
+        for name in LOAD_NEEDS.get(kind, ()):
+            if self[name] <= 0.0:
+                raise InputError(
+                    f"{self._where}{name} is {self[name]:g} {BY_NAME[name].unit}, expected above 0 "
+                    f"with load.kind {kind}"
+                )
+        wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
+        if used != wanted:
+            expected = "front and back" if wanted == 2 else "one side"
+            raise InputError(
+                f"{self._where}bench.channel_sides: {list(sides)} with load.kind {kind}, "
+                f"expected {expected}"
+            )
 
     def _make_way(self, lower: str, upper: str) -> None:
         """A default that nobody stated keeps its distance from what was stated beyond it."""
@@ -143,67 +198,6 @@ class Parameters(Mapping[str, Value]):
     def _require_known(self, name: str) -> None:
         if name not in BY_NAME:
             raise InputError(self._where + unknown_parameter_message(name, BY_NAME))
-
-    def _validated_uncertainty(self, uncertainty: Mapping[str, float]) -> dict[str, float]:
-        checked = {}
-        for name, std in uncertainty.items():
-            self._require_known(name)
-            if BY_NAME[name].uncertainty is None:
-                raise InputError(f"{self._where}{UNCERTAINTY_PREFIX}{name}: has no uncertainty")
-            number = isinstance(std, (int, float)) and not isinstance(std, bool)
-            if not number or not 0.0 <= std < float("inf"):
-                unit = BY_NAME[name].unit
-                raise InputError(
-                    f"{self._where}{UNCERTAINTY_PREFIX}{name} is {std!r}, "
-                    f"expected a standard deviation >= 0 in {unit}"
-                )
-            checked[name] = float(std)
-        return checked
-
-    def _check_consistency(self) -> None:
-        for lower, upper in ORDERED:
-            if self[lower] >= self[upper]:
-                raise InputError(
-                    f"{self._where}{lower} {self[lower]:g} K must lie below "
-                    f"{upper} {self[upper]:g} K"
-                )
-        channels, sides = self["bench.channels"], self["bench.channel_sides"]
-        if not channels:
-            raise InputError(f"{self._where}bench.channels is empty, expected one name or more")
-        for channel in channels:
-            if not _CHANNEL_NAME.match(channel):
-                raise InputError(
-                    f"{self._where}bench.channels: {channel!r} is not a ROS name "
-                    "(a letter, then letters, digits, underscores)"
-                )
-        if len(set(channels)) != len(channels):
-            raise InputError(f"{self._where}bench.channels: {list(channels)} has a name twice")
-        if len(sides) != len(channels):
-            raise InputError(
-                f"{self._where}bench.channel_sides has {len(sides)} entries, "
-                f"expected {len(channels)} as bench.channels"
-            )
-        for side in sides:
-            if side not in SIDES:
-                raise InputError(
-                    f"{self._where}bench.channel_sides: {side!r}, expected front or back"
-                )
-        self._check_choice("load.kind", ("", *LOAD_KINDS))
-        self._check_choice("bench.drive", DRIVES)
-        kind, used = load_kind(self), len(set(sides))
-        for name in LOAD_NEEDS.get(kind, ()):
-            if self[name] <= 0.0:
-                raise InputError(
-                    f"{self._where}{name} is {self[name]:g} {BY_NAME[name].unit}, expected above 0 "
-                    f"with load.kind {kind}"
-                )
-        wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
-        if used != wanted:
-            expected = "front and back" if wanted == 2 else "one side"
-            raise InputError(
-                f"{self._where}bench.channel_sides: {list(sides)} with load.kind {kind}, "
-                f"expected {expected}"
-            )
 
     def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
         if self[name] not in choices:

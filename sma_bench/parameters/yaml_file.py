@@ -30,7 +30,9 @@ def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str,
     Raises:
         InputError: unreadable, not YAML, or without a `ros__parameters` section for the node.
     """
-    document = _load(path)
+    document = read_yaml(path)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected a ROS parameter file ('{WILDCARD}: ros__parameters:')")
     merged: dict[str, Any] = {}
     wanted = [WILDCARD] if node is None else [WILDCARD, f"/**/{node}", node, f"/{node}"]
     found = False
@@ -294,13 +296,6 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[name] = value
     return flat
-
-
-def _load(path: str | Path) -> dict[str, Any]:
-    document = read_yaml(path)
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: expected a ROS parameter file ('{WILDCARD}: ros__parameters:')")
-    return document
 
 
 def _insert(body: dict[str, Any], name: str, value: Any) -> None:

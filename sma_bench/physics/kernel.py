@@ -180,7 +180,9 @@ _WIRE_PARAMETERS = [f"wire.{name}" for name in _WIRE_NUMBERS]
 
 def wire_rows(parameters: Parameters, boundary: Boundary) -> Array:
     """(w, WIRE_COLUMNS) constants of every wire; states are 0."""
-    columns = {**_effects(parameters), **_wire(parameters)}
+    columns = {column: parameters[number] for column, number in _WIRE_EFFECT_NUMBERS}
+    columns.update((mark, 1.0) for effect, mark in _WIRE_MARKS if effect.is_on(parameters))
+    columns = {**columns, **_wire(parameters)}
     wire = np.zeros(at.WIRE_COLUMNS)
     wire[list(columns)] = list(columns.values())
     side = side_of_channels(parameters)
@@ -215,13 +217,6 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
             sides[bends if effect.row == "side" else slice(None), mark] = 1.0
     sides[sides[:, at.OWN_LOAD] > 0.0, at.SLACK] = 0.0  # the load draws the wires straight
     return sides
-
-
-def _effects(parameters: Parameters) -> Mapping[int, float]:
-    """Columns that hold an effect's number as it is, and its marks."""
-    columns = {column: parameters[number] for column, number in _WIRE_EFFECT_NUMBERS}
-    columns.update((mark, 1.0) for effect, mark in _WIRE_MARKS if effect.is_on(parameters))
-    return columns
 
 
 def _wire(parameters: Parameters) -> Mapping[int, float]:

@@ -122,15 +122,11 @@ def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array
         outer = _ramp(position + GRAIN * spread) + _ramp(position - GRAIN * spread)
         share = share + OUTER * (outer - 2.0 * share)
     if tail > 0.0:
-        share = share + tail * (_normal_ramp(position, spread) - share)
+        deviations = (position - 0.5) / np.hypot(NORMAL_DEVIATION, spread)
+        least = ndtr(-NORMAL_REACH)
+        shares = ndtr(np.clip(deviations, -NORMAL_REACH, NORMAL_REACH))
+        share = share + tail * (np.asarray((shares - least) / (1.0 - 2.0 * least)) - share)
     return share
-
-
-def _normal_ramp(position: Array, spread: float) -> Array:
-    deviations = (position - 0.5) / np.hypot(NORMAL_DEVIATION, spread)
-    least = ndtr(-NORMAL_REACH)
-    shares = ndtr(np.clip(deviations, -NORMAL_REACH, NORMAL_REACH))
-    return np.asarray((shares - least) / (1.0 - 2.0 * least))
 
 
 def _ramp(position: Array) -> Array:

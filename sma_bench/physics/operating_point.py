@@ -1,7 +1,6 @@
 """Steady states on the heating or cooling branch: a side's inverse; where a rig is linearised."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, Self
@@ -93,7 +92,15 @@ class SideModel:
             for name in ("stiffness", "load", "lever", "prestretch")
         )
         if boundary.coupled:
-            back = _pulled_back(parameters, boundary, number, state)
+            # Stiffness and load [Pa] of the antagonists of a side: what it contracts
+            # stretches them.
+            others = side_of_channels(parameters) != number
+            xi = np.ones(others.sum()) if state is None else state.martensite_fraction[others]
+            kelvin = parameters["environment.ambient_temperature"]
+            kelvin = kelvin if state is None else state.temperature[others]
+            stretch = boundary.stretch_of_wires(parameters)[others]
+            pull = material.stress(kelvin, xi, -stretch, parameters)
+            back = float(material.modulus(xi, parameters).sum()), float(np.sum(pull))
             stiffness, load = stiffness + back[0], (load if number == 0 else -load) + back[1]
             lever *= 2.0  # both sides move
         return cls(
@@ -163,7 +170,12 @@ class SideModel:
         if excess(high) < 0.0:
             return high
         if excess(low) > 0.0:
-            return self._before_transformation(contraction, sigma, branch, share, low)
+            xi = share if branch == "heating" else 1.0
+            stretch = self.recoverable_strain * (1.0 - xi) + self.prestretch - contraction
+            elastic = (self.modulus + xi * self.modulus_change) * stretch
+            if self.expansion == 0.0:
+                return low
+            return min(max(self.ambient + (sigma - elastic) / self.expansion, self.ambient), low)
         return float(brentq(excess, low, high, xtol=_TEMPERATURE_TOLERANCE))
 
     def largest_contraction(self) -> float:
@@ -175,30 +187,6 @@ class SideModel:
         kept = 1.0 - self.expansion / influence
         stiffness = kept * self.stiffness / self.wires + self.modulus
         return (pull - kept * self.load / self.wires) / stiffness
-
-    def _before_transformation(
-        self, contraction: float, sigma: float, branch: Branch, share: float, low: float
-    ) -> float:
-        xi = share if branch == "heating" else 1.0
-        stretch = self.recoverable_strain * (1.0 - xi) + self.prestretch - contraction
-        elastic = (self.modulus + xi * self.modulus_change) * stretch
-        if self.expansion == 0.0:
-            return low
-        return min(max(self.ambient + (sigma - elastic) / self.expansion, self.ambient), low)
-
-
-def _pulled_back(
-    parameters: Parameters, boundary: Boundary, side: int, state: State | None
-) -> tuple[float, float]:
-    """Stiffness and load [Pa] of the antagonists of a side: what it contracts stretches them."""
-    others = side_of_channels(parameters) != side
-    xi = np.ones(others.sum()) if state is None else state.martensite_fraction[others]
-    kelvin = parameters["environment.ambient_temperature"]
-    kelvin = kelvin if state is None else state.temperature[others]
-    stretch = boundary.stretch_of_wires(parameters)[others]
-    pull = material.stress(kelvin, xi, -stretch, parameters)
-    return float(material.modulus(xi, parameters).sum()), float(np.sum(pull))
-
 
 # --- Where the model is linearised: wires at steady temperatures on one branch.
 
@@ -296,7 +284,48 @@ class OperatingPoint:
         boundary = boundary or Boundary.of(parameters)
         wires = len(parameters["bench.channels"])
         kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
-        fraction = _fractions(kelvin, branch, parameters, boundary)
+        # (w,) martensite fractions, the stresses of each side or of both on a slider in
+        # balance.
+        side, sides = side_of_channels(parameters), len(side_names(parameters))
+        contraction = np.zeros(sides)
+        if boundary.contraction is not None:
+            contraction = per_side("contraction", boundary.contraction, sides)
+        stretch = boundary.stretch_of_wires(parameters)
+        stiffness, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
+
+        def fractions(shared: Array) -> Array:
+            shorter = shared[side] - stretch
+            pairs = zip(kelvin.tolist(), shorter.tolist(), strict=True)
+            return np.array([_fraction(t, e, branch, parameters) for t, e in pairs])
+
+        def imbalance(own: float, number: int) -> float:
+            shared = np.zeros(sides)
+            shared[number] = own
+            if boundary.coupled:
+                shared[1 - number] = -own
+            sigma = material.stress(
+                kelvin, fractions(shared), shared[side] - stretch, parameters
+            )
+            pull = np.bincount(side, sigma, sides)
+            against = pull[1 - number] if boundary.coupled else 0.0
+            return float(pull[number] - against - load[number] - stiffness[number] * own)
+
+        if boundary.contraction is None:
+            for number in range(1 if boundary.coupled else sides):
+                # Root of a falling function, looked for ever farther from 0.
+                function = partial(imbalance, number=number)
+                outward = 1.0 if function(0.0) > 0.0 else -1.0
+                near, far = 0.0, outward * 0.01
+                while function(far) * outward > 0.0:
+                    if abs(far) > _LARGEST_CONTRACTION:
+                        raise InputError(
+                            "operating point: no contraction balances the stresses of a side"
+                        )
+                    near, far = far, 2.0 * far
+                contraction[number] = brentq(function, near, far, xtol=_TOLERANCE, rtol=1e-15)
+            if boundary.coupled:
+                contraction[1] = -contraction[0]
+        fraction = fractions(contraction)
         return cls.of_state(parameters, kelvin, fraction, branch, boundary)
 
     @classmethod
@@ -377,42 +406,6 @@ def full_stroke(parameters: Parameters) -> float:
     return model.lever * model.largest_contraction()
 
 
-def _fractions(
-    temperature: Array, branch: Branch, parameters: Parameters, boundary: Boundary
-) -> Array:
-    """(w,) martensite fractions, the stresses of each side or of both on a slider in balance."""
-    side, sides = side_of_channels(parameters), len(side_names(parameters))
-    contraction = np.zeros(sides)
-    if boundary.contraction is not None:
-        contraction = per_side("contraction", boundary.contraction, sides)
-    stretch = boundary.stretch_of_wires(parameters)
-    stiffness, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
-
-    def fractions(shared: Array) -> Array:
-        shorter = shared[side] - stretch
-        pairs = zip(temperature.tolist(), shorter.tolist(), strict=True)
-        return np.array([_fraction(t, e, branch, parameters) for t, e in pairs])
-
-    def imbalance(own: float, number: int) -> float:
-        shared = np.zeros(sides)
-        shared[number] = own
-        if boundary.coupled:
-            shared[1 - number] = -own
-        sigma = material.stress(
-            temperature, fractions(shared), shared[side] - stretch, parameters
-        )
-        pull = np.bincount(side, sigma, sides)
-        against = pull[1 - number] if boundary.coupled else 0.0
-        return float(pull[number] - against - load[number] - stiffness[number] * own)
-
-    if boundary.contraction is None:
-        for number in range(1 if boundary.coupled else sides):
-            contraction[number] = _falling_root(partial(imbalance, number=number), 0.01)
-        if boundary.coupled:
-            contraction[1] = -contraction[0]
-    return fractions(contraction)
-
-
 def _fraction(
     temperature: float, contraction: float, branch: Branch, parameters: Parameters
 ) -> float:
@@ -427,14 +420,3 @@ def _fraction(
     if error(1.0) <= 0.0:
         return 1.0
     return float(brentq(error, 0.0, 1.0, xtol=_TOLERANCE, rtol=1e-15))
-
-
-def _falling_root(function: Callable[[float], float], reach: float) -> float:
-    """Root of a falling function, looked for ever farther from 0."""
-    outward = 1.0 if function(0.0) > 0.0 else -1.0
-    near, far = 0.0, outward * reach
-    while function(far) * outward > 0.0:
-        if abs(far) > _LARGEST_CONTRACTION:
-            raise InputError("operating point: no contraction balances the stresses of a side")
-        near, far = far, 2.0 * far
-    return float(brentq(function, near, far, xtol=_TOLERANCE, rtol=1e-15))

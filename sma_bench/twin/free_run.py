@@ -180,10 +180,18 @@ class FreeRun:
         self.trajectory = self.trajectory.followed_by(self._trajectory(grid, run))
         self.time, self._volts, self._driven = float(time[-1]), held[-1], self.trajectory.driven[-1]
         if not self._known.all():
-            self._notice_known(run)
+            xi, kelvin = run.martensite_fraction, run.temperature
+            surely = (xi < 1e-6) | ((xi > 1.0 - 1e-6) & (kelvin < self._cold))
+            settled = np.isfinite(self._measured) | (self.time - self._joined > self._settling)
+            self._known |= surely.any(axis=0) & settled
+            if self._known.all():
+                self.known_since = self.time
         if self.time - self._checkpoints[-1][0] > _CHECKPOINT:
             self._checkpoints.append((self.time, self._bench.state))
-            self._forget()
+            while len(self._checkpoints) > 1 and self._checkpoints[1][0] <= self.time - _MEMORY:
+                self._checkpoints.popleft()
+            while self._log[0][0][0] < self._checkpoints[0][0]:
+                self._log.popleft()
 
     def change(self, parameters: Parameters) -> None:
         """Live the last minute again with other parameters, and go on with them."""
@@ -223,20 +231,6 @@ class FreeRun:
         return Trajectory(
             time, run.temperature, run.temperature_reading, conductance, mechanics, driven
         )
-
-    def _notice_known(self, run: Simulation) -> None:
-        xi, kelvin = run.martensite_fraction, run.temperature
-        surely = (xi < 1e-6) | ((xi > 1.0 - 1e-6) & (kelvin < self._cold))
-        settled = np.isfinite(self._measured) | (self.time - self._joined > self._settling)
-        self._known |= surely.any(axis=0) & settled
-        if self._known.all():
-            self.known_since = self.time
-
-    def _forget(self) -> None:
-        while len(self._checkpoints) > 1 and self._checkpoints[1][0] <= self.time - _MEMORY:
-            self._checkpoints.popleft()
-        while self._log[0][0][0] < self._checkpoints[0][0]:
-            self._log.popleft()
 
 
 def _in_steps(time: Array, voltage: Array) -> tuple[Array, Array]:

@@ -183,20 +183,42 @@ class Twin:
             time = time[:0]
         run, comparison = self._run, self._comparison
         if run is None or comparison is None:
-            self._say_what_is_missing()
+            missing = [self._channels[k] for k in self._voltages.missing()]
+            said = f"voltage of {', '.join(missing)}" if missing else "temperatures to begin with"
+            self.verdict = Verdict(LEARNING, f"learning: waiting for {said}")
         elif len(time):
             run.advance(time, volts)
-            self._predict(run, time, volts)
-            self._compare(run, comparison)
+            trajectory = run.trajectory
+            rows = np.searchsorted(trajectory.time, time)
+            for k in self._due("prediction", 0, time):
+                row = min(int(rows[k]), len(trajectory.time) - 1)
+                self._on_prediction(Prediction(
+                    self._stamp(float(time[k])), volts[k], volts[k] * trajectory.conductance[row],
+                    trajectory.reading[row], float(trajectory.mechanics[row]),
+                ))  # fmt: skip
+            for (kind, wire), waiting in self._pending.items():
+                count = sum(1 for _ in takewhile(lambda one: one[0] <= run.time, waiting))
+                if not count:
+                    if waiting and waiting[0][0] > run.time + _FAR_AHEAD:
+                        self._ignored += len(waiting)
+                        waiting.clear()
+                    continue
+                taken = [waiting.popleft() for _ in range(count)]
+                time, value, factor, std = np.array([(at, v, f, d) for at, _, v, f, d in taken]).T
+                predicted = np.interp(time, run.trajectory.time, _column(run, kind, wire)) * factor
+                if kind == CURRENT:
+                    comparison.current(wire, time, value, predicted)
+                elif kind == TEMPERATURE:
+                    comparison.temperature(wire, time, value, predicted, std)
+                else:
+                    comparison.mechanics(time, value, predicted)
+                residual = (value - predicted).tolist()
+                for k in self._due(kind, wire, time):
+                    self._on_residual(Residual(kind, wire, taken[k][1], residual[k]))
             self._unjudged += comparison.close(run)
             if self._unjudged >= _EVERY:
                 self._unjudged = 0
                 self.verdict = self._judge.judge(comparison, self._rules)
-
-    def _say_what_is_missing(self) -> None:
-        missing = [self._channels[k] for k in self._voltages.missing()]
-        said = f"voltage of {', '.join(missing)}" if missing else "temperatures to begin with"
-        self.verdict = Verdict(LEARNING, f"learning: waiting for {said}")
 
     def _join(self, time: Array, volts: Array) -> None:
         """Begin where temperatures are known, or a second later without those that never came."""
@@ -214,37 +236,6 @@ class Twin:
         self._run = FreeRun(self._parameters, now, kelvin, volts[-1])
         self._comparison = Comparison(self._run, self._rules.allowed["temperature"])
         self.verdict = Verdict(LEARNING, "learning the noise")
-
-    def _compare(self, run: FreeRun, comparison: Comparison) -> None:
-        for (kind, wire), waiting in self._pending.items():
-            count = sum(1 for _ in takewhile(lambda one: one[0] <= run.time, waiting))
-            if not count:
-                if waiting and waiting[0][0] > run.time + _FAR_AHEAD:
-                    self._ignored += len(waiting)
-                    waiting.clear()
-                continue
-            taken = [waiting.popleft() for _ in range(count)]
-            time, value, factor, std = np.array([(at, v, f, d) for at, _, v, f, d in taken]).T
-            predicted = np.interp(time, run.trajectory.time, _column(run, kind, wire)) * factor
-            if kind == CURRENT:
-                comparison.current(wire, time, value, predicted)
-            elif kind == TEMPERATURE:
-                comparison.temperature(wire, time, value, predicted, std)
-            else:
-                comparison.mechanics(time, value, predicted)
-            residual = (value - predicted).tolist()
-            for k in self._due(kind, wire, time):
-                self._on_residual(Residual(kind, wire, taken[k][1], residual[k]))
-
-    def _predict(self, run: FreeRun, time: Array, volts: Array) -> None:
-        trajectory = run.trajectory
-        rows = np.searchsorted(trajectory.time, time)
-        for k in self._due("prediction", 0, time):
-            row = min(int(rows[k]), len(trajectory.time) - 1)
-            self._on_prediction(Prediction(
-                self._stamp(float(time[k])), volts[k], volts[k] * trajectory.conductance[row],
-                trajectory.reading[row], float(trajectory.mechanics[row]),
-            ))  # fmt: skip
 
     def _due(self, kind: str, wire: int, time: Array) -> list[int]:
         """Which of the times (n,) are to be published."""
@@ -347,27 +338,19 @@ class Judge:
             size = float(counted.max())
             least = settings.threshold * (STAYS if stage in self._open else 1.0)
             self._open = self._open | {stage} if size >= least else self._open - {stage}
-            self._get_to_know(stage, size, seen.get(stage, 0.0) >= settings.threshold)
+            # A gap that was there from the first verdict on is known at its largest of a minute.
+            if stage not in self._known:
+                first = stage != SENSOR  # which shows only once the mechanics contradict it
+                wide = seen.get(stage, 0.0) >= settings.threshold
+                self._known[stage] = size if first else 0.0
+                self._unknown[stage] = _ACQUAINTANCE if first and wide else 0
+            elif self._unknown.get(stage, 0) > 0:
+                self._known[stage] = max(self._known[stage], size)
+                self._unknown[stage] -= 1
             if stage in self._open:
                 gaps.append(stage)
                 if size > max(least, _GROWN * self._known[stage]):
                     grown.append(stage)
-        return self._verdict(gaps, grown, measured, comparison)
-
-    def _get_to_know(self, stage: str, size: float, seen: bool) -> None:
-        """A gap that was there from the first verdict on is known at its largest of a minute."""
-        if stage not in self._known:
-            first = stage != SENSOR  # which shows only once the mechanics contradict it
-            self._known[stage] = size if first else 0.0
-            self._unknown[stage] = _ACQUAINTANCE if first and seen else 0
-        elif self._unknown.get(stage, 0) > 0:
-            self._known[stage] = max(self._known[stage], size)
-            self._unknown[stage] -= 1
-
-    def _verdict(
-        self, gaps: list[str], grown: list[str], measured: list[StageState],
-        comparison: Comparison,
-    ) -> Verdict:
         waiting = [s.stage for s in measured if np.isnan(s.energy)]
         if not gaps:
             apart = f"; not judged: {', '.join(waiting)}" if waiting else ""

@@ -146,10 +146,39 @@ def fit_law(
     best = min(solutions, key=lambda s: s.cost)
     agreeing = sum(bool(s.cost < 1.02 * best.cost + 1e-15) for s in solutions)
     x = best.x
-    jacobian = _jacobian(residuals, x, size, low, high)
+    columns = []
+    for i in range(len(x)):
+        step = 1e-3 * size[i]
+        up, down = x.copy(), x.copy()
+        up[i], down[i] = min(x[i] + step, high[i]), max(x[i] - step, low[i])
+        columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
+    jacobian = np.column_stack(columns)
     fits = _loop_fits(law, {**fixed, **dict(zip(names, x, strict=True))}, loops, given)
-    covariance = _covariance(jacobian, fits, len(names))
-    covariance += _from_moduli(residuals, x, jacobian, parameters)
+    # Sandwich: each loop with its own scatter, all with one autocorrelation.
+    bread = np.linalg.pinv(jacobian.T @ jacobian)
+    pieces = []
+    for fit in fits:
+        ends = np.cumsum([len(path.strain) for path in fit.loop.paths])[:-1]
+        pieces.extend(np.split(fit.residual / fit.loop.recovered, ends))
+    correlated = inflation(autocorrelation(pieces))
+    total = sum(len(fit.residual) for fit in fits)
+    meat = np.zeros_like(bread)
+    first = 0
+    for fit in fits:
+        rows = jacobian[first : first + len(fit.residual)]
+        first += len(fit.residual)
+        variance = correlated * float(np.mean((fit.residual / fit.loop.recovered) ** 2))
+        meat += variance * total / (total - len(names) - 2 * len(fits)) * (rows.T @ rows)
+    covariance = np.asarray(bread @ meat @ bread)
+    # What the uncertainty of E_A and E_M adds to the covariance.
+    added = np.zeros_like(bread)
+    at_best = residuals(x)
+    for name in _MODULI:
+        step = 1e-3 * parameters[name]
+        shifted = elastic(parameters.replace({name: parameters[name] + step}))
+        slope = -bread @ jacobian.T @ ((residuals(x, shifted) - at_best) / step)
+        added += np.outer(slope, slope) * parameters.std(name) ** 2
+    covariance += added
     near = np.minimum(x - low, high - x) < _AT_BOUND * (high - low)
     return LawFit(
         law=law,
@@ -182,50 +211,6 @@ def _starts(unknowns: Sequence[LawNumber]) -> list[Array]:
     margin = 1e-6 * (high - low)
     starts = [first] + [first + size * rng.standard_normal(len(first)) for _ in range(STARTS - 1)]
     return [np.clip(start, low + margin, high - margin) for start in starts]
-
-
-def _jacobian(residuals: Residuals, x: Array, size: Array, low: Array, high: Array) -> Array:
-    columns = []
-    for i in range(len(x)):
-        step = 1e-3 * size[i]
-        up, down = x.copy(), x.copy()
-        up[i], down[i] = min(x[i] + step, high[i]), max(x[i] - step, low[i])
-        columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
-    return np.column_stack(columns)
-
-
-def _covariance(jacobian: Array, fits: Sequence[LoopFit], count: int) -> Array:
-    """Sandwich: each loop with its own scatter, all with one autocorrelation."""
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    pieces = []
-    for fit in fits:
-        ends = np.cumsum([len(path.strain) for path in fit.loop.paths])[:-1]
-        pieces.extend(np.split(fit.residual / fit.loop.recovered, ends))
-    correlated = inflation(autocorrelation(pieces))
-    total = sum(len(fit.residual) for fit in fits)
-    meat = np.zeros_like(bread)
-    first = 0
-    for fit in fits:
-        rows = jacobian[first : first + len(fit.residual)]
-        first += len(fit.residual)
-        variance = float(np.mean((fit.residual / fit.loop.recovered) ** 2))
-        meat += variance * correlated * total / (total - count - 2 * len(fits)) * (rows.T @ rows)
-    return np.asarray(bread @ meat @ bread)
-
-
-def _from_moduli(
-    residuals: Residuals, x: Array, jacobian: Array, parameters: Parameters
-) -> Array:
-    """What the uncertainty of E_A and E_M adds to the covariance."""
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    added = np.zeros_like(bread)
-    at_best = residuals(x)
-    for name in _MODULI:
-        step = 1e-3 * parameters[name]
-        shifted = elastic(parameters.replace({name: parameters[name] + step}))
-        slope = -bread @ jacobian.T @ ((residuals(x, shifted) - at_best) / step)
-        added += np.outer(slope, slope) * parameters.std(name) ** 2
-    return added
 
 
 def _loop_fits(

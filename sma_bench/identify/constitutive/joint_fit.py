@@ -90,17 +90,48 @@ def fit_constitutive(
     findings.extend(remarks.about_fits(fits, TOLERANCE))
     findings.extend(remarks.about_numbers(chosen))
     cycles = _cycle_by_cycle(chosen, records, parameters, findings)
-    details = {**_details(fits), **cycles}
+    details = {}
+    for fit in fits:
+        n = sum(len(f.residual) for f in fit.loops)
+        for i, name in enumerate(fit.names):
+            details[f"{fit.law}: {name}"] = Estimate(
+                float(fit.values[i]), float(fit.std[i]), UNITS.get(name, _SLOPE_UNIT),
+                "joint fit", n,
+            )
+        for stress, error in errors_by_stress(fit).items():
+            here = [f for f in fit.loops if f.loop.stress == stress]
+            count = sum(len(f.residual) for f in here)
+            details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = Estimate(
+                error, error / math.sqrt(2.0 * count), "1", "rms over recovered strain", count
+            )
+    details = {**details, **cycles}
     estimates = _estimates(chosen, parameters, findings)
+    # Of the errors of the estimates; that of an inverse slope has the other sign.
+    names = list(estimates)
+    weights = {parameter: {name: 1.0} for name, parameter in TEMPERATURES.items()}
+    for label, (parameter, common, own) in INFLUENCES.items():
+        slopes = common if chosen.law == "contract" else own
+        weights[parameter] = {name: -1.0 / len(slopes) for name in slopes}
+        weights[parameter][f"bend_{label[-1]}"] = -_largest_stress(chosen)
+    weights["wire.maximum_recoverable_strain"] = _strain_weights(chosen)
+    weights["wire.thermal_expansion_factor"] = {"Theta_T": 1.0, "alpha_M": -1.0}
+    turn = np.array([[weights[n].get(name, 0.0) for name in chosen.names] for n in names])
+    covariance = turn @ chosen.covariance @ turn.T if names else np.zeros((0, 0))
+    sigma = np.sqrt(np.diag(covariance))
+    curves = {"correlation": chosen.correlation}
+    for f in chosen.loops:
+        curves[f"{f.loop.label}/temperature"] = f.loop.temperature
+        curves[f"{f.loop.label}/strain"] = f.loop.strain
+        curves[f"{f.loop.label}/model"] = f.model
     return Experiment(
         name=NAME,
         title=TITLE,
         estimates=estimates,
         findings=tuple(findings),
-        curves=_curves(chosen),
+        curves=curves,
         source="; ".join(str(record.path) for record in records),
         details=details,
-        correlation=_correlation(chosen, list(estimates)),
+        correlation=Correlation(tuple(names), covariance / np.outer(sigma, sigma)),
     )
 
 
@@ -221,24 +252,6 @@ def _is_in_range(name: str, estimate: Estimate, findings: list[Finding]) -> bool
     return False
 
 
-def _details(fits: Sequence[LawFit]) -> dict[str, Estimate]:
-    details = {}
-    for fit in fits:
-        n = sum(len(f.residual) for f in fit.loops)
-        for i, name in enumerate(fit.names):
-            details[f"{fit.law}: {name}"] = Estimate(
-                float(fit.values[i]), float(fit.std[i]), UNITS.get(name, _SLOPE_UNIT),
-                "joint fit", n,
-            )
-        for stress, error in errors_by_stress(fit).items():
-            here = [f for f in fit.loops if f.loop.stress == stress]
-            count = sum(len(f.residual) for f in here)
-            details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = Estimate(
-                error, error / math.sqrt(2.0 * count), "1", "rms over recovered strain", count
-            )
-    return details
-
-
 def _cycle_by_cycle(
     fit: LawFit,
     records: Sequence[IsobaricRecord],
@@ -269,30 +282,6 @@ def _cycle_by_cycle(
     return details
 
 
-def _correlation(fit: LawFit, names: Sequence[str]) -> Correlation:
-    """Of the errors of the estimates; that of an inverse slope has the other sign."""
-    weights = {parameter: {name: 1.0} for name, parameter in TEMPERATURES.items()}
-    for label, (parameter, common, own) in INFLUENCES.items():
-        slopes = common if fit.law == "contract" else own
-        weights[parameter] = {name: -1.0 / len(slopes) for name in slopes}
-        weights[parameter][f"bend_{label[-1]}"] = -_largest_stress(fit)
-    weights["wire.maximum_recoverable_strain"] = _strain_weights(fit)
-    weights["wire.thermal_expansion_factor"] = {"Theta_T": 1.0, "alpha_M": -1.0}
-    turn = np.array([[weights[n].get(name, 0.0) for name in fit.names] for n in names])
-    covariance = turn @ fit.covariance @ turn.T if names else np.zeros((0, 0))
-    sigma = np.sqrt(np.diag(covariance))
-    return Correlation(tuple(names), covariance / np.outer(sigma, sigma))
-
-
-def _curves(fit: LawFit) -> dict[str, Array]:
-    curves = {"correlation": fit.correlation}
-    for f in fit.loops:
-        curves[f"{f.loop.label}/temperature"] = f.loop.temperature
-        curves[f"{f.loop.label}/strain"] = f.loop.strain
-        curves[f"{f.loop.label}/model"] = f.model
-    return curves
-
-
 # --- Where the joint fit starts, and between which bounds it searches.
 
 _SLOPE_BOUNDS = (-5.0, 100.0)  # K per 100 MPa: C from 1 MPa/K on
@@ -308,7 +297,31 @@ def unknowns_of(
     Raises:
         InputError: no loop shows a transformation.
     """
-    read = _tangents(loops)
+    # (n, 2) stress in units of the reference and K for each end; `step` likewise in strain.
+    drawn: dict[str, list[tuple[float, float]]] = {}
+    for loop in loops:
+        branches = [
+            Branch(
+                "heating" if path.rising else "cooling",
+                path.level, path.strain, np.full(len(path.strain), loop.stress),
+            )
+            for path in loop.paths
+        ]
+        for i, branch in enumerate(branches):
+            companion = branches[1 - i] if len(branches) == 2 else None
+            try:
+                tangents = strain_tangents(branch, companion)
+            except InputError:
+                continue
+            s = loop.stress / REFERENCE_STRESS
+            of_branch = "A_s A_f" if branch.direction == "heating" else "M_s M_f"
+            for name, (value, _) in zip(of_branch.split(), tangents.cosine_ends(), strict=True):
+                drawn.setdefault(name, []).append((s, value))
+            drawn.setdefault("step", []).append((s, tangents.step[0]))
+    if not drawn:
+        raise InputError("constitutive fit: no loop shows a transformation")
+    read = {name: np.array(points) for name, points in drawn.items()}
+
     several = has_several_stresses(loops)
     unknowns: list[LawNumber] = []
     fixed: dict[str, float] = {}
@@ -320,7 +333,12 @@ def unknowns_of(
         slopes = dict.fromkeys(slopes, 0.0)
     for phase, ends in (("A", ("A_s", "A_f")), ("M", ("M_f", "M_s"))):
         if ends[0] not in read:
-            fixed.update(_unmeasured(phase, ends, law, slopes[phase], parameters))
+            # A direction without a branch plays no part; any numbers will do.
+            words = {"A": "austenite", "M": "martensite"}[phase]
+            kinds = {"s": "start", "f": "finish"}
+            found = {e: parameters[f"wire.{words}_{kinds[e[-1]]}_temperature"] for e in ends}
+            names = [f"slope_{phase}"] if law == "contract" else [f"slope_{e}" for e in ends]
+            fixed.update({**found, **dict.fromkeys(names, slopes[phase])})
             continue
         at_zero, slope = _line(read, ends, slopes[phase] if not several else None)
         for end, value in zip(ends, at_zero, strict=True):
@@ -343,34 +361,6 @@ def unknowns_of(
     return unknowns, fixed
 
 
-def _tangents(loops: Sequence[Loop]) -> dict[str, Array]:
-    """(n, 2) stress in units of the reference and K for each end; `step` likewise in strain."""
-    read: dict[str, list[tuple[float, float]]] = {}
-    for loop in loops:
-        branches = [
-            Branch(
-                "heating" if path.rising else "cooling",
-                path.level, path.strain, np.full(len(path.strain), loop.stress),
-            )
-            for path in loop.paths
-        ]
-        for i, branch in enumerate(branches):
-            companion = branches[1 - i] if len(branches) == 2 else None
-            try:
-                tangents = strain_tangents(branch, companion)
-            except InputError:
-                continue
-            names = ("A_s", "A_f") if branch.direction == "heating" else ("M_s", "M_f")
-            ends = tangents.cosine_ends()
-            s = loop.stress / REFERENCE_STRESS
-            for name, (value, _) in zip(names, ends, strict=True):
-                read.setdefault(name, []).append((s, value))
-            read.setdefault("step", []).append((s, tangents.step[0]))
-    if not read:
-        raise InputError("constitutive fit: no loop shows a transformation")
-    return {name: np.array(points) for name, points in read.items()}
-
-
 def _line(
     read: Mapping[str, Array], ends: tuple[str, str], slope: float | None
 ) -> tuple[list[float], float]:
@@ -384,17 +374,6 @@ def _line(
     if at_zero[1] - at_zero[0] < 1.0:
         at_zero[1] = at_zero[0] + 1.0
     return at_zero, slope
-
-
-def _unmeasured(
-    phase: str, ends: tuple[str, str], law: Law, slope: float, parameters: Parameters
-) -> dict[str, float]:
-    """A direction without a branch plays no part; any numbers will do."""
-    words = {"A": "austenite", "M": "martensite"}[phase]
-    kinds = {"s": "start", "f": "finish"}
-    found = {e: parameters[f"wire.{words}_{kinds[e[-1]]}_temperature"] for e in ends}
-    names = [f"slope_{phase}"] if law == "contract" else [f"slope_{e}" for e in ends]
-    return {**found, **dict.fromkeys(names, slope)}
 
 
 def _strain_unknowns(loops: Sequence[Loop], law: Law, step: Array) -> list[LawNumber]:

@@ -119,8 +119,17 @@ def martensite_fractions(law: Law, p: Mapping[str, float], loop: Loop) -> list[A
     xi_reversed = 1.0 if rising else 0.0
     found = []
     for path in loop.paths:
-        start, width = _range(law, p, path.rising, loop.stress)
-        left = _cosine((path.temperature - start) / width)
+        # Lower end and width (K) of the transformation range at a stress.
+        names = ("A_s", "A_f") if path.rising else ("M_f", "M_s")
+        s = loop.stress / REFERENCE_STRESS
+        if law == "contract":
+            slopes = (p["slope_A" if path.rising else "slope_M"],) * 2
+        else:
+            slopes = (p[f"slope_{names[0]}"], p[f"slope_{names[1]}"])
+        bend = p.get("bend_A" if path.rising else "bend_M", 0.0) * s**2
+        low, high = (p[name] + slope * s + bend for name, slope in zip(names, slopes, strict=True))
+        start, width = low, max(high - low, _NARROWEST)
+        left = 0.5 + 0.5 * np.cos(np.pi * np.clip((path.temperature - start) / width, 0.0, 1.0))
         if not path.rising:
             # eq. (11) is martensite; what vanishes on cooling is austenite.
             left = 1.0 - left
@@ -174,26 +183,6 @@ def without_free_parts(values: Array, columns: Array) -> tuple[Array, Array]:
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-12)
     weights, *_ = np.linalg.lstsq(columns / scale, values, rcond=None)
     return values - (columns / scale) @ weights, weights / scale
-
-
-def _range(
-    law: Law, p: Mapping[str, float], rising: bool, stress: float
-) -> tuple[float, float]:
-    """Lower end and width (K) of the transformation range at a stress."""
-    names = ("A_s", "A_f") if rising else ("M_f", "M_s")
-    s = stress / REFERENCE_STRESS
-    if law == "contract":
-        slopes = (p["slope_A" if rising else "slope_M"],) * 2
-    else:
-        slopes = (p[f"slope_{names[0]}"], p[f"slope_{names[1]}"])
-    bend = p.get("bend_A" if rising else "bend_M", 0.0) * s**2
-    low, high = (p[name] + slope * s + bend for name, slope in zip(names, slopes, strict=True))
-    return low, max(high - low, _NARROWEST)
-
-
-def _cosine(position: Array) -> Array:
-    """1 at the range's lower end, 0 at its upper one."""
-    return 0.5 + 0.5 * np.cos(np.pi * np.clip(position, 0.0, 1.0))
 
 
 def _loop(record: IsobaricRecord, cycle: Cycle) -> Loop:

@@ -90,7 +90,12 @@ def fit_cosine(
         parameters: E_A, E_M.
         stress: Pa; 0 where strain has no unit.
     """
-    data = _in_bins(branch)
+    t = branch.temperature
+    index = np.floor((t - t.min()) / (float(np.ptp(t)) / _BINS)).astype(int)
+    _, index = np.unique(index, return_inverse=True)
+    count = np.bincount(index)
+    means = (np.bincount(index, values) / count for values in (t, branch.strain))
+    data = _Binned(t, index, *means)
     slopes = (
         tangents.cold.slope if tangents.cold_is_short else None,
         tangents.hot.slope if tangents.hot_is_short else None,
@@ -118,15 +123,6 @@ def fit_cosine(
 
 
 _OUTWARD = np.array([-1.0, 1.0])
-
-
-def _in_bins(branch: Branch) -> _Binned:
-    t = branch.temperature
-    index = np.floor((t - t.min()) / (float(np.ptp(t)) / _BINS)).astype(int)
-    _, index = np.unique(index, return_inverse=True)
-    count = np.bincount(index)
-    means = (np.bincount(index, values) / count for values in (t, branch.strain))
-    return _Binned(t, index, *means)
 
 
 @dataclass(frozen=True)

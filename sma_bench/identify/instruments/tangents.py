@@ -181,7 +181,9 @@ def _baseline(scan: Scan, tolerance: float) -> tuple[Line, float]:
     """Line through the scan's beginning, extended while the scan stays on it; its extent in K."""
     count = shortest = round(_BASELINE / GRID)
     for _ in range(10):
-        line = _fit(scan, 0, count)
+        t, y = scan.temperature[0:count], scan.flow[0:count]
+        slope = float(np.polyfit(t - t.mean(), y, 1)[0])
+        line = Line(float(t.mean()), float(y.mean()), slope)
         away = np.abs(scan.flow - line(scan.temperature)) > tolerance
         reach = int(np.argmax(away)) if away.any() else len(away)
         longer = max(min(reach, len(away) // 2), shortest)
@@ -210,12 +212,6 @@ def _tangent(scan: Scan, baseline: Line, smoothing: float) -> Line:
     return Line(
         float(scan.temperature[touch]), float(smooth[touch]), float(slope[touch]) / step
     )
-
-
-def _fit(scan: Scan, first: int, last: int) -> Line:
-    t, y = scan.temperature[first:last], scan.flow[first:last]
-    slope = float(np.polyfit(t - t.mean(), y, 1)[0])
-    return Line(float(t.mean()), float(y.mean()), slope)
 
 
 def _bases(scan: Scan, start: Onset, finish: Onset) -> tuple[Array, Array]:
@@ -290,13 +286,28 @@ def _cold_line(t: Array, strain: Array, straight: float) -> OuterLine:
     # Where points are few, second differences are bends, not scatter: hence the limit.
     span = float(np.ptp(strain))
     tolerance = max(straight * span, min(3.0 * scatter(strain), 2.0 * straight * span))
-    first = _first_settled(t, strain)
+    # First point to use: after a reversal a lagging specimen goes on the old way for a while.
+    near = np.flatnonzero(t <= t[0] + _LAG_SHARE * (t[-1] - t[0]))
+    middle = 0.5 * (strain[0] + strain[-1])
+    furthest = int(np.argmax(np.abs(strain[near] - middle)))
+    lags = abs(strain[furthest] - strain[0]) > _LAG_STRAIN * float(np.ptp(strain))
+    first = min(furthest, len(t) // 4) if lags else 0
     t, strain = t[first:], strain[first:]
-    count = _straight_count(t, strain, tolerance)
-    line, covariance = fit_line(t[:count], strain[:count])
-    share = float(np.ptp(t[:count])) / float(np.ptp(t))
+    # How many points from the beginning one straight line describes.
+    longest = _SHORTEST_LINE
+    for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
+        line, _ = fit_line(t[:count], strain[:count])
+        left = strain[:count] - line(t[:count])
+        # A run of points on one side tells a bend long before the largest residual does.
+        run = abs(float(np.mean(left[-max(count // 5, 3) :])))
+        if run < 0.5 * tolerance and np.max(np.abs(left)) < 2.0 * tolerance:
+            longest = count
+        elif count > 3 * longest:
+            break
+    line, covariance = fit_line(t[:longest], strain[:longest])
+    share = float(np.ptp(t[:longest])) / float(np.ptp(t))
     is_short = share < _SHORT_SHARE or abs(line.slope) > _STEEP_SHARE * _steepness(t, strain)
-    return OuterLine(line, covariance, float(t[count - 1]), is_short)
+    return OuterLine(line, covariance, float(t[longest - 1]), is_short)
 
 
 def _mirrored(side: OuterLine) -> OuterLine:
@@ -315,36 +326,12 @@ def _through_end(side: OuterLine, t: Array, strain: Array, beside: OuterLine) ->
     return OuterLine(line, np.diag([own, beside.covariance[1, 1]]), float(t[last][-1]), True)
 
 
-def _first_settled(t: Array, strain: Array) -> int:
-    """First point to use: after a reversal a lagging specimen goes on the old way for a while."""
-    near = np.flatnonzero(t <= t[0] + _LAG_SHARE * (t[-1] - t[0]))
-    middle = 0.5 * (strain[0] + strain[-1])
-    furthest = int(np.argmax(np.abs(strain[near] - middle)))
-    lags = abs(strain[furthest] - strain[0]) > _LAG_STRAIN * float(np.ptp(strain))
-    return min(furthest, len(t) // 4) if lags else 0
-
-
 def _steepness(t: Array, strain: Array) -> float:
     """Largest slope over a few points."""
     times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
     centred = times - times.mean(axis=1, keepdims=True)
     slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
     return float(np.max(np.abs(slopes)))
-
-
-def _straight_count(t: Array, strain: Array, tolerance: float) -> int:
-    """How many points from the beginning one straight line describes."""
-    longest = _SHORTEST_LINE
-    for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
-        line, _ = fit_line(t[:count], strain[:count])
-        left = strain[:count] - line(t[:count])
-        # A run of points on one side tells a bend long before the largest residual does.
-        run = abs(float(np.mean(left[-max(count // 5, 3) :])))
-        if run < 0.5 * tolerance and np.max(np.abs(left)) < 2.0 * tolerance:
-            longest = count
-        elif count > 3 * longest:
-            break
-    return longest
 
 
 def fit_line(t: Array, strain: Array) -> tuple[Line, Array]:

@@ -95,7 +95,21 @@ def read_curve(record: TensileRecord) -> TensileReading:
         raise InputError(f"{record.path}: {len(x)} points while loading, expected 20 or more")
     noise = 1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / math.sqrt(6.0)
     pieces = straight_pieces(x, y, max(_STRAIGHT * float(np.ptp(y)), 1.2 * noise))
-    plateau = _plateau(x, pieces)
+    # First and last point of the longest run of flat pieces after the first steep one.
+    steep = max(p.slope for p in [p for p in pieces if _is_long(x, p)] or pieces)
+    runs: list[tuple[int, int]] = []
+    seen = False
+    for p in pieces:
+        if p.slope > 0.5 * steep:
+            seen = True
+        if not seen or p.slope > PLATEAU_SLOPE * steep:
+            continue
+        if runs and runs[-1][1] + 1 == p.first:
+            runs[-1] = (runs[-1][0], p.last)
+        else:
+            runs.append((p.first, p.last))
+    long = [run for run in runs if x[run[1]] - x[run[0]] > PLATEAU_STRAIN]
+    plateau = max(long, key=lambda run: float(x[run[1]] - x[run[0]])) if long else None
     initial = _steepest(x, y, [p for p in pieces if plateau is None or p.last < plateau[0]])
     if initial is None:
         raise InputError(f"{record.path}: no elastic rise before the plateau")
@@ -124,24 +138,6 @@ def read_curve(record: TensileRecord) -> TensileReading:
             [x[k], p.value + p.slope * (x[k] - p.at)] for p in pieces for k in (p.first, p.last)
         ]),
     )
-
-
-def _plateau(x: Array, pieces: Sequence[Piece]) -> tuple[int, int] | None:
-    """First and last point of the longest run of flat pieces after the first steep one."""
-    steep = max(p.slope for p in [p for p in pieces if _is_long(x, p)] or pieces)
-    runs: list[tuple[int, int]] = []
-    seen = False
-    for p in pieces:
-        if p.slope > 0.5 * steep:
-            seen = True
-        if not seen or p.slope > PLATEAU_SLOPE * steep:
-            continue
-        if runs and runs[-1][1] + 1 == p.first:
-            runs[-1] = (runs[-1][0], p.last)
-        else:
-            runs.append((p.first, p.last))
-    long = [run for run in runs if x[run[1]] - x[run[0]] > PLATEAU_STRAIN]
-    return max(long, key=lambda run: float(x[run[1]] - x[run[0]])) if long else None
 
 
 def _is_long(x: Array, piece: Piece) -> bool:

@@ -70,7 +70,23 @@ def identify_thermal_expansion(
     findings: list[Finding] = []
     all_points, used, groups = [], [], []
     for index, record in enumerate(records):
-        points = _points(record, temperature, force, parameters)
+        time, kelvin = samples(record, temperature)
+        force_time, newton = samples(record, force)
+        windows = steady_windows(time, kelvin)
+        inside = (windows[:, 0] >= force_time[0]) & (windows[:, 1] <= force_time[-1])
+        windows = windows[inside]
+        if not len(windows):
+            raise InputError(
+                f"{record.path}: {temperature} never holds still for {SHORTEST_PLATEAU:g} s, "
+                "expected a staircase"
+            )
+        area = 0.25 * math.pi * parameters["wire.diameter"] ** 2
+        warm = means(time, kelvin, windows, temperature)
+        f = means(force_time, newton, windows, force)
+        points = _Plateaus(
+            warm.value, np.hypot(warm.noise, warm.hidden), f.value / area,
+            np.hypot(f.noise, f.hidden) / area, int(np.sum(f.n)),
+        )
         all_points.append(points)
         used.append(_usable(record, points, parameters, findings))
         groups.append(np.full(len(points.temperature), index))
@@ -177,26 +193,6 @@ def steady_windows(time: Array, temperature: Array) -> Array:
     spans = [(centre[a], centre[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     long = [(a, b) for a, b in spans if b - a >= SHORTEST_PLATEAU]
     return np.array([(b - _TAIL * (b - a), b) for a, b in long]).reshape(-1, 2)
-
-
-def _points(record: Record, temperature: str, force: str, parameters: Parameters) -> _Plateaus:
-    time, kelvin = samples(record, temperature)
-    force_time, newton = samples(record, force)
-    windows = steady_windows(time, kelvin)
-    inside = (windows[:, 0] >= force_time[0]) & (windows[:, 1] <= force_time[-1])
-    windows = windows[inside]
-    if not len(windows):
-        raise InputError(
-            f"{record.path}: {temperature} never holds still for {SHORTEST_PLATEAU:g} s, expected "
-            "a staircase"
-        )
-    area = 0.25 * math.pi * parameters["wire.diameter"] ** 2
-    t = means(time, kelvin, windows, temperature)
-    f = means(force_time, newton, windows, force)
-    return _Plateaus(
-        t.value, np.hypot(t.noise, t.hidden), f.value / area,
-        np.hypot(f.noise, f.hidden) / area, int(np.sum(f.n)),
-    )
 
 
 def _usable(
