@@ -133,24 +133,7 @@ def search(
             singles[name] = max(singles[name], found, key=lambda f: f.evidence)
     recalibrated = better
     progress("pairs")
-    # The best singles, each with the partners that promise most; the best pair again with its
-    # own nuisances, as the best singles.
-    ranked = sorted(singles, key=lambda name: singles[name].evidence, reverse=True)
-    gains = {name: singles[name].evidence - recalibrated.evidence for name in ranked}
-    pairs: dict[tuple[str, str], Fit] = {}
-
-    def keep(found: Fit) -> None:
-        one, other = sorted(found.unknowns.effects)
-        if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
-            pairs[one, other] = found
-
-    for name in ranked[:_MOST_PAIRED]:
-        if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):
-            break
-        for found in _pairs_with(name, baseline, singles):
-            keep(found)
-    if pairs:
-        keep(_refined(max(pairs.values(), key=lambda f: f.evidence)))
+    pairs = _pairs(baseline, singles, recalibrated)
     progress("parameters that may be far off")
     narrow = recalibrated.evidence
     recalibrated, off = with_tails(recalibrated)
@@ -290,6 +273,30 @@ def _handed_over(found: Fit) -> Fit:
     if np.max(np.abs(x - found.x)) < _MOVED:
         return found
     return fit(found.problem, found.unknowns, x, rounds=2)
+
+
+def _pairs(
+    baseline: Unknowns, singles: dict[str, Fit], recalibrated: Fit
+) -> dict[tuple[str, str], Fit]:
+    """The best singles, each with the partners that promise most; the best pair again with its own
+    nuisances, as the best singles."""
+    ranked = sorted(singles, key=lambda name: singles[name].evidence, reverse=True)
+    gains = {name: singles[name].evidence - recalibrated.evidence for name in ranked}
+    pairs: dict[tuple[str, str], Fit] = {}
+
+    def keep(found: Fit) -> None:
+        one, other = sorted(found.unknowns.effects)
+        if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
+            pairs[one, other] = found
+
+    for name in ranked[:_MOST_PAIRED]:
+        if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):
+            break
+        for found in _pairs_with(name, baseline, singles):
+            keep(found)
+    if pairs:
+        keep(_refined(max(pairs.values(), key=lambda f: f.evidence)))
+    return pairs
 
 
 def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[Fit]:
