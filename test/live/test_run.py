@@ -6,14 +6,11 @@ import math
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import Freshness, Guard, Limits
-from sma_bench.live.closed_loop import DeflectionLoop, TemperatureLoop
-from sma_bench.live.recording import BRIDGE, RECORDER, Beside
+from sma_bench.hardware.safety import Guard, Limits
+from sma_bench.live.recording import RECORDER, Beside
 from sma_bench.live.run import OpenLoop, Run, Surroundings
-from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
-from sma_bench.protocols.reading import TIP
 
 PARAMETERS = Parameters.defaults()
 LIMITS = Limits.from_parameters(PARAMETERS)
@@ -212,63 +209,6 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
     recorder_says("closed", {"/a": 1})
     bench.spend(0.1)
     assert_cold(bench, "the recorder does not record: closed")
-
-
-def test_no_run_without_the_bridge_and_the_bridges_own_reason_when_it_stops():
-    bench = Bench()
-    bench.around = Surroundings(present={BRIDGE})
-    assert bench.start() == (False, "serial_bridge is not enabled: it has not said its state")
-    bench.beside.bridge("idle")
-    assert bench.start() == (False, "serial_bridge is not enabled: idle")
-    bench.beside.bridge("enabled")
-    assert bench.start()[0]
-    bench.spend(0.5)
-    bench.beside.bridge("stopped: supply at 5.1 V")
-    bench.run.check(bench.now)
-    assert_cold(bench, "serial_bridge: stopped: supply at 5.1 V")
-
-
-# --- controllers --------------------------------------------------------------------------------
-
-
-def settings(node, **changes):
-    return {parameter.name: parameter.default for parameter in NODE_TABLES[node]} | changes
-
-
-def test_a_reference_from_the_topic_is_followed_within_reach_and_only_while_it_runs():
-    set_points = []
-    given = settings("temperature_controller", reference="", feedback=("power", "temperature"))
-    loop = TemperatureLoop(given, PARAMETERS, set_points.append)
-    bench = Bench(loop=loop)
-    bench.plan = lambda: loop.plan(given, PARAMETERS)
-    assert loop.ask([330.0], None, PARAMETERS) == "the reference is not taken from the topic now"
-    loop.measured("wire", 298.15)
-    assert bench.start()[0] and math.isinf(bench.run.protocol.duration)
-    bench.spend(0.5)
-    assert set_points[-1] == [PARAMETERS["environment.ambient_temperature"]]
-    assert bench.sent[-1] == [0.0]
-    assert loop.ask([330.0], bench.run.protocol, PARAMETERS) == ""
-    loop.measured("wire", math.nan)  # the shutter: the last reading stays
-    bench.spend(0.1)
-    assert set_points[-1] == [330.0] and bench.sent[-1][0] > 0.5
-    assert "expected" in loop.ask([3300.0], bench.run.protocol, PARAMETERS)
-    assert bench.shown[-1]["duration"] is None
-
-
-def test_a_deflection_that_stays_away_aborts(pytestconfig):
-    rig = read_parameters(pytestconfig.rootpath / "config" / "composite_rig.yaml")
-    given = settings("deflection_controller")
-    loop = DeflectionLoop(
-        given, rig, lambda levels: None, freshness=Freshness(f"joint_states {TIP}", 0.5)
-    )
-    bench = Bench(parameters=rig, loop=loop)
-    bench.plan = lambda: loop.plan(given, rig)
-    assert bench.start() == (False, f"no feedback: joint_states {TIP} was never received")
-    loop.measured(0.0, 1.0, bench.now)
-    assert bench.start()[0]
-    loop.measured(math.nan, 2.0, bench.now)  # is no reading
-    bench.spend(0.6)
-    assert_cold(bench, f"stale feedback: nothing new from joint_states {TIP}")
 
 
 # --- Steps that end when something happens.

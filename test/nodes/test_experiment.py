@@ -131,32 +131,6 @@ def test_a_second_of_a_name_is_refused_and_the_first_goes_on(bench, running):
     bench.until(lambda: "idle" in third.output)
 
 
-def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothing_records(
-    bench, protocol
-):
-    fake = FakeBench(bench)
-    bench.start("experiment", protocol=protocol(LONG), require_recorder=True)
-    bench.until(lambda: fake.state == "idle")
-    bench.until(lambda: "no recorder is there" in bench.trigger("experiment/start").message)
-    recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
-    heard = {f"/bench/{name}": 1 for name in ("voltage_command", "wire/power")}
-
-    def record(state, messages, failure=""):
-        recorder.publish(String(data=json.dumps(
-            {"state": state, "output": "bag", "failure": failure, "messages": messages}
-        )))  # fmt: skip
-
-    record("recording", heard)
-    answer = bench.until(lambda: (a := bench.trigger("experiment/start")).success and a)
-    assert "does not hear /bench/experiment/marker, /bench/wire/temperature yet" in answer.message
-    assert fake.state == "idle"
-    record("recording", heard | {"/bench/experiment/marker": 0, "/bench/wire/temperature": 9})
-    bench.until(lambda: fake.state == "running: long")
-    record("closed", heard)
-    bench.until(lambda: fake.state == "aborted: the recorder does not record: closed")
-    fake.until_zero()
-
-
 def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(
     bench, protocol, tmp_path
 ):

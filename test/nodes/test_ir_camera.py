@@ -13,8 +13,6 @@ from sma_bench.hardware.safety import Freshness
 from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
 from sma_bench.hardware.thermal_image import Surface
 
-COMPOSITE = "config/composite_rig.yaml"
-CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 ROOM = 23.0
 # A picture small enough for a loaded machine.
 SMALL = {"image_width": 120, "image_height": 80}
@@ -73,7 +71,9 @@ def test_a_simulated_wire_seen_by_the_camera_reads_its_true_temperature(bench):
     truth = bench.listen("wire/true_temperature", Temperature)
     read = bench.listen("wire/temperature", Temperature)
     bench.start("simulator", remap={"wire/temperature": "wire/true_temperature"}, **QUIET)
-    bench.start("synthetic_camera", **SMALL)
+    # As on a robot: there message classes copy what they are given.
+    unchecked = {"env": {**os.environ, "ROS_PYTHON_CHECK_FIELDS": "0"}}
+    bench.start("synthetic_camera", options=unchecked, **SMALL)
     # Of a wire of unknown width a camera would know little more than its place.
     bench.start("ir_camera", read_cold_wires=True, wire__diameter=0.0003, **SMALL)
     command = bench.talk("voltage_command", Float64MultiArray)
@@ -90,39 +90,15 @@ def test_a_simulated_wire_seen_by_the_camera_reads_its_true_temperature(bench):
     assert read[-1].header.frame_id == "wire"
     bench.until(lambda: both_above(50.0))
     settled = len(read)
-    bench.until(lambda: both_above(50.0) and len(read) > settled + 150)
+    bench.until(lambda: both_above(50.0) and len(read) > settled + 90)
     stamps = np.array([seconds(message) for message in truth])
     true_values = np.array([message.temperature for message in truth])
-    late = read[settled + 100 :]
+    late = read[settled + 60 :]
     expected = np.interp([seconds(message) for message in late], stamps, true_values)
     off = np.array([message.temperature for message in late]) - expected
     deviation = np.array([message.variance for message in late]) ** 0.5
     assert (np.abs(off) < 2 * deviation).all()
     assert np.abs(off).mean() < 0.5 < deviation.mean() < 4.0
-
-
-def test_four_wires_that_bend_are_read_each_by_itself(bench):
-    read = {channel: bench.listen(f"{channel}/temperature", Temperature) for channel in CHANNELS}
-    regions = "[" + ", ".join(f"'0 {40 * k} 200 40 x'" for k in range(4)) + "]"
-    size = {"image_width": 200, "image_height": 160}
-    # As on a robot: there message classes copy what they are given.
-    unchecked = {"env": {**os.environ, "ROS_PYTHON_CHECK_FIELDS": "0"}}
-    bench.start(
-        "synthetic_camera", COMPOSITE, options=unchecked, rate=20.0, unevenness=0.0, **size
-    )
-    bench.start("ir_camera", COMPOSITE, regions=regions, shutter_spread=0.5, **size)
-    talkers = [bench.talk(f"{channel}/true_temperature", Temperature) for channel in CHANNELS]
-
-    def told():
-        for k, talker in enumerate(talkers):
-            talker.publish(celsius(60.0 + 10.0 * k))
-        return all(len(messages) > 10 for messages in read.values())
-
-    bench.until(told)
-    for k, channel in enumerate(CHANNELS):
-        for message in read[channel]:
-            assert message.temperature == pytest.approx(60.0 + 10.0 * k, abs=1.0)
-            assert message.header.frame_id == channel
 
 
 def test_readings_stop_and_the_diagnostics_say_why_at_one_fault_after_another(bench):
