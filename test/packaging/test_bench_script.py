@@ -10,7 +10,7 @@ import sys
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
@@ -93,17 +93,9 @@ def bench_script() -> Any:
     return module
 
 
-class FirstUses(NamedTuple):
-    """A checkout whose first setup was killed and then begun again, by two uses at once."""
-
-    house: Path
-    first: tuple[int, str, str]
-    second: tuple[int, str, str]
-
-
 @pytest.fixture(scope="module")
-def first_uses(tmp_path_factory: pytest.TempPathFactory) -> FirstUses:
-    """Every setup of an environment takes long, so the tests share these."""
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkout whose first setup was killed and then begun again, by two uses at once."""
     house = make_house(tmp_path_factory.mktemp("house with space") / "sma_bench")
     killed = start(house, "killed")
     for line in killed.stderr:
@@ -115,71 +107,38 @@ def first_uses(tmp_path_factory: pytest.TempPathFactory) -> FirstUses:
     begun = first.stderr.readline()
     second = start(house, "two")
     (out, rest), (out_2, err_2) = first.communicate(), second.communicate()
-    return FirstUses(
-        house, (first.returncode, out, begun + rest), (second.returncode, out_2, err_2)
-    )
-
-
-@pytest.fixture(scope="module")
-def house(first_uses: FirstUses) -> Path:
-    """A checkout that has been used."""
-    return first_uses.house
+    # The interrupted setup is done again, once: the second of the two waits for the first.
+    assert (first.returncode, out) == (2, "first use\n"), rest
+    assert begun.startswith("bench: setting up .venv-") and "ready in" in rest
+    assert (second.returncode, out_2) == (1, "two\n"), err_2
+    assert err_2.endswith("waiting for it\n") and err_2.count("\n") == 1
+    return house
 
 
 @pytest.mark.slow
-def test_interrupted_setup_is_done_again(first_uses: FirstUses) -> None:
-    code, out, err = first_uses.first
-    assert (code, out) == (2, "first use\n"), err
-    assert err.startswith("bench: setting up .venv-")
-    assert "ready in" in err
-
-
-@pytest.mark.slow
-def test_second_of_two_at_once_waits_for_the_first(first_uses: FirstUses) -> None:
-    code, out, err = first_uses.second
-    assert (code, out) == (1, "two\n"), err
-    assert err.endswith("waiting for it\n")
-    assert len(err.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_second_use_runs_the_command_at_once(house: Path) -> None:
-    assert bench(house, "audit", "lab file.yaml", "--json") == (
-        3,
-        "audit lab file.yaml --json\n",
-        "",
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("told", ["", "3"])
-def test_its_python_has_one_blas_thread_unless_told(
-    house: Path, monkeypatch: pytest.MonkeyPatch, told: str
+def test_an_interrupted_setup_is_done_again_and_from_then_on_commands_run_at_once(
+    house: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv("OMP_NUM_THREADS")
-    if told:
-        monkeypatch.setenv("OMP_NUM_THREADS", told)
+    words = ("audit", "lab file.yaml", "--json")
+    assert bench(house, *words) == (3, "audit lab file.yaml --json\n", "")
+    # Its Python has one thread for linear algebra unless told.
     code = "import os; print(os.environ['OMP_NUM_THREADS'])"
-    assert bench(house, "python", "-c", code) == (0, f"{told or 1}\n", "")
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert bench(house, "python", "-c", code) == (0, "3\n", "")
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    assert bench(house, "python", "-c", code) == (0, "1\n", "")
 
 
 @pytest.mark.slow
-def test_test_requirements_come_with_the_first_test_command(house: Path) -> None:
-    assert "mdurl" in installed(house)
-    assert "cycler" not in installed(house)
+def test_what_is_needed_comes_when_it_is_needed_and_nothing_else(house: Path) -> None:
+    assert "mdurl" in installed(house) and "cycler" not in installed(house)
     code, out, err = bench(house, "check", "units", "one")
     assert (code, out) == (1, "one\n"), err
     assert "cycler" in installed(house)
-
-
-@pytest.mark.slow
-def test_changed_setup_py_installs_the_package_again_and_nothing_else(house: Path) -> None:
-    setup = house / "setup.py"
-    setup.write_text(SETUP.replace('version="0"', 'version="1"'))
+    (house / "setup.py").write_text(SETUP.replace('version="0"', 'version="1"'))
     code, _, err = bench(house, "x")
     assert code == 1
-    assert "sma_bench itself" in err
-    assert "setting up" not in err
+    assert "sma_bench itself" in err and "setting up" not in err
     assert "sma_bench-1.dist-info" in installed(house)
 
 
@@ -226,21 +185,15 @@ def test_the_physics_compiles_from_what_is_installed_first(bench_script: Any) ->
     assert "ModuleNotFoundError" in lacking.stderr
 
 
-def test_help_needs_no_setup(tmp_path: Path) -> None:
-    house = make_house(tmp_path / "house")
-    code, out, err = bench(house)
-    assert (code, err) == (0, "")
-    assert all(command in out for command in ("demo", "test", "perf", "check", "run", "python"))
-    assert not list(house.glob(".venv-*"))
-
-
 def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_setup(
     tmp_path: Path,
 ) -> None:
     house = make_house(tmp_path / "house")
     (house / COMMANDS_FILE).unlink()
     shutil.copy2(ROOT / COMMANDS_FILE, house / COMMANDS_FILE)
-    _, out, _ = bench(house)
+    status, out, err = bench(house)
+    assert (status, err) == (0, "")
+    assert all(f"\n  {command} " in out for command in ("test", "perf", "check", "python"))
     for name, text in COMMANDS.items():
         said = "" if name in ("demo", "run", "call") else re.escape(text)
         assert re.search(rf"^  {name} .*{said}$", out, re.MULTILINE)
@@ -324,7 +277,7 @@ def test_a_folder_of_its_name_does_not_pass_for_the_package(tmp_path: Path) -> N
     assert process.returncode == 0, process.stderr
 
 
-PYTHONS = {
+UNUSABLE = {
     "is Python 3.9": "echo 3.9",
     "does not run": "echo 'pyenv: python3.12: command not found' >&2; exit 127",
     "has no module venv": "exit 1",
@@ -332,28 +285,16 @@ PYTHONS = {
 }
 
 
-@pytest.mark.parametrize("reason", PYTHONS)
-def test_python_that_cannot_be_used_is_one_line(reason: str, tmp_path: Path) -> None:
-    python = tmp_path / "python3"
-    python.write_text(f"#!/bin/sh\n{PYTHONS[reason]}\n")
-    python.chmod(0o755)
-    code, out, err = bench(make_house(tmp_path / "house"), "demo", python=str(python))
-    assert (code, out) == (2, "")
-    assert reason in err
-    assert len(err.splitlines()) == 1
-
-
-def test_unknown_check_names_those_that_exist(tmp_path: Path) -> None:
-    code, _, err = bench(make_house(tmp_path / "house"), "check", "nonsense")
-    assert code == 2
-    assert "there is units" in err
-    assert len(err.splitlines()) == 1
-
-
-def test_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    house = make_house(tmp_path / "house")
-    (house / f".venv-{sys.version_info[0]}.{sys.version_info[1]}.lock").mkdir()
-    code, _, err = bench(house, "x")
-    assert code == 2
-    assert "cannot set up" in err
-    assert len(err.splitlines()) == 1
+@pytest.mark.parametrize("reason", [*UNUSABLE, "there is units", "cannot set up"])
+def test_what_cannot_be_done_is_one_line_before_any_setup(reason: str, tmp_path: Path) -> None:
+    house, words, python = make_house(tmp_path / "house"), ["x"], sys.executable
+    if reason in UNUSABLE:
+        python = str(tmp_path / "python3")
+        Path(python).write_text(f"#!/bin/sh\n{UNUSABLE[reason]}\n")
+        Path(python).chmod(0o755)
+    elif reason == "there is units":
+        words = ["check", "nonsense"]
+    else:  # the folder cannot be written
+        (house / f".venv-{sys.version_info[0]}.{sys.version_info[1]}.lock").mkdir()
+    code, out, err = bench(house, *words, python=python)
+    assert (code, out, err.count("\n")) == (2, "", 1) and reason in err

@@ -14,7 +14,16 @@ ROOT = Path(__file__).resolve().parents[2]
 EXECUTABLES = {"sma-bench", *NODE_TABLES}
 # Of hundreds of files of which a few are run.
 NO_BYTE_CODE = {"PIP_NO_COMPILE": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-WHERE = "from sma_bench.installation import share_directory; print(share_directory())"
+WHERE = """
+import sma_bench
+from sma_bench.installation import share_directory
+print(share_directory())
+"""
+INDEXED = """
+import ament_index_python
+print(sma_bench.__file__)
+print(ament_index_python.get_package_share_directory("sma_bench"))
+"""
 LOAD = """
 from importlib.metadata import distribution
 for script in distribution("sma_bench").entry_points.select(group="console_scripts"):
@@ -91,44 +100,29 @@ def workspace(
     return Workspace(tmp_path_factory.mktemp("workspace"), linked=request.param)
 
 
-def test_ros2_run_finds_every_executable(workspace: Workspace) -> None:
-    folder = workspace.prefix / "lib" / "sma_bench"
+def test_ros2_finds_executables_that_start_and_the_package_in_its_index(
+    workspace: Workspace,
+) -> None:
+    folder, share = workspace.prefix / "lib" / "sma_bench", workspace.prefix / "share"
     assert {path.name for path in folder.iterdir() if os.access(path, os.X_OK)} == EXECUTABLES
-
-
-def test_executables_have_something_to_start(workspace: Workspace) -> None:
     lines = workspace.run(sys.executable, "-c", LOAD).splitlines()
     assert set(lines) == {f"{name} True" for name in EXECUTABLES}
-
-
-def test_colcon_package_is_in_the_ament_index(workspace: Workspace) -> None:
-    share = workspace.prefix / "share"
+    assert "wire.resistance" in workspace.run(folder / "sma-bench", "parameters")
     assert (share / "ament_index" / "resource_index" / "packages" / "sma_bench").is_file()
     assert (share / "sma_bench" / "package.xml").is_file()
-    code = "import ament_index_python as a; print(a.get_package_share_directory('sma_bench'))"
-    assert workspace.run(sys.executable, "-c", code).strip() == str(share / "sma_bench")
 
 
-def test_colcon_installs_config_and_launch_files(workspace: Workspace) -> None:
+def test_code_and_files_are_those_of_the_workspace(workspace: Workspace) -> None:
     expected = files(workspace.source)
-    assert any(name.startswith("config/") for name in expected)
-    assert any(name.startswith("launch/") for name in expected)
-    share = workspace.prefix / "share" / "sma_bench"
-    assert files(share) == expected
-    assert {(share / name).is_symlink() for name in expected} == {workspace.linked}
-
-
-def test_installed_command_line_works_from_any_folder(workspace: Workspace) -> None:
-    executable = workspace.prefix / "lib" / "sma_bench" / "sma-bench"
-    assert "wire.resistance" in workspace.run(executable, "parameters")
-
-
-def test_code_and_share_folder_are_those_of_the_workspace(workspace: Workspace) -> None:
-    code = workspace.run(sys.executable, "-c", "import sma_bench as s; print(s.__file__)").strip()
-    share = workspace.run(sys.executable, "-c", WHERE).strip()
+    assert {name.partition("/")[0] for name in expected} >= {"config", "launch"}
+    installed = workspace.prefix / "share" / "sma_bench"
+    assert files(installed) == expected
+    assert {(installed / name).is_symlink() for name in expected} == {workspace.linked}
+    share, code, indexed = workspace.run(sys.executable, "-c", WHERE + INDEXED).splitlines()
     home = workspace.source if workspace.linked else workspace.prefix
     assert Path(code).resolve().is_relative_to(home)
-    assert share == str(home if workspace.linked else home / "share" / "sma_bench")
+    assert share == str(home if workspace.linked else installed)
+    assert indexed == str(installed)
 
 
 def test_colcon_test_runs_the_tests_with_pytest(workspace: Workspace) -> None:
