@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
 from sma_bench.identify import identify
 from sma_bench.identify.instruments.isobaric import identify_isobaric
@@ -41,7 +41,6 @@ from sma_bench.report.paper_page import (
     ExperimentResults,
     LabRecords,
     PaperPage,
-    Row,
     table_rows,
 )
 from sma_bench.synthetic import paper_specimens as specimens
@@ -107,48 +106,38 @@ def _uses(record: object, parameters: Parameters) -> list[tuple[str, object]]:
     ):
         if isinstance(record, kind):
             return [(group, record)]
-    return _bag_uses(record, parameters) if isinstance(record, Record) else []
+    if not isinstance(record, Record):
+        return []
 
-
-def _bag_uses(record: Record, parameters: Parameters) -> list[tuple[str, object]]:
+    # Bags of the composite and of a load frame.
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
     if moves(record, parameters):
         return [("composite", record)] if len(driven) > 1 else []
-    uses: list[tuple[str, object]] = []
     if pulls := tensile_tests(record, parameters):
         return [("tensile", test) for test in pulls]
+    uses: list[tuple[str, object]] = []
     if is_clamped_wire(record):
         uses.append(("clamped", record))
     elif holds_frame(record):
-        uses += [("isobaric", test) for test in _isobaric_tests(record, parameters)]
-    if len(driven) == 1:
-        uses += [(group, record) for group in _wire_group(record, driven[0], parameters)]
-    return uses
+        with suppress(InputError):
+            uses += [("isobaric", test) for test in isobaric_tests(record, parameters)]
 
-
-def _isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
-    try:
-        return isobaric_tests(record, parameters)
-    except InputError:
-        return ()
-
-
-def _wire_group(record: Record, channel: str, parameters: Parameters) -> list[str]:
+    # One driven wire: staircases, ramps below A_s, or any other voltage.
+    if len(driven) != 1:
+        return uses
     try:
         drives = find_drives(record)
     except InputError:
-        return []
-    measured = has_samples(record, f"{channel}.temperature")
-    is_staircase = any(drive.staircases for drive in drives)
+        return uses
+    if any(drive.staircases for drive in drives):
+        return [*uses, ("thermal", record)]
+    temperature = f"{driven[0]}.temperature"
+    if not has_samples(record, temperature):
+        return uses
+    hottest = float(np.nanmax(record[temperature].values))
+    cold = hottest < parameters["wire.austenite_start_temperature"]
     is_ramp = any(drive.segments.ramps for drive in drives)
-    if is_staircase:
-        return ["thermal"]
-    if not measured:
-        return []
-    hottest = float(np.nanmax(record[f"{channel}.temperature"].values))
-    if is_ramp and hottest < parameters["wire.austenite_start_temperature"]:
-        return ["thermal"]
-    return ["validation"]
+    return [*uses, ("thermal" if is_ramp and cold else "validation", record)]
 
 
 # --- From a laboratory's sorted records to the results of its experiments.
@@ -186,7 +175,10 @@ def identify_lab(
                 records.tensile, identified_parameters(parameters, list(found.values()))
             ),
         ),
-        ("E8", records.clamped, lambda: _thermal_expansion(records.clamped, parameters)),
+        ("E8", records.clamped, lambda: identify_thermal_expansion(
+            records.clamped, parameters,
+            temperature=f"{records.clamped[0].channels[0]}.temperature",
+        )),
     )
     for kind, given, run in wanted:
         if not given:
@@ -211,26 +203,15 @@ def _thermal(
             reasons.append(str(error))
             continue
         notes.extend(note for note in result.notes if note.severity != "info")
-        return {kind: _outcome(result.experiments, result.estimates, kind, synthetic)
-                for kind in choice}
+        found = {}
+        for kind in choice:
+            mine = tuple(e for e in result.experiments if e.name == kind)
+            names = {name for e in mine for name in e.estimates}
+            estimates = {n: e for n, e in result.estimates.items() if n in names}
+            found[kind] = ExperimentResults(mine, estimates, synthetic)
+        return found
     notes.append(Finding("warning", "E1 to E3", reasons[0]))
     return {}
-
-
-def _thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
-    channel = records[0].channels[0]
-    return identify_thermal_expansion(
-        records, parameters, temperature=f"{channel}.temperature"
-    )
-
-
-def _outcome(
-    experiments: Sequence[Experiment], estimates: Mapping[str, Estimate], kind: str,
-    synthetic: bool,
-) -> ExperimentResults:
-    mine = tuple(e for e in experiments if e.name == kind)
-    names = {name for e in mine for name in e.estimates}
-    return ExperimentResults(mine, {n: e for n, e in estimates.items() if n in names}, synthetic)
 
 
 def identified_parameters(
@@ -341,18 +322,16 @@ def to_json(page: PaperPage) -> dict[str, Any]:
                           for p in pictures]
             for number, pictures in page.pictures().items()
         },
-        "tables": {name: [_row(row) for row in rows] for name, rows in page.tables.items()},
+        "tables": {name: [
+            {"quantity": row.printed.symbol, "description": row.printed.description,
+             "unit": row.printed.unit, "paper": row.printed.value,
+             "identified": (
+                 None if math.isnan(row.value) else {"value": row.value, "std": row.std}
+             ),
+             "synthetic": row.synthetic, "source": row.source} for row in rows
+        ] for name, rows in page.tables.items()},
         "errata": [
             {f.name: getattr(erratum, f.name) for f in fields(erratum)} for erratum in page.errata
         ],
         "warnings": [f"{note.subject}: {note.text}" for note in page.notes],
-    }
-
-
-def _row(row: Row) -> dict[str, Any]:
-    identified = None if math.isnan(row.value) else {"value": row.value, "std": row.std}
-    return {
-        "quantity": row.printed.symbol, "description": row.printed.description,
-        "unit": row.printed.unit, "paper": row.printed.value, "identified": identified,
-        "synthetic": row.synthetic, "source": row.source,
     }
