@@ -10,9 +10,13 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from forked_nodes import ForkedNode  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter as RosParameter  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import BatteryState, JointState, Range, Temperature  # noqa: E402
+from std_msgs.msg import Float64, Float64MultiArray, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from sma_bench.ros.node import LATCHED, OneThreadExecutor  # noqa: E402
@@ -21,6 +25,13 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "/bench"
 PATIENCE = 30.0
 SETTLING = 0.3
+KINDS = {
+    "power": (BatteryState,), "temperature": (Temperature,), "true_temperature": (Temperature,),
+    "joint_states": (JointState,), "range": (Range,), "marker": (String,), "clock": (Clock, 1),
+    "voltage_command": (Float64MultiArray,), "setpoint": (Float64MultiArray,),
+    "diagnostics": (DiagnosticArray,), "gap": (DiagnosticArray, LATCHED), "thermal": (Float64,),
+    "state": (String, LATCHED), "result": (String, LATCHED),
+}
 
 
 class RunningNode:
@@ -90,7 +101,12 @@ class TestBench:
             self._executor.spin_once(timeout_sec=0.02)
         return value
 
-    def listen(self, topic, kind, qos=1000):
+    def hear(self, *topics):
+        """Messages of topics whose type the end of their names tells; a list, or one for each."""
+        heard = [self.listen(topic, *KINDS[topic.rpartition("/")[2]]) for topic in topics]
+        return heard if len(heard) > 1 else heard[0]
+
+    def listen(self, topic, kind, qos=10_000):
         """Messages of a topic, growing while the test spins."""
         messages = []
         self.node.create_subscription(kind, topic, messages.append, qos)
@@ -101,9 +117,6 @@ class TestBench:
         publisher = self.node.create_publisher(kind, topic, 100)
         self.until(publisher.get_subscription_count)
         return publisher
-
-    def latched(self, topic, kind):
-        return self.listen(topic, kind, LATCHED)
 
     def trigger(self, service):
         return self._call(Trigger, service, Trigger.Request())

@@ -8,9 +8,8 @@ import time
 from contextlib import contextmanager
 from types import SimpleNamespace
 
-from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import BatteryState, Temperature
-from std_msgs.msg import Float64MultiArray, String
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float64MultiArray
 from uno.emulated_bench import emulated_bench
 
 from sma_bench.parameters import Parameters
@@ -33,9 +32,8 @@ class BridgedRig:
     def __init__(self, bench, hardware, camera=False, **parameters):
         self.bench = bench
         self.hardware = hardware
-        self.states = bench.latched("serial_bridge/state", String)
-        self.power = bench.listen("wire/power", BatteryState)
-        self.diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+        self.states, self.power = bench.hear("serial_bridge/state", "wire/power")
+        self.diagnostics = bench.hear("/diagnostics")
         self.node = bench.start("serial_bridge", port=hardware.path, **parameters)
         self.seen = None
         self._command = bench.talk("voltage_command", Float64MultiArray)
@@ -44,7 +42,7 @@ class BridgedRig:
             bench.start("ir_camera", **PICTURE, read_cold_wires=True)
             # Known from now on, so that breaking it takes no time.
             assert bench.set_parameter("synthetic_camera", "fault", "none").successful
-            self.seen = bench.listen("wire/temperature", Temperature)
+            self.seen = bench.hear("wire/temperature")
         place = "true_temperature" if camera else "temperature"
         self._camera = bench.talk(f"wire/{place}", Temperature)
         self._due = 0.0
@@ -135,7 +133,7 @@ class BridgedRig:
 
     def record(self, folder):
         """Start a recorder and wait until it has written what the bench says."""
-        states = self.bench.latched("recorder/state", String)
+        states = self.bench.hear("recorder/state")
         self.recorder = self.bench.start("recorder", output=folder)
         self.until(lambda: states and any(json.loads(states[-1].data)["messages"].values()))
 

@@ -3,7 +3,6 @@
 from functools import partial
 
 from sensor_msgs.msg import BatteryState, JointState, Temperature
-from std_msgs.msg import Float64MultiArray, String
 
 RESISTANCE = 2.6987
 MOST = 2.9  # A; the supply gives no more than the bench allows
@@ -19,8 +18,7 @@ class FakeBench:
         self.celsius, self.position, self.ampere = 25.0, 0.0, None
         self.silent, self.frozen = set(), False
         self.bench = bench
-        self.commands = bench.listen("voltage_command", Float64MultiArray)
-        self.states = bench.latched(f"{driver}/state", String)
+        self.commands, self.states = bench.hear("voltage_command", f"{driver}/state")
         self._channels = len(channels)
         self._stamp = bench.node.get_clock().now().to_msg()
         talk = bench.node.create_publisher

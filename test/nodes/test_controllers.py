@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from fake_bench import FakeBench
-from sensor_msgs.msg import JointState, Temperature
-from std_msgs.msg import Float64, Float64MultiArray, String
+from std_msgs.msg import Float64, Float64MultiArray
 
 from sma_bench.installation import share_directory
 
@@ -40,7 +39,7 @@ def stamps(messages):
 
 
 def run_to_the_end(bench, controller, name):
-    states = bench.latched(f"{controller}/state", String)
+    states = bench.hear(f"{controller}/state")
     bench.until(lambda: states and states[-1].data == "idle", LONG)
     bench.until(lambda: bench.trigger(f"{controller}/start").success, LONG)
     bench.until(lambda: states[-1].data.startswith(("done", "aborted")), LONG)
@@ -51,10 +50,9 @@ def test_staircase_of_e8_runs_closed_loop_on_the_simulator(bench, reference):
     """Up and down, as the shipped temperature_staircase (read in test/protocols) in short."""
     levels, dwell = np.array([308.15, 318.15, 328.15, 318.15, 308.15]), 4.0
     stairs = {"kind": "staircase", "increment": 10.0, "dwell": dwell}
-    celsius = bench.listen("wire/temperature", Temperature, 10_000)
-    force = bench.listen("joint_states", JointState, 10_000)
-    markers = bench.listen("experiment/marker", String)
-    setpoints = bench.listen("temperature_controller/setpoint", Float64MultiArray)
+    celsius, force, markers, setpoints = bench.hear(
+        "wire/temperature", "joint_states", "experiment/marker", "temperature_controller/setpoint"
+    )
     bench.start("simulator", **FAST)
     followed = reference(name="short", unit="K", steps=[
         {**stairs, "name": "up", "start": 308.15, "stop": 328.15},
@@ -96,8 +94,7 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, reference):
             {"kind": "triangle", "name": "back", "peak": -0.03, "rise": 3.0, "fall": 3.0},
         ],
     )
-    tip = bench.listen("joint_states", JointState, 5000)
-    volts = bench.listen("voltage_command", Float64MultiArray)
+    tip, volts = bench.hear("joint_states", "voltage_command")
     # The controller knows the wires less well than it thinks.
     off = {"wire__heat_transfer_coefficient": 411.0, "wire__austenite_start_temperature": 332.9}
     bench.start("simulator", COMPOSITE_RIG, **FAST, **off)

@@ -7,7 +7,7 @@ import signal
 import pytest
 import yaml
 from fake_bench import FakeBench
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import String
 
 from sma_bench.ros.node import LATCHED
 
@@ -43,9 +43,8 @@ def running(bench, protocol):
 
 
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
-    markers = bench.listen("experiment/marker", String)
-    states = bench.latched("experiment/state", String)
-    commands = bench.listen("voltage_command", Float64MultiArray)
+    markers, states = bench.hear("experiment/marker", "experiment/state")
+    commands = bench.hear("voltage_command")
     bench.start("simulator", speed=50.0)
     node = bench.start("experiment", protocol=protocol(SHORT), use_sim_time=True)
     bench.until(lambda: states and states[-1].data == "idle")
@@ -134,7 +133,7 @@ def test_a_second_of_a_name_is_refused_and_the_first_goes_on(bench, running):
 def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(
     bench, protocol, tmp_path
 ):
-    bench.listen("voltage_command", Float64MultiArray)
+    bench.hear("voltage_command")
     # Stated: a default would make way.
     stated = {"wire__austenite_finish_temperature": 353.61}
     bench.start("experiment", protocol_root=str(tmp_path), **stated)

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
-from sensor_msgs.msg import BatteryState, Temperature
-from std_msgs.msg import Float64MultiArray, String
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float64MultiArray
 from uno.emulated_bench import emulated_bench
 
 from sma_bench.cli import main
@@ -48,8 +48,7 @@ class PowerOn:
         self.electrics = hardware.uno.electrics
         self.port = folder / "uno"
         self.port.symlink_to(hardware.path)
-        self.states = bench.latched("serial_bridge/state", String)
-        self.power = bench.listen("wire/power", BatteryState)
+        self.states, self.power = bench.hear("serial_bridge/state", "wire/power")
         # Their reader is still to come.
         self._command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
         self._camera = bench.node.create_publisher(Temperature, "wire/temperature", 100)

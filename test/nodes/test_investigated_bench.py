@@ -5,8 +5,6 @@ import json
 
 import pytest
 from planted import FEW, believed, few_effects, planted_record
-from sensor_msgs.msg import BatteryState
-from std_msgs.msg import String
 
 from sma_bench.commands.investigate import _bench
 from sma_bench.errors import InputError
@@ -53,10 +51,9 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
 
 def test_the_node_waits_for_confirmation_stops_at_0_v_and_goes_on_after_kill_9(bench, tmp_path):
     write_parameters(tmp_path / "lab.yaml", believed())
-    told = bench.latched("investigation/state", String)
-    runs = bench.latched("experiment/state", String)
-    results = bench.latched("investigation/result", String)
-    power = bench.listen("front_1/power", BatteryState)
+    told, runs, results, power = bench.hear(
+        "investigation/state", "experiment/state", "investigation/result", "front_1/power"
+    )
 
     def is_now(state):
         return bench.until(lambda: told and told[-1].data.startswith(state))

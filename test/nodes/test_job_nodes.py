@@ -6,9 +6,8 @@ import signal
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from planted import supply_drop_lab
-from std_msgs.msg import String
 
 from examination.blind.case_files import checked_answer
 from sma_bench.errors import InputError
@@ -45,8 +44,7 @@ def bag(tmp_path_factory):
 def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_meanwhile(
     bench, bag, tmp_path
 ):
-    results = bench.latched("identification/result", String)
-    states = bench.latched("identification/state", String)
+    results, states = bench.hear("identification/result", "identification/state")
     out = tmp_path / "out"
     node = bench.start(
         "identification", record_root=bag.parent, output_directory=out, output_root=tmp_path
@@ -174,9 +172,7 @@ def rig(tmp_path_factory):
 
 
 def test_a_bag_is_diagnosed_its_gap_published_and_bad_requests_are_one_line(bench, rig, tmp_path):
-    results = bench.latched("diagnosis/result", String)
-    gaps = bench.latched("diagnosis/gap", DiagnosticArray)
-    states = bench.latched("diagnosis/state", String)
+    results, gaps, states = bench.hear("diagnosis/result", "diagnosis/gap", "diagnosis/state")
     improved = tmp_path / "improved.yaml"
     node = bench.start(
         "diagnosis", rig / "lab.yaml", record_root=rig, improved=improved, output_root=tmp_path

@@ -15,8 +15,6 @@ import numpy as np
 import pytest
 import yaml
 from launch_stand_in import INSTALLED, ExecuteProcess, Node, Shutdown, Text, built
-from sensor_msgs.msg import BatteryState, Temperature
-from std_msgs.msg import String
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
@@ -193,9 +191,7 @@ def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_fi
 
 def test_the_planned_nodes_work_together_until_the_camera_freezes(bench, tmp_path):
     """A simulated wire before the synthetic camera, started as the launch file would."""
-    power = bench.listen("wire/power", BatteryState)
-    read = bench.listen("wire/temperature", Temperature)
-    states = bench.latched("experiment/state", String)
+    power, read, states = bench.hear("wire/power", "wire/temperature", "experiment/state")
     protocol = tmp_path / "hold.yaml"
     protocol.write_text("steps: [{kind: hold, level: 3.0, duration: 60.0}]\n")
     given = {"camera": "true", "record": "false", "protocol": str(protocol)}

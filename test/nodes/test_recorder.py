@@ -5,7 +5,7 @@ import resource
 import signal
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
@@ -17,7 +17,7 @@ BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 def recording(bench, folder, *topics, **options):
     """A running recorder that has subscribed to the topics."""
-    states = bench.latched("recorder/state", String)
+    states = bench.hear("recorder/state")
     node = bench.start("recorder", output=folder, **options)
 
     def counts():
@@ -80,8 +80,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     def small_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 
-    states = bench.latched("recorder/state", String)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    states, diagnostics = bench.hear("recorder/state", "/diagnostics")
     options = {"preexec_fn": small_disk}
     node = bench.start("recorder", options=options, output=tmp_path / "bag")
     bench.until(lambda: publisher.get_subscription_count() and diagnostics)  # it is heard

@@ -6,7 +6,6 @@ import time
 
 import pytest
 from emulated_rig import bridged_rig
-from sensor_msgs.msg import JointState, Range
 from std_msgs.msg import Float64MultiArray
 from uno.emulated_bench import emulated_bench
 
@@ -109,9 +108,7 @@ COMPOSITE = Parameters.defaults().replace(
 
 def test_composite_rig_bends_and_its_ranges_give_the_deflection(bench, uno):
     with emulated_bench(COMPOSITE, uno) as hardware:
-        front = bench.listen("front/range", Range)
-        back = bench.listen("back/range", Range)
-        joints = bench.listen("joint_states", JointState)
+        front, back, joints = bench.hear("front/range", "back/range", "joint_states")
         bench.start("serial_bridge", "config/composite_rig.yaml", port=hardware.path,
                     feedback=["power"])
         command = bench.talk("voltage_command", Float64MultiArray)

@@ -6,10 +6,9 @@ import time
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
-from std_msgs.msg import Float64MultiArray, String
+from sensor_msgs.msg import Range
+from std_msgs.msg import Float64MultiArray
 
 from sma_bench.ros.node import signature, voltage_command
 
@@ -40,11 +39,9 @@ def commander(bench, diagnostics):
 
 
 def test_wire_rig_speaks_the_contract_and_bad_commands_neither_drive_nor_keep_a_drive(bench):
-    power = bench.listen("wire/power", BatteryState)
-    temperature = bench.listen("wire/temperature", Temperature)
-    joints = bench.listen("joint_states", JointState)
-    ambient = bench.listen("ambient/temperature", Temperature)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    power, temperature, joints, ambient, diagnostics = bench.hear(
+        "wire/power", "wire/temperature", "joint_states", "ambient/temperature", "/diagnostics"
+    )
     node = bench.start("simulator", bench__command_timeout=0.8)
     bench.until(lambda: ambient and len(power) > 100 and len(temperature) > 80 and joints)
     assert power[0].location == "wire" and math.isnan(power[0].percentage)
@@ -70,10 +67,8 @@ def test_wire_rig_speaks_the_contract_and_bad_commands_neither_drive_nor_keep_a_
 
 
 def test_composite_rig_bends_to_the_front_when_the_front_is_driven(bench):
-    front = bench.listen("front/range", Range)
-    back = bench.listen("back/range", Range)
-    joints = bench.listen("joint_states", JointState)
-    power = {c: bench.listen(f"{c}/power", BatteryState) for c in ("front_1", "back_2")}
+    front, back, joints = bench.hear("front/range", "back/range", "joint_states")
+    power = {c: bench.hear(f"{c}/power") for c in ("front_1", "back_2")}
     bench.start("simulator", COMPOSITE, speed=20.0)
     command = bench.talk("voltage_command", Float64MultiArray)
 
@@ -91,8 +86,7 @@ def test_composite_rig_bends_to_the_front_when_the_front_is_driven(bench):
 
 
 def test_simulated_time_takes_one_step_for_every_command_however_slow_the_driver(bench):
-    clocks = bench.listen("/clock", Clock, 1)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    clocks, diagnostics = bench.hear("/clock", "/diagnostics")
     node = bench.start("simulator", speed=1000.0)
     command = commander(bench, diagnostics)
 
@@ -117,8 +111,7 @@ def test_simulated_time_takes_one_step_for_every_command_however_slow_the_driver
 
 
 def test_simulated_time_goes_on_without_a_driver_that_left_and_its_silence_times_out(bench):
-    power = bench.listen("wire/power", BatteryState)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    power, diagnostics = bench.hear("wire/power", "/diagnostics")
     bench.start("simulator", speed=10.0, lockstep_patience=0.2)
     commander(bench, diagnostics).publish(volts(3.0))
     bench.until(lambda: power and power[-1].voltage > 2.9)
@@ -128,8 +121,7 @@ def test_simulated_time_goes_on_without_a_driver_that_left_and_its_silence_times
 
 
 def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(bench):
-    power = bench.listen("wire/power", BatteryState)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    power, diagnostics = bench.hear("wire/power", "/diagnostics")
     bench.start("simulator")
     topic = bench.talk("voltage_command", Float64MultiArray)
     first, second = signature(bench.node), signature(bench.node)
@@ -155,8 +147,7 @@ def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(b
 
 
 def test_unsigned_commands_of_two_nodes_are_refused(bench):
-    power = bench.listen("wire/power", BatteryState)
-    diagnostics = bench.listen("/diagnostics", DiagnosticArray)
+    power, diagnostics = bench.hear("wire/power", "/diagnostics")
     bench.start("simulator")
     bench.start("experiment")  # signs: beside it a script may still drive
     topic = bench.talk("voltage_command", Float64MultiArray)
@@ -177,7 +168,7 @@ def test_unsigned_commands_of_two_nodes_are_refused(bench):
 def test_a_second_clock_is_refused_and_a_foreign_one_ends_simulation_run_and_record(
     bench, tmp_path
 ):
-    states = bench.latched("experiment/state", String)
+    states = bench.hear("experiment/state")
     simulator = bench.start("simulator", speed=2.0)
     experiment = bench.start("experiment", protocol="staircase", use_sim_time=True, autostart=True)
     recorder = bench.start("recorder", output=str(tmp_path / "bag"), use_sim_time=True)

@@ -3,8 +3,8 @@
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from planted import true_bench
-from sensor_msgs.msg import BatteryState, JointState, Temperature
-from std_msgs.msg import Float64, Float64MultiArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 from sma_bench.parameters import write_parameters
 
@@ -83,12 +83,10 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
     bench, tmp_path
 ):
     """The twin's verdicts are those of test/twin; here, what its topics and parameters say."""
-    energies = bench.listen("twin/energy/thermal", Float64)
-    measured = bench.listen("front_1/temperature", Temperature)
-    predicted = bench.listen("twin/front_1/temperature", Temperature)
-    residuals = bench.listen("twin/residual/front_1/temperature", Temperature)
-    currents = bench.listen("twin/back_1/power", BatteryState)
-    tips = bench.listen("twin/joint_states", JointState)
+    energies, measured = bench.hear("twin/energy/thermal", "front_1/temperature")
+    predicted = bench.hear("twin/front_1/temperature")
+    residuals, currents = bench.hear("twin/residual/front_1/temperature", "twin/back_1/power")
+    tips = bench.hear("twin/joint_states")
     watched = Watched(bench, true_bench(HIDDEN), true_bench({}), tmp_path)
     watched.run(22.0)
     gap = watched.statuses["gap"]
