@@ -164,18 +164,6 @@ def test_readings_scatter_as_the_page_says(host, volt):
     assert mean / (volt / 2.7) - 1.0 == pytest.approx(float(row[2]) / 100.0, abs=2.5e-3)
 
 
-def test_volts_stay_when_the_supply_sags_and_a_lost_supply_stops(driving):
-    driving.uno.electrics.supply = 10.0
-    driving.hold(0.2, 6000, 0, 0, 0)
-    before, start = driving.uno.electrics.square_time[0], driving.uno.time
-    driving.hold(0.3, 6000, 0, 0, 0)
-    mean_square = (driving.uno.electrics.square_time[0] - before) / (driving.uno.time - start)
-    assert mean_square**0.5 == pytest.approx(6.0, rel=0.01)
-    driving.uno.electrics.supply = 0.0
-    driving.hold(0.1, 6000, 0, 0, 3000)
-    assert last_cause(driving) == "supply out of range"
-
-
 # --- how it stops -------------------------------------------------------------------------------
 
 
@@ -192,13 +180,6 @@ def test_nothing_is_driven_before_the_first_command_nor_by_garbage(host):
     assert host.named("?", "H")["name"] == "sma-uno"
 
 
-def test_silence_switches_off_after_200_ms(driving):
-    driving.drive(6000, 0, 0, 3000)
-    silence = driving.time_until_off(limit=0.3)
-    assert 0.199 < silence < 0.205
-    assert last_cause(driving) == "command timeout"
-
-
 @pytest.mark.parametrize("flood", [0, 128], ids=["alone", "inside a flood of garbage"])
 def test_stop_byte_switches_off_within_a_tenth_of_a_millisecond(driving, flood):
     driving.uno.write(bytes(range(128, 128 + flood)) + b"!" + bytes(range(128, 128 + flood)))
@@ -206,6 +187,32 @@ def test_stop_byte_switches_off_within_a_tenth_of_a_millisecond(driving, flood):
     driving.run(1e-4 + flood * 2.2 * BYTE)
     assert driving.outputs_stay_off(0.01)
     assert last_cause(driving) == "stop byte"
+
+
+def test_silence_a_lost_supply_and_too_much_heat_stop(driving):
+    driving.drive(6000, 0, 0, 3000)
+    assert 0.199 < driving.time_until_off(limit=0.3) < 0.205
+    assert last_cause(driving) == "command timeout"
+    driving.consent("R")
+    driving.arm((10000, 6500, 12000, 1890, 7000, 200))
+    # Volts stay when the supply sags.
+    driving.uno.electrics.supply = 10.0
+    driving.hold(0.2, 6000, 0, 0, 0)
+    before, start = driving.uno.electrics.square_time[0], driving.uno.time
+    driving.hold(0.3, 6000, 0, 0, 0)
+    mean_square = (driving.uno.electrics.square_time[0] - before) / (driving.uno.time - start)
+    assert mean_square**0.5 == pytest.approx(6.0, rel=0.01)
+    driving.uno.electrics.supply = 0.0
+    driving.hold(0.1, 6000, 0, 0, 3000)
+    assert last_cause(driving) == "supply out of range"
+    driving.uno.electrics.supply = 12.0
+    driving.run(1.0)
+    driving.consent("R")
+    driving.arm((10000, 6500, 12000, 1890, 5000, 200))
+    driving.hold(0.6, 4500, 0, 0, 0)
+    assert driving.telemetry[-1].state == DeviceState.ARMED
+    driving.hold(0.6, 6000, 0, 0, 0)
+    assert last_cause(driving) == "more heat than allowed"
 
 
 @pytest.mark.parametrize(
@@ -310,14 +317,6 @@ def test_the_cause_outlives_a_reset_but_not_the_power(driving):
         driving.uno.reset(why)
         driving.run(0.2)
         assert CAUSES[int(driving.named("?", "H")["before"])] == cause
-
-
-def test_heat_beyond_the_rigs_limit_stops(host):
-    host.arm((10000, 6500, 12000, 1890, 5000, 200))
-    host.hold(0.6, 4500, 0, 0, 0)
-    assert host.telemetry[-1].state == DeviceState.ARMED
-    host.hold(0.6, 6000, 0, 0, 0)
-    assert last_cause(host) == "more heat than allowed"
 
 
 @pytest.mark.parametrize(("reference", "resistance"), [(4.75, 2.7), (5.1, 2.9)])

@@ -103,14 +103,11 @@ class TestBench:
 
     def hear(self, *topics):
         """Messages of topics whose type the end of their names tells; a list, or one for each."""
-        heard = [self.listen(topic, *KINDS[topic.rpartition("/")[2]]) for topic in topics]
+        heard = [[] for _ in topics]
+        for topic, messages in zip(topics, heard, strict=True):
+            kind, *qos = KINDS[topic.rpartition("/")[2]]
+            self.node.create_subscription(kind, topic, messages.append, *(qos or [10_000]))
         return heard if len(heard) > 1 else heard[0]
-
-    def listen(self, topic, kind, qos=10_000):
-        """Messages of a topic, growing while the test spins."""
-        messages = []
-        self.node.create_subscription(kind, topic, messages.append, qos)
-        return messages
 
     def talk(self, topic, kind):
         """A publisher that has its reader."""

@@ -4,17 +4,14 @@ Without ROS's `launch`, `launch_stand_in` stands in for its classes.
 """
 
 import math
-import os
-import signal
 import sys
-import threading
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pytest
 import yaml
-from launch_stand_in import INSTALLED, ExecuteProcess, Node, Shutdown, Text, built
+from launch_stand_in import ExecuteProcess, Node, Shutdown, Text, built
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
@@ -211,40 +208,6 @@ def test_the_planned_nodes_work_together_until_the_camera_freezes(bench, tmp_pat
     bench.until(lambda: "stale feedback" in states[-1].data, PATIENCE)
     assert "temperature" in states[-1].data
     bench.until(lambda: power[-1].voltage < 0.1, PATIENCE)
-
-
-@pytest.mark.slow
-def test_launch_ends_the_bench_with_its_experiment(ros_domain):
-    if not INSTALLED:
-        pytest.skip("launch and launch_ros are not installed")
-    from launch import LaunchDescription, LaunchService
-    from launch.actions import IncludeLaunchDescription, RegisterEventHandler
-    from launch.event_handlers import OnProcessExit, OnProcessStart
-    from launch.launch_description_sources import PythonLaunchDescriptionSource
-
-    ended = []
-
-    def started(event, _context):
-        if "experiment" in event.process_name:
-            threading.Timer(10.0, os.kill, (event.pid, signal.SIGKILL)).start()
-
-    service = LaunchService(noninteractive=True)
-    watchdog = threading.Timer(PATIENCE, service.shutdown)
-    service.include_launch_description(LaunchDescription([
-        RegisterEventHandler(OnProcessStart(on_start=started)),
-        RegisterEventHandler(OnProcessExit(
-            on_exit=lambda event, _context: ended.append(event.process_name)
-        )),
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(BENCHES["wire_bench"])),
-            launch_arguments=[("record", "false")],
-        ),
-    ]))
-    watchdog.start()
-    service.run()
-    assert watchdog.is_alive(), "the bench went on without its experiment"
-    watchdog.cancel()
-    assert any("simulator" in name for name in ended)
 
 
 def test_the_beam_is_described_when_asked(monkeypatch, tmp_path):

@@ -44,36 +44,20 @@ class Reset(IntEnum):
     PIN = 2
 
 
+_LAYOUT = (
+    ("supply supply_resistance supply_limit", ctypes.c_double), ("resistance", _FOUR),
+    ("volts_per_ampere", _TWO), ("clipping", ctypes.c_double), ("offset", _TWO),
+    ("filter_time", ctypes.c_double), ("range_voltage", _TWO),
+    ("noise divider divider_time reference bandgap relay_time bootloader_time", ctypes.c_double),
+    ("switch_is", ctypes.c_int32 * CHANNELS), ("relay_is lost_bytes", ctypes.c_int32),
+    ("on_time wire_time square_time", _FOUR), ("time started longest_blocked", ctypes.c_double),
+)
+
+
 class Electrics(ctypes.Structure):
     """What hangs on the pins; the fields mirror `struct electrics` of uno.c."""
 
-    _fields_ = (
-        ("supply", ctypes.c_double),
-        ("supply_resistance", ctypes.c_double),
-        ("supply_limit", ctypes.c_double),
-        ("resistance", _FOUR),
-        ("volts_per_ampere", _TWO),
-        ("clipping", ctypes.c_double),
-        ("offset", _TWO),
-        ("filter_time", ctypes.c_double),
-        ("range_voltage", _TWO),
-        ("noise", ctypes.c_double),
-        ("divider", ctypes.c_double),
-        ("divider_time", ctypes.c_double),
-        ("reference", ctypes.c_double),
-        ("bandgap", ctypes.c_double),
-        ("relay_time", ctypes.c_double),
-        ("bootloader_time", ctypes.c_double),
-        ("switch_is", ctypes.c_int32 * CHANNELS),
-        ("relay_is", ctypes.c_int32),
-        ("lost_bytes", ctypes.c_int32),
-        ("on_time", _FOUR),
-        ("wire_time", _FOUR),
-        ("square_time", _FOUR),
-        ("time", ctypes.c_double),
-        ("started", ctypes.c_double),
-        ("longest_blocked", ctypes.c_double),
-    )
+    _fields_ = tuple((name, kind) for names, kind in _LAYOUT for name in names.split())
 
 
 class EmulatedUno:
@@ -84,16 +68,13 @@ class EmulatedUno:
         self._library.uno_new.restype = ctypes.c_void_p
         self._library.uno_new.argtypes = [ctypes.c_char_p, ctypes.c_uint64]
         self._library.uno_electrics.restype = ctypes.POINTER(Electrics)
-        self._library.uno_electrics.argtypes = [ctypes.c_void_p]
-        self._library.uno_run.argtypes = [ctypes.c_void_p, ctypes.c_double]
-        for function in ("uno_write", "uno_read"):
-            getattr(self._library, function).argtypes = [
-                ctypes.c_void_p, ctypes.c_char_p, ctypes.c_uint32,
-            ]
-        self._library.uno_hang.argtypes = [ctypes.c_void_p, ctypes.c_int]
-        self._library.uno_reset.argtypes = [ctypes.c_void_p, ctypes.c_uint8]
-        self._library.uno_stall.argtypes = [ctypes.c_void_p, ctypes.c_double]
-        self._library.uno_poke.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_uint8]
+        for name, kinds in {
+            "electrics": (), "run": (ctypes.c_double,), "hang": (ctypes.c_int,),
+            "write": (ctypes.c_char_p, ctypes.c_uint32), "reset": (ctypes.c_uint8,),
+            "read": (ctypes.c_char_p, ctypes.c_uint32), "stall": (ctypes.c_double,),
+            "poke": (ctypes.c_uint16, ctypes.c_uint8),
+        }.items():
+            getattr(self._library, f"uno_{name}").argtypes = [ctypes.c_void_p, *kinds]
         self._uno = self._library.uno_new(str(image).encode(), seed)
         if not self._uno:
             raise RuntimeError(f"{image}: not an image that the emulator can load")
@@ -160,15 +141,9 @@ class EmulatedUno:
 
 HERE = Path(__file__).resolve().parent
 _INCLUDE = Path("/usr/include")
-_PROGRAMS = {
-    "avr-gcc": "gcc-avr",
-    "avr-size": "binutils-avr",
-    "make": "make",
-    "cc": "gcc",
-}
+_PROGRAMS = {"avr-gcc": "gcc-avr", "avr-size": "binutils-avr", "make": "make", "cc": "gcc"}
 _HEADERS = {
-    "simavr/sim_avr.h": "libsimavr-dev",
-    "libelf.h": "libelf-dev",
+    "simavr/sim_avr.h": "libsimavr-dev", "libelf.h": "libelf-dev",
     "../lib/avr/include/avr/io.h": "avr-libc",
 }
 
