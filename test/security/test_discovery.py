@@ -31,15 +31,11 @@ run_command(command.run, "sma-bench run", sys.argv[1:])
 """
 
 
-def test_without_a_word_of_the_user_nodes_are_bound_to_this_machine() -> None:
+def test_nodes_are_bound_to_this_machine_and_none_waits_for_shared_memory() -> None:
     variables = discovery_variables(False, {})
     assert variables[RANGE] == "SYSTEM_DEFAULT", "whatever the profile says"
-    assert "<address>127.0.0.1</address>" in Path(variables[PROFILE]).read_text()
-
-
-def test_no_node_waits_for_the_health_check_of_shared_memory() -> None:
-    profile = Path(discovery_variables(False, {})[PROFILE]).read_text()
-    assert "<type>SHM</type>" not in profile
+    profile = Path(variables[PROFILE]).read_text()
+    assert "<address>127.0.0.1</address>" in profile and "<type>SHM</type>" not in profile
     for network, user in ((True, {}), (False, {RANGE: "SUBNET"})):
         assert discovery_variables(network, user)[TRANSPORTS] == "UDPv4"
         assert TRANSPORTS not in discovery_variables(network, {TRANSPORTS: "DEFAULT", **user})
@@ -98,12 +94,9 @@ def test_a_private_bench_forgets_what_would_open_it(monkeypatch: pytest.MonkeyPa
     assert discovery_variables(False)[PROFILE].endswith("this_machine.xml")
 
 
-def test_every_launch_file_has_the_switch_and_it_is_off() -> None:
+def test_launch_files_and_the_command_line_have_the_switch_and_it_is_off() -> None:
     for arguments in (WIRE.arguments, COMPOSITE.arguments, ARGUMENTS):
         assert arguments["network"].default == "false"
-
-
-def test_the_command_line_has_the_switch() -> None:
     environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT)}
     for words, expected in (
         (["simulator", "--ros-args"], "SYSTEM_DEFAULT ['simulator', '--ros-args']"),
@@ -111,11 +104,8 @@ def test_the_command_line_has_the_switch() -> None:
     ):
         process = subprocess.run(
             [sys.executable, "-c", SAYS, *words],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+            env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
         assert process.stdout.splitlines()[-1] == expected
 
 
