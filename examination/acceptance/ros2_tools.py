@@ -4,10 +4,10 @@
     python3 examination/acceptance/ros2_tools.py [WORD ...]   # rows that have one of the words
 
 Runs where `ros2`, `launch` and colcon are found (a sourced Jazzy), and says so elsewhere; never in
-the ordinary suite, which takes the same logic to pieces. Builds this checkout in a new workspace,
-plays each row with real processes, prints a table, and is 1 where a row fails. A new row is a
-function under `@row`: it returns the outcome, raises Failed with what went wrong instead, or
-Skipped with what is missing here.
+the ordinary suite, which shows all that needs none of these tools (test/nodes, test/reliability).
+Builds this checkout in a new workspace, plays each row with real processes, prints a table, and is
+1 where a row fails. A new row is a function under `@row`: it returns the outcome, or raises Failed
+with what went wrong instead.
 """
 
 import importlib.util
@@ -37,10 +37,6 @@ ROWS: list[tuple[str, str, Callable[["Stage"], str]]] = []
 
 class Failed(Exception):
     """What went wrong."""
-
-
-class Skipped(Exception):
-    """What is missing here."""
 
 
 def row(item: str, what: str) -> Callable[[Callable[["Stage"], str]], Callable[["Stage"], str]]:
@@ -207,18 +203,6 @@ class Stage:
         return self.start(
             "ros2", "launch", "sma_bench", f"{file}.launch.py",
             *(f"{name}:={value}" for name, value in given.items()),
-        )
-
-    def launch_on_uno(self, namespace: str, protocol: object) -> Program:
-        """The wire's bench on the emulated Uno, temperatures from there."""
-        port = self.folder / f"uno_{namespace}"
-        uno = self.start(
-            sys.executable, str(self.source / "test" / "tools" / "uno" / "node.py"),
-            "--namespace", f"/{namespace}", "--port", str(port),
-        )  # fmt: skip
-        uno.says("port:", 120.0)
-        return self.launch(
-            namespace=namespace, mode="hardware", camera="false", port=port, protocol=protocol
         )
 
     def node(self, name: str, namespace: str, **parameters: object) -> Program:
@@ -415,19 +399,6 @@ def own_launch_file(stage: Stage) -> str:
     return f"ros2 param get: {said}"
 
 
-@row("2", "description:=true without robot_state_publisher")
-def description(stage: Stage) -> str:
-    found = stage.run("ros2", "pkg", "prefix", "robot_state_publisher", status=None)
-    if "not found" not in found:
-        raise Skipped("robot_state_publisher is installed here")
-    program = stage.launch("composite_bench", namespace="described", description="true")
-    status = program.ends()
-    need("process started" not in program.output, "nodes were started")
-    line = next(x for x in program.output.splitlines() if "robot_state_publisher" in x)
-    need(not program.children(), "nodes left over")
-    return f"status {status}, no node started: {line.partition('launch]: ')[2][-120:]}"
-
-
 @row("2", "SIGTERM to launch alone, while 3 V are commanded")
 def sigterm(stage: Stage) -> str:
     with driven(stage, "terminated") as (bench, commands):
@@ -444,46 +415,6 @@ def sigkill(stage: Stage) -> str:
         kill(bench.process.pid)
         since = time.monotonic()
         return all_gone(children, since, commands)
-
-
-@row("2", "SIGKILL to `ros2 run experiment`")
-def run_killed(stage: Stage) -> str:
-    bench = stage.node("experiment", "run")
-    bench.says("idle")
-    children = bench.children()
-    kill(bench.process.pid)
-    since = time.monotonic()
-    until(lambda: not alive(children), "the node goes on")
-    return f"gone after {time.monotonic() - since:.2f} s"
-
-
-@row("2", "setsid ros2 run, then the end of the shell")
-def lives_by_itself(stage: Stage) -> str:
-    executable = stage.run("bash", "-c", "echo $AMENT_PREFIX_PATH").split(":")[0]
-    command = f"setsid nohup {executable}/lib/sma_bench/experiment > {stage.folder}/nohup & "
-    shell = stage.start("bash", "-c", command + "sleep 20")
-    node = until(
-        lambda: next((p for p in shell.children() if name_of(p) == "experiment"), 0), "no node"
-    )
-    time.sleep(1.0)
-    kill(shell.process.pid)
-    time.sleep(1.5)
-    need(alive([node]), "the node has ended")
-    kill(node, signal.SIGTERM)
-    until(lambda: not alive([node]), "the node goes on")
-    return "lives, until SIGTERM"
-
-
-@row("2", "a second experiment in a namespace")
-def second_experiment(stage: Stage) -> str:
-    first = stage.node("experiment", "twice")
-    first.says("idle")
-    second = stage.node("experiment", "twice")
-    status = second.ends()
-    line = next((x for x in second.output.splitlines() if "is there already" in x), "")
-    need(line and status != 0, second.output.strip()[-200:])
-    need(first.process.poll() is None, "the first has ended")
-    return f"status {status}: {line}"
 
 
 @row("3", "two benches at once: in real time, and above it")
@@ -508,27 +439,6 @@ def two_benches(stage: Stage) -> str:
     return f"both run in real time; above it: {line.partition('] ')[2]}"
 
 
-@row("3", "a foreign /clock while a run goes on (ros2 topic pub)")
-def foreign_clock(stage: Stage) -> str:
-    states = stage.ears.hear("/clocked/experiment/state", "std_msgs/msg/String", latched=True)
-    bag = stage.folder / "clocked"
-    bench = stage.launch(
-        namespace="clocked", protocol=warm(stage), autostart="true", speed="2.0", record="true",
-        output=bag,
-    )
-    until(lambda: states and states[-1][1].data == "running: warm", "no run", 240.0, bench)
-    stage.start("ros2", "topic", "pub", "-r", "20", "/clock", "rosgraph_msgs/msg/Clock",
-                "{clock: {sec: 5}}")
-    bench.ends()
-    # Whichever node hears it first ends the others.
-    need(states[-1][1].data.startswith("aborted"), states[-1][1].data)
-    need("simulated time went back" in bench.output, bench.output[-300:])
-    need("has a second publisher" in bench.output, bench.output[-300:])
-    said = stage.run("ros2", "run", "sma_bench", "sma-bench", "info", str(bag))
-    need("wire/power" in said, said[-300:])
-    return f"{states[-1][1].data}; the record can be read"
-
-
 @row("5", "autostart with a recorder: the record begins before the run")
 def recorded_from_the_start(stage: Stage) -> str:
     bag = stage.folder / "whole"
@@ -547,39 +457,6 @@ def recorded_from_the_start(stage: Stage) -> str:
     said = stage.run(sys.executable, "-c", code, str(bag)).strip().splitlines()[-1]
     need(said.endswith(" 0.0") and "/done" in said, said)
     return f"steps, first, last, first volts in the record: {said}"
-
-
-@row("5", "a recorder that died of an existing output")
-def dead_recorder(stage: Stage) -> str:
-    bag = stage.folder / "there"
-    bag.mkdir()
-    bench = stage.launch(namespace="dead", record="true", output=bag)
-    bench.says("simulating", 240.0)
-    bench.says("process has died")
-    time.sleep(1.0)
-    success, said = stage.call("/dead/experiment/start")
-    need(not success and "recorder" in said, said)
-    return f"start refused: {said}"
-
-
-@row("6", "experiment/start before serial_bridge/enable, and a bridge that is stopped")
-def bridge(stage: Stage) -> str:
-    if shutil.which("avr-gcc") is None:
-        raise Skipped("no avr-gcc")
-    states = stage.ears.hear("/uno/experiment/state", "std_msgs/msg/String", latched=True)
-    power = stage.ears.hear("/uno/wire/power", "sensor_msgs/msg/BatteryState")
-    bench = stage.launch_on_uno("uno", warm(stage))
-    until(lambda: len(power) > 50, "no readings", 240.0, bench)
-    success, refused = stage.call("/uno/experiment/start")
-    need(not success and "serial_bridge is not enabled" in refused, refused)
-    need(stage.call("/uno/serial_bridge/enable")[0], "not enabled")
-    success, said = stage.call("/uno/experiment/start")
-    need(success, said)
-    until(lambda: power[-1][1].voltage > 1.0, "nothing is driven", PATIENCE, bench)
-    stage.call("/uno/serial_bridge/stop")
-    until(lambda: states[-1][1].data.startswith("aborted"), "goes on", PATIENCE, bench)
-    need("serial_bridge: stopped" in states[-1][1].data, states[-1][1].data)
-    return f"{refused}; then {states[-1][1].data}"
 
 
 @row("7", "Ctrl-C twice, 50 ms apart, to launch and all nodes")
@@ -621,47 +498,6 @@ def fixed_parameters(stage: Stage) -> str:
     return f"no identification; {refused.strip()}; {outside.strip()}"
 
 
-@row("9", "ros2 run NODE --params-file X without --ros-args")
-def stray_arguments(stage: Stage) -> str:
-    program = stage.start("ros2", "run", "sma_bench", "simulator", "--params-file", "lab.yaml")
-    status = program.ends()
-    no_traceback(program)
-    line = program.output.strip().splitlines()[-1]
-    need(status != 0 and "--ros-args" in program.output, program.output[-300:])
-    return f"status {status}: {line}"
-
-
-@row("9", "the marker is latched; the record reads as one that goes on")
-def latched_marker(stage: Stage) -> str:
-    bag = stage.folder / "going"
-    states = stage.ears.hear("/latched/experiment/state", "std_msgs/msg/String", latched=True)
-    bench = stage.launch(
-        namespace="latched", protocol=warm(stage), autostart="true", record="true", output=bag
-    )
-    until(lambda: states and states[-1][1].data.startswith("running"), "no run", 240.0, bench)
-    time.sleep(3.0)
-    marker = stage.run("ros2", "topic", "echo", "--once", "--qos-durability", "transient_local",
-                       "--qos-reliability", "reliable", "/latched/experiment/marker",
-                       "std_msgs/msg/String", patience=PATIENCE)
-    need("hold" in marker, marker)
-    said = stage.run("ros2", "run", "sma_bench", "sma-bench", "info", str(bag), status=None)
-    need("still being recorded" in said and "died" not in said, said[-400:])
-    return "a late listener hears the step; info: is still being recorded"
-
-
-@row("9", "a best-effort `ros2 topic pub` of a command")
-def best_effort_commander(stage: Stage) -> str:
-    power = stage.ears.hear("/effort/wire/power", "sensor_msgs/msg/BatteryState")
-    file = stage.source / "config" / "wire_rig.yaml"
-    bench = stage.start("ros2", "run", "sma_bench", "simulator", "--ros-args", "-r",
-                        "__ns:=/effort", "--params-file", str(file))
-    until(lambda: power, "no readings", 240.0, bench)
-    stage.start("ros2", "topic", "pub", "-r", "20", "--qos-reliability", "best_effort",
-                "/effort/voltage_command", "std_msgs/msg/Float64MultiArray", "{data: [2.0]}")
-    until(lambda: power[-1][1].voltage > 1.5, "the command is not heard", PATIENCE, bench)
-    return f"heard: {power[-1][1].voltage:.2f} V"
-
-
 @row("10", "diagnostics of every node; recorder start, split, stop; a cancelled identification")
 def services(stage: Stage) -> str:
     heard = stage.ears.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
@@ -687,29 +523,6 @@ def services(stage: Stage) -> str:
     return f"{', '.join(sorted(wanted))}; bags {', '.join(bags)}; cancel: {said}"
 
 
-@row("10", "an identification that is cancelled while it works")
-def cancelled(stage: Stage) -> str:
-    bag = stage.folder / "work"
-    run = stage.ears.hear("/work/experiment/state", "std_msgs/msg/String", latched=True)
-    bench = stage.launch(namespace="work", protocol="quick_ramp", autostart="true", speed="20.0",
-                         record="true", output=bag)
-    until(lambda: run and run[-1][1].data.startswith("done"), "not done", 240.0, bench)
-    bench.ctrl_c()
-    clean_end(bench)
-    states = stage.ears.hear("/job/identification/state", "std_msgs/msg/String", latched=True)
-    node = stage.node("identification", "job", record=f"[{bag}]", record_root=str(stage.folder))
-    until(lambda: states and states[-1][1].data == "idle", "no identification", 60.0, node)
-    asked = stage.start("ros2", "service", "call", "/job/identification/identify",
-                        "std_srvs/srv/Trigger")
-    until(lambda: states[-1][1].data.startswith("busy"), "never busy", 60.0, asked)
-    success, said = stage.call("/job/identification/cancel")
-    need(success, said)
-    until(lambda: states[-1][1].data == "idle", "goes on", 60.0, node)
-    asked.ends()
-    need("cancelled on request" in asked.output, asked.output[-300:])
-    return f"busy, then {said}, and idle again"
-
-
 @row("12", "a QoS override by parameter")
 def qos(stage: Stage) -> str:
     node = stage.start(
@@ -721,24 +534,6 @@ def qos(stage: Stage) -> str:
     said = stage.run("ros2", "topic", "info", "-v", "/qos/wire/power")
     need("BEST_EFFORT" in said, said)
     return "ros2 topic info -v: BEST_EFFORT"
-
-
-@row("15", "an emulated run beside four busy processes")
-def loaded_host(stage: Stage) -> str:
-    if shutil.which("avr-gcc") is None:
-        raise Skipped("no avr-gcc")
-    states = stage.ears.hear("/loaded/experiment/state", "std_msgs/msg/String", latched=True)
-    power = stage.ears.hear("/loaded/wire/power", "sensor_msgs/msg/BatteryState")
-    bench = stage.launch_on_uno("loaded", "quick_ramp")
-    until(lambda: len(power) > 50, "no readings", 240.0, bench)
-    for _ in range(4):
-        stage.start(sys.executable, "-c", "while True: pass")
-    for name in ("serial_bridge/enable", "experiment/start"):
-        success, said = stage.call(f"/loaded/{name}")
-        need(success, said)
-    until(lambda: not states[-1][1].data.startswith(("running", "idle")), "no end", 600.0, bench)
-    need(states[-1][1].data.startswith("done"), states[-1][1].data)
-    return states[-1][1].data
 
 
 # --- the table -----------------------------------------------------------------------------------
@@ -759,8 +554,6 @@ def play(stage: Stage, act: Callable[[Stage], str]) -> tuple[str, str]:
     """Verdict and outcome of a row."""
     try:
         return "ok", act(stage)
-    except Skipped as reason:
-        return "skipped", str(reason)
     except (Failed, subprocess.SubprocessError, StopIteration) as error:
         return "FAILED", str(error) or type(error).__name__
     finally:
