@@ -4,7 +4,7 @@ A factor of a product that records know only as a whole (`Unknown.partner`) is t
 other by the priors alone; both are given here, with what that leaves open.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -121,20 +121,20 @@ def result_of(
                 items.append(_factor(name, std, item, fitted))
                 origin.append(k)
                 rows.append(own)
-    turn = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
-    apart = _Factors(items, origin, turn, len(split))
-    turn = fitted.unknowns.turn(fitted.x)
+    apart = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
+
+    turn = unknowns.turn(fitted.x)
     of_numbers = turn @ fitted.covariance @ turn.T
-    covariance = apart.turn @ block_diag(of_numbers, np.eye(apart.open)) @ apart.turn.T
+    covariance = apart @ block_diag(of_numbers, np.eye(len(split))) @ apart.T
     sigma = np.sqrt(np.diag(covariance))
-    moved = apart.turn[:, : len(fitted.x)] @ fitted.unknowns.deviations(fitted.x)
-    low, high = fitted.unknowns.bounds()
+    moved = apart[:, : len(fitted.x)] @ unknowns.deviations(fitted.x)
+    low, high = unknowns.bounds()
     at_end = (fitted.x - low < _AT_END) | (high - fitted.x < _AT_END)
-    shifts = {name: apart.turn[:, : len(x)] @ turn @ x for name, x in (scales or {}).items()}
+    shifts = {name: apart[:, : len(x)] @ turn @ x for name, x in (scales or {}).items()}
     numbers = tuple(
         _number(item, at, error, bool(at_end[k]), {n: float(x[i]) for n, x in shifts.items()})
         for i, (item, at, error, k) in enumerate(zip(
-            apart.items, moved.tolist(), sigma.tolist(), apart.origin, strict=True
+            items, moved.tolist(), sigma.tolist(), origin, strict=True
         ))
     )  # fmt: skip
     best = max(tried, key=lambda one: one.evidence)
@@ -150,19 +150,6 @@ def _is_same(one: Fit, best: Fit) -> bool:
     if one.evidence > best.evidence - _SAME:
         return True
     return bool(np.all(np.abs(one.x - best.x) < _NEAR * np.sqrt(np.diag(best.covariance))))
-
-
-@dataclass(frozen=True, eq=False)
-class _Factors:
-    """Deviations of all factors: `turn` (m, k + open) times what was fitted and what is open.
-
-    `items` (m) with their own priors, from the unknown `origin`.
-    """
-
-    items: list[Unknown]
-    origin: list[int]
-    turn: Array
-    open: int
 
 
 def _factor(name: str, std: float, item: Unknown, fitted: Fit) -> Unknown:
@@ -190,67 +177,46 @@ def _number(
 
 def scale_errors(fitted: Fit) -> dict[str, Array]:
     """(k,) by sensor's scale or zero: how far the unknowns go, in prior deviations, with one
-    standard deviation of it, when every signal of its quantity is off alike."""
+    standard deviation of it, when every signal of its quantity is off alike; what of a zero a
+    record's own zeros take up is not left to the unknowns."""
     problem, parameters = fitted.problem, fitted.parameters
     rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
     gain = fitted.joint[: len(fitted.x)] @ rows.T
-    columns = {
-        name: off(name, fitted) for table, off in ((SCALES, _off_by), (ZEROS, _shifted))
-        for name in table if parameters.std(name) > 0.0
-    }
-    return {name: gain @ problem.whiten(c) for name, c in columns.items() if c.any()}
+    found = {}
+    for name, quantity in (SCALES | ZEROS).items():
+        std = parameters.std(name)
+        if std <= 0.0:
+            continue
+        # (n,) by which measured less predicted changes with one standard deviation.
+        column = np.zeros(len(problem.measured))
+        if quantity == "voltage" and name in ZEROS:
+            column = _volts_moved(fitted, offset=std)
+        elif quantity == "voltage":
+            column = _volts_moved(fitted, factor=1.0 + _UP) / _UP
+            for block in problem.blocks:
+                if block.signal.quantity == "current":  # which is read off its volts
+                    column[block.rows] -= fitted.predicted[block.rows]
+            column *= std / parameters[name]
+        # A camera's scale is that of the Celsius degrees, its spot and emissivity of the excess.
+        zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
+        if name in OF_EXCESS:
+            zero = parameters["environment.ambient_temperature"]
+        for block in problem.blocks:
+            if block.signal.quantity == quantity:
+                values = block.signal.value - zero
+                column[block.rows] = std if name in ZEROS else std / parameters[name] * values
+        if column.any():
+            found[name] = gain @ problem.whiten(column)
+    return found
 
 
-def _off_by(name: str, fitted: Fit) -> Array:
-    """(n,) by which measured less predicted changes with one standard deviation of a scale."""
-    problem, parameters = fitted.problem, fitted.parameters
-    quantity, std = SCALES[name], parameters.std(name) / parameters[name]
-    if quantity == "voltage":
-        return std * _volts_up(fitted)
-    # A camera's scale is that of the Celsius degrees, its spot and emissivity that of the excess.
-    zero = {"temperature": CELSIUS_ZERO}.get(quantity, 0.0)
-    if name in OF_EXCESS:
-        zero = parameters["environment.ambient_temperature"]
-    column = np.zeros(len(problem.measured))
-    for block in problem.blocks:
-        if block.signal.quantity == quantity:
-            column[block.rows] = std * (block.signal.value - zero)
-    return column
-
-
-def _shifted(name: str, fitted: Fit) -> Array:
-    """(n,) by which measured less predicted changes with one standard deviation of a zero; what of
-    it a record's own zeros take up is not left to the unknowns."""
-    quantity, std = ZEROS[name], fitted.parameters.std(name)
-    if quantity == "voltage":
-        return _volts_moved(fitted, lambda volts: volts + std)
-    return np.concatenate([
-        np.full(len(b.signal.value), std if b.signal.quantity == quantity else 0.0)
-        for b in fitted.problem.blocks
-    ])
-
-
-def _volts_up(fitted: Fit) -> Array:
-    """(n,) d(measured - predicted)/d(log of all voltages)."""
-    found = []
-    moved = _volts_moved(fitted, lambda volts: volts * (1.0 + _UP)) / _UP
-    start = 0
-    for one in fitted.problem.observations:
-        here = one.readings(one.simulate(fitted.parameters))
-        for signal, now in zip(one.signals, here, strict=True):
-            own = now if signal.quantity == "current" else 0.0  # a current is read off its volts
-            found.append(moved[start : start + len(now)] - own)
-            start += len(now)
-    return np.concatenate(found)
-
-
-def _volts_moved(fitted: Fit, move: Callable[[Array], Array]) -> Array:
-    """(n,) of measured less predicted, with other voltages."""
+def _volts_moved(fitted: Fit, factor: float = 1.0, offset: float = 0.0) -> Array:
+    """(n,) change of measured less predicted with other voltages."""
     found = []
     for one in fitted.problem.observations:
         there, here = (
             one.readings(one.simulate(fitted.parameters, volts))
-            for volts in (move(one.voltage), one.voltage)
+            for volts in (factor * one.voltage + offset, one.voltage)
         )
         found += [now - up for up, now in zip(there, here, strict=True)]
     return np.concatenate(found)

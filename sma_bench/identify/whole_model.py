@@ -22,7 +22,7 @@ from sma_bench.estimation.observation import (
     shared_bin,
 )
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.result import Number, Off, Result, result_of, scale_errors
+from sma_bench.estimation.result import Number, Result, result_of, scale_errors
 from sma_bench.estimation.solver import Fit, fit_with_misfit, recalibrate
 from sma_bench.estimation.unknowns import (
     LOADS,
@@ -121,12 +121,18 @@ def fit_experiment(
     result = fit_whole_model(observations, parameters, report)
     quantities = list(dict.fromkeys(q for one in observations for q in one.quantities))
     method = f"simulation fitted to {', '.join(quantities)}"
-    identifiable = [number for number in result.numbers if _is_identifiable(number)]
+    # A shape of the kinetics that is the cosine's is not worth a line.
+    identifiable = [
+        n for n in result.numbers
+        if n.name not in _NUISANCES or n.value != BY_NAME[n.name].default
+    ]
+    which = [result.numbers.index(n) for n in identifiable]
     return Experiment(
         name, title,
         {n.name: _estimate(n, method, result.samples, parameters) for n in identifiable},
         findings(result), curves(result), "; ".join(one.path for one in observations),
-        details(result), correlation_of(result, [n.name for n in identifiable]),
+        details(result),
+        Correlation(tuple(n.name for n in identifiable), result.correlation[np.ix_(which, which)]),
     )
 
 
@@ -193,11 +199,6 @@ def starts(unknowns: Unknowns) -> list[Array]:
     return [*(unknowns.start(spread) for spread in _SPREADS), *drawn]
 
 
-def _is_identifiable(number: Number) -> bool:
-    """A shape of the kinetics that is the cosine's is not worth a line."""
-    return number.name not in _NUISANCES or number.value != BY_NAME[number.name].default
-
-
 def _estimate(number: Number, method: str, n: int, parameters: Parameters) -> Estimate:
     informed = number.informed >= _UNINFORMED
     words = method if informed else f"{method}: mostly the prior, the records add little"
@@ -233,13 +234,6 @@ def details(result: Result) -> dict[str, Estimate]:
     return found
 
 
-def correlation_of(result: Result, names: Sequence[str]) -> Correlation:
-    """Of the errors of some of the numbers."""
-    every = [number.name for number in result.numbers]
-    chosen = [every.index(name) for name in names]
-    return Correlation(tuple(names), result.correlation[np.ix_(chosen, chosen)])
-
-
 def curves(result: Result) -> dict[str, Array]:
     """Time, measured and model of every signal, bin by bin."""
     found: dict[str, Array] = {}
@@ -256,10 +250,9 @@ def curves(result: Result) -> dict[str, Array]:
 
 def findings(result: Result) -> tuple[Finding, ...]:
     """What cannot be told, contradicted priors, ends of ranges, starts, sensors, residuals."""
-    remarks = []
-    found = [n for n in result.numbers if n.name not in _NUISANCES]
-    which = [n.name for n in found if n.informed < _UNINFORMED]
-    if which:
+    remarks: list[Finding] = []
+    told = [n for n in result.numbers if n.name not in _NUISANCES]
+    if which := [n.name for n in told if n.informed < _UNINFORMED]:
         text = (
             f"the records hardly improve what was known of {', '.join(which)}: value and error "
             "are mostly the prior's"
@@ -272,11 +265,40 @@ def findings(result: Result) -> tuple[Finding, ...]:
             "priors of the two split it"
         )
         remarks.append(Finding("info", first, text))
-    return (
-        *remarks, *_tied(result), *_surprising(result.numbers),
-        *_at_end(result.numbers), *_starts(result), *map(_about_off, filter(_is_off, result.off)),
-        *_residuals(result), *_about_lag(result),
-    )
+    for i, one in enumerate(result.numbers):
+        for j, other in enumerate(result.numbers[:i]):
+            rho = float(result.correlation[i, j])
+            if abs(rho) > _TIED and min(one.informed, other.informed) >= _UNINFORMED:
+                text = f"hardly told apart from {other.name}: correlation {rho:+.3f}"
+                remarks.append(Finding("info", one.name, text, {"correlation": rho}))
+
+    # Where one statement is contradicted, what drags it along drags others too.
+    limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in result.numbers) else _FAR
+    for n in (n for n in result.numbers if abs(n.moved) > limit):
+        away = (n.value - n.believed) / n.prior_std
+        text = (
+            f"the records say {n.value:.6g} +- {n.std:.2g} {BY_NAME[n.name].unit}, {away:+.1f} "
+            f"standard deviations from the stated {n.believed:.6g} +- {n.prior_std:.2g}: the "
+            "statement, its uncertainty or the model is wrong"
+        )
+        remarks.append(Finding("warning", n.name, text, {"deviations": away}))
+    for n in (n for n in told if n.at_end):
+        text = f"the fit stopped at an end of its range, {n.value:.6g}"
+        remarks.append(Finding("warning", n.name, text))
+    text = f"{result.agreed} of {result.starts} starts ended at the same place, the best"
+    numbers = {"agreed": float(result.agreed), "starts": float(result.starts)}
+    remarks.append(Finding("info" if result.agreed > 1 else "warning", "starts", text, numbers))
+
+    for off in (off for off in result.off if abs(off.value) > _FOUND * off.std):
+        if off.kind == DELAY:
+            value, std = off.value * 1e3, off.std * 1e3
+            text = f"stamps lie {value:+.1f} +- {std:.1f} ms behind those of the voltage"
+        else:
+            text = f"reads {off.value:+.3g} +- {off.std:.2g} {off.unit} at zero"
+        kind = "delay" if off.kind == DELAY else "offset"
+        numbers = {kind: off.value, f"{kind}_std": off.std}
+        remarks.append(Finding("info", off.subject, f"{off.path}: {text}", numbers))
+    return (*remarks, *_residuals(result), *_about_lag(result))
 
 
 def _about_lag(result: Result) -> list[Finding]:
@@ -300,63 +322,6 @@ def _about_lag(result: Result) -> list[Finding]:
         f"(time constant of the wire {tau:.3g} s)"
     )
     return [Finding("info", SPECIFIC_HEAT, text, {"lag_std": float(std), "time_constant": tau})]
-
-
-def _tied(result: Result) -> list[Finding]:
-    remarks = []
-    for i, first in enumerate(result.numbers):
-        for j, second in enumerate(result.numbers[:i]):
-            rho = float(result.correlation[i, j])
-            informed = min(first.informed, second.informed) >= _UNINFORMED
-            if abs(rho) > _TIED and informed:
-                text = f"hardly told apart from {second.name}: correlation {rho:+.3f}"
-                remarks.append(Finding("info", first.name, text, {"correlation": rho}))
-    return remarks
-
-
-def _surprising(numbers: Sequence[Number]) -> list[Finding]:
-    remarks = []
-    # Where one statement is contradicted, what drags it along drags others too.
-    limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in numbers) else _FAR
-    for number in numbers:
-        away = (number.value - number.believed) / number.prior_std
-        if abs(number.moved) > limit:
-            text = (
-                f"the records say {number.value:.6g} +- {number.std:.2g} "
-                f"{BY_NAME[number.name].unit}, {away:+.1f} standard deviations from the stated "
-                f"{number.believed:.6g} +- {number.prior_std:.2g}: the statement, its uncertainty "
-                "or the model is wrong"
-            )
-            remarks.append(Finding("warning", number.name, text, {"deviations": away}))
-    return remarks
-
-
-def _at_end(numbers: Sequence[Number]) -> list[Finding]:
-    return [
-        Finding("warning", n.name, f"the fit stopped at an end of its range, {n.value:.6g}")
-        for n in numbers if n.at_end and n.name not in _NUISANCES
-    ]
-
-
-def _starts(result: Result) -> list[Finding]:
-    text = f"{result.agreed} of {result.starts} starts ended at the same place, the best"
-    numbers = {"agreed": float(result.agreed), "starts": float(result.starts)}
-    return [Finding("info" if result.agreed > 1 else "warning", "starts", text, numbers)]
-
-
-def _is_off(off: Off) -> bool:
-    return abs(off.value) > _FOUND * off.std
-
-
-def _about_off(off: Off) -> Finding:
-    if off.kind == DELAY:
-        text = (
-            f"{off.path}: stamps lie {off.value * 1e3:+.1f} +- {off.std * 1e3:.1f} ms behind those "
-            "of the voltage"
-        )
-        return Finding("info", off.subject, text, {"delay": off.value, "delay_std": off.std})
-    text = f"{off.path}: reads {off.value:+.3g} +- {off.std:.2g} {off.unit} at zero"
-    return Finding("info", off.subject, text, {"offset": off.value, "offset_std": off.std})
 
 
 def _residuals(result: Result) -> list[Finding]:
