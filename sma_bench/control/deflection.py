@@ -94,14 +94,8 @@ class DeflectionController:
     """Reference and measured deflection in, voltages out."""
 
     def __init__(
-        self,
-        parameters: Parameters,
-        period: float,
-        *,
-        delay: float = 0.0,
-        closed_loop_time: float = 0.0,
-        maximum_power: float = 0.0,
-        power_rate: float = 0.0,
+        self, parameters: Parameters, period: float, *, delay: float = 0.0,
+        closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
         feedback: bool = True,
     ) -> None:
         """Designed for steps of `period` s.

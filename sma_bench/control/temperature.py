@@ -208,10 +208,8 @@ class Heating:
         if drive == "duty":
             volt = min(volt, parameters["bench.supply_voltage"])
         return cls(
-            resistance=ohm,
-            ambient=parameters["environment.ambient_temperature"],
-            loss=heat_loss(parameters),
-            time_constant=time_constant(parameters),
+            resistance=ohm, ambient=parameters["environment.ambient_temperature"],
+            loss=heat_loss(parameters), time_constant=time_constant(parameters),
             maximum_power=min(volt**2 / ohm, maximum_power or math.inf),
             power_rate=power_rate or math.inf,
             maximum_temperature=parameters["bench.maximum_temperature"] - TEMPERATURE_MARGIN,
@@ -249,9 +247,7 @@ class HeatBudget:
 
     def highest_power(self, dt: float) -> Array:
         """(w,) W that neither the supply nor the highest temperature forbids for dt."""
-        limit = self._heating.power_toward(
-            self._heating.maximum_temperature, self.temperature, dt
-        )
+        limit = self._heating.power_toward(self._heating.maximum_temperature, self.temperature, dt)
         return np.clip(limit, 0.0, self._heating.maximum_power)
 
     def spend(self, power: ArrayLike, dt: float) -> None:
@@ -269,14 +265,8 @@ class TemperatureController:
     """
 
     def __init__(
-        self,
-        parameters: Parameters,
-        period: float,
-        *,
-        delay: float = 0.0,
-        closed_loop_time: float = 0.0,
-        maximum_power: float = 0.0,
-        power_rate: float = 0.0,
+        self, parameters: Parameters, period: float, *, delay: float = 0.0,
+        closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
     ) -> None:
         """Tuned for steps of `period` s.
 

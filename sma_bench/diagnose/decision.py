@@ -189,8 +189,7 @@ def weigh(search: Search) -> Weights:
         {name: fit.evidence - search.recalibrated.evidence for name, fit in fits.items()},
         gaps, {name: _worth_of(search, name, gaps[name]) for name in fits},
         _moved(search), max(v for name, v in signs.items() if name != SURPRISED),
-        signs[SURPRISED], max(_signs_of_share(search).values()),
-        len(search.problem.observations),
+        signs[SURPRISED], max(_signs_of_share(search).values()), len(search.problem.observations),
         {name: _unsteady(fit) for name, fit in search.singles.items() if search.gain(name) > 0.0},
     )
 

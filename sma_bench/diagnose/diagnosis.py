@@ -66,11 +66,8 @@ class Diagnosis(DiagnosisResult, Reported):
 
 
 def diagnose(
-    records: Sequence[Record],
-    parameters: Parameters,
-    hold_out: Sequence[Record] = (),
-    progress: Progress = lambda text: None,
-    quantities: Sequence[str] = QUANTITIES,
+    records: Sequence[Record], parameters: Parameters, hold_out: Sequence[Record] = (),
+    progress: Progress = lambda text: None, quantities: Sequence[str] = QUANTITIES,
 ) -> Diagnosis:
     """Diagnose the gap between a bench's records and its model.
 

@@ -386,9 +386,7 @@ def _planned_signal(signal: BinnedSignal, time: Array, voltage: Array) -> Binned
     columns = np.arange(len(rows) * stride)
     if signal.quantity == "current":
         entries = entries * voltage[: len(columns), signal.wire]
-    average = csr_array(
-        (entries, (np.repeat(rows, stride), columns)), shape=(len(rows), len(time))
-    )
+    average = csr_array((entries, (np.repeat(rows, stride), columns)), shape=(len(rows), len(time)))
     centre = time[0] + (rows + 0.5) * stride * _PERIOD
     return replace(
         signal, time=centre, value=np.zeros(len(rows)), average=average,

@@ -90,8 +90,7 @@ class Search:
 
 
 def search(
-    observations: Sequence[Observation],
-    parameters: Parameters,
+    observations: Sequence[Observation], parameters: Parameters,
     progress: Progress = lambda text: None,
 ) -> Search:
     """Fit everything.

@@ -88,9 +88,7 @@ class Noise:
     def whiten_in_place(self, columns: Array) -> None:
         """The same, written over the columns, whose rows follow one another in memory."""
         phi, theta, innovation = self.arma
-        _whiten(
-            columns.reshape(len(columns), -1), phi, theta, 1.0 / innovation, 1.0 / self.total
-        )
+        _whiten(columns.reshape(len(columns), -1), phi, theta, 1.0 / innovation, 1.0 / self.total)
 
     @cached_property
     def arma(self) -> tuple[float, float, float]:
@@ -122,10 +120,7 @@ def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
 
 
 def estimate_noise(
-    residuals: Sequence[Array],
-    white: float,
-    period: float,
-    usual: float = np.inf,
+    residuals: Sequence[Array], white: float, period: float, usual: float = np.inf,
     wanders: bool = False,
 ) -> Noise:
     """Most likely noise of what a fit leaves; the white part is at least nearly `white`.

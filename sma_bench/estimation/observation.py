@@ -172,9 +172,7 @@ class Observation:
         onto = _interpolation(grid, self.grid)
         place = self.place + np.zeros(len(self.drive.early))
         signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
-        return replace(
-            self, grid=grid, voltage=self.drive.on_grid(grid, place), signals=signals
-        )
+        return replace(self, grid=grid, voltage=self.drive.on_grid(grid, place), signals=signals)
 
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
@@ -352,9 +350,7 @@ def shared_bin(
 
 
 def observe(
-    record: Record,
-    parameters: Parameters,
-    shortest_bin: float = _BIN,
+    record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     quantities: Collection[str] = QUANTITIES,
 ) -> Observation:
     """Prepare a record of the composite rig, or of one wire with or without a load frame.

@@ -126,14 +126,8 @@ class Fit:
 
 
 def fit(
-    problem: Problem,
-    unknowns: Unknowns,
-    x: Array,
-    *,
-    rounds: int = 3,
-    frozen: Array | None = None,
-    keep_noise: bool = False,
-    far: bool = False,
+    problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3, frozen: Array | None = None,
+    keep_noise: bool = False, far: bool = False,
 ) -> Fit:
     """Fit one model.
 

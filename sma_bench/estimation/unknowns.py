@@ -286,13 +286,8 @@ class Unknowns:
 
 
 def unknowns_of_records(
-    parameters: Parameters,
-    quantities: Sequence[str],
-    *,
-    load_frame: bool = False,
-    own_load: bool = True,
-    sides_apart: bool = False,
-    unmodelled: bool = False,
+    parameters: Parameters, quantities: Sequence[str], *, load_frame: bool = False,
+    own_load: bool = True, sides_apart: bool = False, unmodelled: bool = False,
 ) -> Unknowns:
     """Everything of the baseline that records of these quantities can depend on.
 

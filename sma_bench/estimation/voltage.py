@@ -98,8 +98,7 @@ class Segments:
         """Segments and edges that begin within [start, stop) s, such as one protocol's."""
         return Segments(
             tuple(s for s in self.items if start <= s.start < stop),
-            tuple(e for e in self.edges if start <= e[0] < stop),
-            self.tolerance,
+            tuple(e for e in self.edges if start <= e[0] < stop), self.tolerance,
         )
 
     def levels(self) -> int:

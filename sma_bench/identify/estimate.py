@@ -43,13 +43,9 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     # What is the same in every record does not average out.
     last = max(estimates, key=lambda e: e.systematic)
     return Estimate(
-        value=mean,
-        std=math.hypot(statistical, last.systematic),
-        unit=last.unit,
+        value=mean, std=math.hypot(statistical, last.systematic), unit=last.unit,
         method=f"{estimates[0].method}; weighted mean of {len(estimates)} records",
-        n=sum(e.n for e in estimates),
-        systematic=last.systematic,
-        shares=last.shares,
+        n=sum(e.n for e in estimates), systematic=last.systematic, shares=last.shares,
     )
 
 
@@ -151,8 +147,6 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
     left = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)
     return LinearFit(
-        beta=np.asarray(beta),
-        covariance=np.linalg.pinv(whitened.T @ whitened),
-        misfit=float(left @ left) / freedom,
-        residuals=values - design @ beta,
+        beta=np.asarray(beta), covariance=np.linalg.pinv(whitened.T @ whitened),
+        misfit=float(left @ left) / freedom, residuals=values - design @ beta,
     )

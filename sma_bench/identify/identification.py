@@ -103,11 +103,8 @@ def _line(finding: Finding, own: Experiment | None) -> str:
 
 
 def identify(
-    records: Sequence[AnyRecord],
-    parameters: Parameters,
-    experiments: Iterable[str] | None = None,
-    report: Report = silent,
-    phases: Mapping[str, Phase] | None = None,
+    records: Sequence[AnyRecord], parameters: Parameters, experiments: Iterable[str] | None = None,
+    report: Report = silent, phases: Mapping[str, Phase] | None = None,
 ) -> Identification:
     """Identify what the records allow.
 

@@ -64,8 +64,7 @@ def identify_load_frame(
     fitted = fit_experiment(NAME, TITLE, observations, parameters, report)
     beside, remarks = _branch_by_branch(records, parameters, fitted)
     return replace(
-        fitted,
-        details={**fitted.details, **beside},
+        fitted, details={**fitted.details, **beside},
         findings=(*fitted.findings, about_length(parameters), *remarks),
     )
 
@@ -95,9 +94,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
             kelvin[inside], elongation[inside] / wire_length(parameters),
             np.full(int(inside.sum()), stress), name,
         )
-        tests.append(
-            IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks))
-        )
+        tests.append(IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks)))
     return tuple(tests)
 
 
@@ -183,9 +180,7 @@ def stays_cold(record: Record, parameters: Parameters) -> bool:
     """
     name = f"{record.channels[0]}.temperature"
     limit = float(parameters["wire.austenite_start_temperature"])
-    return has_samples(record, name) and bool(
-        np.percentile(samples(record, name)[1], 99.0) < limit
-    )
+    return has_samples(record, name) and bool(np.percentile(samples(record, name)[1], 99.0) < limit)
 
 
 def _branch_by_branch(

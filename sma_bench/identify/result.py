@@ -188,6 +188,5 @@ def identification_from(document: Any, where: str) -> Identification:
     }
     return Identification(
         Parameters.defaults(), estimates, found.experiments, (), found.fit,
-        Correlation(tuple(map(str, names)), numbers),
-        found.warnings, where,
+        Correlation(tuple(map(str, names)), numbers), found.warnings, where,
     )

@@ -370,9 +370,7 @@ def run_heat_transfer(
     for record, staircase in _staircases(run, drives, "E2", "temperature"):
         offset = offsets.get(staircase.source(record), 0.0)
         try:
-            experiment = identify_heat_transfer(
-                record, staircase, run.given, _heated(run), offset
-            )
+            experiment = identify_heat_transfer(record, staircase, run.given, _heated(run), offset)
         except InputError as error:
             run.fail("E2", str(error))
             continue
@@ -407,10 +405,8 @@ def run_specific_heat(
     measured = bool(gains) or COEFFICIENT in run.given.given
     default = Estimate(run.given[COEFFICIENT], run.given.std(COEFFICIENT), "", "default", 0)
     heat_loss = HeatLoss(
-        _heated(run),
-        run.known(COEFFICIENT) if measured else default,
-        combine(gains) if gains else None,
-        known=measured,
+        _heated(run), run.known(COEFFICIENT) if measured else default,
+        combine(gains) if gains else None, known=measured,
     )
     try:
         experiment = identify_specific_heat(usable, run.improved(), heat_loss)

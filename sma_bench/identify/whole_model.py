@@ -183,8 +183,7 @@ def unknowns_of_observations(
     quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
     return unknowns_of_records(
         parameters, quantities, load_frame=any(one.holds for one in observations),
-        own_load=any(not one.holds for one in observations), sides_apart=True,
-        unmodelled=True,
+        own_load=any(not one.holds for one in observations), sides_apart=True, unmodelled=True,
     )
 
 
@@ -220,9 +219,7 @@ def details(result: Result) -> dict[str, Estimate]:
     for number in result.products:
         name, unit, symbol = _UNITS[number.name.split(" x ")[0]]
         words = f"{symbol}, the only form in the model"
-        found[name] = Estimate(
-            number.value, number.std, unit, words, n, informed=number.informed
-        )
+        found[name] = Estimate(number.value, number.std, unit, words, n, informed=number.informed)
     paths = list(dict.fromkeys(off.path for off in result.off))
     for off in result.off:
         head = f"{paths.index(off.path)}." if len(paths) > 1 else ""

@@ -42,10 +42,8 @@ class Parameters(Mapping[str, Value]):
     """
 
     def __init__(
-        self,
-        values: Mapping[str, Any] | None = None,
-        uncertainty: Mapping[str, float] | None = None,
-        where: str = "",
+        self, values: Mapping[str, Any] | None = None,
+        uncertainty: Mapping[str, float] | None = None, where: str = "",
     ) -> None:
         """Defaults of the table, overridden by `values` and `uncertainty`.
 
@@ -183,10 +181,8 @@ class Parameters(Mapping[str, Value]):
         return dict(self._std)
 
     def replace(
-        self,
-        values: Mapping[str, Any] | None = None,
-        uncertainty: Mapping[str, float] | None = None,
-        where: str = "",
+        self, values: Mapping[str, Any] | None = None,
+        uncertainty: Mapping[str, float] | None = None, where: str = "",
     ) -> "Parameters":
         """A new set with some values and uncertainties replaced; raises as the constructor does."""
         # What is here has been checked: a fit makes thousands of sets.

@@ -95,13 +95,8 @@ def split_names(named: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any
 
 
 def write_parameters(
-    path: str | Path,
-    parameters: Parameters,
-    comment: str = "",
-    names: Iterable[str] | None = None,
-    *,
-    sources: Mapping[str, str] | None = None,
-    template: str | Path | None = None,
+    path: str | Path, parameters: Parameters, comment: str = "", names: Iterable[str] | None = None,
+    *, sources: Mapping[str, str] | None = None, template: str | Path | None = None,
     explain: bool = False,
 ) -> None:
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.

@@ -38,14 +38,11 @@ class Beam:
     def of(cls, parameters: Parameters) -> "Beam":
         """The beam of a parameter set, martensite in its active layer."""
         return cls(
-            length=parameters["composite.length"],
-            width=parameters["composite.width"],
-            thickness=parameters["composite.thickness"],
-            modulus=parameters["composite.modulus"],
+            length=parameters["composite.length"], width=parameters["composite.width"],
+            thickness=parameters["composite.thickness"], modulus=parameters["composite.modulus"],
             layer_thickness=parameters["composite.wire_layer_thickness"],
             layer_modulus=parameters["wire.martensite_modulus"],
-            layer_width=wire_layer_width(parameters),
-            offset=parameters["composite.wire_offset"],
+            layer_width=wire_layer_width(parameters), offset=parameters["composite.wire_offset"],
             wire_section=channel_section(parameters),
         )
 

@@ -100,10 +100,8 @@ class Boundary:
         pulled = parameters["load.preload"] / (section * wires * modulus)
         return cls(
             stiffness=parameters["load.stiffness"] * length / section,
-            load=parameters["load.force"] / section,
-            lever=(0.5 * length, -0.5 * length),
-            coupled=True,
-            prestretch=tuple(pulled.tolist()),
+            load=parameters["load.force"] / section, lever=(0.5 * length, -0.5 * length),
+            coupled=True, prestretch=tuple(pulled.tolist()),
         )
 
     @classmethod

@@ -59,13 +59,11 @@ def _numbered(*parts: list[str]) -> tuple[dict[str, int], list[int]]:
 
 WIRE_NAMES, (_, WIRE_STATE, _, WIRE_COLUMNS) = _numbered(
     [*_WIRE_CONSTANTS, *_declared("wire", "constants")],
-    [*_WIRE_STATE, *_declared("wire", "state")],
-    [*_WIRE_SCRATCH, *_declared("wire", "scratch")],
+    [*_WIRE_STATE, *_declared("wire", "state")], [*_WIRE_SCRATCH, *_declared("wire", "scratch")],
 )
 SIDE_NAMES, (_, SIDE_STATE, _, SIDE_COLUMNS) = _numbered(
     [*_SIDE_CONSTANTS, *_declared("side", "constants")],
-    [*_SIDE_STATE, *_declared("side", "state")],
-    [*_SIDE_SCRATCH, *_declared("side", "scratch")],
+    [*_SIDE_STATE, *_declared("side", "state")], [*_SIDE_SCRATCH, *_declared("side", "scratch")],
 )
 globals().update(WIRE_NAMES, **SIDE_NAMES)
 

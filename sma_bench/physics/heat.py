@@ -11,11 +11,8 @@ Array = NDArray[np.float64]
 
 
 def temperature_rate(
-    temperature: ArrayLike,
-    voltage: ArrayLike,
-    parameters: Parameters,
-    martensite_rate: ArrayLike = 0.0,
-    latent_heat: float = 0.0,
+    temperature: ArrayLike, voltage: ArrayLike, parameters: Parameters,
+    martensite_rate: ArrayLike = 0.0, latent_heat: float = 0.0,
 ) -> Array:
     """dT/dt [K/s], eq. (1); eq. (2) without latent heat.
 
@@ -94,9 +91,7 @@ def heated_resistance(parameters: Parameters) -> float:
 
 def heat_loss(parameters: Parameters) -> float:
     """h A_c [W/K]."""
-    return float(
-        parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
-    )
+    return float(parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"])
 
 
 def time_constant(parameters: Parameters) -> float:
@@ -130,12 +125,8 @@ class EnergyBalance:
 
 
 def energy_balance(
-    parameters: Parameters,
-    time: Array,
-    voltage: Array,
-    temperature: Array,
-    martensite_fraction: Array,
-    latent_heat: float = 0.0,
+    parameters: Parameters, time: Array, voltage: Array, temperature: Array,
+    martensite_fraction: Array, latent_heat: float = 0.0,
 ) -> EnergyBalance:
     """Energy balance of eq. (1) over every step, exact for held voltage and transformation rate.
 

@@ -65,11 +65,8 @@ class State:
 
 
 def initial_state(
-    parameters: Parameters,
-    *,
-    temperature: ArrayLike | None = None,
-    martensite_fraction: ArrayLike = 1.0,
-    boundary: Boundary | None = None,
+    parameters: Parameters, *, temperature: ArrayLike | None = None,
+    martensite_fraction: ArrayLike = 1.0, boundary: Boundary | None = None,
 ) -> State:
     """State without history: at rest, or at a given temperature and martensite fraction.
 
@@ -348,9 +345,6 @@ class Kernel:
         """Snapshot of the kernel's state."""
         wires, sides = memory[0].copy(), memory[1].copy()
         return State(
-            wires[:, at.TEMPERATURE],
-            wires[:, at.FRACTION],
-            wires[:, at.STRESS],
-            sides[:, at.CONTRACTION],
-            (wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :]),
+            wires[:, at.TEMPERATURE], wires[:, at.FRACTION], wires[:, at.STRESS],
+            sides[:, at.CONTRACTION], (wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :]),
         )

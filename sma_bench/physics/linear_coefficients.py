@@ -91,9 +91,7 @@ def b2(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Arra
 
 def b3(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:
     """-dxi/dT [1/K] of eq. (11), corrected: eq. (21) lacks the factor pi/(M_s - M_f)."""
-    return np.pi / _width("martensite", parameters) * b3_as_printed(
-        temperature, sigma, parameters
-    )
+    return np.pi / _width("martensite", parameters) * b3_as_printed(temperature, sigma, parameters)
 
 
 def b3_as_printed(temperature: ArrayLike, sigma: ArrayLike, parameters: Parameters) -> Array:

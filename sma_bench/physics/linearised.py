@@ -88,9 +88,7 @@ class Linearised:
         }[inputs]
         c = np.vstack([self.deflection_per_kelvin, np.eye(wires), self.stress_per_kelvin])
         return StateSpace(
-            -lightness / time_constant(parameters),
-            lightness * per_input / capacity,
-            c,
+            -lightness / time_constant(parameters), lightness * per_input / capacity, c,
             np.zeros((c.shape[0], wires)),
         )
 

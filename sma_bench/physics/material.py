@@ -77,9 +77,7 @@ def cooled_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Param
 
 
 def fraction_since_reversal(
-    rising: bool,
-    fraction_reversed: float,
-    ramps_reversed: tuple[float, float],
+    rising: bool, fraction_reversed: float, ramps_reversed: tuple[float, float],
     ramps: tuple[float, float],
 ) -> float:
     """Martensite fraction from the state at the last reversal: the rule of this module.
@@ -146,9 +144,7 @@ def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
 
 def transformation_coefficient(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
     """Omega [Pa], eq. (9)."""
-    return -parameters["wire.maximum_recoverable_strain"] * modulus(
-        martensite_fraction, parameters
-    )
+    return -parameters["wire.maximum_recoverable_strain"] * modulus(martensite_fraction, parameters)
 
 
 def clamped_stress(temperature: ArrayLike, parameters: Parameters) -> Array:
@@ -158,9 +154,7 @@ def clamped_stress(temperature: ArrayLike, parameters: Parameters) -> Array:
 
 
 def stress(
-    temperature: ArrayLike,
-    martensite_fraction: ArrayLike,
-    contraction: ArrayLike,
+    temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: ArrayLike,
     parameters: Parameters,
 ) -> Array:
     """sigma [Pa], eq. (6) from sigma = 0, xi = 1 and ambient temperature at rest.

@@ -226,18 +226,12 @@ class OperatingPoint:
     @property
     def state(self) -> State:
         """The state without its history; what follows runs on `branch` from here."""
-        return State(
-            self.temperature, self.martensite_fraction, self.stress, self.contraction
-        )
+        return State(self.temperature, self.martensite_fraction, self.stress, self.contraction)
 
     @classmethod
     def of_state(
-        cls,
-        parameters: Parameters,
-        temperature: ArrayLike,
-        martensite_fraction: ArrayLike,
-        branch: Branch,
-        boundary: Boundary | None = None,
+        cls, parameters: Parameters, temperature: ArrayLike, martensite_fraction: ArrayLike,
+        branch: Branch, boundary: Boundary | None = None,
     ) -> Self:
         """Any state, within a partial loop too.
 
@@ -250,9 +244,7 @@ class OperatingPoint:
         """
         boundary = boundary or Boundary.of(parameters)
         state = initial_state(
-            parameters,
-            temperature=temperature,
-            martensite_fraction=martensite_fraction,
+            parameters, temperature=temperature, martensite_fraction=martensite_fraction,
             boundary=boundary,
         )
         rise = state.temperature - parameters["environment.ambient_temperature"]
@@ -270,10 +262,7 @@ class OperatingPoint:
 
     @classmethod
     def at_temperature(
-        cls,
-        parameters: Parameters,
-        temperature: ArrayLike,
-        branch: Branch,
+        cls, parameters: Parameters, temperature: ArrayLike, branch: Branch,
         boundary: Boundary | None = None,
     ) -> Self:
         """On the full loop, eq. (10) or (11), at one or (w,) temperatures [K].
@@ -303,9 +292,7 @@ class OperatingPoint:
             shared[number] = own
             if boundary.coupled:
                 shared[1 - number] = -own
-            sigma = material.stress(
-                kelvin, fractions(shared), shared[side] - stretch, parameters
-            )
+            sigma = material.stress(kelvin, fractions(shared), shared[side] - stretch, parameters)
             pull = np.bincount(side, sigma, sides)
             against = pull[1 - number] if boundary.coupled else 0.0
             return float(pull[number] - against - load[number] - stiffness[number] * own)
@@ -330,10 +317,7 @@ class OperatingPoint:
 
     @classmethod
     def at_voltage(
-        cls,
-        parameters: Parameters,
-        voltage: ArrayLike,
-        branch: Branch,
+        cls, parameters: Parameters, voltage: ArrayLike, branch: Branch,
         boundary: Boundary | None = None,
     ) -> Self:
         """On the full loop where one or (w,) held voltages [V] lead to.

@@ -82,9 +82,7 @@ class Simulation(Drawn):
     @cached_property
     def current(self) -> Array:
         """(n, w) A, eq. (3)."""
-        return current(
-            self.parameters, self.voltage, self.temperature, self.martensite_fraction
-        )
+        return current(self.parameters, self.voltage, self.temperature, self.martensite_fraction)
 
     @cached_property
     def elongation(self) -> Array:
@@ -107,21 +105,13 @@ class Simulation(Drawn):
         if others:
             raise InputError(f"energy balance: {others[0]} is on, expected latent_heat at most")
         return energy_balance(
-            self.parameters,
-            self.time,
-            self.voltage,
-            self.temperature,
-            self.martensite_fraction,
+            self.parameters, self.time, self.voltage, self.temperature, self.martensite_fraction,
             self.parameters["effect.latent_heat.heat"],
         )
 
 
 def simulate(
-    parameters: Parameters,
-    time: ArrayLike,
-    voltage: ArrayLike,
-    *,
-    initial: State | None = None,
+    parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *, initial: State | None = None,
     boundary: Boundary | None = None,
 ) -> Simulation:
     """Solve the baseline model (contract section 4), and the effects that the parameters switch on.
@@ -188,10 +178,7 @@ class Bench:
     """The same bench stepped live; the simulator node turns its time into a clock."""
 
     def __init__(
-        self,
-        parameters: Parameters,
-        *,
-        initial: State | None = None,
+        self, parameters: Parameters, *, initial: State | None = None,
         boundary: Boundary | None = None,
     ) -> None:
         """A bench at rest, or in the state `initial`; arguments as for `simulate`."""

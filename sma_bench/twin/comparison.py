@@ -293,8 +293,7 @@ class Comparison:
             signal.samples(value, value - predicted)
 
     def _samples(
-        self, signal: SignalBins, key: int, time: Array, value: Array, predicted: Array,
-        std: Array,
+        self, signal: SignalBins, key: int, time: Array, value: Array, predicted: Array, std: Array,
     ) -> None:
         numbers, residual = self._numbers(time), value - predicted
         for number in np.unique(numbers).tolist():

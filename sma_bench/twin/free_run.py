@@ -219,9 +219,7 @@ class FreeRun:
         return warmed_from_rest(self.parameters, np.nan_to_num(self._measured, nan=ambient))
 
     def _trajectory(self, time: Array, run: Simulation) -> Trajectory:
-        conductance = current(
-            self.parameters, 1.0, run.temperature, run.martensite_fraction
-        )
+        conductance = current(self.parameters, 1.0, run.temperature, run.martensite_fraction)
         mechanics = run.deflection_reading if self._moves else run.force[:, 0]
         # Voltages noise around 0 in a rest: what counts is what heats.
         drives = run.voltage.max(axis=1) > _OFF

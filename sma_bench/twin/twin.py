@@ -65,11 +65,8 @@ class Twin:
     """
 
     def __init__(
-        self,
-        parameters: Parameters,
-        settings: Mapping[str, Any],
-        on_prediction: Callable[[Prediction], None],
-        on_residual: Callable[[Residual], None],
+        self, parameters: Parameters, settings: Mapping[str, Any],
+        on_prediction: Callable[[Prediction], None], on_residual: Callable[[Residual], None],
     ) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output."""
         self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches
@@ -354,9 +351,7 @@ class Judge:
         waiting = [s.stage for s in measured if np.isnan(s.energy)]
         if not gaps:
             apart = f"; not judged: {', '.join(waiting)}" if waiting else ""
-            return Verdict(
-                QUIET, f"no gap beyond the noise{apart}", measured=tuple(measured)
-            )
+            return Verdict(QUIET, f"no gap beyond the noise{apart}", measured=tuple(measured))
         stages = tuple(grown or gaps)
         sides = tuple(dict.fromkeys(s for stage in stages for s in self._sides_of(stage)))
         places = "; ".join(
@@ -364,9 +359,7 @@ class Judge:
             for stage in stages
         )
         said = "gap grew" if grown else "gap, as it was known"
-        return Verdict(
-            GREW if grown else GAP, f"{said}: {places}", stages, sides, tuple(measured)
-        )
+        return Verdict(GREW if grown else GAP, f"{said}: {places}", stages, sides, tuple(measured))
 
     def _sides_of(self, stage: str) -> tuple[str, ...]:
         counted = self._latest[stage]
@@ -470,8 +463,7 @@ def _sensor(
         return {}
     wrong = min(named[THERMAL].max(), named[MECHANICAL].max()) >= rules.threshold
     free = comparison.free.read(
-        rules.allowed[comparison.free.quantity], sides, rules.fewest, rules.window,
-        rules.threshold,
+        rules.allowed[comparison.free.quantity], sides, rules.fewest, rules.window, rules.threshold,
     )
     if not wrong or free is None or np.nanmax(free.gap) >= rules.threshold:
         return {}

@@ -107,12 +107,8 @@ class LawFit:
 
 
 def fit_law(
-    loops: Sequence[Loop],
-    law: Law,
-    unknowns: Sequence[LawNumber],
-    fixed: Mapping[str, float],
-    parameters: Parameters,
-    report: Report = silent,
+    loops: Sequence[Loop], law: Law, unknowns: Sequence[LawNumber], fixed: Mapping[str, float],
+    parameters: Parameters, report: Report = silent,
 ) -> LawFit:
     """Fit one law to all loops, each loop's residual counted in units of the strain it recovers.
 
@@ -181,15 +177,10 @@ def fit_law(
     covariance += added
     near = np.minimum(x - low, high - x) < _AT_BOUND * (high - low)
     return LawFit(
-        law=law,
-        names=names,
-        values=x,
-        std=np.sqrt(np.maximum(np.diag(covariance), 1e-300)),
+        law=law, names=names, values=x, std=np.sqrt(np.maximum(np.diag(covariance), 1e-300)),
         covariance=covariance,
         at_bound=tuple(name for name, is_near in zip(names, near, strict=True) if is_near),
-        fixed=dict(fixed),
-        loops=tuple(fits),
-        starts_agreeing=agreeing,
+        fixed=dict(fixed), loops=tuple(fits), starts_agreeing=agreeing,
     )
 
 
@@ -222,12 +213,7 @@ def _loop_fits(
         residual, weights = without_free_parts(loop.strain - strain, columns)
         last = float(weights[1] * columns[-1, 1]) if columns.shape[1] > 1 else 0.0
         fits.append(
-            LoopFit(
-                loop=loop,
-                model=loop.strain - residual,
-                residual=residual,
-                irrecoverable=last,
-            )
+            LoopFit(loop=loop, model=loop.strain - residual, residual=residual, irrecoverable=last)
         )
     return fits
 

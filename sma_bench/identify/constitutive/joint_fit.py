@@ -47,11 +47,8 @@ _SIGNIFICANT = 2.0
 
 
 def fit_constitutive(
-    records: Sequence[IsobaricRecord],
-    parameters: Parameters | None = None,
-    *,
-    law: Law | Literal["auto"] = "auto",
-    report: Report = silent,
+    records: Sequence[IsobaricRecord], parameters: Parameters | None = None, *,
+    law: Law | Literal["auto"] = "auto", report: Report = silent,
 ) -> Experiment:
     """Fit the law to isobaric tests of one material, all stresses and cycles at once.
 
@@ -124,13 +121,8 @@ def fit_constitutive(
         curves[f"{f.loop.label}/strain"] = f.loop.strain
         curves[f"{f.loop.label}/model"] = f.model
     return Experiment(
-        name=NAME,
-        title=TITLE,
-        estimates=estimates,
-        findings=tuple(findings),
-        curves=curves,
-        source="; ".join(str(record.path) for record in records),
-        details=details,
+        name=NAME, title=TITLE, estimates=estimates, findings=tuple(findings), curves=curves,
+        source="; ".join(str(record.path) for record in records), details=details,
         correlation=Correlation(tuple(names), covariance / np.outer(sigma, sigma)),
     )
 
@@ -233,9 +225,7 @@ def _expansion_estimate(
         modulus = parameters["wire.martensite_modulus"]
         value = -fit["alpha_M"] * 1e-6 * modulus
         own = fit.error({"alpha_M": 1.0}) * 1e-6 * modulus
-        std = math.hypot(
-            own, value * parameters.std("wire.martensite_modulus") / modulus
-        )
+        std = math.hypot(own, value * parameters.std("wire.martensite_modulus") / modulus)
         method = f"{method}, -alpha_M E_M"
     is_told = fit.law == "contract" or abs(value) > _SIGNIFICANT * std
     if not (is_told and remarks.is_plausible_expansion(value, std)):
@@ -253,10 +243,7 @@ def _is_in_range(name: str, estimate: Estimate, findings: list[Finding]) -> bool
 
 
 def _cycle_by_cycle(
-    fit: LawFit,
-    records: Sequence[IsobaricRecord],
-    parameters: Parameters,
-    findings: list[Finding],
+    fit: LawFit, records: Sequence[IsobaricRecord], parameters: Parameters, findings: list[Finding],
 ) -> dict[str, Estimate]:
     """Where cycles of one record do not fit one set of numbers, each gets its own."""
     details: dict[str, Estimate] = {}

@@ -101,8 +101,7 @@ class Elastic:
 def elastic(parameters: Parameters) -> Elastic:
     """The elastic part, which isobaric tests cannot tell from eps_L and so is taken as given."""
     return Elastic(
-        parameters["wire.austenite_modulus"],
-        parameters["wire.martensite_modulus"],
+        parameters["wire.austenite_modulus"], parameters["wire.martensite_modulus"],
         parameters["environment.ambient_temperature"],
     )
 
@@ -188,11 +187,8 @@ def without_free_parts(values: Array, columns: Array) -> tuple[Array, Array]:
 def _loop(record: IsobaricRecord, cycle: Cycle) -> Loop:
     paths = tuple(_path(branch) for branch in cycle.branches)
     return Loop(
-        label=f"{record.name}, cycle {cycle.number}",
-        stress=record.stress,
-        paths=paths,
-        recovered=_recovered(cycle, paths),
-        is_relative=record.strain_unit != "1",
+        label=f"{record.name}, cycle {cycle.number}", stress=record.stress, paths=paths,
+        recovered=_recovered(cycle, paths), is_relative=record.strain_unit != "1",
     )
 
 
@@ -219,9 +215,6 @@ def _path(branch: Branch) -> Path:
     _, index = np.unique(index, return_inverse=True)
     count = np.bincount(index)
     return Path(
-        rising=rising,
-        temperature=t,
-        index=index,
-        strain=np.bincount(index, branch.strain) / count,
+        rising=rising, temperature=t, index=index, strain=np.bincount(index, branch.strain) / count,
         level=np.bincount(index, t) / count,
     )

@@ -107,8 +107,7 @@ _EXPANSION = "wire.thermal_expansion_factor"
 
 
 def identify_isobaric(
-    records: Sequence[IsobaricRecord],
-    parameters: Parameters | None = None,
+    records: Sequence[IsobaricRecord], parameters: Parameters | None = None,
 ) -> Experiment:
     """Evaluate isobaric tests of one material.
 

@@ -209,9 +209,7 @@ def _tangent(scan: Scan, baseline: Line, smoothing: float) -> Line:
         raise InputError("DSC scan: no flank between baseline and peak, expected a whole peak")
     touch = int(high[0])
     step = float(scan.temperature[1] - scan.temperature[0])
-    return Line(
-        float(scan.temperature[touch]), float(smooth[touch]), float(slope[touch]) / step
-    )
+    return Line(float(scan.temperature[touch]), float(smooth[touch]), float(slope[touch]) / step)
 
 
 def _bases(scan: Scan, start: Onset, finish: Onset) -> tuple[Array, Array]:
@@ -469,9 +467,7 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
     start, finish = (cold, hot) if branch.direction == "heating" else (hot, cold)
     inside = (t[1:] > cold[0]) & (t[:-1] < hot[0])
     return StrainTangents(
-        start=start,
-        finish=finish,
-        step=_summary([d.step for d in drawn], best.step_variance),
+        start=start, finish=finish, step=_summary([d.step for d in drawn], best.step_variance),
         cold=best.outer[0].line, hot=best.outer[1].line, steep=best.steep,
         cold_end=best.outer[0].end, hot_end=best.outer[1].end,
         cold_is_short=best.outer[0].is_short, hot_is_short=best.outer[1].is_short,
@@ -514,12 +510,10 @@ def _draw(
         for x, side in zip(crossings, (cold, hot), strict=True)
     ]
     return _Drawn(
-        crossings=crossings,
-        variances=(variances[0], variances[1]),
+        crossings=crossings, variances=(variances[0], variances[1]),
         step=float(cold.line(np.array(middle)) - hot.line(np.array(middle))),
         step_variance=sum(_variance(s.covariance, s.line.at, middle) for s in (cold, hot)),
-        outer=outer,
-        steep=line,
+        outer=outer, steep=line,
     )
 
 

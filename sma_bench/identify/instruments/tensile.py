@@ -218,9 +218,7 @@ _TRANSITION = {
 
 
 def identify_tensile(
-    records: Sequence[TensileRecord],
-    parameters: Parameters | None = None,
-    *,
+    records: Sequence[TensileRecord], parameters: Parameters | None = None, *,
     phases: Mapping[str, Phase] | None = None,
 ) -> Experiment:
     """Evaluate tensile tests of one material; tests of one phase are repeats.

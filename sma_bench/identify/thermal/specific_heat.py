@@ -497,10 +497,7 @@ _MOST_CELLS = 1_000_000
 
 
 def slope_of_rates(
-    windows: Sequence[Window],
-    ambient: Sequence[float],
-    resistance: float,
-    heat_loss: float,
+    windows: Sequence[Window], ambient: Sequence[float], resistance: float, heat_loss: float,
     mass: float,
 ) -> tuple[Estimate, dict[str, Array]]:
     """c_p in J/(kg K) from 1/slope of dT/dt over f(T, V) = (V^2/R - h A_c (T - T_inf))/m.

@@ -20,13 +20,11 @@ EFFECT = Effect(
     "thermal",
     (
         Parameter(
-            "effect.ambient_drift.rate", "K/s", 0.0,
-            "Rise of the air around the wires; 0 is off.",
+            "effect.ambient_drift.rate", "K/s", 0.0, "Rise of the air around the wires; 0 is off.",
             "assumed: 0.2 to 5 K in ten minutes", -0.2, 0.2, uncertainty=0.01,
         ),
         Parameter(
-            "effect.ambient_drift.bend", "K/s2", 0.0,
-            "Growth of that rise.",
+            "effect.ambient_drift.bend", "K/s2", 0.0, "Growth of that rise.",
             "assumed: of the order of the rise over some minutes", -2e-3, 2e-3, uncertainty=8e-5,
         ),
     ),

@@ -22,8 +22,7 @@ EFFECT = Effect(
             "assumed: to 5 % of the stroke", -1e-3, 1e-3, uncertainty=1e-5,
         ),
         Parameter(
-            "effect.deflection_drift.bend", "m/s2", 0.0,
-            "Growth of that drift.",
+            "effect.deflection_drift.bend", "m/s2", 0.0, "Growth of that drift.",
             "assumed: of the order of the drift over some minutes", -1e-5, 1e-5, uncertainty=1e-7,
         ),
     ),
