@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from examination.blind.reality import Outcome, World, happen
+from examination.blind.reality import BY_NAME, Outcome, World, happen
 from examination.blind.sensors import Sensors, readings
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -72,25 +72,18 @@ _DIGITS = 3
 # How wrong a wrong number is, in its own stated standard deviations.
 WRONG_BY = (2.5, 5.0)
 
-STAGE_OF_PARAMETER = {
-    "wire.resistance": "electrical",
-    "wire.heat_transfer_coefficient": "thermal",
-    "wire.specific_heat": "thermal",
-    "wire.mass": "thermal",
-    "wire.surface_area": "thermal",
-    "environment.ambient_temperature": "thermal",
-    "wire.austenite_start_temperature": "transformation",
-    "wire.austenite_finish_temperature": "transformation",
-    "wire.martensite_start_temperature": "transformation",
-    "wire.martensite_finish_temperature": "transformation",
-    "wire.stress_influence_austenite": "transformation",
-    "wire.stress_influence_martensite": "transformation",
-}
+_STAGES = {
+    "electrical": ("wire.resistance",),
+    "thermal": ("wire.heat_transfer_coefficient", "wire.specific_heat", *_WEIGHED,
+                "environment.ambient_temperature"),
+    "transformation": (*(n for n in _ABSOLUTE if n.startswith("wire.")),
+                       "wire.stress_influence_austenite", "wire.stress_influence_martensite"),
+}  # fmt: skip
 
 
 def stage_of_parameter(name: str) -> str:
     """The stage in which a wrong number of this name shows first."""
-    return STAGE_OF_PARAMETER.get(name, "mechanical")
+    return next((stage for stage, names in _STAGES.items() if name in names), "mechanical")
 
 
 def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
@@ -185,8 +178,7 @@ _REST = (4.0, 9.0)
 # cycles end above it, partial ones turn round inside the transformation.
 _FULL = (8.0, 24.0)
 _PARTIAL = (-16.0, -3.0)
-_SWIFT = 1.09  # a ramp lags behind its steady temperature
-_SWIFT_FAMILIES = ("triangle",)
+_SWIFT = 1.09  # a triangle lags behind its steady temperature
 
 
 @dataclass(frozen=True)
@@ -271,67 +263,55 @@ def _draw_pulse(
 ) -> Pulse:
     above = rng.uniform(*(_FULL if reach == "full" else _PARTIAL))
     peak = _volts_for(truth, hottest(truth) + above)
-    peak *= _SWIFT if family in _SWIFT_FAMILIES else 1.0
-    corners = _SHAPES[family](rng)
+    corners: list[tuple[float, float]] = []  # s, share of the peak
+    if family == "triangle":
+        peak *= _SWIFT
+        rise, fall = rng.uniform(5.0, 10.0, 2)
+        corners = [(0.0, 0.0), (rise, 1.0), (rise + fall, 0.0)]
+    elif family == "step":
+        corners = [(0.0, 1.0), (rng.uniform(6.0, 12.0), 1.0)]
+    elif family == "trapezoid":
+        rise, hold, fall = rng.uniform(2.5, 6.0, 3)
+        corners = [(0.0, 0.0), (rise, 1.0), (rise + hold, 1.0), (rise + hold + fall, 0.0)]
+    else:
+        levels, now = np.sort(rng.uniform(0.6, 0.95, 2)).tolist(), 0.0
+        for level in [*levels, 1.0, *levels[::-1][: int(rng.integers(0, 2))]]:
+            stay = rng.uniform(2.5, 5.0)
+            corners += [(now, level), (now + stay, level)]
+            now += stay + COMMAND_PERIOD
     if reach == "nested":
-        # Turned inside the transformation to austenite, and back inside the one to martensite.
-        low = _volts_for(truth, _martensite_middle(truth) + rng.uniform(-4.0, 2.0)) / peak
-        corners = _with_dip(corners, low, rng)
+        # Turned inside the transformation to austenite, and back inside the one to martensite: up
+        # to the peak, a fall, a stay, a rise, and the last part from the peak on again.
+        names = ("wire.martensite_start_temperature", "wire.martensite_finish_temperature")
+        shift = hottest(truth) - truth["wire.austenite_finish_temperature"]
+        middle = float(np.mean([truth[name] for name in names]) + 0.4 * shift)
+        low = _volts_for(truth, middle + rng.uniform(-4.0, 2.0)) / peak
+        last = max(k for k, (_, v) in enumerate(corners) if v == 1.0)
+        turn = corners[last][0]
+        fall, stay, rise = rng.uniform((2.0, 2.0, 2.0), (3.5, 4.0, 3.5))
+        back = turn + fall + stay + rise
+        end = back + rng.uniform(2.0, 4.0)
+        dip = [(turn + fall, low), (turn + fall + stay, low), (back, 1.0), (end, 1.0)]
+        after = [(t - turn + end, v) for t, v in corners[last + 1 :]]
+        corners = [*corners[: last + 1], *dip, *after]
     times = np.round(start + np.array([t for t, _ in corners]), 2)
     volts = np.round(peak * np.array([v for _, v in corners]), 3)
     return Pulse(side, tuple(times.tolist()), tuple(volts.tolist()))
 
 
-_Corners = list[tuple[float, float]]
-
-
-def _triangle(rng: np.random.Generator) -> _Corners:
-    rise, fall = rng.uniform(5.0, 10.0, 2)
-    return [(0.0, 0.0), (rise, 1.0), (rise + fall, 0.0)]
-
-
-def _step(rng: np.random.Generator) -> _Corners:
-    return [(0.0, 1.0), (rng.uniform(6.0, 12.0), 1.0)]
-
-
-def _trapezoid(rng: np.random.Generator) -> _Corners:
-    rise, hold, fall = rng.uniform(2.5, 6.0, 3)
-    return [(0.0, 0.0), (rise, 1.0), (rise + hold, 1.0), (rise + hold + fall, 0.0)]
-
-
-def _staircase(rng: np.random.Generator) -> _Corners:
-    levels = np.sort(rng.uniform(0.6, 0.95, 2)).tolist()
-    corners, now = [], 0.0
-    for level in [*levels, 1.0, *levels[::-1][: int(rng.integers(0, 2))]]:
-        stay = rng.uniform(2.5, 5.0)
-        corners += [(now, level), (now + stay, level)]
-        now += stay + COMMAND_PERIOD
-    return corners
-
-
-_SHAPES = {
-    "triangle": _triangle,
-    "step": _step,
-    "staircase": _staircase,
-    "trapezoid": _trapezoid,
-}
-
-
-def _with_dip(corners: _Corners, low: float, rng: np.random.Generator) -> _Corners:
-    """The shape up to its peak, a fall to `low`, and the last part from the peak on again."""
-    last = max(k for k, (_, v) in enumerate(corners) if v == 1.0)
-    turn = corners[last][0]
-    fall, stay, rise = rng.uniform((2.0, 2.0, 2.0), (3.5, 4.0, 3.5))
-    dip = [(turn + fall, low), (turn + fall + stay, low), (turn + fall + stay + rise, 1.0)]
-    end = turn + fall + stay + rise + rng.uniform(2.0, 4.0)
-    after = [(t - turn + end, v) for t, v in corners[last + 1 :]]
-    return [*corners[: last + 1], *dip, (end, 1.0), *after]
-
-
 def hottest(truth: Parameters) -> float:
     """K at which the last martensite is gone, at full contraction of one side."""
     modulus, strain = truth["wire.austenite_modulus"], truth["wire.maximum_recoverable_strain"]
-    wires, load, stiffness = _pulled(truth)
+    # Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against.
+    wires, load = 1, 0.0
+    if load_kind(truth) == "beam":
+        wires, stiffness = 2, truth["composite.deflection_per_strain"] * truth[FRONT]
+    else:
+        section = np.pi * truth["wire.diameter"] ** 2 / 4.0
+        load = (truth["load.preload"] + truth["load.force"]) / section
+        stiffness = truth["load.stiffness"] * wire_length(truth) / section
+        if load_kind(truth) == "antagonist":
+            stiffness += truth["wire.martensite_modulus"]
     own = wires * modulus
     # sum sigma = n E_A (eps_L + eps_0 - e) = load + K e
     drawn = load / (wires * truth["wire.martensite_modulus"])
@@ -341,24 +321,6 @@ def hottest(truth: Parameters) -> float:
         truth["wire.austenite_finish_temperature"]
         + stress / truth["wire.stress_influence_austenite"]
     )
-
-
-def _pulled(truth: Parameters) -> tuple[int, float, float]:
-    """Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against."""
-    if load_kind(truth) == "beam":
-        alpha = truth["composite.deflection_per_strain"]
-        return len(CHANNELS) // 2, 0.0, alpha * truth[FRONT]
-    section = np.pi * truth["wire.diameter"] ** 2 / 4.0
-    stiffness = truth["load.stiffness"] * wire_length(truth) / section
-    if load_kind(truth) == "antagonist":
-        stiffness += truth["wire.martensite_modulus"]
-    return 1, (truth["load.preload"] + truth["load.force"]) / section, stiffness
-
-
-def _martensite_middle(truth: Parameters) -> float:
-    names = ("wire.martensite_start_temperature", "wire.martensite_finish_temperature")
-    shift = hottest(truth) - truth["wire.austenite_finish_temperature"]
-    return float(np.mean([truth[name] for name in names]) + 0.4 * shift)
 
 
 def _volts_for(truth: Parameters, temperature: float) -> float:
@@ -389,7 +351,7 @@ class Stage:
     truth: Parameters
     sensors: Sensors
     drives: Mapping[str, Drive]
-    _played: dict[Any, Outcome] = field(default_factory=dict, repr=False, compare=False)
+    _played: dict[tuple, Outcome] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -423,7 +385,9 @@ class Stage:
             fine: steps are at most 5 ms/fine long.
             parameters: instead of the rig's true ones.
         """
-        key = (record, fine, id(parameters), *sorted(_physical(features).items()))
+        # What only the instruments do does not change what happens.
+        physical = {n: v for n, v in features.items() if BY_NAME[n].stage != "sensor"}
+        key = (record, fine, *sorted(physical.items()))
         if parameters is None and key in self._played:
             return self._played[key]
         time = self.drives[record].grid(COMMAND_PERIOD)
@@ -454,16 +418,6 @@ class Stage:
         """A; the largest of both records in the baseline."""
         volts = (np.max(d.voltage(d.grid(COMMAND_PERIOD))) for d in self.drives.values())
         return float(max(volts) / self.truth["wire.resistance"])
-
-
-_SENSOR_FEATURES = (
-    "spot_fill", "camera_lag", "deflection_drift", "sensor_nonlinearity", "pickup", "shutter_steps",
-)
-
-
-def _physical(features: Mapping[str, float]) -> dict[str, float]:
-    """Without what only the instruments do: the outcome is the same."""
-    return {name: value for name, value in features.items() if name not in _SENSOR_FEATURES}
 
 
 def quantity_of(signal: str) -> str:

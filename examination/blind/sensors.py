@@ -156,49 +156,30 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
     Returns:
         voltage, current, temperature (n, w) and deflection (n,), in SI units, by their stamps.
     """
-    return {
-        "voltage": outcome.voltage,
-        "current": outcome.current,
-        "temperature": _temperature(outcome, world, sensors),
-        "deflection": _deflection(outcome, world, sensors),
-    }
-
-
-def _temperature(outcome: Outcome, world: World, sensors: Sensors) -> Array:
-    """Radiance of wire and surroundings in the spot, through the camera's own lag."""
+    time = outcome.time
+    # Radiance of wire and surroundings in the spot, through the camera's own lag from rest.
     fill, lag = world.feature("spot_fill"), world.feature("camera_lag")
     seen = outcome.temperature
     if fill < 1.0:
         wire, beside = seen**RADIANCE_EXPONENT, outcome.surface**RADIANCE_EXPONENT
         seen = (fill * wire + (1.0 - fill) * beside) ** (1.0 / RADIANCE_EXPONENT)
-    seen = _lagged(seen, outcome.time, lag)
-    seen = _delayed(seen, outcome.time, sensors.camera_clock)
-    steps = world.feature("shutter_steps")
-    return seen + steps * shutter_offset(outcome.time, sensors.seed)[:, None] if steps else seen
-
-
-def _lagged(values: Array, time: Array, lag: float) -> Array:
-    """(n, w) through a first-order lag that rests at the first value."""
-    if lag <= 0.0:
-        return values
-    rho = np.exp(-(time[1] - time[0]) / lag)
-    start = rho * values[:1]
-    return np.asarray(lfilter([1.0 - rho], [1.0, -rho], values, axis=0, zi=start)[0])
-
-
-def _delayed(values: Array, time: Array, delay: float) -> Array:
-    if delay == 0.0:
-        return values
-    columns = [np.interp(time - delay, time, column) for column in values.T]
-    return np.column_stack(columns)
-
-
-def _deflection(outcome: Outcome, world: World, sensors: Sensors) -> Array:
+    if lag > 0.0:
+        rho = np.exp(-(time[1] - time[0]) / lag)
+        seen = lfilter([1.0 - rho], [1.0, -rho], seen, axis=0, zi=rho * seen[:1])[0]
+    if sensors.camera_clock != 0.0:
+        late = time - sensors.camera_clock
+        seen = np.column_stack([np.interp(late, time, column) for column in seen.T])
+    if steps := world.feature("shutter_steps"):
+        seen = seen + steps * shutter_offset(time, sensors.seed)[:, None]
     true = outcome.deflection
     read = true + world.feature("sensor_nonlinearity") * true**2
     read = read + world.feature("pickup") * outcome.current.sum(axis=1)
-    drift = world.feature("deflection_drift")
-    return read + drift * drift_shape(outcome.time, sensors.seed) if drift else read
+    if drift := world.feature("deflection_drift"):
+        read = read + drift * drift_shape(time, sensors.seed)
+    return {
+        "voltage": outcome.voltage, "current": outcome.current, "temperature": seen,
+        "deflection": read,
+    }
 
 
 def drift_shape(time: Array, seed: int) -> Array:
@@ -221,47 +202,6 @@ def shutter_offset(time: Array, seed: int) -> Array:
     return np.asarray(levels[np.searchsorted(instants, time - time[0], side="right")])
 
 
-@dataclass(frozen=True)
-class Clock:
-    """When one instrument was read.
-
-    Attributes:
-        time: (n,) s of every tick, by its stamps; received: (n,) s, by the recorder's clock.
-        arrived: (n,) which of the messages did.
-        period: s between ticks.
-    """
-
-    time: Array
-    received: Array
-    arrived: npt.NDArray[np.bool_]
-    period: float
-
-
-def clocks(
-    duration: float, sensors: Sensors, channels: tuple[str, ...], rng: np.random.Generator
-) -> dict[str, Clock]:
-    """The clock of every topic, `front_1/power` say, of a record from 0 to `duration` s."""
-    topics = {f"{channel}/power": sensors.power_rate for channel in channels}
-    topics |= {f"{channel}/temperature": sensors.camera_rate for channel in channels}
-    topics["joint_states"] = sensors.mechanics_rate
-    return {topic: _clock(topic, duration, rate, sensors, rng) for topic, rate in topics.items()}
-
-
-def _clock(
-    topic: str, duration: float, rate: float, sensors: Sensors, rng: np.random.Generator
-) -> Clock:
-    period, kind = 1.0 / rate, topic.rpartition("/")[2]
-    n = int(duration * rate)
-    jitter = sensors.jitter * rng.standard_normal(n)
-    jitter = np.clip(jitter, -_LARGEST_JITTER * period, _LARGEST_JITTER * period)
-    time = (np.arange(n) + rng.uniform(0.4, 0.6)) * period + jitter
-    arrived = rng.random(n) >= sensors.dropout
-    # A camera whose clock is late has stamped its images that much later than the recorder.
-    late = sensors.camera_clock if kind == "temperature" else 0.0
-    received = time - late + _DELAY[kind] + rng.exponential(_DELAY_SPREAD, n)
-    return Clock(time, received, arrived, period)
-
-
 def measure(
     outcome: Outcome,
     world: World,
@@ -282,39 +222,45 @@ def measure(
         quantities: that are recorded at all; the voltages always.
     """
     clean = readings(outcome, world, sensors)
-    ticks = clocks(float(outcome.time[-1]), sensors, channels, rng)
+    # The clock of every topic: stamps of every tick, times by the recorder's clock, what arrived.
+    topics = {f"{channel}/power": sensors.power_rate for channel in channels}
+    topics |= {f"{channel}/temperature": sensors.camera_rate for channel in channels}
+    topics["joint_states"] = sensors.mechanics_rate
+    ticks = {}
+    for topic, rate in topics.items():
+        period, kind = 1.0 / rate, topic.rpartition("/")[2]
+        n = int(float(outcome.time[-1]) * rate)
+        jitter = sensors.jitter * rng.standard_normal(n)
+        jitter = np.clip(jitter, -_LARGEST_JITTER * period, _LARGEST_JITTER * period)
+        time = (np.arange(n) + rng.uniform(0.4, 0.6)) * period + jitter
+        arrived = rng.random(n) >= sensors.dropout
+        # A camera whose clock is late has stamped its images that much later than the recorder.
+        late = sensors.camera_clock if kind == "temperature" else 0.0
+        received = time - late + _DELAY[kind] + rng.exponential(_DELAY_SPREAD, n)
+        ticks[topic] = time, received, arrived, period
+
+    motion = "deflection" if world.load in ("beam", "antagonist") else "elongation"
     signals = []
-    for wire, channel in enumerate(channels):
-        for quantity in ("voltage", "current", "temperature"):
-            power = quantity != "temperature"
-            clock = ticks[f"{channel}/power" if power else f"{channel}/temperature"]
-            sample = _held if power else np.interp
-            values = np.asarray(sample(clock.time, outcome.time, clean[quantity][:, wire]))
-            read = _read(quantity, values, clock, sensors, rng)
-            if quantity == "voltage":  # a converter reads no less than 0, and 0 when off
-                read = np.where(values > 0.0, np.maximum(read, 0.0), 0.0)
-            signals.append(_signal(f"{channel}.{quantity}", quantity, clock, read))
-    clock = ticks["joint_states"]
-    values = np.interp(clock.time, outcome.time, clean["deflection"])
-    read = _read("deflection", values, clock, sensors, rng)
-    name = "deflection" if world.load in ("beam", "antagonist") else "elongation"
-    signals.append(_signal(name, "deflection", clock, read))
-    kept = ("voltage", *quantities, *(["elongation"] if "deflection" in quantities else []))
-    return [s for s in signals if s.name.rpartition(".")[2] in kept]
-
-
-def _held(at: Array, time: Array, values: Array) -> Array:
-    return np.asarray(values[np.searchsorted(time, at, side="right") - 1])
-
-
-def _read(
-    quantity: str, values: Array, clock: Clock, sensors: Sensors, rng: np.random.Generator
-) -> Array:
-    noisy = values + sensors.noise[quantity].draw(len(values), clock.period, rng)
-    step, zero = RESOLUTION[quantity], _CELSIUS_ZERO if quantity == "temperature" else 0.0
-    return np.asarray(np.rint((noisy - zero) / step) * step + zero)
-
-
-def _signal(name: str, quantity: str, clock: Clock, values: Array) -> Signal:
-    kept = clock.arrived
-    return Signal(name, UNITS[quantity], clock.time[kept], values[kept], clock.received[kept])
+    for name, quantity, topic, values in (
+        *((f"{channel}.{quantity}", quantity,
+           f"{channel}/{'temperature' if quantity == 'temperature' else 'power'}",
+           clean[quantity][:, wire])
+          for wire, channel in enumerate(channels)
+          for quantity in ("voltage", "current", "temperature")),
+        (motion, "deflection", "joint_states", clean["deflection"]),
+    ):  # fmt: skip
+        time, received, arrived, period = ticks[topic]
+        if topic.endswith("/power"):  # held
+            true = values[np.searchsorted(outcome.time, time, side="right") - 1]
+        else:
+            true = np.interp(time, outcome.time, values)
+        noisy = true + sensors.noise[quantity].draw(len(true), period, rng)
+        step, zero = RESOLUTION[quantity], _CELSIUS_ZERO if quantity == "temperature" else 0.0
+        read = np.rint((noisy - zero) / step) * step + zero
+        if quantity == "voltage":  # a converter reads no less than 0, and 0 when off
+            read = np.where(true > 0.0, np.maximum(read, 0.0), 0.0)
+        if quantity in ("voltage", *quantities):
+            signals.append(Signal(
+                name, UNITS[quantity], time[arrived], read[arrived], received[arrived]
+            ))  # fmt: skip
+    return signals

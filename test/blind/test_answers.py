@@ -23,7 +23,8 @@ GOOD = {
         {"name": "unexplained", "stage": "", "probability": 0.01, "parameters": {}},
     ],
     "where": {"signal": "deflection", "phase": "drive", "side": "back", "stage": "mechanical"},
-    "shrinkage": {"deflection": {"fraction": 0.8, "ci90": [0.7, 0.9]}},
+    "shrinkage": {"deflection": {"fraction": 0.8, "ci90": [0.7, 0.9]},
+                  "current": {"fraction": None, "ci90": None}},
     "next_experiment": {"why": "", "separates": ["slack", "no_gap"], "protocol": {}},
 }  # fmt: skip
 
@@ -46,12 +47,9 @@ def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
     assert answer.candidates[0].parameters == {"p": 0.004}
     assert answer.candidates[1].parts == {"slack", "latent_heat"}
     assert answer.shrinkage["deflection"].ci90 == (0.7, 0.9) and answer.where.side == "back"
-
-
-def test_no_gap_needs_no_place_and_what_cannot_shrink_no_fraction():
-    quiet = changed(["verdict"], "no_gap") | {"cause": [], "where": None, "next_experiment": None}
-    answer = checked_answer(quiet | {"shrinkage": {"current": {"fraction": None, "ci90": None}}})
-    assert answer.where is None and math.isnan(answer.shrinkage["current"].fraction)
+    assert math.isnan(answer.shrinkage["current"].fraction)  # there was nothing to shrink
+    quiet = {"verdict": "no_gap", "cause": [], "where": None, "next_experiment": None}
+    assert checked_answer(GOOD | quiet).where is None
 
 
 BROKEN = (
