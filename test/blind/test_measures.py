@@ -110,8 +110,8 @@ TRUTH, ERROR = "probability given to the truth", "claimed against true shrinkage
 VALUES = [  # measure, case, value
     ("90 % set, mean size", (SINGLE, TIED), 2.0), (TRUTH, (TWO, JOINT), 0.7),
     (TRUTH, (SINGLE, JOINT), 0.2), (TRUTH, (NONE, UNDECIDED), 0.5),
-    (TRUTH, (OUTSIDE, PUZZLED), 0.7), (TRUTH, (SINGLE, None), 0.0), (ERROR, CLAIMED[0], 0.05), (ERROR, CLAIMED[1], 0.4),
-    (ERROR, CLAIMED[2], math.nan),
+    (TRUTH, (OUTSIDE, PUZZLED), 0.7), (TRUTH, (SINGLE, None), 0.0),
+    (ERROR, CLAIMED[0], 0.05), (ERROR, CLAIMED[1], 0.4), (ERROR, CLAIMED[2], math.nan),
 ]  # fmt: skip
 
 

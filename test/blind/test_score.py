@@ -105,7 +105,7 @@ GOOD = {
 }
 
 
-def test_labels_stay_sealed_until_the_last_answer(made, tmp_path, monkeypatch, capsys):
+def test_labels_stay_sealed_until_the_last_answer_to_this_set(made, tmp_path, monkeypatch, capsys):
     cases = hand_in(made, tmp_path, {n: GOOD[n] for n in ("0001", "0003")})
     touched = []
     monkeypatch.setattr("examination.blind.case_files.unseal", lambda *a: touched.append(a))
@@ -113,15 +113,10 @@ def test_labels_stay_sealed_until_the_last_answer(made, tmp_path, monkeypatch, c
     error = capsys.readouterr().err
     assert "1 of 3 cases have no answer yet, the first is 0002: the labels stay sealed" in error
     assert error.count("\n") == 1 and touched == []
-
-
-def test_answers_to_another_set_are_not_scored(made, tmp_path):
-    cases = hand_in(made, tmp_path, GOOD)
     write_examination(tmp_path / "other", Examination("x", ("x",), 1.0, "0" * 64))
-    with pytest.raises(InputError, match="answers to another set"):
-        handed_in(cases, [tmp_path / "other"])
-    with pytest.raises(InputError, match="no answers"):
-        handed_in(cases, [])
+    for folders, line in (([tmp_path / "other"], "answers to another set"), ([], "no answers")):
+        with pytest.raises(InputError, match=line):
+            handed_in(cases, folders)
 
 
 def test_judgement_of_a_whole_paper(made, tmp_path):
