@@ -176,7 +176,7 @@ def recalibrate(
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
-    return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
+    return fit(best.problem.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
 
 
 def fit_with_misfit(fitted: Fit) -> Fit:

@@ -125,8 +125,8 @@ def read_mcap(path: Path, topics: RawTopics, name: str) -> None:
         topics.findings.append(Finding("info", name, text))
     elif damage:
         lost = size - walk.position
-        text = f"damaged at byte {walk.position}: {damage}; the {lost} bytes from there on "
-        topics.lost(name, text + f"({lost / size:.1%}) are lost", bytes=lost)
+        text = f"damaged at byte {walk.position}: {damage}; what comes after, {lost} bytes at most "
+        topics.lost(name, text + f"({lost / size:.1%}), is lost", bytes=lost)
     elif not walk.ended:
         text = "the file was never finished (its writer died); all whole messages are read"
         topics.lost(name, text)
@@ -161,6 +161,9 @@ class _McapWalk:
             stop = start + length
             if not 0 < opcode < 0x80:
                 raise _Damage("the bytes make no sense")
+            if stop > end and opcode == _CHUNK and not inside_chunk:
+                self.take(_begun_chunk(buffer[start:], self.topics.budget), 0, True)
+                raise _Damage("it ends inside a chunk, of which the whole messages are read")
             if stop > end:
                 raise _Damage("it ends inside a record")
             if opcode == _MESSAGE:
@@ -206,23 +209,43 @@ class _McapWalk:
 
 def _plain_chunk(content: bytes, budget: Budget) -> bytes:
     """The records of a chunk, decompressed and compared with its checksum."""
-    _, _, size, checksum, codec_length = _CHUNK_HEAD.unpack_from(content)
+    _, _, size, checksum, _ = _CHUNK_HEAD.unpack_from(content)
+    data = _unpacked(content, size, budget)
+    if len(data) != size or (checksum and zlib.crc32(data) != checksum):
+        raise _Damage("a chunk with a wrong checksum or size")
+    return data
+
+
+def _begun_chunk(content: bytes, budget: Budget) -> bytes:
+    """The whole records of a chunk that the file ends in; no checksum speaks for them."""
+    data = _unpacked(content, budget.left, budget)
+    position = 0
+    while position + _RECORD.size <= len(data):
+        length = _RECORD.unpack_from(data, position)[1]
+        if position + _RECORD.size + length > len(data):
+            break
+        position += _RECORD.size + length
+    return data[:position]
+
+
+def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
+    """The records in a chunk, one byte more than `size` at most."""
+    codec_length = _CHUNK_HEAD.unpack_from(content)[-1]
     begin = _CHUNK_HEAD.size + codec_length + 8
     codec, data = content[_CHUNK_HEAD.size : begin - 8], content[begin:]
+    most = min(size, budget.left) + 1
     try:
         if codec == b"zstd":
-            data = zstd.ZstdDecompressor().decompress(data, min(size, budget.left) + 1)
+            data = zstd.ZstdDecompressor().decompress(data, most)
         elif codec == b"lz4":
             import lz4.frame
 
-            data = lz4.frame.LZ4FrameDecompressor().decompress(data, min(size, budget.left) + 1)
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, most)
         elif codec:
             raise _Damage(f"a chunk is compressed as {codec[:20]!r}")
     except (zstd.ZstdError, EOFError, RuntimeError, MemoryError) as error:
         raise _Damage(f"a chunk cannot be decompressed: {error}") from None
     budget.take(len(data) if codec else 0)
-    if len(data) != size or (checksum and zlib.crc32(data) != checksum):
-        raise _Damage("a chunk with a wrong checksum or size")
     return data
 
 

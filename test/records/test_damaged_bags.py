@@ -1,5 +1,6 @@
 """A damaged bag is read up to the damage, or refused, and what was lost is said."""
 
+import os
 import random
 import shutil
 import sqlite3
@@ -272,3 +273,13 @@ def test_metadata_that_unfolds_to_gigabytes_is_passed_over(mcap, key):
     )
     record = read_record(mcap.parent)
     assert voltages(record) == list(range(200)) and losses(record, "metadata.yaml")
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.STORAGE])
+def test_whole_messages_of_the_chunk_that_a_file_ends_in_are_read(tmp_path, write_bag, ramp, mode):
+    bag = write_bag(tmp_path / "bag", ramp, "mcap", mode, chunk=1 << 20)
+    storage = next(bag.glob("*.mcap"))
+    os.truncate(storage, storage.stat().st_size // 2)
+    voltage = read_record(bag)["wire.voltage"].values
+    assert len(voltage) > 20
+    np.testing.assert_allclose(voltage, np.arange(len(voltage)) * 1e-3, atol=1e-8)
