@@ -1,33 +1,29 @@
 """Whether the twin keeps pace: readings at 500 Hz in real time, and what it takes of a core."""
 
 import time
+from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from examination.perf.figures import Figure, Outcome, Skipped, at_least, at_most
-from examination.perf.timing import processor_of
+from examination.perf.running import NAMESPACE, RIGS, running
 from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin import Twin, compile_model
 from sma_bench.twin.twin import NANOSECONDS
 
-CONFIG = Path(__file__).resolve().parents[2] / "config"
-RIGS = {"one wire": "wire_rig.yaml", "four wires": "composite_rig.yaml"}
 RATE, CAMERA = 500.0, 80.0
-_NAMESPACE = "/perf"
 _STEP = 0.02
-_STARTING = 120.0
 
 
 def measure(tiny: bool = False) -> list[Outcome]:
     """Share of a core of the twin alone and of its node, and the pace it keeps."""
     seconds = 1.0 if tiny else 8.0
-    outcomes: list[Outcome] = [_alone(name, CONFIG / rig, seconds) for name, rig in RIGS.items()]
+    outcomes: list[Outcome] = [_alone(name, rig, seconds) for name, rig in RIGS.items()]
     for name, rig in list(RIGS.items())[: 1 if tiny else None]:
-        outcomes += _node(f"{name} at {RATE:g} Hz", CONFIG / rig, seconds)
+        outcomes += _node(f"{name} at {RATE:g} Hz", rig, seconds)
     return outcomes
 
 
@@ -55,62 +51,36 @@ def _alone(name: str, rig: Path, seconds: float) -> Figure:
 
 
 def _node(case: str, rig: Path, seconds: float) -> list[Outcome]:
-    try:
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-    except ImportError:
+    if find_spec("rclpy") is None:
         return [Skipped(f"twin node, {case}", "no ROS 2 (rclpy) here")]
-    from sma_bench.ros.processes import NodeProcesses, private_ros_environment
+    from diagnostic_msgs.msg import DiagnosticArray
 
-    private_ros_environment()
-    rclpy.init(args=[])
-    node = rclpy.create_node("perf", namespace=_NAMESPACE)
-    told: list[tuple[float, dict[str, str]]] = []
+    heard: list[tuple[float, dict[str, str]]] = []
 
     def listen(message: Any) -> None:
         for status in message.status:
-            if status.name == f"{_NAMESPACE}/twin: gap":
-                told.append((time.monotonic(), {v.key: v.value for v in status.values}))
+            if status.name == f"{NAMESPACE}/twin: gap":
+                heard.append((time.monotonic(), {v.key: v.value for v in status.values}))
 
-    node.create_subscription(DiagnosticArray, "/diagnostics", listen, 10)
-    try:
-        with TemporaryDirectory() as folder, NodeProcesses(_NAMESPACE, Path(folder)) as running:
-            running.start("twin", {}, (rig,))
-            running.start("simulator", {"rate.power": RATE, "rate.mechanics": RATE}, (rig,))
-
-            def spin(until: float) -> None:
-                while time.monotonic() < until:
-                    rclpy.spin_once(node, timeout_sec=0.1)
-                    running.check()
-
-            limit = time.monotonic() + _STARTING
-            while not (told and float(told[-1][1]["model_time"])) and time.monotonic() < limit:
-                spin(time.monotonic() + 0.2)
-            pids = {k: running.pid(k) for k in ("twin", "simulator")}
-            before, begin = {k: processor_of(pid) for k, pid in pids.items()}, time.monotonic()
-            told.clear()
-            spin(begin + seconds)
-            elapsed = time.monotonic() - begin
-            used = {k: (processor_of(pid) - before[k]) / elapsed for k, pid in pids.items()}
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    nodes = {"twin": {}, "simulator": {"rate.power": RATE, "rate.mechanics": RATE}}
+    with running(nodes, rig) as bench:
+        bench.node.create_subscription(DiagnosticArray, "/diagnostics", listen, 10)
+        bench.spin(lambda: heard and float(heard[-1][1]["model_time"]))
+        heard.clear()
+        _, used = bench.shares(seconds)
     shares: list[Outcome] = [
         Figure(case, f"{name} node", used[name], "cores", at_most(1.0) if name == "twin" else None)
-        for name in used
+        for name in nodes
     ]
-    if len(told) < 2:
-        return [*shares, Skipped(f"twin node's pace, {case}", "it told nothing twice")]
-    (first, start), (last, end) = told[0], told[-1]
-
-    def grown(key: str) -> float:
-        return float(end[key]) - float(start[key])
-
+    if len(heard) < 2:
+        return [*shares, Skipped(f"twin node's pace, {case}", "heard nothing twice")]
+    (first, start), (last, end) = heard[0], heard[-1]
+    grown = {name: float(end[name]) - float(start[name])
+             for name in ("model_time", "restarts", "readings_late")}  # fmt: skip
+    pace = grown["model_time"] / (last - first)
     return [
-        Figure(case, "model time a second", grown("model_time") / (last - first), "s/s",
-               at_least(0.98)),
-        Figure(case, "twin began anew", grown("restarts"), "times", at_most(0.0)),
-        Figure(case, "readings too late", grown("readings_late"), "readings", at_most(0.0)),
+        Figure(case, "model time a second", pace, "s/s", at_least(0.98)),
+        Figure(case, "twin began anew", grown["restarts"], "times", at_most(0.0)),
+        Figure(case, "readings too late", grown["readings_late"], "readings", at_most(0.0)),
         *shares,
-    ]  # fmt: skip
-
+    ]
