@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from sma_bench.findings import Finding
 from sma_bench.parameters.parameters import Parameters, load_kind
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.table import BY_NAME, TRANSITIONS
 
 NITI_DENSITY = 6450.0  # kg/m3
 NITI_RESISTIVITY = (70e-8, 110e-8)  # ohm m, martensite 76 to 80, austenite 82 to 100 microohm cm
@@ -115,69 +115,73 @@ def _cross_section(parameters: Parameters) -> float:
     return math.pi * parameters["wire.diameter"] ** 2 / 4.0
 
 
+def _wire(parameters: Parameters) -> str:
+    return f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
+
+
+def _judged(
+    subject: str, text: str, clash: str, numbers: dict[str, float], passed: str = ": plausible"
+) -> Finding:
+    if clash:
+        return Finding("warning", subject, f"{text}{clash}", numbers)
+    return Finding("info", subject, f"{text}{passed}", numbers)
+
+
 def _lengths(parameters: Parameters) -> Finding:
-    by_mass = wire_length_from_mass(parameters)
-    by_area = wire_length_from_area(parameters)
-    ratio = by_area / by_mass
+    by_mass, by_area = wire_length_from_mass(parameters), wire_length_from_area(parameters)
+    ratio, clash = by_area / by_mass, ""
     numbers = {"length_from_mass": by_mass, "length_from_area": by_area, "ratio": ratio}
-    mass, area = parameters["wire.mass"], parameters["wire.surface_area"]
+    if abs(ratio - 1.0) > LENGTH_TOLERANCE:
+        h = parameters["wire.heat_transfer_coefficient"] * ratio
+        numbers["heat_transfer_coefficient_for_length_from_mass"] = h
+        clash = (
+            f": a factor {ratio:.2f} apart; only h times area is measured, so over {by_mass:.3f} m "
+            f"h would be {h:.0f} W/(m2 K)"
+        )
     text = (
-        f"wire.mass {mass * 1e3:.4g} g is {by_mass:.3f} m of {_wire(parameters)}, "
-        f"wire.surface_area {area * 1e6:.5g} mm2 is {by_area:.3f} m"
+        f"wire.mass {parameters['wire.mass'] * 1e3:.4g} g is {by_mass:.3f} m of "
+        f"{_wire(parameters)}, wire.surface_area {parameters['wire.surface_area'] * 1e6:.5g} mm2 "
+        f"is {by_area:.3f} m"
     )
-    if abs(ratio - 1.0) <= LENGTH_TOLERANCE:
-        return Finding("info", "wire length", text + ": they agree", numbers)
-    h = parameters["wire.heat_transfer_coefficient"]
-    numbers["heat_transfer_coefficient_for_length_from_mass"] = h * ratio
-    text += (
-        f": a factor {ratio:.2f} apart; only h times area is measured, so over {by_mass:.3f} m "
-        f"h would be {h * ratio:.0f} W/(m2 K)"
-    )
-    return Finding("warning", "wire length", text, numbers)
+    return _judged("wire length", text, clash, numbers, ": they agree")
 
 
 def _resistivity(parameters: Parameters) -> Finding:
-    section = _cross_section(parameters)
-    by_mass = wire_length_from_mass(parameters)
-    by_area = wire_length_from_area(parameters)
-    resistance = parameters["wire.resistance"]
-    implied = {"mass": resistance * section / by_mass, "area": resistance * section / by_area}
-    numbers = {f"resistivity_from_{name}_length": value for name, value in implied.items()}
-    low, high = NITI_RESISTIVITY
-    verdicts = []
-    for name, length in (("mass", by_mass), ("area", by_area)):
-        fits = low <= implied[name] <= high
+    resistance, (low, high) = parameters["wire.resistance"], NITI_RESISTIVITY
+    lengths = {
+        "mass": wire_length_from_mass(parameters), "area": wire_length_from_area(parameters),
+    }
+    numbers, verdicts, good = {}, [], True
+    for name, length in lengths.items():
+        implied = resistance * _cross_section(parameters) / length
+        fits = low <= implied <= high
+        numbers[f"resistivity_from_{name}_length"], good = implied, good and fits
         verdicts.append(
-            f"{implied[name] * 1e8:.0f} microohm cm over the {length:.3f} m of wire.{name}"
+            f"{implied * 1e8:.0f} microohm cm over the {length:.3f} m of wire.{name}"
             f" ({'fits' if fits else 'does not fit'})"
         )
     text = (
         f"wire.resistance {resistance:.4g} ohm means {' and '.join(verdicts)}; "
         f"NiTi has {low * 1e8:.0f} to {high * 1e8:.0f}"
     )
-    good = all(low <= value <= high for value in implied.values())
     return Finding("info" if good else "warning", "resistivity", text, numbers)
 
 
 def _heat_transfer(parameters: Parameters) -> Finding:
-    h = parameters["wire.heat_transfer_coefficient"]
-    low, high = still_air_range(parameters)
+    h, (low, high) = parameters["wire.heat_transfer_coefficient"], still_air_range(parameters)
     numbers = {"heat_transfer_coefficient": h, "still_air_low": low, "still_air_high": high}
     text = (
         f"wire.heat_transfer_coefficient {h:.1f} W/(m2 K) against {low:.0f} to {high:.0f} of "
         f"natural convection (Churchill-Chu) and radiation for {_wire(parameters)} in still air"
     )
+    clash = ""
     if h > high * CONVECTION_FACTOR:
         numbers["factor"] = h / high
-        text += (
-            f": {h / high:.1f} times the highest; what would explain it is weighed below"
-        )
-        return Finding("warning", "heat transfer", text, numbers)
-    if h < low / CONVECTION_FACTOR:
+        clash = f": {h / high:.1f} times the highest; what would explain it is weighed below"
+    elif h < low / CONVECTION_FACTOR:
         numbers["factor"] = h / low
-        text += f": {h / low:.2f} times the lowest; check wire.surface_area and the insulation"
-        return Finding("warning", "heat transfer", text, numbers)
-    return Finding("info", "heat transfer", text + ": plausible", numbers)
+        clash = f": {h / low:.2f} times the lowest; check wire.surface_area and the insulation"
+    return _judged("heat transfer", text, clash, numbers)
 
 
 def _time_constant(parameters: Parameters) -> Finding:
@@ -193,35 +197,29 @@ def _time_constant(parameters: Parameters) -> Finding:
         f"m c_p/(h A_c) = {tau:.3g} s against {shortest:.2g} to {longest:.2g} s of "
         f"{_wire(parameters)} in still air"
     )
-    if shortest / CONVECTION_FACTOR <= tau <= longest * CONVECTION_FACTOR:
-        return Finding("info", "time constant", text + ": plausible", numbers)
-    factor = shortest / tau if tau < shortest else tau / longest
-    numbers["factor"] = factor
-    faster = "fast" if tau < shortest else "slow"
-    return Finding("warning", "time constant", f"{text}: {factor:.1f} times too {faster}", numbers)
+    clash, factor = "", shortest / tau if tau < shortest else tau / longest
+    if not shortest / CONVECTION_FACTOR <= tau <= longest * CONVECTION_FACTOR:
+        numbers["factor"] = factor
+        clash = f": {factor:.1f} times too {'fast' if tau < shortest else 'slow'}"
+    return _judged("time constant", text, clash, numbers)
 
 
 def _transition_order(parameters: Parameters) -> Finding:
-    a_s = parameters["wire.austenite_start_temperature"]
-    m_s = parameters["wire.martensite_start_temperature"]
-    a_f = parameters["wire.austenite_finish_temperature"]
-    m_f = parameters["wire.martensite_finish_temperature"]
-    numbers = {"overlap": m_s - a_s}
-    values = f"A_s {a_s:.2f}, A_f {a_f:.2f}, M_s {m_s:.2f}, M_f {m_f:.2f} K"
-    if a_f > a_s > m_s > m_f:
-        return Finding("info", "transition order", f"{values}: A_f > A_s > M_s > M_f", numbers)
-    clashes = []
-    if m_s >= a_s:
-        clashes.append(f"M_s lies {m_s - a_s:.2f} K above A_s")
-    if m_s > a_f:
-        clashes.append(f"M_s lies {m_s - a_f:.2f} K above A_f")
-    if m_f > a_s:
-        clashes.append(f"M_f lies {m_f - a_s:.2f} K above A_s")
-    text = (
-        f"{values}: {', '.join(clashes)}, against A_f > A_s > M_s > M_f; "
-        "accepted, the kinetics stay continuous where the ranges overlap"
+    kelvin = {symbol: parameters[name] for symbol, name in TRANSITIONS.items()}
+    clashes = [
+        f"{upper} lies {kelvin[upper] - kelvin[lower]:.2f} K above {lower}"
+        for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
+        if kelvin[upper] >= kelvin[lower]
+    ]
+    text = ", ".join(f"{n} {kelvin[n]:.2f}" for n in ("A_s", "A_f", "M_s", "M_f")) + " K"
+    clash = (
+        f": {', '.join(clashes)}, against A_f > A_s > M_s > M_f; accepted, the kinetics stay "
+        "continuous where the ranges overlap"
     )
-    return Finding("warning", "transition order", text, numbers)
+    numbers = {"overlap": kelvin["M_s"] - kelvin["A_s"]}
+    return _judged(
+        "transition order", text, clash if clashes else "", numbers, ": A_f > A_s > M_s > M_f"
+    )
 
 
 def _thermal_expansion(parameters: Parameters) -> Finding:
@@ -233,45 +231,37 @@ def _thermal_expansion(parameters: Parameters) -> Finding:
         f"wire.thermal_expansion_factor {theta / 1e6:.4g} MPa/K against -{soft / 1e6:.2f} to "
         f"-{stiff / 1e6:.2f} MPa/K of -alpha E for a clamped wire below A_s"
     )
-    clashes = []
+    clashes, size = [], abs(theta)
     if theta > 0.0:
         clashes.append("of the other sign (a clamped wire that expands is pushed, not pulled)")
-    size = abs(theta)
     if size > CONVECTION_FACTOR * stiff:
         numbers["factor"] = size / stiff
         clashes.append(f"{size / stiff:.0f} times the largest")
     elif size < soft / CONVECTION_FACTOR:
         numbers["factor"] = size / soft
         clashes.append(f"{size / soft:.2f} times the smallest")
-    if not clashes:
-        return Finding("info", "thermal expansion", text + ": plausible", numbers)
-    return Finding("warning", "thermal expansion", f"{text}: {', '.join(clashes)}", numbers)
-
-
-def _wire(parameters: Parameters) -> str:
-    return f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
+    return _judged(
+        "thermal expansion", text, f": {', '.join(clashes)}" if clashes else "", numbers
+    )
 
 
 def _specific_heat(parameters: Parameters) -> Finding:
-    heat = parameters["wire.specific_heat"]
-    low, high = NITI_SPECIFIC_HEAT
-    numbers = {"specific_heat": heat, "low": low, "high": high}
+    heat, (low, high) = parameters["wire.specific_heat"], NITI_SPECIFIC_HEAT
+    numbers, clash = {"specific_heat": heat, "low": low, "high": high}, ""
+    if not low <= heat <= high:
+        numbers["factor"] = factor = heat / (low if heat < low else high)
+        clash = (
+            f": {factor:.2f} times the lowest; a temperature read high or a mass stated too large "
+            "would make it so"
+            if heat < low else
+            f": {factor:.2f} times the highest; a temperature read low, a mass stated too small, a "
+            "matrix or a holder heated along, or latent heat would make it so"
+        )
     text = (
         f"wire.specific_heat {heat:.4g} J/(kg K) against {low:g} to {high:g} of NiTi outside its "
         "transformation"
     )
-    if low <= heat <= high:
-        return Finding("info", "specific heat", text + ": plausible", numbers)
-    numbers["factor"] = heat / (low if heat < low else high)
-    side = "lowest" if heat < low else "highest"
-    text += f": {numbers['factor']:.2f} times the {side}"
-    hint = (
-        "; a temperature read high or a mass stated too large would make it so"
-        if heat < low else
-        "; a temperature read low, a mass stated too small, a matrix or a holder heated along, or "
-        "latent heat would make it so"
-    )
-    return Finding("warning", "specific heat", text + hint, numbers)
+    return _judged("specific heat", text, clash, numbers)
 
 
 def _current(parameters: Parameters) -> Finding | None:
@@ -282,22 +272,21 @@ def _current(parameters: Parameters) -> Finding | None:
     volts, limit = parameters[name], parameters["bench.maximum_current"]
     ohm = parameters["wire.resistance"] + parameters["bench.lead_resistance"]
     current = volts / ohm
-    numbers = {"current": current, "limit": limit, "largest_voltage": limit * ohm}
-    text = f"{name} {volts:g} V over {ohm:.4g} ohm is {current:.2f} A a wire"
-    if current <= limit:
-        return Finding("info", "current", f"{text}, within bench.maximum_current {limit:g} A",
-                       numbers)
-    text += (
+    clash = (
         f", above bench.maximum_current {limit:g} A, which is reached at {limit * ohm:.2f} V: the "
         "outputs will be switched off there"
     )
-    return Finding("warning", "current", text, numbers)
+    return _judged(
+        "current", f"{name} {volts:g} V over {ohm:.4g} ohm is {current:.2f} A a wire",
+        clash if current > limit else "",
+        {"current": current, "limit": limit, "largest_voltage": limit * ohm},
+        f", within bench.maximum_current {limit:g} A",
+    )
 
 
 def _force(parameters: Parameters) -> Finding | None:
     """Stress of the load that is held, and at full stroke of a spring."""
-    kind = load_kind(parameters)
-    if kind not in ("force", "spring", "antagonist"):
+    if load_kind(parameters) not in ("force", "spring", "antagonist"):
         return None
     force = abs(parameters["load.force"]) + abs(parameters["load.preload"])
     section = _cross_section(parameters) * parameters["wire.count"]
@@ -311,13 +300,12 @@ def _force(parameters: Parameters) -> Finding | None:
         f"{most / 1e6:.1f} MPa at the full stroke of {stroke * 1e3:.3g} mm, where A_f lies "
         f"{shift:.1f} K higher"
     )
+    clash = ""
     if most > NITI_STRENGTH:
-        text += f": above {NITI_STRENGTH / 1e6:g} MPa the wire slips before it gets there"
-        return Finding("warning", "force", text, numbers)
-    if most > NITI_WORKING_STRESS:
-        text += f": above {NITI_WORKING_STRESS / 1e6:g} MPa it lasts few cycles"
-        return Finding("warning", "force", text, numbers)
-    return Finding("info", "force", text + ": plausible", numbers)
+        clash = f": above {NITI_STRENGTH / 1e6:g} MPa the wire slips before it gets there"
+    elif most > NITI_WORKING_STRESS:
+        clash = f": above {NITI_WORKING_STRESS / 1e6:g} MPa it lasts few cycles"
+    return _judged("force", text, clash, numbers)
 
 
 def _explanations(parameters: Parameters) -> Finding | None:
@@ -346,7 +334,10 @@ def _explanations(parameters: Parameters) -> Finding | None:
     clashing = [name for name, check in judged.items() if check(parameters).severity != "info"]
     texts, numbers = [], {"factor": factor}
     for what, changed in undone.items():
-        values = {name: _clipped(name, value) for name, value in changed.items()}
+        values = {
+            name: min(max(value, BY_NAME[name].low or 0.0), BY_NAME[name].high or math.inf)
+            for name, value in changed.items()
+        }
         then = [n for n, check in judged.items()
                 if check(parameters.replace(values)).severity != "info"]
         mended = [name for name in clashing if name not in then]
@@ -362,19 +353,10 @@ def _explanations(parameters: Parameters) -> Finding | None:
     return Finding("info", "heat transfer explained", "; ".join(texts), numbers)
 
 
-def _clipped(name: str, value: float) -> float:
-    low, high = BY_NAME[name].low, BY_NAME[name].high
-    return min(max(value, low if low is not None else value), high if high is not None else value)
-
-
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-_TEMPERATURES = tuple(
-    f"wire.{phase}_{end}_temperature" for phase in ("austenite", "martensite")
-    for end in ("start", "finish")
-)
 _HEAT = (
     "wire.heat_transfer_coefficient", "wire.specific_heat", "wire.mass", "wire.surface_area",
     "wire.diameter",
@@ -387,7 +369,7 @@ CHECKS: tuple[tuple[Callable[[Parameters], Finding | None], tuple[str, ...]], ..
     (_time_constant, _HEAT),
     (_explanations, _HEAT),
     (_specific_heat, ("wire.specific_heat",)),
-    (_transition_order, _TEMPERATURES),
+    (_transition_order, tuple(TRANSITIONS.values())),
     (_thermal_expansion, ("wire.thermal_expansion_factor", "wire.martensite_modulus",
                           "wire.austenite_modulus")),
     (_current, ("bench.maximum_voltage", "bench.maximum_current", "bench.supply_voltage",
