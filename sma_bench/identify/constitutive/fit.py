@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding, Severity
 from sma_bench.identify.constitutive.law import (
@@ -19,7 +18,6 @@ from sma_bench.identify.constitutive.law import (
 )
 from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
 from sma_bench.progress import Report, in_turn, silent
 
 STARTS = 5
@@ -99,6 +97,14 @@ class LawFit:
     def all(self) -> dict[str, float]:
         """Fitted and fixed numbers by name."""
         return {**self.fixed, **dict(zip(self.names, self.values.tolist(), strict=True))}
+
+    @property
+    def errors(self) -> dict[float, float]:
+        """Root mean square residual over the recovered strain, by stress in Pa."""
+        return {
+            s: float(np.sqrt(np.mean([f.rms**2 for f in self.loops if f.loop.stress == s])))
+            for s in sorted({f.loop.stress for f in self.loops})
+        }
 
     def error(self, weights: Mapping[str, float]) -> float:
         """Standard error of a linear combination of the unknowns."""
@@ -221,34 +227,21 @@ def _loop_fits(
 # --- Remarks on the joint fit of the constitutive law.
 
 _STRONG = 0.9
-_STIFFEST = 90e9
 _IRRECOVERABLE = 0.02
-
-
-def errors_by_stress(fit: LawFit) -> dict[float, float]:
-    """Root mean square residual over the recovered strain, by stress in Pa."""
-    stresses = sorted({f.loop.stress for f in fit.loops})
-    return {
-        stress: float(np.sqrt(np.mean([f.rms**2 for f in fit.loops if f.loop.stress == stress])))
-        for stress in stresses
-    }
 
 
 def about_fits(fits: Sequence[LawFit], tolerance: float) -> list[Finding]:
     """The error of each law at each stress, and whether the contract's constant eps_L suffices."""
     findings = []
     for fit in fits:
-        errors = errors_by_stress(fit)
+        errors = fit.errors
         worst = max(errors.values())
         table = ", ".join(f"{e:.1%} at {s / 1e6:.0f} MPa" for s, e in errors.items())
         text = f"{fit.law} law: rms residual over the recovered strain {table}"
         if worst >= tolerance:
             text += f"; above {tolerance:.0%}"
-            text += (
-                ": a constant eps_L and constant C_A, C_M do not suffice for this material"
-                if fit.law == "contract" and len(errors) > 1
-                else ""
-            )
+            if fit.law == "contract" and len(errors) > 1:
+                text += ": a constant eps_L and constant C_A, C_M do not suffice for this material"
         numbers = {f"{s / 1e6:.0f} MPa": e for s, e in errors.items()}
         severity: Severity = "warning" if worst >= tolerance else "info"
         findings.append(Finding(severity, "fit error", text, numbers))
@@ -271,8 +264,7 @@ def about_numbers(fit: LawFit) -> list[Finding]:
         findings.append(Finding("info", "fixed", text, slopes))
     pairs = {
         f"{fit.names[i]}, {fit.names[j]}": float(fit.correlation[i, j])
-        for i in range(len(fit.names))
-        for j in range(i)
+        for i in range(len(fit.names)) for j in range(i)
     }
     strong = {pair: c for pair, c in pairs.items() if abs(c) > _STRONG}
     text = "no two unknowns correlate by more than 0.9"
@@ -287,42 +279,3 @@ def about_numbers(fit: LawFit) -> list[Finding]:
         text = f"strain left after the loop, over the recovered one: {listed}"
         findings.append(Finding("info", "irrecoverable strain", text, large))
     return findings
-
-
-def cycles_differ(name: str, joint: float, errors: Sequence[float]) -> Finding:
-    """One set of numbers for all cycles against one a cycle."""
-    text = (
-        f"{name}: {joint:.1%} rms with one set of numbers for all cycles, "
-        f"{min(errors):.1%} to {max(errors):.1%} with one a cycle: the material changes from "
-        "cycle to cycle, which no law with constant parameters follows"
-    )
-    numbers = {"joint": joint, "best_cycle": min(errors), "worst_cycle": max(errors)}
-    return Finding("warning", "cycles", text, numbers)
-
-
-def no_influence(label: str, slope: float, std: float) -> Finding:
-    """A slope that is not worth an inverse."""
-    text = f"{label}: temperatures change by {slope:.3g} +- {std:.2g} K per 100 MPa, not told"
-    return Finding("warning", label, text, {"slope": slope, "std": std})
-
-
-def is_plausible_expansion(value: float, std: float) -> bool:
-    """Whether Theta_T (Pa/K) may be thermal expansion: negative, and of the size of alpha E."""
-    largest = CONVECTION_FACTOR * NITI_EXPANSION[1] * _STIFFEST
-    return -largest - std < value < 2.0 * std and std < largest
-
-
-def implausible_expansion(value: float, std: float) -> Finding:
-    """A slope of the branches that is no thermal expansion, or none that is identifiable."""
-    text = (
-        f"the slope of the martensite branch would be Theta_T = {value / 1e6:.3g} +- "
-        f"{std / 1e6:.2g} MPa/K, not told apart from zero or not thermal expansion (-0.15 to "
-        "-0.6 MPa/K) but martensite that reorients or transforms on; no estimate is given"
-    )
-    return Finding("warning", "Theta_T", text, {"value": value, "std": std})
-
-
-def out_of_range(name: str, estimate: Estimate) -> Finding:
-    """A number that no parameter file may hold."""
-    text = f"{name} = {estimate.value:.4g} {estimate.unit} is out of its range, not given"
-    return Finding("warning", name, text, {"value": estimate.value})

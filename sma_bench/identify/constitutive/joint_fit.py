@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -9,27 +10,28 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.constitutive import fit as remarks
-from sma_bench.identify.constitutive.fit import LawFit, LawNumber, fit_law, has_several_stresses
+from sma_bench.identify.constitutive.fit import (
+    LawFit,
+    LawNumber,
+    about_fits,
+    about_numbers,
+    fit_law,
+    has_several_stresses,
+)
 from sma_bench.identify.constitutive.law import REFERENCE_STRESS, Law, Loop, make_loops
 from sma_bench.identify.estimate import Array
 from sma_bench.identify.instruments.isobaric import with_scales
 from sma_bench.identify.instruments.tangents import strain_tangents
 from sma_bench.identify.result import Correlation, Experiment
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.audit import CONVECTION_FACTOR, NITI_EXPANSION
+from sma_bench.parameters.table import BY_NAME, TRANSITIONS
 from sma_bench.progress import Report, part, silent
 from sma_bench.records.isobaric import STRONGEST, Branch, IsobaricRecord
 
 NAME = "E9"
 TITLE = "Joint fit of the constitutive law (eqs. 6 to 11)"
 TOLERANCE = 0.05
-TEMPERATURES = {
-    "A_s": "wire.austenite_start_temperature",
-    "A_f": "wire.austenite_finish_temperature",
-    "M_s": "wire.martensite_start_temperature",
-    "M_f": "wire.martensite_finish_temperature",
-}
 INFLUENCES = {
     # C: (parameter, slope of the contract's law, slopes of the extended law)
     "C_A": ("wire.stress_influence_austenite", ("slope_A",), ("slope_A_s", "slope_A_f")),
@@ -44,6 +46,8 @@ UNITS = {
 _SHARES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (0.2, 0.8)}
 _SLOPE_UNIT = "K/(100 MPa)"
 _SIGNIFICANT = 2.0
+_STIFFEST = 90e9  # Pa, of any NiTi
+_STRAIN, _EXPANSION = "wire.maximum_recoverable_strain", "wire.thermal_expansion_factor"
 
 
 def fit_constitutive(
@@ -80,12 +84,12 @@ def fit_constitutive(
         unknowns, fixed = unknowns_of(loops, candidate, parameters)
         reporter = part(report, *_SHARES[candidate])
         fits.append(fit_law(loops, candidate, unknowns, fixed, parameters, reporter))
-        if worst_error(fits[-1]) < TOLERANCE:
+        if max(fits[-1].errors.values()) < TOLERANCE:
             break
     chosen = fits[-1]
     findings = [finding for record in records for finding in record.findings]
-    findings.extend(remarks.about_fits(fits, TOLERANCE))
-    findings.extend(remarks.about_numbers(chosen))
+    findings.extend(about_fits(fits, TOLERANCE))
+    findings.extend(about_numbers(chosen))
     cycles = _cycle_by_cycle(chosen, records, parameters, findings)
     details = {}
     for fit in fits:
@@ -95,23 +99,23 @@ def fit_constitutive(
                 float(fit.values[i]), float(fit.std[i]), UNITS.get(name, _SLOPE_UNIT),
                 "joint fit", n,
             )
-        for stress, error in errors_by_stress(fit).items():
+        for stress, error in fit.errors.items():
             here = [f for f in fit.loops if f.loop.stress == stress]
             count = sum(len(f.residual) for f in here)
             details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = Estimate(
                 error, error / math.sqrt(2.0 * count), "1", "rms over recovered strain", count
             )
-    details = {**details, **cycles}
+    details |= cycles
     estimates = _estimates(chosen, parameters, findings)
     # Of the errors of the estimates; that of an inverse slope has the other sign.
     names = list(estimates)
-    weights = {parameter: {name: 1.0} for name, parameter in TEMPERATURES.items()}
+    weights = {parameter: {name: 1.0} for name, parameter in TRANSITIONS.items()}
     for label, (parameter, common, own) in INFLUENCES.items():
         slopes = common if chosen.law == "contract" else own
         weights[parameter] = {name: -1.0 / len(slopes) for name in slopes}
         weights[parameter][f"bend_{label[-1]}"] = -_largest_stress(chosen)
-    weights["wire.maximum_recoverable_strain"] = _strain_weights(chosen)
-    weights["wire.thermal_expansion_factor"] = {"Theta_T": 1.0, "alpha_M": -1.0}
+    weights[_STRAIN] = _strain_weights(chosen)
+    weights[_EXPANSION] = {"Theta_T": 1.0, "alpha_M": -1.0}
     turn = np.array([[weights[n].get(name, 0.0) for name in chosen.names] for n in names])
     covariance = turn @ chosen.covariance @ turn.T if names else np.zeros((0, 0))
     sigma = np.sqrt(np.diag(covariance))
@@ -127,20 +131,11 @@ def fit_constitutive(
     )
 
 
-def errors_by_stress(fit: LawFit) -> dict[float, float]:
-    """Root mean square residual over the recovered strain, by stress in Pa."""
-    return remarks.errors_by_stress(fit)
-
-
-def worst_error(fit: LawFit) -> float:
-    """The largest of the errors by stress."""
-    return max(errors_by_stress(fit).values())
-
-
 def _estimates(
     fit: LawFit, parameters: Parameters, findings: list[Finding]
 ) -> dict[str, Estimate]:
-    if max(f.loop.stress for f in fit.loops) > STRONGEST:
+    stress = max(f.loop.stress for f in fit.loops)
+    if stress > STRONGEST:
         text = "the stress is not believable: the numbers are given in the details only"
         findings.append(Finding("warning", "constitutive law", text))
         return {}
@@ -148,56 +143,59 @@ def _estimates(
     method = f"joint fit of {len(fit.loops)} loops, {fit.law} law"
     found = {
         parameter: Estimate(fit[name], fit.error({name: 1.0}), "K", method, n)
-        for name, parameter in TEMPERATURES.items()
-        if name in fit.names
+        for name, parameter in TRANSITIONS.items() if name in fit.names
     }
     for label, (parameter, common, own) in INFLUENCES.items():
         slopes = common if fit.law == "contract" else own
         if not set(slopes) <= set(fit.names):
             if set(slopes) & set(fit.fixed):
-                _add_shift_error(found, fit, label, parameters)
+                # One stress: the error of the given C enters the stress-free temperatures.
+                held = float(np.mean([f.loop.stress for f in fit.loops]))
+                shift_std = held * parameters.std(parameter) / parameters[parameter] ** 2
+                for name in ("A_s", "A_f") if label == "C_A" else ("M_s", "M_f"):
+                    e = found[TRANSITIONS[name]]
+                    found[TRANSITIONS[name]] = replace(
+                        e, std=math.hypot(e.std, shift_std),
+                        method=f"{method}, referred to zero stress with the given {label}",
+                    )
             continue
         weights = {name: 1.0 / len(slopes) for name in slopes}
         # The secant from zero to the largest stress: with a bend there is no one slope.
-        weights[f"bend_{label[-1]}"] = _largest_stress(fit)
+        weights[f"bend_{label[-1]}"] = stress / REFERENCE_STRESS
         slope = sum(w * fit.all().get(name, 0.0) for name, w in weights.items())
         std = fit.error(weights)
         if slope <= _SIGNIFICANT * std:
-            findings.append(remarks.no_influence(label, slope, std))
+            text = (
+                f"{label}: temperatures change by {slope:.3g} +- {std:.2g} K per 100 MPa, not told"
+            )
+            findings.append(Finding("warning", label, text, {"slope": slope, "std": std}))
             continue
         value = REFERENCE_STRESS / slope
         found[parameter] = Estimate(value, value * std / slope, "Pa/K", method, n)
     if not fit.loops[0].loop.is_relative:
-        found.update(_strain_estimate(fit, method, n))
-        found.update(_expansion_estimate(fit, parameters, method, n, findings))
-    within = {name: e for name, e in found.items() if _is_in_range(name, e, findings)}
+        found[_STRAIN] = _strain_estimate(fit, method, n)
+        found |= _expansion_estimate(fit, parameters, method, n, findings)
+
+    # A parameter file holds no number that is out of its range.
+    within = {}
+    for name, e in found.items():
+        low, high = BY_NAME[name].low, BY_NAME[name].high
+        if (low is None or e.value >= low) and (high is None or e.value <= high):
+            within[name] = e
+        else:
+            text = f"{name} = {e.value:.4g} {e.unit} is out of its range, not given"
+            findings.append(Finding("warning", name, text, {"value": e.value}))
     return with_scales(within, parameters)
 
 
-def _add_shift_error(
-    found: dict[str, Estimate], fit: LawFit, label: str, parameters: Parameters
-) -> None:
-    """One stress: the error of the given C enters the stress-free temperatures."""
-    parameter = INFLUENCES[label][0]
-    stress = float(np.mean([f.loop.stress for f in fit.loops]))
-    shift_std = stress * parameters.std(parameter) / parameters[parameter] ** 2
-    for name in ("A_s", "A_f") if label == "C_A" else ("M_s", "M_f"):
-        e = found[TEMPERATURES[name]]
-        method = f"{e.method}, referred to zero stress with the given {label}"
-        found[TEMPERATURES[name]] = Estimate(
-            e.value, math.hypot(e.std, shift_std), e.unit, method, e.n
-        )
-
-
-def _strain_estimate(fit: LawFit, method: str, n: int) -> dict[str, Estimate]:
-    name = "wire.maximum_recoverable_strain"
+def _strain_estimate(fit: LawFit, method: str, n: int) -> Estimate:
     error = fit.error(_strain_weights(fit))
     if "eps_L" in fit.names:
-        return {name: Estimate(fit["eps_L"], error, "1", method, n)}
+        return Estimate(fit["eps_L"], error, "1", method, n)
     s = _largest_stress(fit)
     value = fit["H_min"] + fit["dH"] * (1.0 - math.exp(-fit["k"] * s))
     where = f"{method}, at the largest stress {s * REFERENCE_STRESS / 1e6:.0f} MPa"
-    return {name: Estimate(value, error, "1", where, n)}
+    return Estimate(value, error, "1", where, n)
 
 
 def _strain_weights(fit: LawFit) -> dict[str, float]:
@@ -218,7 +216,6 @@ def _expansion_estimate(
     fit: LawFit, parameters: Parameters, method: str, n: int, findings: list[Finding]
 ) -> dict[str, Estimate]:
     """Theta_T; of the extended law -alpha_M E_M, as it is below A_s."""
-    name = "wire.thermal_expansion_factor"
     if fit.law == "contract":
         value, std = fit["Theta_T"] * 1e6, fit.error({"Theta_T": 1.0}) * 1e6
     else:
@@ -227,19 +224,18 @@ def _expansion_estimate(
         own = fit.error({"alpha_M": 1.0}) * 1e-6 * modulus
         std = math.hypot(own, value * parameters.std("wire.martensite_modulus") / modulus)
         method = f"{method}, -alpha_M E_M"
+    # Thermal expansion is negative, and of the size of alpha E.
+    largest = CONVECTION_FACTOR * NITI_EXPANSION[1] * _STIFFEST
     is_told = fit.law == "contract" or abs(value) > _SIGNIFICANT * std
-    if not (is_told and remarks.is_plausible_expansion(value, std)):
-        findings.append(remarks.implausible_expansion(value, std))
-        return {}
-    return {name: Estimate(value, std, "Pa/K", method, n)}
-
-
-def _is_in_range(name: str, estimate: Estimate, findings: list[Finding]) -> bool:
-    low, high = BY_NAME[name].low, BY_NAME[name].high
-    if (low is None or estimate.value >= low) and (high is None or estimate.value <= high):
-        return True
-    findings.append(remarks.out_of_range(name, estimate))
-    return False
+    if is_told and -largest - std < value < 2.0 * std and std < largest:
+        return {_EXPANSION: Estimate(value, std, "Pa/K", method, n)}
+    text = (
+        f"the slope of the martensite branch would be Theta_T = {value / 1e6:.3g} +- "
+        f"{std / 1e6:.2g} MPa/K, not told apart from zero or not thermal expansion (-0.15 to "
+        "-0.6 MPa/K) but martensite that reorients or transforms on; no estimate is given"
+    )
+    findings.append(Finding("warning", "Theta_T", text, {"value": value, "std": std}))
+    return {}
 
 
 def _cycle_by_cycle(
@@ -258,14 +254,20 @@ def _cycle_by_cycle(
             own = fit_law([f.loop], "extended", unknowns, fixed, parameters)
             errors.append(own.loops[0].rms)
             n = len(f.residual)
-            for name in (*TEMPERATURES, "eps_L"):
+            for name in (*TRANSITIONS, "eps_L"):
                 details[f"{f.loop.label}: {name}"] = Estimate(
                     own[name], own.error({name: 1.0}), UNITS[name], "fit of this cycle alone", n
                 )
             details[f"{f.loop.label}: fit error"] = Estimate(
                 errors[-1], errors[-1] / math.sqrt(2.0 * n), "1", "rms over recovered strain", n
             )
-        findings.append(remarks.cycles_differ(record.name, joint, errors))
+        text = (
+            f"{record.name}: {joint:.1%} rms with one set of numbers for all cycles, "
+            f"{min(errors):.1%} to {max(errors):.1%} with one a cycle: the material changes from "
+            "cycle to cycle, which no law with constant parameters follows"
+        )
+        numbers = {"joint": joint, "best_cycle": min(errors), "worst_cycle": max(errors)}
+        findings.append(Finding("warning", "cycles", text, numbers))
     return details
 
 
@@ -381,13 +383,10 @@ def _stresses(loops: Sequence[Loop]) -> int:
 
 
 def _expansion_unknowns(loops: Sequence[Loop], law: Law) -> list[LawNumber]:
-    if loops[0].is_relative:
-        limit, size = _RELATIVE_EXPANSION * 10.0, _RELATIVE_EXPANSION
-    else:
-        limit, size = 200.0, 5.0
     if law == "contract":
-        return [LawNumber("Theta_T", -0.2, -50.0, 50.0, 0.2)] if not loops[0].is_relative else [
-            LawNumber("Theta_T", 0.0, -1e4, 1e4, 10.0)
-        ]
-    start = 0.0 if loops[0].is_relative else 8.0
+        relative = LawNumber("Theta_T", 0.0, -1e4, 1e4, 10.0)
+        return [relative if loops[0].is_relative else LawNumber("Theta_T", -0.2, -50.0, 50.0, 0.2)]
+    start, limit, size = 8.0, 200.0, 5.0
+    if loops[0].is_relative:
+        start, limit, size = 0.0, _RELATIVE_EXPANSION * 10.0, _RELATIVE_EXPANSION
     return [LawNumber(name, start, -limit, limit, size) for name in ("alpha_A", "alpha_M")]
