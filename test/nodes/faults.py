@@ -320,5 +320,5 @@ FAULTS = (
     Fault("disk_full", "recorder's disk is full", "recorder, within a second; bridge: its state",
           2.0, "recording failed:", _full_disk),
     Fault("supply_lost", "supply below 6 V", "device: supply in each conversion", 0.1,
-          "supply out of range", _electrics(supply=3.0)),
+          "supply out of range|duty above its limit", _electrics(supply=3.0)),
 )
