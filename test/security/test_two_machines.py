@@ -23,8 +23,7 @@ BOUND = {
     "peers": {"ROS_STATIC_PEERS": STRANGER},
 }  # fmt: skip
 OPEN = {"open": {RANGE: "SUBNET"}}
-PATIENCE = 60.0
-STARTS = 3
+PATIENCE = 90.0
 # Calls the stop of every namespace that it finds, for a while after the last one it waits for.
 CALLER = """
 import json, sys, time
@@ -35,15 +34,17 @@ rclpy.init()
 node = rclpy.create_node("caller")
 names = sys.argv[3].split(",")
 clients = {name: node.create_client(Trigger, f"/{name}/experiment/stop") for name in names}
-asked, answers, seen = {}, {}, set()
+asked, due, answers, seen = [], dict.fromkeys(names, 0.0), {}, set()
 end = time.monotonic() + 45.0
-while time.monotonic() < end:
+while (now := time.monotonic()) < end:
     rclpy.spin_once(node, timeout_sec=0.02)
     seen |= {namespace for _, namespace in node.get_node_names_and_namespaces()}
     for name, client in clients.items():
-        if name not in asked and client.service_is_ready():
-            asked[name] = client.call_async(Trigger.Request())
-    answers = {name: f.result().message for name, f in asked.items() if f.done()}
+        # Again: an answer to a client that the server has not matched yet is lost.
+        if name not in answers and now > due[name] and client.service_is_ready():
+            asked.append((name, client.call_async(Trigger.Request())))
+            due[name] = now + 1.0
+    answers = {name: f.result().message for name, f in asked if f.done()}
     if awaited and awaited <= answers.keys():
         awaited, end = set(), time.monotonic() + extra
 print(json.dumps([answers, sorted(name for name in names if f"/{name}" in seen)]))
@@ -120,15 +121,9 @@ def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
     everything = {**BOUND, **OPEN}
     names = ",".join(everything)
     with ExitStack() as running:
-        # Beside the whole suite one of the five was not found at its first start, twice; the cause
-        # is not known. What the other machine may see and do has one try.
-        for _ in range(STARTS):
-            running.close()
-            nodes = {name: running.enter_context(node(here, name)) for name in everything}
-            here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
-            local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
-            if local.keys() == everything.keys():
-                break
+        nodes = {name: running.enter_context(node(here, name)) for name in everything}
+        here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
+        local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
         ended = {name: one.returncode for name, one in nodes.items() if one.poll() is not None}
         missing = everything.keys() - local.keys()
         assert not missing, f"programs of this machine reach all of them; ended: {ended}"
