@@ -6,21 +6,9 @@ import sys
 
 import pytest
 
-from sma_bench.cli import COMMANDS, load_command
+from sma_bench.cli import COMMANDS, load_command, main
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics.effects import EFFECTS
-
-
-def completed(*words):
-    """What the script of bash gets for the last of the words; a file is the shell's own."""
-    asked = {"_SMA_BENCH_COMPLETE": "bash_complete", "COMP_CWORD": str(len(words))}
-    line = " ".join(["sma-bench", *words])
-    process = subprocess.run(
-        [sys.executable, "-m", "sma_bench.cli"], capture_output=True, text=True, check=False,
-        env={**os.environ, **asked, "COMP_WORDS": line},
-    )
-    assert process.stderr == ""
-    return [line.partition(",")[2] or "FILE" for line in process.stdout.splitlines()]
 
 
 @pytest.mark.parametrize(
@@ -40,8 +28,16 @@ def completed(*words):
         (["calibrate", "supp"], ["supply"]),
     ],
 )
-def test_a_shell_is_offered_what_may_follow(words, offered):
-    assert completed(*words) == offered
+def test_a_shell_is_offered_what_may_follow(words, offered, monkeypatch, capsys):
+    monkeypatch.setenv("_SMA_BENCH_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    monkeypatch.setenv("COMP_WORDS", " ".join(["sma-bench", *words]))
+    with pytest.raises(SystemExit):
+        main([])
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    # A file is the shell's own.
+    assert [line.partition(",")[2] or "FILE" for line in shown.out.splitlines()] == offered
 
 
 def test_an_installed_command_writes_the_script_of_the_shell():

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sma_bench.commands import terminal
-from sma_bench.commands.terminal import WorkState, duration, progress
+from sma_bench.commands.terminal import WorkState, progress
 from sma_bench.diagnose import search
 from sma_bench.diagnose.diagnosis import diagnose
 from sma_bench.physics.effects import EFFECTS
@@ -55,14 +55,6 @@ def test_time_left_is_extrapolated_and_counts_down():
     assert state.words == "25%, 1 min 10 s left"
 
 
-def test_what_is_planned_counts_from_the_start():
-    clock = Clock()
-    state = WorkState(clock, expected=100.0)
-    assert state.left == pytest.approx(100.0) and state.words == "0%, 1 min 40 s left"
-    clock.now += 10.0
-    assert state.left == pytest.approx(90.0)
-
-
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 2.0, 4.0])
 def test_the_time_left_of_a_plan_follows_the_machine_and_never_stands_still(slowness):
     clock = Clock()
@@ -89,14 +81,6 @@ def test_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
     assert (state.share, state.what) == (0.5, "two")
     clock.now += 11.0
     assert state.left is None and state.words == "50%, 21 s gone"
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.4, "0 s"), (59.6, "1 min 0 s"), (125.0, "2 min 5 s"), (3780.0, "1 h 3 min")],
-)
-def test_durations_in_words(seconds, words):
-    assert duration(seconds) == words
 
 
 def test_parts_and_steps_of_a_whole():
@@ -150,20 +134,6 @@ def test_a_terminal_gets_a_bar_that_fits_and_vanishes():
     assert any("…" in frame and re.search(r"\d+%, \d+ s left", frame) for frame in frames)
     assert max(cells(frame) for frame in frames) <= 40
     assert screen.rstrip().endswith("\x1b[2K")  # the last that is done is to wipe the line
-
-
-def test_a_dumb_terminal_gets_lines():
-    _, screen = on_a_terminal(WORK, columns=40, TERM="dumb")
-    assert "\x1b" not in screen and "sma-bench: work: " in screen
-
-
-def test_nothing_is_said_of_what_is_over_in_a_moment(monkeypatch):
-    said = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", said)
-    monkeypatch.setattr(terminal, "FIRST_LINE", 5.0)
-    with progress("work") as report:
-        report(0.5, "half")
-    assert said.getvalue() == ""
 
 
 def test_the_display_ends_with_an_error(monkeypatch):

@@ -10,6 +10,7 @@ from page_runner import ROOT, PageRunner, blocks_of, is_command, runs_in_a_test
 from sma_bench import compiled
 from sma_bench.cards import card
 from sma_bench.diagnose.result import diagnosis_from
+from sma_bench.report.page import Picture
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Pages that another test plays, or whose text a command writes, which cannot carry comments.
@@ -54,6 +55,8 @@ def left_by():
 @pytest.mark.usefixtures("papers_experiments_once")
 @pytest.mark.parametrize("page", PLAYED, ids=name_of)
 def test_page_can_be_played(page, tmp_path, monkeypatch, left_by):
+    if name_of(page) != "README.md":  # its reports have the same figures; they are drawn there
+        monkeypatch.setattr(Picture, "_file", lambda *_, **__: b"\x89PNG")
     folder = tmp_path / "empty"
     folder.mkdir()
     monkeypatch.chdir(folder)

@@ -43,50 +43,31 @@ def test_notebook_is_committed_as_it_was_run_from_top_to_bottom(path):
     assert path.stat().st_size < 300_000
 
 
-@pytest.fixture(scope="module")
-def played():
-    """Names at the end of the notebook, what its cells showed, and its figures."""
+@pytest.mark.slow
+@pytest.mark.skipif(compiled.numba is None, reason="without numba a diagnosis takes minutes")
+def test_the_notebook_identifies_names_the_effect_and_draws_two_figures():
     pytest.importorskip("pandas")
-    if compiled.numba is None:
-        pytest.skip("without numba a diagnosis takes minutes")
     import matplotlib.pyplot as plt
 
     plt.close("all")
     shown: list = []
     names = run(ROOT / "docs" / "tutorials" / "notebook.ipynb", shown.append)
-    figures = [plt.figure(number) for number in plt.get_fignums()]
-    yield names, shown, figures
-    plt.close("all")
-
-
-def tables(shown: list) -> list:
-    return [thing for thing in shown if hasattr(thing, "columns")]
-
-
-@pytest.mark.slow
-def test_the_notebook_identifies_what_it_simulated(played):
-    names, shown, _ = played
-    table = next(t for t in tables(shown) if t.index.name == "parameter")
-    true = names["run"].parameters["wire.resistance"]
+    tables = [thing for thing in shown if hasattr(thing, "columns")]
+    table = next(t for t in tables if t.index.name == "parameter")
     found = table.loc["wire.resistance"]
+    true = names["run"].parameters["wire.resistance"]
     assert abs(found["value"] - true) < 4.0 * found["std"]
     assert list(names["record"].signals) in [s for s in shown if isinstance(s, list)]
 
-
-@pytest.mark.slow
-def test_the_notebook_names_the_effect_and_the_gap_shrinks(played):
-    names, shown, _ = played
     assert names["gap"].decision.cause == ("supply_drop",)
-    assert any("supply_drop" in t.index for t in tables(shown))
+    assert any("supply_drop" in t.index for t in tables)
     assert names["gap"].shrinkage["temperature"].fraction > 0.7
     measured = names["arrays"]["wire.temperature"]
     missed = [abs(measured - names[m].temperature[:, 0]).mean() for m in ("before", "after")]
     assert missed[1] < 0.3 * missed[0]
 
-
-@pytest.mark.slow
-def test_the_notebook_draws_two_figures(played):
-    _, _, figures = played
+    figures = [plt.figure(number) for number in plt.get_fignums()]
+    plt.close("all")
     assert len(figures) == 2
     for figure in figures:
         assert all(axes.lines and axes.get_ylabel() for axes in figure.axes)

@@ -14,8 +14,7 @@ from sma_bench.diagnose.decision import Decision
 from sma_bench.diagnose.facts import explanation
 from sma_bench.diagnose.flexible import Flexible
 from sma_bench.diagnose.next_experiment import NextExperiment
-from sma_bench.errors import InputError
-from sma_bench.report.diagnosis_figures import PHASES, free_form, next_experiment_picture
+from sma_bench.report.diagnosis_figures import free_form, next_experiment_picture
 from sma_bench.report.diagnosis_report import _improved, write_diagnosis_report
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
@@ -139,13 +138,3 @@ def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
     assert "slack, residual_strain" in picture.caption
     test = replace(proposed, kind="E6", protocol={})
     assert next_experiment_picture(replace(result, next_experiment=test), believed()) is None
-
-
-def test_phases_of_the_maps_are_the_contract_s():
-    assert PHASES == ("initial", "drive", "rest")
-
-
-def test_a_folder_that_cannot_be_written_is_one_line(planted_diagnosis, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot write the report"):
-        write_diagnosis_report(tmp_path / "file" / "gap", planted_diagnosis)
