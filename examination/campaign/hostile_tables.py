@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openpyxl
 import yaml
 
 from examination.campaign.parser_seeds import PARAMETERS
@@ -36,9 +37,7 @@ _MAP: dict[str, Any] = {
     ],
     "ignored": ["x"],
 }  # fmt: skip
-_XML = '<?xml version="1.0" encoding="UTF-8"?>'
-_OPEN = "http://schemas.openxmlformats.org"
-_MAIN = f"{_OPEN}/spreadsheetml/2006/main"
+_MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 _BOMB = (
     '<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">'
     + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9)) + "]>"
@@ -91,17 +90,7 @@ def text_table(rng: random.Random) -> tuple[str, bytes]:
 
 # --- Excel ----------------------------------------------------------------------------------------
 
-
-def _cell(reference: str, content: str) -> str:
-    """One cell: a number, else a text in it."""
-    if content.replace(".", "", 1).isdigit():
-        return f'<c r="{reference}"><v>{content}</v></c>'
-    shown = "".join(c for c in content if c.isprintable())
-    shown = shown.replace("&", "&amp;").replace("<", "&lt;")
-    return f'<c r="{reference}" t="inlineStr"><is><t>{shown}</t></is></c>'
-
-
-_CELLS = (
+_ODD_CELLS = (
     '<c r="XFD1048576"><v>1</v></c>', '<c r="A1048576"><v>1</v></c>', '<c r="A0"><v>1</v></c>',
     '<c r="ZZZZ9"><v>1</v></c>', "<c><v>1</v></c>", '<c r="B2" t="s"><v>99999</v></c>',
     '<c r="B2" t="s"><v>-1</v></c>', '<c r="B2" t="d"><v>x</v></c>', '<c r="B2"><v>1e999</v></c>',
@@ -110,84 +99,65 @@ _CELLS = (
     '<c r="B2" t="e"><v>#DIV/0!</v></c>', '<c r="B2" t="b"><v>7</v></c>', '<c r="B2" t="q"/>',
     '<c r="B2"><v>&a8;</v></c>', '<c r="B2" s="1"><v>nan</v></c>',
 )  # fmt: skip
+_ROWS = (
+    '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>', '<row r="99999999999"/>',
+    '<row r="-5"><c><v>1</v></c></row>', '<row r="x"/>',
+    "".join(f'<row r="{k}"><c r="XFD{k}"><v>1</v></c></row>' for k in range(70, 700)),
+    "<row><c><v>1</v></c><c><v>2</v></c></row>" * 60_000,
+)  # fmt: skip
+_ENTITY = r'\1<row r="70"><c r="A70"><v>&a8;</v></c></row></sheetData>'
+# Part of the archive, what is found there, and what may stand in its place.
+_ALTERED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("worksheets/sheet1.xml", "</row>", tuple(cell + "</row>" for cell in _ODD_CELLS)),
+    ("worksheets/sheet1.xml", "</sheetData>", tuple(row + "</sheetData>" for row in _ROWS)),
+    ("worksheets/sheet1.xml", "(?s)^(.*)</sheetData>", (_BOMB + _ENTITY, _FILE + _ENTITY)),
+    ("worksheets/sheet1.xml", '<dimension ref="[^"]*"', tuple(
+        f'<dimension ref="{size}"' for size in ("A1:XFD1048576", "A1:ZZZZZZ9", "", "B7"))),
+    ("workbook.xml", "<sheet [^>]*/>", (r"\g<0>" * 300,)),
+    ("workbook.xml", '<sheet ([^>]*)name="[^"]*"', tuple(
+        rf'<sheet \1name="{name}"' for name in ("=1+1", "\x9b2J", "s" * 2000, "../x"))),
+    ("_rels/workbook.xml.rels", 'Target="[^"]*sheet1.xml"', tuple(
+        f'Target="{place}"' for place in ("../../../etc/passwd", "/etc/passwd", "http://a/b"))),
+)  # fmt: skip
 
 
 def excel_table(rng: random.Random) -> tuple[str, bytes]:
     """A workbook whose archive, dimensions, rows, styles or entities are not what they should."""
+    book = openpyxl.Workbook()
     found = columns(rng)
-    rows = [list(found), *([f"{v:.9g}" for v in row] for row in np.column_stack([*found.values()]))]
-    lines = []
-    for k, row in enumerate(rows, 1):
-        cells = [_cell(f"{chr(65 + n)}{k}", text) for n, text in enumerate(row)]
-        if rng.random() < 0.03:
-            cells.insert(rng.randrange(len(cells) + 1), rng.choice(_CELLS))
-        lines.append(f'<row r="{k}">' + "".join(cells) + "</row>")
-    trick = rng.choice((
-        "", "", "far", "rows", "size", "entities", "bomb", "sheets", "strings", "paths", "links",
-    ))  # fmt: skip
-    if trick == "far":
-        lines.append(rng.choice((
-            '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>', '<row r="99999999999"/>',
-            '<row r="-5"><c><v>1</v></c></row>', '<row r="x"/>',
-            "".join(f'<row r="{k}"><c r="XFD{k}"><v>1</v></c></row>' for k in range(70, 700)),
-        )))  # fmt: skip
-    elif trick == "rows":
-        lines += ["<row><c><v>1</v></c><c><v>2</v></c></row>"] * rng.choice((60_000, *[2000] * 9))
-    prolog = rng.choice((_BOMB, _FILE)) if trick == "entities" else ""
-    if trick == "entities":
-        lines.append('<row r="70"><c r="A70"><v>&a8;</v></c></row>')
-    size = rng.choice(("A1:XFD1048576", "A1:ZZZZZZ9", "", "B7"))
-    sheet = (
-        f'{_XML}{prolog}<worksheet xmlns="{_MAIN}"><dimension ref="{size}"/><sheetData>'
-        + "".join(lines) + "</sheetData></worksheet>"
-    )
-    return "table.xlsx", _workbook(rng, sheet, trick)
+    book.active.append(["".join(c for c in title if c.isprintable()) for title in found])
+    for row in zip(*found.values(), strict=True):
+        book.active.append([float(value) for value in row])
+    book.active["B2"].number_format = "yyyy-mm-dd"  # the style s="1" of the odd cells
+    good, written = io.BytesIO(), io.BytesIO()
+    book.save(good)
+    with zipfile.ZipFile(good) as archive:
+        parts = {name: archive.read(name).decode() for name in archive.namelist()}
 
-
-def _workbook(rng: random.Random, sheet: str, trick: str) -> bytes:
-    count = 300 if trick == "sheets" else 1
-    target = rng.choice(("../../../etc/passwd", "/etc/passwd", "http://a/b")) \
-        if trick == "paths" else "worksheets/sheet1.xml"  # fmt: skip
-    title = rng.choice(("Sheet", "=1+1", "\x9b2J", "s" * 2000, "../x"))
-    named = "".join(
-        f'<sheet name="{title}{k}" sheetId="{k}" r:id="r1"/>' for k in range(1, count + 1)
-    )
-    relation = f"{_OPEN}/officeDocument/2006/relationships"
-    package = f"{_OPEN}/package/2006"
-    kind = "application/vnd.openxmlformats-officedocument.spreadsheetml"
-    parts = {
-        "[Content_Types].xml": f'{_XML}<Types xmlns="{package}/content-types">'
-        f'<Override PartName="/xl/workbook.xml" ContentType="{kind}.sheet.main+xml"/>'
-        f'<Override PartName="/xl/worksheets/sheet1.xml" ContentType="{kind}.worksheet+xml"/>'
-        + (f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}.sharedStrings+xml"/>'
-           if trick == "strings" else "") + "</Types>",
-        "_rels/.rels": f'{_XML}<Relationships xmlns="{package}/relationships"><Relationship '
-        f'Id="r1" Type="{relation}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
-        "xl/workbook.xml": f'{_XML}<workbook xmlns="{_MAIN}" xmlns:r="{relation}"><sheets>{named}'
-        "</sheets></workbook>",
-        "xl/_rels/workbook.xml.rels": f'{_XML}<Relationships xmlns="{package}/relationships">'
-        f'<Relationship Id="r1" Type="{relation}/worksheet" Target="{target}"/></Relationships>',
-        "xl/worksheets/sheet1.xml": sheet,
-        "xl/styles.xml": f'{_XML}<styleSheet xmlns="{_MAIN}"><cellXfs count="2"><xf numFmtId="0"/>'
-        '<xf numFmtId="14" applyNumberFormat="1"/></cellXfs></styleSheet>',
-    }
-    if trick == "strings":
+    trick = rng.choice(("", "", *["altered"] * 6, "part gone", "strings", "bomb", "size"))
+    if trick == "altered":
+        part, pattern, texts = rng.choice(_ALTERED)
+        parts[f"xl/{part}"] = re.sub(pattern, rng.choice(texts), parts[f"xl/{part}"], count=1)
+    elif trick == "strings":
+        kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+        override = f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}"/></Types>'
+        types = "[Content_Types].xml"
+        parts[types] = parts[types].replace("</Types>", override)
         texts = "<si><t>x</t></si>" * rng.choice((1_000_000, *[2000] * 19))
-        parts["xl/sharedStrings.xml"] = f'{_XML}<sst xmlns="{_MAIN}" count="9">{texts}</sst>'
-    if trick == "links":
+        parts["xl/sharedStrings.xml"] = f'<sst xmlns="{_MAIN}" count="9">{texts}</sst>'
+    elif trick == "part gone":
         parts.pop(rng.choice(list(parts)))
-    written = io.BytesIO()
     with zipfile.ZipFile(written, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, text in parts.items():
             archive.writestr(name, text)
         if trick == "bomb":
-            archive.writestr(rng.choice(("xl/media/a.png", "xl/theme/theme1.xml")),
-                             bytes(rng.choice((1 << 24, 1 << 28))))  # fmt: skip
+            size = rng.choice((1 << 24, 1 << 28))
+            archive.writestr(rng.choice(("xl/media/a.png", "xl/theme/theme2.xml")), bytes(size))
     content = bytearray(written.getvalue())
     if trick == "size":  # what the directory says of a member is a lie
         at = content.find(b"PK\x01\x02") + rng.choice((20, 24))
         content[at : at + 4] = rng.choice((b"\0\0\0\0", b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff"))
-    return bytes(content)
+    return "table.xlsx", bytes(content)
 
 
 # --- MATLAB, HDF5, Parquet ------------------------------------------------------------------------

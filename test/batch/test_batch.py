@@ -107,7 +107,7 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
     process, below = half_done_batch(bags, tmp_path)
     os.kill(process.pid, number)
@@ -154,30 +154,7 @@ def test_files_of_records_with_one_name_do_not_meet():
     assert len(set(_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
 
 
-@pytest.mark.slow
-def test_a_diagnosis_is_a_task_as_well(bags):
-    outcome = run_task(Task(DIAGNOSE, str(bags / "wire_2.9"), Parameters.of_paper()))
-    assert outcome.error == ""
-    assert outcome.result["verdict"] in (
-        "effect", "recalibration", "no_gap", "ambiguous", "unexplained",
-    )  # fmt: skip
-    assert outcome.parameters is not None and outcome.seconds > 0.0
-
-
 # --- the workers --------------------------------------------------------------------------------
-
-
-def test_number_of_jobs_is_checked():
-    with pytest.raises(InputError, match="jobs 0: expected 1 to"):
-        list(do_tasks([], 0))
-
-
-class Stuck(str):
-    """A kind of task that never comes to an end: looking it up does not."""
-
-    def __hash__(self):
-        time.sleep(3600.0)
-        return 0
 
 
 class Deadly(str):
@@ -194,13 +171,16 @@ class Deadly(str):
 @pytest.mark.slow
 def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
     paths = [str(bags / "wire_2.5"), str(bags / "wire_2.5"), str(bags / "wire_2.9")]
-    kinds = [Deadly(IDENTIFY), IDENTIFY, IDENTIFY]
+    kinds = [Deadly(IDENTIFY), IDENTIFY, DIAGNOSE]
     tasks = [
         Task(kind, path, Parameters.of_paper()) for kind, path in zip(kinds, paths, strict=True)
     ]
     done = dict(do_tasks(tasks, 2))
     assert done[0].error == f"{paths[0]}: its process was killed (out of memory?)"
     assert not done[1].error and not done[2].error
+    assert done[2].result["verdict"] and done[2].parameters is not None
+    with pytest.raises(InputError, match="jobs 0: expected 1 to"):
+        list(do_tasks([], 0))
 
 
 # --- a cluster ----------------------------------------------------------------------------------
@@ -236,9 +216,7 @@ def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(bags, tmp_pat
         assert spread[k].result["parameters"]["wire.resistance"]["n"] > 0
 
 
-@pytest.mark.parametrize(
-    "address", ["nowhere", "nowhere://x", "inproc://127.0.0.1/1/1", "tcp://127.0.0.1:1", "tcp://x"]
-)
+@pytest.mark.parametrize("address", ["nowhere", "inproc://127.0.0.1/1/1", "tcp://127.0.0.1:1"])
 def test_an_address_without_a_scheduler_is_one_line_in_seconds(address):
     pytest.importorskip("distributed")
     begin = time.process_time()
