@@ -138,11 +138,6 @@ def report(results: Sequence[dict[str, Any]]) -> bool:
             f"{load:12s}{len(own):8d}{100 * believed:10.2f}{100 * median:8.2f}{100 * tail:8.2f}"
             f"{100 * share:8.1f}{'' if good else '  outside the limits'}"
         )
-    _print_numbers(results)
-    return passed
-
-
-def _print_numbers(results: Sequence[dict[str, Any]]) -> None:
     names = dict.fromkeys(name for r in results for name in r["estimates"])
     print(f"\n{'number':44s}{'inside':>8s}{'rms z':>8s}{'informed':>10s}")
     for name in names:
@@ -154,6 +149,7 @@ def _print_numbers(results: Sequence[dict[str, Any]]) -> None:
             f"{name:44s}{100 * inside.mean():8.0f}{np.sqrt(np.mean(z**2)):8.2f}"
             f"{np.median(rows[:, 3]):10.2f}"
         )
+    return passed
 
 
 if __name__ == "__main__":
