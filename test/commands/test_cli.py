@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import sqlite3
 import subprocess
 import sys
@@ -14,8 +13,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from examination.bags import in_sqlite3
 from sma_bench.cli import COMMANDS, LONGEST_LINE, main
-from sma_bench.commands.terminal import print_findings
-from sma_bench.findings import Finding
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records import Signal, open_record, read_record
@@ -138,18 +135,6 @@ def test_a_number_is_said_to_be_from_the_experiment_whose_value_it_is(measured_d
     assert result.estimates[name].value == jointly.value and result.origin(name) == "E9"
 
 
-def test_a_truncated_bag_is_read_up_to_the_damage_and_says_so(tmp_path, capsys, shared_data):
-    bag = tmp_path / "ramp"
-    shutil.copytree(shared_data / "foreign" / "wire" / "ramp", bag)
-    storage = next(bag.glob("*.mcap"))
-    os.chmod(storage, 0o644)
-    os.truncate(storage, storage.stat().st_size // 2)
-    assert main(["info", str(bag)]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "damaged" in printed and "announced by metadata.yaml cannot be read" in printed
-    assert 5.0 < read_record(bag).duration < 76.0
-
-
 def test_a_node_without_ros_says_what_is_missing(tmp_path):
     (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError('no rclpy', name='rclpy')")
     found = subprocess.run(
@@ -208,12 +193,3 @@ def test_a_simulation_says_where_the_bench_would_switch_off_and_its_plateau_is_n
     assert "warning limit: over-temperature: wire at 167.9 degC, limit 150.0 degC" in said
     assert main(["info", "hot"]) == 0
     assert "clipped" not in capsys.readouterr().out
-
-
-def test_a_long_finding_is_folded_beside_its_severity(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "40")
-    print_findings([Finding("warning", "subject", "many words " * 20)])
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("warning subject: many") and len(lines) > 5
-    assert all(len(line) <= 40 for line in lines)
-    assert all(line.startswith(" " * 8) for line in lines[1:])

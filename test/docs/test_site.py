@@ -66,46 +66,29 @@ def test_nodes_are_those_of_the_package_and_each_is_told(site):
     assert "~/enable" in told["serial_bridge"] and "voltage_command" in told["experiment"]
 
 
-def test_equations_are_typeset(site):
-    """In the page itself, with their source to be read aloud."""
+def test_pages_are_as_they_are_meant(site):
+    # Equations in the page itself, with their source to be read aloud.
     for page, least in (("explanation/model", 9), ("effects", 17), ("diagnosis", 3)):
         text = (site / f"{page}.html").read_text()
         assert len(re.findall(r'<svg role="img" aria-label="[^"]{8,}"', text)) >= least
         assert "language-math" not in text
-
-
-def test_tables_of_the_notebook_scroll_as_those_of_the_site(site):
-    text = (site / "tutorials" / "notebook.html").read_text()
-    assert "wire.resistance" in text and "dataframe" not in text
-
-
-def test_the_python_interface_is_explained(site):
-    page = text_of(site / "reference" / "python.html")
-    for name in api.__all__:
-        assert name in page
-    assert "DataFrame of a record or a result" in page and "Raises:" in page
-
-
-def test_the_errata_have_their_numbers(site):
-    page = text_of(site / "explanation" / "errata.html")
-    assert len(re.findall(r"^\s*\d+\. ", page, re.MULTILINE)) >= 11
-    assert "N m²" in page
-
-
-def test_the_notebook_is_a_page_and_a_file(site):
-    notebook = json.loads((site / "tutorials" / "notebook.ipynb").read_text())
-    assert notebook["nbformat"] == 4
-    assert "sma_bench.diagnose" in text_of(site / "tutorials" / "notebook.html")
+    python = text_of(site / "reference" / "python.html")
+    for said in (*api.__all__, "DataFrame of a record or a result", "Raises:"):
+        assert said in python
+    errata = text_of(site / "explanation" / "errata.html")
+    assert len(re.findall(r"^\s*\d+\. ", errata, re.MULTILINE)) >= 11 and "N m²" in errata
+    # The notebook is a page, whose tables scroll as all do, and a file; sources are neither.
+    assert json.loads((site / "tutorials" / "notebook.ipynb").read_text())["nbformat"] == 4
+    notebook = site / "tutorials" / "notebook.html"
+    assert "sma_bench.diagnose" in text_of(notebook) and "wire.resistance" in text_of(notebook)
+    assert "dataframe" not in notebook.read_text()
+    assert not (site / "site").exists()
 
 
 def test_nothing_is_fetched_from_elsewhere(site):
     fetched = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', re.I)
     pages = sorted(site.rglob("*.html"))
     assert [p.name for p in pages if fetched.search(p.read_text())] == []
-
-
-def test_sources_of_the_site_are_not_on_it(site):
-    assert not (site / "site").exists()
 
 
 def test_a_link_that_leads_nowhere_fails_the_build(tmp_path):

@@ -8,7 +8,6 @@ import pytest
 
 from sma_bench import cards
 from sma_bench.cards import card, card_html, card_text, number_rows, two_errors
-from sma_bench.commands.identify import print_result
 from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
@@ -172,16 +171,6 @@ def test_text_and_page_hold_the_same_and_no_markup_of_a_name():
     narrow = card_text(diagnosed(), 60).splitlines()
     assert max(map(len, lines)) <= 96 and max(map(len, narrow)) <= 60
     assert " ".join(narrow).split() == " ".join(lines).split()
-
-
-@pytest.mark.parametrize("columns", [80, 200])
-def test_numbers_fit_the_terminal(columns, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(columns))
-    print_result(identified(), Invocation())
-    printed = capsys.readouterr().out
-    assert max(map(len, printed.splitlines())) <= columns
-    said = " ".join(printed.split())
-    assert "wire.resistance 2.8 ± 0.007 ± 0.024 ohm" in said and "+3.7 % (+3.7 std)" in said
 
 
 def test_what_is_rounded_to_nothing_has_no_sign():
