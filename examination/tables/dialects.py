@@ -1,0 +1,470 @@
+"""How people's loggers and machines write one table: drawn habits, and the file they give.
+
+A habit is one value of one feature (`HABITS`); a dialect is a habit of each. It knows whether its
+file tells what it means: units, the meaning of every column, and a clock.
+"""
+
+import datetime as dt
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from examination.tables.truths import FloatArray, Quantity, Truth
+
+PLAIN = 0.93  # probability of a feature's first habit: a file has a few oddities, not all
+KNOWN = 0.7  # probability that a file starts from what a user sent (`SEEN`)
+START = dt.datetime(2024, 3, 14, 9, 58, 30)
+
+# Of each feature the habits; the first is the plain one.
+HABITS: dict[str, tuple[str, ...]] = {
+    "separator": ("comma", "semicolon", "tab", "blanks"),
+    "decimal": ("point", "comma"),
+    "thousands": ("none", "sign", "blank"),
+    "quotes": ("none", "titles", "all"),
+    "encoding": ("utf-8", "utf-8-sig", "utf-16", "latin-1", "cp437", "mac_roman"),
+    "titles": ("English", "German", "French", "Spanish", "symbols", "T_name", "topics"),
+    "units": ("(u)", "[u]", "/ u", "_u", "comma u", "row u", "row (u)", "row [u]", "in cells",
+              "not of T", "(u) Run #1", "none"),
+    "scale": ("usual", "small", "SI", "other", "um alone"),
+    "time": (
+        "s", "ms", "min", "days", "s, no unit", "ms, no unit", "min, no unit", "date and time",
+        "date and whole s", "AM/PM", "mm:ss", "hh:mm:ss", "date-time", "whole seconds", "whole s",
+        "ISO with zone", "epoch", "a clock each", "elapsed and date-time", "none",
+    ),
+    "index": ("none", "unnamed", "titled", "row names", "numbers without a title"),
+    "cells": ("full", "sparse last", "gaps", "surplus separators", "surplus comment", "SI letters"),
+    "notes": ("none", "key: value", "# lines", "a sentence"),
+    "header": ("plain", "#", "##", "twice", "none"),
+    "blocks": ("one", "again", "footer"),
+    "file": ("text", "xlsx", "xlsx, notes first", "xlsx, a second sheet"),
+    "beside": ("nothing", "comment", "status", "setpoint", "second thermometer", "crosshead"),
+    "current": ("driven is positive", "battery's sign", "mean of a switched supply"),
+}  # fmt: skip
+
+# What users sent, by its habits: each row of the two lists of reports that a table can be.
+_BENCH_SEEN: tuple[dict[str, str], ...] = (
+    {"titles": "T_name", "units": "not of T"}, {"titles": "symbols", "units": "not of T"},
+    {"units": "not of T", "titles": "T_name", "time": "ms"}, {"time": "min, no unit"},
+    {"time": "whole s", "separator": "semicolon"}, {"time": "whole seconds", "titles": "German"},
+    {"time": "date and whole s"}, {"time": "date and time"}, {"time": "whole s"},
+    {"time": "whole seconds"}, {"index": "unnamed"}, {"index": "row names"},
+    {"index": "numbers without a title", "separator": "blanks", "units": "row u"},
+    {"time": "AM/PM"}, {"time": "none"}, {"decimal": "comma", "quotes": "all", "time": "ms"},
+    {"decimal": "comma", "time": "ms"}, {"decimal": "comma"}, {"units": "comma u"},
+    {"cells": "sparse last", "titles": "topics", "time": "epoch"},
+    {"thousands": "sign", "scale": "um alone"},
+    {"time": "a clock each"}, {"time": "ms, no unit"}, {"time": "min, no unit"},
+    {"titles": "German", "separator": "semicolon", "decimal": "comma", "time": "date-time"},
+    {"units": "in cells"}, {"cells": "SI letters"}, {"current": "mean of a switched supply"},
+    {"current": "battery's sign"}, {"file": "xlsx, a second sheet"}, {"header": "#"},
+    {"blocks": "again"}, {"units": "/ u"}, {"cells": "surplus separators"},
+)  # fmt: skip
+_MACHINE_SEEN: tuple[dict[str, str], ...] = (
+    {"file": "xlsx, a second sheet"}, {"units": "(u) Run #1"}, {"units": "/ u", "header": "##"},
+    {"encoding": "cp437"}, {"encoding": "mac_roman"}, {"titles": "symbols", "units": "[u]"},
+    {"units": "row (u)", "quotes": "all"}, {"blocks": "again", "separator": "tab"},
+    {"beside": "crosshead", "units": "row u"}, {"header": "none"}, {"thousands": "sign"},
+    {"decimal": "comma", "quotes": "all"}, {"units": "row [u]", "separator": "blanks"},
+    {"titles": "German", "separator": "semicolon", "decimal": "comma", "units": "row u"},
+    {"units": "none"}, {"file": "xlsx", "titles": "French"}, {"scale": "other", "units": "/ u"},
+)  # fmt: skip
+
+_WORDS = {
+    "time": ("Time", "Zeit", "Temps", "Tiempo", "t", "t", "time"),
+    "voltage": ("Voltage", "Spannung", "Tension", "Voltaje", "U", "V_wire", "power/voltage"),
+    "current": ("Current", "Strom", "Courant", "Corriente", "I", "I_wire", "power/current"),
+    "temperature": ("Temperature", "Temperatur", "Température", "Temperatura", "T1", "T_wire",
+                    "temperature/temperature"),
+    "ambient": ("Room temperature", "Raumtemperatur", "Température ambiante",
+                "Temperatura ambiente", "T_amb", "T_room", "ambient/temperature"),
+    "length": ("Position", "Weg", "Déplacement", "Desplazamiento", "x", "pos_wire",
+               "joint_states/wire/position"),
+    "force": ("Force", "Kraft", "Force", "Fuerza", "F", "F_wire", "joint_states/wire/effort"),
+    "extension": ("Extension", "Dehnweg", "Allongement", "Alargamiento", "dL", "dL_wire",
+                  "extension"),
+    "duty": ("PWM", "Tastverhältnis", "Rapport cyclique", "Ciclo de trabajo", "PWM", "PWM_wire",
+             "pwm/duty"),
+    "heat flow": ("Heat Flow", "Wärmestrom", "Flux de chaleur", "Flujo de calor", "Q", "Q_flow",
+                  "heat_flow"),
+    "strain": ("Strain", "Dehnung", "Déformation", "Deformación", "e", "strain_wire", "strain"),
+    "stress": ("Stress", "Spannung", "Contrainte", "Tensión", "S", "stress_wire", "stress"),
+    "date": ("Date", "Datum", "Date", "Fecha", "Date", "Date", "date"),
+}  # fmt: skip
+_STYLES = HABITS["titles"]
+
+# Of each kind of quantity, by scale: unit as written, SI in one of it, offset, decimals.
+_UNITS: dict[str, tuple[tuple[str, float, float, int], ...]] = {
+    "voltage": (("V", 1.0, 0.0, 3), ("mV", 1e-3, 0.0, 1), ("V", 1.0, 0.0, 4), ("mV", 1e-3, 0.0, 0)),
+    "current": (("A", 1.0, 0.0, 4), ("mA", 1e-3, 0.0, 1), ("A", 1.0, 0.0, 5), ("mA", 1e-3, 0.0, 2)),
+    "temperature": (("°C", 1.0, 273.15, 2), ("degC", 1.0, 273.15, 3), ("K", 1.0, 0.0, 3),
+                    ("C", 1.0, 273.15, 2)),
+    "length": (("mm", 1e-3, 0.0, 3), ("um", 1e-6, 0.0, 1), ("m", 1.0, 0.0, 6),
+               ("µm", 1e-6, 0.0, 1)),
+    "force": (("N", 1.0, 0.0, 3), ("cN", 1e-2, 0.0, 1), ("N", 1.0, 0.0, 4), ("kN", 1e3, 0.0, 7)),
+    "duty": (("%", 1e-2, 0.0, 2), ("%", 1e-2, 0.0, 1), ("1", 1.0, 0.0, 4), ("%", 1e-2, 0.0, 0)),
+    "heat flow": (("mW", 1e-3, 0.0, 4), ("uW", 1e-6, 0.0, 1), ("W", 1.0, 0.0, 8),
+                  ("W/g", 1.0, 0.0, 5)),
+    "strain": (("%", 1e-2, 0.0, 4), ("%", 1e-2, 0.0, 3), ("mm/mm", 1.0, 0.0, 6),
+               ("mm/mm", 1.0, 0.0, 6)),
+    "stress": (("MPa", 1e6, 0.0, 2), ("kPa", 1e3, 0.0, 1), ("Pa", 1.0, 0.0, 0),
+               ("N/mm²", 1e6, 0.0, 3)),
+}  # fmt: skip
+_UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
+_NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
+_COARSE = ("whole seconds", "whole s", "date and whole s")
+_CONVENTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "driven is positive": lambda amperes: amperes,
+    "battery's sign": lambda amperes: -amperes,
+    "mean of a switched supply": lambda amperes: amperes**2 / max(amperes.max(), 1e-9),
+}
+_LATE = 0.013  # s, of a sparse last column
+_SHIFT = 12.0  # s, between two clocks of a table
+
+
+@dataclass(frozen=True)
+class Written:
+    """A column as the file has it: its title, the truth behind it (None: nothing to read), SI in
+    one unit of its last decimal."""
+
+    title: str
+    quantity: Quantity | None
+    step: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One file: where, the habits that made it, its columns, the true times of each
+    signal and the finest step of its clock in s, and whether it tells what it means."""
+
+    path: Path
+    habits: dict[str, str]
+    columns: tuple[Written, ...]
+    times: dict[str, FloatArray]
+    tick: float
+    tells: bool
+
+
+def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
+    """A habit of each feature; what cannot be together is made plain."""
+    habits = {}
+    for feature, known in HABITS.items():
+        is_plain = rng.random() < PLAIN
+        habits[feature] = known[0] if is_plain else str(rng.choice(known[1:]))
+    seen = _BENCH_SEEN if truth.is_bench else _MACHINE_SEEN
+    if rng.random() < KNOWN:
+        habits |= seen[int(rng.integers(len(seen)))]
+
+    def plain(*features: str) -> None:
+        habits.update({feature: HABITS[feature][0] for feature in features})
+
+    if habits["file"] != "text":
+        plain("separator", "decimal", "thousands", "quotes", "encoding", "blocks")
+        if habits["header"] != "none":
+            plain("header")
+        if habits["cells"].startswith("surplus"):
+            plain("cells")
+    if habits["separator"] == "blanks":
+        plain("thousands", "beside")
+        if habits["index"] != "numbers without a title":
+            plain("index")
+        if habits["cells"] != "SI letters":
+            plain("cells")
+        if habits["units"] in ("(u)", "[u]", "/ u", "comma u", "in cells", "(u) Run #1"):
+            habits["units"] = "_u"
+    if habits["units"] == "in cells" or habits["cells"] == "SI letters":
+        plain("thousands")
+        if habits["cells"] == "SI letters":
+            habits["scale"] = "usual"
+    if habits["units"] == "in cells":
+        habits["cells"] = "full" if habits["cells"] == "SI letters" else habits["cells"]
+    if habits["thousands"] != "none" and habits["scale"] != "um alone":
+        habits["scale"] = "small"
+    if not truth.is_bench:
+        plain("current", "index")
+        if habits["beside"] != "crosshead" or not truth.is_extension:
+            plain("beside")
+        if habits["cells"] in ("sparse last", "gaps", "surplus comment", "SI letters"):
+            plain("cells")
+        if habits["time"] in (*_COARSE, "a clock each", "elapsed and date-time"):
+            plain("time")
+        if habits["titles"] == "topics":
+            plain("titles")
+    if habits["cells"] == "sparse last" and habits["time"] in (*_COARSE, "a clock each", "none"):
+        plain("time")
+    if truth.is_bench and habits["beside"] == "crosshead":
+        plain("beside")
+    if truth.kind == "duty" and habits["scale"] == "other":
+        plain("scale")  # whole per cents: coarse, but for nothing
+    can_be_mean = truth.kind == "duty" or habits["current"] != "mean of a switched supply"
+    if not can_be_mean or not any(column.kind == "current" for column in truth.columns):
+        plain("current")
+    if truth.kind == "duty" and any(column.kind == "current" for column in truth.columns):
+        habits["current"] = "mean of a switched supply"
+    return habits
+
+
+def tells(truth: Truth, habits: dict[str, str]) -> bool:
+    """Whether a person who has the file alone knows what every number in it means."""
+    signs = habits["separator"], habits["decimal"]
+    splits_numbers = signs == ("comma", "comma") and habits["quotes"] != "all"
+    vague_clock = habits["time"].endswith("no unit") or habits["time"] == "none"
+    return not (
+        splits_numbers
+        or (vague_clock and (truth.is_bench or truth.kind == "dsc"))
+        or habits["units"] in ("none", "not of T")
+        or habits["header"] == "none"
+        or habits["beside"] == "second thermometer"
+        or habits["current"] != HABITS["current"][0]
+        or truth.kind == "beam"  # which way is forward?
+        or (truth.kind == "dsc" and habits["notes"] != "key: value")  # the mass
+        or (not truth.is_bench and habits["titles"] in ("symbols", "T_name"))
+        or (habits["titles"] == "Spanish" and truth.kind in ("isobaric", "tensile", "dsc"))
+    )
+
+
+def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Generator) -> Sample:
+    """Write the table in a dialect into `folder`."""
+    language = _STYLES.index(habits["titles"])
+    is_sparse = habits["cells"] == "sparse last"
+    late = truth.time[::3] + _LATE if is_sparse else truth.time[:0]
+    order = np.argsort(np.concatenate([truth.time, late]), kind="stable")
+    time = np.concatenate([truth.time, late])[order]
+    is_late, rows = order >= len(truth.time), len(order)
+    row_of = np.where(is_late, 3 * (order - len(truth.time)), order)  # of the truth
+    scale = HABITS["scale"].index(habits["scale"]) % 4
+    columns: list[Written] = []
+    units: list[str] = []
+    cells: list[list[Any]] = []
+    decimals: list[int] = []
+
+    def put(title: str, unit: str, values: list[Any], places: int, of: Quantity | None = None,
+            step: float = 0.0) -> None:  # fmt: skip
+        columns.append(Written(title, of, step))
+        units.append(unit)
+        cells.append(values)
+        decimals.append(places)
+
+    # The clock, then the quantities, each as numbers rounded to its decimals.
+    clock = _clock(time, habits, language)
+    for one in clock:
+        put(*one)
+    for quantity in truth.columns:
+        at = 1 if habits["scale"] == "um alone" and quantity.kind == "length" else scale
+        unit, factor, zero, places = _UNITS[quantity.kind][at]
+        values = quantity.sign * quantity.values + quantity.offset
+        if quantity.kind == "heat flow" and unit == "W/g":
+            factor = truth.mass * 1e3
+        if quantity.kind == "current":
+            values = _CONVENTIONS[habits["current"]](values)
+        word = _WORDS[quantity.kind][language]
+        if truth.kind == "beam" and quantity.kind == "voltage":
+            word = f"{quantity.signal.partition('.')[0]} {word}"
+        if habits["beside"] == "crosshead" and quantity.kind == "extension":
+            put("Crosshead", unit, np.round((0.2 + 1.8 * values) / factor, places).tolist(), places)
+            word = "Extensometer"
+        if habits["time"] == "a clock each" and quantity is truth.columns[-1]:
+            put(*_clock(time + _SHIFT, habits, language)[0])
+        numbers = np.round((values[row_of] - zero) / factor, places).tolist()
+        put(word, unit, numbers, places, quantity, factor * 10.0**-places)
+    beside: dict[str, tuple[str, str, list[Any]]] = {
+        "comment": ("Comment", "", ["" if k % 40 else f"note {k // 40 + 1}" for k in range(rows)]),
+        "status": ("Status", "", [float(k > rows // 2) for k in range(rows)]),
+        "setpoint": ("Setpoint", "V", [float(k // 50) for k in range(rows)]),
+        "second thermometer": ("T2", "°C", [21.0 + 0.01 * (k % 7) for k in range(rows)]),
+    }
+    if habits["beside"] in beside:
+        put(*beside[habits["beside"]], 2)
+
+    # Cells that are not there, and rows of the last column alone.
+    grid = [[column[k] for column in cells] for k in range(rows)]
+    width = len(columns)
+    if habits["cells"] == "gaps":
+        first = len(clock)
+        for row in range(5, rows - 1):
+            if rng.random() < 0.05:
+                grid[row][int(rng.integers(first, width))] = str(rng.choice(["", "NaN", "---"]))
+    if is_sparse:
+        last = max(k for k, column in enumerate(columns) if column.quantity)
+        for k, row in enumerate(grid):
+            empty = range(len(clock), width) if is_late[k] else (last,)
+            grid[k] = ["" if c in empty and (c != last or not is_late[k]) else v
+                       for c, v in enumerate(row)]  # fmt: skip
+
+    # Titles, units and numbers as texts.
+    texts = [[_text(cell, decimals[k], units[k], habits) for k, cell in enumerate(row)]
+             for row in grid]  # fmt: skip
+    titles, head = _titles([column.title for column in columns], units, habits)
+    if habits["index"] != "none":
+        name = {"unnamed": "", "titled": "No."}.get(habits["index"])
+        mark = "r" if habits["index"] == "row names" else ""
+        texts = [[f"{mark}{k + 1}", *row] for k, row in enumerate(texts)]
+        grid = [[row[0], *values] for row, values in zip(texts, grid, strict=True)]
+        titles = titles if name is None else [name, *titles]
+        head = head if name is None else [["", *row] for row in head]
+    if habits["cells"] == "surplus separators":
+        texts = [[*row, ""] for row in texts]
+    if habits["cells"] == "surplus comment":
+        texts = [[*row, "here"] if k in (30, 60) else row for k, row in enumerate(texts)]
+    path = _write_file(truth, habits, titles, head, texts, grid, folder)
+    tick = 1.0 if habits["time"] in _COARSE else 1e-3
+    last_one = truth.columns[-1]
+    times = {c.quantity.signal: truth.time for c in columns if c.quantity}
+    if habits["time"] == "a clock each" and len(truth.columns) > 1:
+        times[last_one.signal] = truth.time + _SHIFT
+    if is_sparse:
+        times[last_one.signal] = late
+    marked = tuple(
+        Written(title, column.quantity, column.step)
+        for title, column in zip(titles[-width:], columns, strict=True)
+    )
+    return Sample(path, habits, marked, times, tick, tells(truth, habits))
+
+
+def _clock(
+    time: FloatArray, habits: dict[str, str], language: int
+) -> list[tuple[str, str, list[Any], int]]:
+    """Columns of the clock: title, unit, cells, decimals."""
+    title, how = _WORDS["time"][language], habits["time"]
+    stamps = [START + dt.timedelta(seconds=float(t)) for t in time]
+    unit = {"days": "d", "a clock each": "s"}.get(how, how.removesuffix(", no unit"))
+    if unit in _NUMBERED:
+        factor, places = _NUMBERED[unit]
+        numbers = np.round(time / factor, places).tolist()
+        return [(title, "" if how.endswith("no unit") else unit, numbers, places)]
+    if how == "whole s":
+        return [(title, "s", np.floor(time + 1e-9).tolist(), 0)]
+    if how == "epoch":
+        start = START.replace(tzinfo=dt.UTC).timestamp()
+        return [(title, "s", np.round(start + time, 3).tolist(), 3)]
+    if how == "none":
+        return []
+    date = ("%Y-%m-%d", "%d.%m.%Y", "%d/%m/%Y", "%d-%m-%Y", "%m/%d/%Y", "%Y/%m/%d", "%Y-%m-%d")
+    fraction = [f".{s.microsecond // 1000:03d}" for s in stamps]
+    day = [s.strftime(date[language]) for s in stamps]
+    moment = [s.strftime("%H:%M:%S") + f for s, f in zip(stamps, fraction, strict=True)]
+    both = [f"{a} {b}" for a, b in zip(day, moment, strict=True)]
+    if how == "date and whole s":
+        moment = [s.strftime("%H:%M:%S") for s in stamps]
+    if how in ("date and time", "date and whole s"):
+        return [(_WORDS["date"][language], "", day, 0), (title, "", moment, 0)]
+    if how == "AM/PM":
+        half = [s.strftime("%I:%M:%S") + f + s.strftime(" %p")
+                for s, f in zip(stamps, fraction, strict=True)]  # fmt: skip
+        return [(title, "", half, 0)]
+    if how == "mm:ss":
+        return [(title, "", [f"{int(t // 60):02d}:{t % 60:06.3f}" for t in time], 0)]
+    if how == "hh:mm:ss":
+        return [(title, "", moment, 0)]
+    if how == "whole seconds":
+        return [(title, "", [s.strftime("%Y-%m-%d %H:%M:%S") for s in stamps], 0)]
+    if how == "ISO with zone":
+        zone = [s.strftime("%Y-%m-%dT%H:%M:%S") + f + "+01:00"
+                for s, f in zip(stamps, fraction, strict=True)]  # fmt: skip
+        return [(title, "", zone, 0)]
+    columns = [("Timestamp", "", both, 0)]
+    if how == "elapsed and date-time":
+        columns.append((title, "s", np.round(time, 4).tolist(), 4))
+    return columns
+
+
+def _text(cell: Any, places: int, unit: str, habits: dict[str, str]) -> str:
+    """One cell as the file has it."""
+    if isinstance(cell, str):
+        return cell
+    if habits["cells"] == "SI letters" and unit in ("A", "V") and 0.0 < abs(cell) < 1.0:
+        text = f"{cell * 1e3:.{max(places - 3, 0) + 1}f}m"
+    else:
+        text = f"{cell:,.{places}f}"
+    point = "," if habits["decimal"] == "comma" else "."
+    group = {"none": "", "blank": "\u00a0", "sign": "." if point == "," else ","}
+    text = text.translate({ord(","): group[habits["thousands"]], ord("."): point})
+    return f"{text} {unit}" if habits["units"] == "in cells" and unit not in ("", "1") else text
+
+
+def _titles(
+    names: list[str], units: list[str], habits: dict[str, str]
+) -> tuple[list[str], list[list[str]]]:
+    """Titles, and the rows of units below them."""
+    form = {"(u)": "{} ({})", "[u]": "{} [{}]", "/ u": "{} / {}", "_u": "{}_{}",
+            "comma u": "{}, {}", "(u) Run #1": "{} ({}) Run #1", "not of T": "{} ({})",
+            "row u": "{}", "row (u)": "({})", "row [u]": "[{}]"}.get(habits["units"])  # fmt: skip
+    if habits["separator"] == "blanks":
+        names = [name.replace(" ", "_") for name in names]
+    if habits["units"] == "not of T":
+        units = ["" if u in ("°C", "degC", "C", "K") else u for u in units]
+    if form and habits["units"].startswith("row"):
+        return names, [[form.format(u) if u else "" for u in units]]
+    if form:
+        names = [form.format(n, u) if u else n for n, u in zip(names, units, strict=True)]
+    return names, []
+
+
+def _write_file(
+    truth: Truth, habits: dict[str, str], titles: list[str], head: list[list[str]],
+    texts: list[list[str]], grid: list[list[Any]], folder: Path,
+) -> Path:  # fmt: skip
+    mass = [("Sample Mass", f"{truth.mass * 1e6:.3f} mg")] if truth.mass else []
+    notes = [("Operator", "nobody"), *mass]
+    lines = {
+        "key: value": [f"{key}: {value}" for key, value in notes],
+        "# lines": [f"# {key} = {value}" for key, value in notes],
+        "a sentence": ["Measured on a bench that is not there", ""],
+    }.get(habits["notes"], [])
+    if habits["file"] != "text":
+        return _write_workbook(habits, lines, titles, head, texts, grid, folder)
+    separator = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": "   "}[habits["separator"]]
+
+    def joined(row: list[str], quoted: bool) -> str:
+        if separator == "   ":
+            return separator + separator.join(cell or "-" for cell in row)
+        must = habits["thousands"] != "none" or habits["units"] == "comma u"
+        return separator.join(
+            f'"{cell}"' if quoted or (must and separator in cell) else cell for cell in row
+        )
+
+    quoted = habits["quotes"] != "none"
+    header = [joined(titles, quoted)] + [joined(row, quoted) for row in head]
+    header[0] = {"#": "#", "##": "##"}.get(habits["header"], "") + header[0]
+    header = [] if habits["header"] == "none" else header
+    header += [header[0]] if habits["header"] == "twice" else []
+    body = [joined(row, habits["quotes"] == "all") for row in texts]
+    half = len(body) // 2
+    if habits["blocks"] == "again":
+        body = [*body[:half], "", *header, *body[half:]]
+    if habits["blocks"] == "footer":
+        body += ["", "End of data"]
+    text = "\n".join([*lines, *header, *body]) + "\n"
+    path = folder / ("run.csv" if separator in ",;" else "run.txt")
+    if habits["encoding"] == "mac_roman":
+        text = text.replace("²", "2")
+    path.write_bytes(text.encode(habits["encoding"], "replace"))
+    return path
+
+
+def _write_workbook(
+    habits: dict[str, str], lines: list[str], titles: list[str], head: list[list[str]],
+    texts: list[list[str]], grid: list[list[Any]], folder: Path,
+) -> Path:  # fmt: skip
+    from openpyxl import Workbook
+
+    book = Workbook()
+    sheet = book.active
+    sheet.title = "Data"
+    if habits["file"] == "xlsx, notes first":
+        sheet.title = "Info"
+        sheet.append(["Operator", "nobody"])
+        sheet = book.create_sheet("Data")
+    is_text = habits["units"] == "in cells" or habits["cells"] == "SI letters"
+    sheets = [sheet]
+    if habits["file"] == "xlsx, a second sheet":
+        sheets.append(book.create_sheet("Data 2"))
+    for sheet in sheets:
+        top = [[line] for line in lines] + ([] if habits["header"] == "none" else [titles, *head])
+        for row in top + (texts if is_text else grid):
+            sheet.append([None if cell == "" else cell for cell in row])
+    path = folder / "run.xlsx"
+    book.save(path)
+    return path

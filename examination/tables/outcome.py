@@ -1,0 +1,189 @@
+"""Imports one file as its user would, and judges what came of it against the truth.
+
+`RIGHT`: every value and time within what the file writes, every column and sheet used or named.
+`ASKED`: a question, in the map or in the line. `REFUSED`: a reason, exit 2. `WRONG`: exit 0 with
+values, times or rows that are not those of the file, or a column left out without a word.
+`RAISED`: anything but an answer.
+"""
+
+import contextlib
+import io
+import traceback
+from typing import Any
+
+import numpy as np
+
+from examination.tables.dialects import Sample, Written
+from examination.tables.truths import RIGS, FloatArray, Truth
+
+RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
+OUTCOMES = (RIGHT, ASKED, REFUSED, WRONG, RAISED)
+_ENOUGH = 0.8  # of an instrument's rows; its readers leave out turns and rests
+_MOST_LINE = 300
+
+
+def outcome(truth: Truth, sample: Sample) -> tuple[str, str]:
+    """One of `OUTCOMES`, and why."""
+    try:
+        return _imported(truth, sample) if truth.is_bench else _opened(truth, sample)
+    except Exception:
+        return RAISED, traceback.format_exc()[-_MOST_LINE:]
+
+
+def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
+    """A bench run through `sma-bench import`, then the bag."""
+    import sma_bench
+    from sma_bench.cli import main
+
+    folder = sample.path.parent
+    rig, bag = folder / "rig.yaml", folder / "bag"
+    rig.write_text(f"/**:\n  ros__parameters:\n    {RIGS[truth.kind]}\n")
+    said = io.StringIO()
+    arguments = ["import", str(sample.path), "--params", str(rig), "--out", str(bag)]
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        status = main(arguments)
+    text = said.getvalue()
+    maps = "\n".join(path.read_text() for path in folder.glob("*.map.yaml"))
+    if status == 2:
+        asks = "unsure of" in text or ": ask" in maps or '"ask"' in maps
+        return (ASKED if asks else REFUSED), _line(text)
+    if status != 0:
+        return RAISED, f"exit {status}: {_line(text)}"
+    bags = [bag] if (bag / "metadata.yaml").exists() else sorted(bag.iterdir())
+    record = sma_bench.load(bags[0])
+    faults = []
+    for column in sample.columns:
+        if column.quantity is None:
+            continue
+        signal = record.get(column.quantity.signal)
+        if signal is None:
+            if column.title not in text + maps:
+                faults.append(f"{column.title}: vanished")
+            elif column.quantity.signal != "ambient.temperature":
+                faults.append(f"{column.title}: not read, though named")
+            continue
+        fault = _signal_fault(truth, sample, column, signal, "average" in text + maps)
+        faults += [f"{column.title}: {fault}"] if fault else []
+    true = {column.signal for column in truth.columns}
+    extra = set(record.signals) - true
+    if extra - {"ambient.temperature"}:
+        faults.append(f"signals of nothing: {', '.join(sorted(extra))}")
+    said_of = text + maps
+    for title in ("Comment", "Status", "T2"):
+        if any(column.title.startswith(title) for column in sample.columns) and (
+            title not in said_of
+        ):
+            faults.append(f"{title}: vanished")
+    if sample.habits["file"] == "xlsx, a second sheet" and len(bags) < 2 and "Data 2" not in text:
+        faults.append("sheet Data 2: vanished")
+    return (WRONG, "; ".join(faults)) if faults else (RIGHT, "")
+
+
+def _signal_fault(
+    truth: Truth, sample: Sample, column: Written, signal: Any, is_averaged: bool
+) -> str:
+    """What is wrong with a signal; "" if nothing is."""
+    quantity, step = column.quantity, column.step
+    assert quantity is not None
+    time, values = np.asarray(signal.time), np.asarray(signal.values, dtype=float)
+    true = quantity.values
+    if quantity.kind == "duty":  # read as the direct voltage of the same heat
+        values, true = (values / 12.0) ** 2, quantity.values
+        step *= 2.0
+    if quantity.kind == "current" and sample.habits["cells"] == "SI letters":
+        step = max(step, 1e-4)
+    if not len(time):
+        return "empty"
+    # Gaps are drawn: of them at most a tenth may be absent.
+    expected = sample.times[quantity.signal]
+    true = true[::3] if len(expected) < len(true) else true
+    rows = np.arange(len(expected))
+    fewest = 0.88 * len(rows) if sample.habits["cells"] == "gaps" else len(rows)
+    if not fewest <= len(time) <= len(rows):
+        seconds = expected[-1] - expected[0]
+        if not is_averaged or sample.tick < 1.0 or abs(len(time) - seconds) > 2.0:
+            return f"{len(time)} samples of {len(rows)}"
+        slack = 0.5 * np.ptp(true) + step
+        error = np.abs(values - np.interp(time, expected, true)).max()
+        return "" if error <= slack else f"averages off by {error:.3g}"
+    if len(time) == len(expected):
+        nearest = np.arange(len(rows))
+    else:
+        nearest = np.abs(time[:, None] - expected[None, :]).argmin(axis=1)
+    late = np.abs(time - expected[nearest]).max()
+    tick = 1.05 if sample.tick >= 1.0 else max(sample.tick, 1e-4 * np.ptp(truth.time))
+    if late > tick:
+        return f"times off by {late:.3g} s"
+    error = np.abs(values - true[nearest]).max()
+    loose = 2.2 if quantity.signal in ("elongation", "deflection") else 1.2  # a zero was taken off
+    limit = loose * 0.5 * step + 1e-6 * np.abs(true).max()
+    return "" if error <= limit else f"values off by {error:.3g}, written to {step:.3g}"
+
+
+def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
+    """An instrument's file through `sma_bench.load`."""
+    import sma_bench
+
+    try:
+        record: Any = sma_bench.load(sample.path)
+    except sma_bench.InputError as error:
+        line = str(error)
+        return (ASKED if "?" in line or "state" in line else REFUSED), line[:_MOST_LINE]
+    kind = type(record).__name__.removesuffix("Record").lower()
+    kind = "dsc" if kind.endswith("dsc") else kind
+    if kind != truth.kind:
+        return WRONG, f"read as {kind or 'a run'}"
+    if sample.habits["file"] == "xlsx, a second sheet" and "Data 2" not in str(record.findings):
+        return WRONG, "sheet Data 2: vanished"
+    by_name = {c.quantity.signal: c for c in sample.columns if c.quantity}
+    if truth.kind == "dsc":
+        if abs(record.mass - truth.mass) > 1e-9:
+            return WRONG, f"mass {record.mass:.4g} kg of {truth.mass:.4g}"
+        parts = record.segments
+        got = {name: _joined(parts, name) for name in ("time", "temperature", "heat_flow")}
+        true = {"time": truth.time} | {c.signal: c.values for c in truth.columns}
+        steps = {"time": 1e-3} | {n: c.step for n, c in by_name.items()}
+        got["time"] = got["time"] - got["time"][0] + truth.time[0]
+    elif truth.kind == "isobaric":
+        parts = [branch for cycle in record.cycles for branch in cycle.branches]
+        got = {name: _joined(parts, name) for name in by_name}
+        true = {c.signal: c.values for c in truth.columns}
+        steps = {n: c.step for n, c in by_name.items()}
+    else:
+        got = {"strain": record.strain, "stress": record.stress}
+        true = {c.signal: c.values for c in truth.columns}
+        steps = {n: c.step for n, c in by_name.items()}
+        is_extension = by_name["strain"].quantity.kind == "extension"
+        is_force = by_name["stress"].quantity.kind == "force"
+        if (record.is_extension, record.is_force) != (is_extension, is_force):
+            return WRONG, "extension or force taken for strain or stress, or the other way"
+        got["strain"] = got["strain"] - got["strain"][0] + true["strain"][0]
+    return _row_fault(got, true, steps)
+
+
+def _joined(parts: Any, name: str) -> FloatArray:
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+def _row_fault(
+    got: dict[str, FloatArray], true: dict[str, FloatArray], steps: dict[str, float]
+) -> tuple[str, str]:
+    """Whether every row read is one of the truth's, in all columns, and enough of them."""
+    count = len(next(iter(true.values())))
+    read = len(next(iter(got.values())))
+    if read < _ENOUGH * count:
+        return WRONG, f"{read} rows of {count}"
+    worst = np.zeros((read, count))
+    for name, values in got.items():
+        limit = 0.6 * steps[name] * (2.0 if name == "strain" else 1.0)
+        limit += 1e-6 * float(np.abs(true[name]).max()) + (0.01 if name == "time" else 0.0)
+        worst = np.maximum(worst, np.abs(values[:, None] - true[name][None, :]) / limit)
+    away = worst.min(axis=1)
+    if away.max() > 1.0:
+        return WRONG, f"{int((away > 1.0).sum())} rows of {read} are none of the file's"
+    return RIGHT, ""
+
+
+def _line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return " ".join(lines)[-_MOST_LINE:]
