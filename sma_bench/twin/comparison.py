@@ -111,9 +111,11 @@ class SignalBins:
         return len(self._bins)
 
     @property
-    def samples_a_bin(self) -> int:
-        """Of the newest bin, 0 before there is one."""
-        return self._bins[-1].count if self._bins else 0
+    def play(self) -> float:
+        """Within which a difference that is smoothed over the newest bins is noise."""
+        if np.isnan(self.scatter) or not self._bins:
+            return 0.0
+        return float(_PLAY * self.scatter / np.sqrt(self._bins[-1].count))
 
     @property
     def scatter(self) -> float:
@@ -366,7 +368,14 @@ class Comparison:
         if len(time) < 2:
             return
         own = self._differences[-1 - _AHEAD]
-        before, after = self._correction, self._corrected()
+        # Measured less predicted temperatures (w,) of the middle bin, smoothed, with play.
+        differences = np.array(self._differences)
+        weights = _WEIGHTS[-len(differences):, np.newaxis] * np.isfinite(differences)
+        total = weights.sum(axis=0)
+        smooth = (weights * np.nan_to_num(differences)).sum(axis=0)
+        smooth /= np.where(total > 0.0, total, 1.0)
+        play = np.array([signal.play for signal in self.temperatures])
+        before, after = self._correction, np.clip(self._correction, smooth - play, smooth + play)
         self._correction = after
         share = np.clip((time[1:] - start) / BIN, 0.0, 1.0)[:, np.newaxis]
         kelvin = trajectory.temperature[rows][1:] + before + share * (after - before)
@@ -388,22 +397,6 @@ class Comparison:
             off = float(np.hypot(moving, spread))
             cause = float(np.mean(predicted))
             signal.add(Bin(stop, residual, len(values), off, cause, side))
-
-    def _corrected(self) -> Array:
-        """(w,) K, measured less predicted temperatures of the middle bin, smoothed, with play."""
-        rows = np.array(self._differences)
-        weights = _WEIGHTS[-len(rows):, np.newaxis] * np.isfinite(rows)
-        total = weights.sum(axis=0)
-        smooth = (weights * np.nan_to_num(rows)).sum(axis=0) / np.where(total > 0.0, total, 1.0)
-        play = np.array([self._play_of(signal) for signal in self.temperatures])
-        return np.clip(self._correction, smooth - play, smooth + play)
-
-    @staticmethod
-    def _play_of(signal: SignalBins) -> float:
-        scatter, rate = signal.scatter, signal.samples_a_bin
-        if np.isnan(scatter) or not rate:
-            return 0.0
-        return float(_PLAY * scatter / np.sqrt(rate))
 
     def _mechanics_of(self, bench: TemperatureDriven, time: Array, kelvin: Array) -> Array:
         deflection, force = bench.run(time, kelvin)

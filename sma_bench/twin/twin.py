@@ -354,23 +354,22 @@ class Judge:
             return Verdict(QUIET, f"no gap beyond the noise{apart}", measured=tuple(measured))
         stages = tuple(grown or gaps)
         sides = tuple(dict.fromkeys(s for stage in stages for s in self._sides_of(stage)))
-        places = "; ".join(
-            ", ".join(filter(None, [_words(stage, comparison), self._side_words(stage)]))
-            for stage in stages
-        )
-        said = "gap grew" if grown else "gap, as it was known"
-        return Verdict(GREW if grown else GAP, f"{said}: {places}", stages, sides, tuple(measured))
+        blind = any(not s.bins for s in comparison.temperatures)
+        places = []
+        for stage in stages:
+            named_sides = self._sides_of(stage)
+            where = "both sides" if len(named_sides) > 1 else f"{named_sides[0]} side"
+            what = "temperature sensor" if stage == SENSOR else f"{stage} stage"
+            if stage == MECHANICAL and blind:
+                what = "thermal or mechanical stage (wires without temperatures)"
+            places.append(what if len(self._sides) == 1 else f"{what}, {where}")
+        said = f"{'gap grew' if grown else 'gap, as it was known'}: {'; '.join(places)}"
+        return Verdict(GREW if grown else GAP, said, stages, sides, tuple(measured))
 
     def _sides_of(self, stage: str) -> tuple[str, ...]:
         counted = self._latest[stage]
         there = counted >= _ALIKE * counted.max()
         return tuple(n for n, here in zip(self._sides, there, strict=True) if here)
-
-    def _side_words(self, stage: str) -> str:
-        if len(self._sides) == 1:
-            return ""
-        sides = self._sides_of(stage)
-        return "both sides" if len(sides) > 1 else f"{sides[0]} side"
 
 
 @dataclass(frozen=True)
@@ -468,12 +467,3 @@ def _sensor(
     if not wrong or free is None or np.nanmax(free.gap) >= rules.threshold:
         return {}
     return {SENSOR: named[THERMAL], THERMAL: np.zeros(sides), MECHANICAL: np.zeros(sides)}
-
-
-def _words(stage: str, comparison: Comparison) -> str:
-    if stage == SENSOR:
-        return "temperature sensor"
-    blind = any(not s.bins for s in comparison.temperatures)
-    if stage == MECHANICAL and blind:
-        return "thermal or mechanical stage (wires without temperatures)"
-    return f"{stage} stage"
