@@ -79,9 +79,17 @@ def stiffness(beam: Beam) -> Erratum:
         layer_modulus=1e-6 * beam.layer_modulus, layer_width=1e3 * beam.layer_width,
         offset=1e3 * beam.offset,
     )
+    # EI of two layers about their common neutral axis, from first principles.
+    layers = (
+        (beam.width * beam.modulus, beam.thickness, 0.5 * beam.thickness),
+        (beam.layer_width * beam.layer_modulus, beam.layer_thickness,
+         beam.thickness + 0.5 * beam.layer_thickness),
+    )
+    neutral = sum(e * h * z for e, h, z in layers) / sum(e * h for e, h, _ in layers)
+    parallel = sum(e * (h**3 / 12.0 + h * (z - neutral) ** 2) for e, h, z in layers)
     lines = tuple(
         line(f"EI, {what}", "N m²", factor * bending.bending_stiffness_as_printed(b),
-              factor * bending.bending_stiffness(b), _parallel_axes(beam), "parallel axes")
+              factor * bending.bending_stiffness(b), parallel, "parallel axes")
         for what, factor, b in (
             ("computed in m and Pa", 1.0, beam), ("computed in mm and MPa", 1e-6, millimetres),
         )
@@ -94,19 +102,6 @@ def stiffness(beam: Beam) -> Erratum:
         "The width belongs to every term and 12 to the whole denominator. As printed the "
         "dimensions disagree, so the result depends on the units it is computed in.",
     )
-
-
-def _parallel_axes(beam: Beam) -> float:
-    """EI of two layers about their common neutral axis, from first principles."""
-    layers = (
-        (beam.width * beam.modulus, beam.thickness, 0.5 * beam.thickness),
-        (beam.layer_width * beam.layer_modulus, beam.layer_thickness,
-         beam.thickness + 0.5 * beam.layer_thickness),
-    )
-    tension = sum(e * h for e, h, _ in layers)
-    neutral = sum(e * h * z for e, h, z in layers) / tension
-    each = (e * (h**3 / 12.0 + h * (z - neutral) ** 2) for e, h, z in layers)
-    return sum(each)
 
 
 def deflection_of_strain(beam: Beam) -> Erratum:
@@ -311,14 +306,6 @@ def expansion(paper: Parameters) -> Erratum:
     )
 
 
-def purge_gas() -> Erratum:
-    """Item 11."""
-    return Erratum(
-        11, "section III.B.1", '"nitrate as purge gas"', "nitrogen",
-        remark="A nitrate is a salt; DSCs are purged with nitrogen.",
-    )
-
-
 # --- Errata 12 to 19: loads, agreements and laws that do not hold as they are said.
 
 _CURRENT_RANGE, _VOLTAGE_RANGE = 3.0, 10.0  # A, V, section IV
@@ -359,18 +346,6 @@ def agreement() -> Erratum:
         "only A_s of the first cycle agrees", lines,
         "The UPFR's 14 MPa shift both by +2 K at 7 MPa/K and cannot make A_f fall. The two see "
         "different specimens, prestrains and tangents.",
-    )
-
-
-def one_symbol() -> Erratum:
-    """Item 14: h_c."""
-    return Erratum(
-        14, "eqs. (5), (14)", "h_c in both", "h in (5), as in (2) to (4)",
-        (
-            ("h_c of eq. (5)", "h_c", "h, W/(m² K)", "(5) is (2) over m: the same coefficient"),
-            ("h_c of eqs. (14) to (17), (22)", "h_c", "h_c, m", "thickness of the matrix"),
-        ),
-        "One symbol for a heat transfer coefficient and for a thickness.",
     )
 
 
@@ -482,6 +457,12 @@ def geometry(rig: Parameters) -> Erratum:
     stiff = wires * rig["wire.austenite_modulus"] / sheet[1]
     beta, strain = bending.stress_per_deflection(bending.as_printed(beam)), 0.01
     coupled = strain * sheet[1] * stiff / (beta + stiff)
+    layers = (
+        (beam.modulus * beam.width * beam.thickness, 0.5 * beam.thickness),
+        (beam.layer_modulus * beam.width * beam.layer_thickness,
+         beam.thickness + 0.5 * beam.layer_thickness),
+    )
+    neutral = sum(e * z for e, z in layers) / sum(e for e, _ in layers)
     return Erratum(
         19, "eqs. (12) to (17), (22)",
         "one w for both layers; a from the centre line; ε of (16) put into (22)",
@@ -494,7 +475,7 @@ def geometry(rig: Parameters) -> Erratum:
                  "least elastic energy"),
             line("neutral axis above the middle of the matrix, one width", "mm", 0.0,
                  1e3 * (sheet[0] - 0.5 * beam.thickness),
-                 1e3 * (_neutral_axis(beam, beam.width) - 0.5 * beam.thickness), "parallel axes"),
+                 1e3 * (neutral - 0.5 * beam.thickness), "parallel axes"),
             line("δ at a free strain of 1 %", "m", coupled, strain * sheet[1],
                  strain * _by_energy(beam, beam.width), "least elastic energy, one width"),
         ),
@@ -522,15 +503,6 @@ def _two_layers(beam: Beam, layer_width: float, strain: float) -> tuple[float, f
         load -= free * np.array([area, first])
     _, bent = np.linalg.solve(system, load)
     return float(system[0, 1] / system[0, 0]), float(-0.5 * bent * beam.length**2)
-
-
-def _neutral_axis(beam: Beam, layer_width: float) -> float:
-    layers = (
-        (beam.modulus * beam.width * beam.thickness, 0.5 * beam.thickness),
-        (beam.layer_modulus * layer_width * beam.layer_thickness,
-         beam.thickness + 0.5 * beam.layer_thickness),
-    )
-    return sum(e * z for e, z in layers) / sum(e for e, _ in layers)
 
 
 def _by_energy(beam: Beam, layer_width: float) -> float:
@@ -577,10 +549,20 @@ def paper_errata() -> list[Erratum]:
         lengths(findings["wire length"], findings["resistivity"]),
         convection(findings["heat transfer"], findings["time constant"]),
         expansion(paper),
-        purge_gas(),
+        Erratum(
+            11, "section III.B.1", '"nitrate as purge gas"', "nitrogen",
+            remark="A nitrate is a salt; DSCs are purged with nitrogen.",
+        ),
         holding_stress(paper),
         agreement(),
-        one_symbol(),
+        Erratum(
+            14, "eqs. (5), (14)", "h_c in both", "h in (5), as in (2) to (4)",
+            (
+                ("h_c of eq. (5)", "h_c", "h, W/(m² K)", "(5) is (2) over m: the same coefficient"),
+                ("h_c of eqs. (14) to (17), (22)", "h_c", "h_c, m", "thickness of the matrix"),
+            ),
+            "One symbol for a heat transfer coefficient and for a thickness.",
+        ),
         omitted_stress(paper),
         current_range(paper),
         stressed_reference(paper),
