@@ -1,15 +1,16 @@
 """Every measure of the withheld-effect check: a number with its interval from judged cases."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from scipy import stats
 
-from examination.blind.case_files import Claim
 from examination.blind.judgement import Judged
 
 Array = NDArray[np.float64]
@@ -107,22 +108,12 @@ DETECTABLE = 2.0
 
 @dataclass(frozen=True)
 class Measure:
-    """One row of the result.
-
-    Attributes:
-        name: as in the table of floors and aims.
-        definition: over which cases, and what counts.
-        of: the number, from all judged cases.
-        better: a higher or a lower value, or one inside a band (floor and aim are (low, high)).
-        style: how it is printed.
-        floor, aim: None for a measure that is reported only.
-        given: measure in which another examinee must be as good before its value counts as better:
-            who always raises an alarm detects everything.
-    """
+    """One row of the result: the number `of` all judged cases, and what measures.yaml says of it;
+    inside a band, floor and aim are (low, high)."""
 
     name: str
-    definition: str
     of: Callable[[Cases], Measured]
+    definition: str = ""
     better: Literal["higher", "lower", "inside"] = "higher"
     style: Literal["share", "number", "points", "seconds"] = "share"
     floor: Bound = None
@@ -158,14 +149,21 @@ def share_of(outcome: Callable[[Judged], bool], among: Callable[[Judged], bool])
     return lambda cases: proportion([outcome(c) for c in cases if among(c)])
 
 
-def of_kind(*kinds: str) -> Callable[[Judged], bool]:
-    """Whatever their gap."""
-    return lambda case: case.label.kind in kinds
+def of_kind(*kinds: str, above: float = -math.inf) -> Callable[[Judged], bool]:
+    """Cases of these kinds with a gap above so many noise standard deviations."""
+    return lambda case: case.label.kind in kinds and case.label.severity > above
 
 
-def seen(*kinds: str) -> Callable[[Judged], bool]:
-    """With a gap above twice the noise."""
-    return lambda case: case.label.kind in kinds and case.label.severity > DETECTABLE
+def claimed(value: Callable[[float, float], float], level: float = 0.5) -> Callable:
+    """Quantile of a function of claimed and true fraction, of cases that claim one."""
+    return lambda cases: quantile(
+        [value(claim.fraction, true) for claim, true in (c.claim for c in cases if c.claim)], level
+    )
+
+
+def of_known(value: Callable[[Judged], float], level: float = 0.5) -> Callable:
+    """Quantile of a number that some cases have not (NaN)."""
+    return lambda cases: quantile([v for v in map(value, cases) if not math.isnan(v)], level)
 
 
 def clean(case: Judged) -> bool:
@@ -173,49 +171,15 @@ def clean(case: Judged) -> bool:
     return case.label.kind == "none" and not case.label.kinetics
 
 
-def kinetics(case: Judged) -> bool:
-    """Nothing is wrong but mildly different kinetics."""
-    return case.label.kind == "none" and case.label.kinetics
-
-
 def distinguishable(case: Judged) -> bool:
     """One effect, five standard deviations off every rival."""
     return case.label.kind == "single" and case.label.distinguishable
 
 
-def placed(case: Judged) -> bool:
-    """Detectable, and the label says where."""
-    return detectable(case) and bool(case.label.where)
-
-
-def anyone(_: Judged) -> bool:
-    """Every case."""
-    return True
-
-
-EFFECT_KINDS = ("single", "pair", "outside")
-single, pair = of_kind("single"), of_kind("pair")
-detectable = seen(*EFFECT_KINDS, "recalibration")
-
-
-def place(key: str) -> Callable[[Cases], Measured]:
-    """Share of `placed` cases whose signal, phase, side or stage is right."""
-    return share_of(lambda c: c.place_right(key), placed)
-
-
-def _claims(cases: Cases) -> list[tuple[Claim, float]]:
-    """Claim and true fraction of every case that claims to shrink a gap that is there."""
-    return [case.claim for case in cases if case.claim]
-
-
-def claimed(value: Callable[[float, float], float], level: float = 0.5) -> Callable:
-    """Quantile of a function of claimed and true fraction."""
-    return lambda cases: quantile([value(c.fraction, true) for c, true in _claims(cases)], level)
-
-
 def shrinkage_coverage(cases: Cases) -> Measured:
     """Share of claimed 90 % intervals that hold the true fraction."""
-    return proportion([c.ci90[0] <= true <= c.ci90[1] for c, true in _claims(cases)])
+    claims = [case.claim for case in cases if case.claim]
+    return proportion([c.ci90[0] <= true <= c.ci90[1] for c, true in claims])
 
 
 def first_choice_calibration(cases: Cases) -> Measured:
@@ -224,212 +188,73 @@ def first_choice_calibration(cases: Cases) -> Measured:
     return calibration_error([p for p, _ in stated], [right for _, right in stated])
 
 
-def parameter_error(which: int) -> Callable[[Cases], Measured]:
-    """Median parameter error, of the lab's file (0) or the improved one (1)."""
-    def of(cases: Cases) -> Measured:
-        errors = [case.parameter_error[which] for case in cases]
-        return quantile([error for error in errors if not math.isnan(error)], 0.5)
-
-    return of
-
-
-def seconds(level: float) -> Callable[[Cases], Measured]:
-    """Quantile of the time to answer."""
-    return lambda cases: quantile([c.seconds for c in cases if not math.isnan(c.seconds)], level)
-
-
-def set_size(cases: Cases) -> Measured:
-    """Mean number of candidates in the 90 % set."""
-    sizes = [float(len(case.credible_set)) for case in cases if case.answer]
-    return mean(sizes) if sizes else NOTHING
-
-
-# --- The measures by name: those with a floor and an aim, and those that are reported besides.
-
-# The table of floors and aims, row by row.
-TARGETS = (
-    Measure(
-        "detection of gaps above twice the noise",
-        "cases with something wrong and a measured gap above 2 noise standard deviations; any "
-        "verdict but no_gap, an ambiguous one only without no_gap in its 90 % set",
-        share_of(lambda c: c.says_gap, detectable), floor=0.97, aim=0.99,
-        given="false alarms on no effect",
-    ),
-    Measure(
-        "false alarms on no effect",
-        "cases with nothing wrong, noise white, coloured or drifting; verdict effect or "
-        "unexplained, or ambiguous with neither no_gap nor recalibration in its 90 % set",
-        share_of(lambda c: c.alarms, clean), "lower", floor=0.02, aim=0.005,
-    ),
-    Measure(
-        "false alarms on benign kinetics mismatch",
-        "the same over cases with mildly different kinetics and nothing else",
-        share_of(lambda c: c.alarms, kinetics), "lower", floor=0.10, aim=0.05,
-    ),
-    Measure(
-        "first choice right, singles above twice the noise",
-        "single effects with a measured gap above 2 noise standard deviations; the most probable "
-        "candidate is the effect",
-        share_of(lambda c: c.first_choice_right, seen("single")), floor=0.90, aim=0.95,
-    ),
-    Measure(
-        "singles named and right", "the same; the verdict is `effect`, too",
-        share_of(lambda c: c.verdict == "effect" and c.first_choice_right, seen("single")),
-        floor=0.80, aim=0.90,
-    ),
-    Measure(
-        "wrong parameters said as such, with the parameter",
-        "parameters 2.5 to 5 stated deviations off and no effect, gap above 2; verdict "
-        "recalibration, and the improved file has one of them 2 deviations or more from where it "
-        "was believed",
-        share_of(lambda c: c.verdict == "recalibration" and bool(c.moved & c.label.wrong),
-                 seen("recalibration")), floor=0.70, aim=0.85,
-    ),
-    Measure(
-        "90 % set holds the truth",
-        "all cases but pairs; the fewest candidates that make 90 % have the truth among them",
-        share_of(lambda c: c.set_holds_truth, lambda c: not pair(c)), floor=0.90, aim=0.92,
-    ),
-    Measure(
-        "90 % set, mean size", "all answers; number of candidates in the 90 % set",
-        set_size, "lower", "number", floor=1.6, aim=1.3, given="90 % set holds the truth",
-    ),
-    Measure(
-        "probability given to the truth",
-        "all cases; summed over candidates that are made of nothing but what is true",
-        lambda cases: mean([c.truth_probability for c in cases]), style="number",
-        floor=0.82, aim=0.90,
-    ),
-    Measure(
-        "out-of-library: abstains or flags",
-        "effects that no library has, gap above 2; verdict ambiguous or unexplained, or "
-        "unexplained in the 90 % set",
-        share_of(lambda c: c.abstains_or_flags, seen("outside")), floor=0.90, aim=0.97,
-    ),
-    Measure(
-        "confident and wrong",
-        "all cases; verdict effect with a cause that shares nothing with the truth, or a candidate "
-        "that shares nothing with it at 0.8 or more",
-        share_of(lambda c: c.confident_and_wrong, anyone), "lower", floor=0.02, aim=0.01,
-    ),
-    Measure(
-        "claimed against true shrinkage, median",
-        "cases that claim to shrink a gap which is there; |claimed - true fraction| on a protocol "
-        "that nobody saw",
-        claimed(lambda said, true: abs(said - true)), "lower", "points", floor=0.01, aim=0.005,
-    ),
-    Measure(
-        "claimed against true shrinkage, 90th percentile", "the same",
-        claimed(lambda said, true: abs(said - true), 0.9), "lower", "points", floor=0.07, aim=0.04,
-    ),
-    Measure(
-        "90 % interval of shrinkage covers", "the same cases; the true fraction is inside",
-        shrinkage_coverage, "inside", floor=(0.84, 0.95), aim=(0.87, 0.93),
-    ),
-    Measure(
-        "pairs: at least one", "pairs of effects; the cause (without one, the most probable "
-        "candidate) names one of them or both",
-        share_of(lambda c: bool(c.named & c.label.names), pair), floor=0.95, aim=0.98,
-    ),
-    Measure(
-        "pairs: both", "the same; it names both",
-        share_of(lambda c: c.label.names <= c.named, pair), floor=0.65, aim=0.80,
-    ),
-    Measure(
-        "where: signal", "effects with a gap above 2; the quantity with the largest gap",
-        place("signal"), floor=0.97, aim=0.99,
-    ),
-    Measure(
-        "where: phase", "the same; drive, rest or initial",
-        place("phase"), floor=0.90, aim=0.95,
-    ),
-    Measure(
-        "where: stage", "the same; electrical, thermal, transformation, mechanical or sensor; of "
-        "two effects that of the one with the larger gap, of wrong parameters that of any",
-        place("stage"), floor=0.85, aim=0.93,
-    ),
-    Measure(
-        "of the ambiguous, settled rightly",
-        "ambiguous answers, what they ask for performed in the case's own world up to three times; "
-        "the last answer is not ambiguous and its most probable candidate is right",
-        share_of(lambda c: c.resolved, lambda c: c.followed), floor=0.70, aim=0.85,
-    ),
-)
+single, pair, recalibration = of_kind("single"), of_kind("pair"), of_kind("recalibration")
+_effects_seen = of_kind("single", "pair", "outside", above=DETECTABLE)
+_single_seen = of_kind("single", above=DETECTABLE)
+_detectable = of_kind("single", "pair", "outside", "recalibration", above=DETECTABLE)
+_OF: dict[str, Callable[[Cases], Measured]] = {
+    "detection of gaps above twice the noise": share_of(lambda c: c.says_gap, _detectable),
+    "false alarms on no effect": share_of(lambda c: c.alarms, clean),
+    "false alarms on benign kinetics mismatch": share_of(
+        lambda c: c.alarms, lambda c: c.label.kind == "none" and c.label.kinetics),
+    "first choice right, singles above twice the noise": share_of(
+        lambda c: c.first_choice_right, _single_seen),
+    "singles named and right": share_of(
+        lambda c: c.verdict == "effect" and c.first_choice_right, _single_seen),
+    "wrong parameters said as such, with the parameter": share_of(
+        lambda c: c.verdict == "recalibration" and bool(c.moved & c.label.wrong),
+        of_kind("recalibration", above=DETECTABLE)),
+    "90 % set holds the truth": share_of(lambda c: c.set_holds_truth, lambda c: not pair(c)),
+    "90 % set, mean size": lambda cases: mean(
+        [float(len(c.credible_set)) for c in cases if c.answer]),
+    "probability given to the truth": lambda cases: mean([c.truth_probability for c in cases]),
+    "out-of-library: abstains or flags": share_of(
+        lambda c: c.abstains_or_flags, of_kind("outside", above=DETECTABLE)),
+    "confident and wrong": share_of(lambda c: c.confident_and_wrong, lambda c: True),
+    "claimed against true shrinkage, median": claimed(lambda said, true: abs(said - true)),
+    "claimed against true shrinkage, 90th percentile": claimed(
+        lambda said, true: abs(said - true), 0.9),
+    "90 % interval of shrinkage covers": shrinkage_coverage,
+    "pairs: at least one": share_of(lambda c: bool(c.named & c.label.names), pair),
+    "pairs: both": share_of(lambda c: c.label.names <= c.named, pair),
+    **{f"where: {key}": share_of(
+        lambda c, key=key: c.place_right(key), lambda c: _detectable(c) and bool(c.label.where))
+       for key in ("signal", "phase", "stage", "side")},
+    "of the ambiguous, settled rightly": share_of(lambda c: c.resolved, lambda c: c.followed),
+    "answered": share_of(lambda c: c.answer is not None, lambda c: True),
+    **{f"false alarms, {noise} noise": share_of(
+        lambda c: c.alarms, lambda c, noise=noise: clean(c) and c.label.noise == noise)
+       for noise in ("white", "coloured", "drift")},
+    "wrong parameters taken for an effect": share_of(lambda c: c.alarms, recalibration),
+    "recalibration recognised": share_of(lambda c: c.first_choice_right, recalibration),
+    "effects seen as effects": share_of(
+        lambda c: c.answer is not None and c.alarms, _effects_seen),
+    "first choice right, distinguishable singles": share_of(
+        lambda c: c.first_choice_right, distinguishable),
+    "first choice right, all singles": share_of(lambda c: c.first_choice_right, single),
+    "first choice in the right stage, all singles": share_of(lambda c: c.family_right, single),
+    "probability given to the truth, distinguishable singles": lambda cases: mean(
+        [c.truth_probability for c in cases if distinguishable(c)]),
+    "abstention": share_of(lambda c: c.abstains, lambda c: True),
+    "calibration error": first_choice_calibration,
+    "true shrinkage, median": claimed(lambda _, true: true),
+    "claimed minus true shrinkage, median": claimed(lambda said, true: said - true),
+    "parameter error before, median": of_known(lambda c: c.parameter_error[0]),
+    "parameter error after, median": of_known(lambda c: c.parameter_error[1]),
+    "time to answer, median": of_known(lambda c: c.seconds),
+    "time to answer, 90th percentile": of_known(lambda c: c.seconds, 0.9),
+}  # fmt: skip
 
 
-def _noise_alarm(noise: str) -> Measure:
-    return Measure(
-        f"false alarms, {noise} noise", "cases with nothing wrong and this noise",
-        share_of(lambda c: c.alarms, lambda c: clean(c) and c.label.noise == noise), "lower",
-    )
+def _read() -> Iterator[tuple[Measure, ...]]:
+    """Those with a floor and an aim, and those that are reported besides."""
+    document = yaml.safe_load(Path(__file__).with_name("measures.yaml").read_text("utf-8"))
+    for rows in document.values():
+        yield tuple(
+            Measure(name, _OF[name],
+                    **{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
+            for name, row in rows.items()
+        )  # fmt: skip
 
 
-# Reported without a floor.
-OTHERS = (
-    Measure(
-        "answered", "all cases; an answer to the contract in time",
-        share_of(lambda c: c.answer is not None, anyone),
-    ),
-    *(_noise_alarm(noise) for noise in ("white", "coloured", "drift")),
-    Measure(
-        "wrong parameters taken for an effect", "recalibration cases; alarms as above",
-        share_of(lambda c: c.alarms, of_kind("recalibration")), "lower",
-    ),
-    Measure(
-        "recalibration recognised", "recalibration cases; most probable candidate",
-        share_of(lambda c: c.first_choice_right, of_kind("recalibration")),
-    ),
-    Measure(
-        "effects seen as effects", "single, pair, outside with a gap above 2; alarms as above",
-        share_of(
-            lambda c: c.answer is not None and c.alarms,
-            seen(*EFFECT_KINDS),
-        ),
-    ),
-    Measure(
-        "first choice right, distinguishable singles",
-        "single effects that stand 5 standard deviations off every rival",
-        share_of(lambda c: c.first_choice_right, distinguishable),
-    ),
-    Measure(
-        "first choice right, all singles", "",
-        share_of(lambda c: c.first_choice_right, single),
-    ),
-    Measure(
-        "first choice in the right stage, all singles", "",
-        share_of(lambda c: c.family_right, single),
-    ),
-    Measure(
-        "probability given to the truth, distinguishable singles", "",
-        lambda cases: mean([c.truth_probability for c in cases if distinguishable(c)]),
-        style="number",
-    ),
-    Measure(
-        "abstention", "all cases; verdict ambiguous or unexplained",
-        share_of(lambda c: c.abstains, anyone), "lower",
-    ),
-    Measure(
-        "calibration error", "most probable candidates; expected calibration error over ten bins",
-        first_choice_calibration, "lower", "points",
-    ),
-    Measure("where: side", "effects with a gap above 2", place("side")),
-    Measure(
-        "true shrinkage, median", "cases that claim one", claimed(lambda _, true: true),
-        style="points",
-    ),
-    Measure(
-        "claimed minus true shrinkage, median", "the same",
-        claimed(lambda said, true: said - true), "inside", "points",
-    ),
-    Measure(
-        "parameter error before, median", "root mean square over the stated parameters of "
-        "(lab's - true)/stated standard deviation",
-        parameter_error(0), "lower", "number",
-    ),
-    Measure(
-        "parameter error after, median", "the same of the improved file",
-        parameter_error(1), "lower", "number",
-    ),
-    Measure("time to answer, median", "", seconds(0.5), "lower", "seconds"),
-    Measure("time to answer, 90th percentile", "", seconds(0.9), "lower", "seconds"),
-)
+TARGETS, OTHERS = _read()

@@ -31,7 +31,6 @@ from examination.blind.judgement import (
 from examination.blind.measures import (
     OTHERS,
     TARGETS,
-    Measure,
     Measured,
     bin_of,
     mean,
@@ -68,7 +67,11 @@ class Score:
     def to_json(self) -> dict[str, Any]:
         """Measures, confusion matrix, reliability and groups as plain data."""
         return {
-            "measures": {m.name: _row(m, self.measured[m.name]) for m in (*TARGETS, *OTHERS)},
+            "measures": {
+                m.name: {**vars(found), "floor": m.floor, "aim": m.aim, "met": m.met(found),
+                         "definition": m.definition}
+                for m in (*TARGETS, *OTHERS) for found in [self.measured[m.name]]
+            },
             "confusion": confusion(self.cases),
             "reliability": [vars(bin_) for bin_ in reliability(self.cases)],
             "groups": {
@@ -76,7 +79,7 @@ class Score:
                 for title, rows in groups(self.cases).items()
             },
             "failed": {c.label.id: c.failure for c in self.cases if c.answer is None},
-        }
+        }  # fmt: skip
 
 
 def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
@@ -92,20 +95,20 @@ def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
     found = list(folders) or sorted(path.parent for path in cases.answers.glob(f"*/{EXAMINATION}"))
     if not found:
         raise InputError(f"{cases.answers}: no answers: run ./bench blind run first")
-    return [_paper(cases, folder) for folder in found]
-
-
-def _paper(cases: CaseSet, folder: Path) -> Paper:
-    examination = read_examination(folder)
-    if examination.sealed != cases.sealed_sha256:
-        raise InputError(f"{folder}: holds answers to another set than {cases.root}")
-    missing = open_cases(cases.names, folder)
-    if missing:
-        raise InputError(
-            f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer yet, the first "
-            f"is {missing[0]}: the labels stay sealed until ./bench blind run has asked all"
-        )
-    return Paper(folder, examination, tuple(read_kept(folder, name) for name in cases.names))
+    papers = []
+    for folder in found:
+        examination = read_examination(folder)
+        if examination.sealed != cases.sealed_sha256:
+            raise InputError(f"{folder}: holds answers to another set than {cases.root}")
+        if missing := open_cases(cases.names, folder):
+            raise InputError(
+                f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer yet, the "
+                f"first is {missing[0]}: the labels stay sealed until ./bench blind run has asked "
+                "all"
+            )
+        kept = tuple(read_kept(folder, name) for name in cases.names)
+        papers.append(Paper(folder, examination, kept))
+    return papers
 
 
 def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
@@ -135,37 +138,25 @@ def score(
     """
     judged: list[list[Judged]] = [[] for _ in papers]
     for done, name in enumerate(cases.names, 1):
-        unseen = UnseenRecord(labels[name])
+        label, unseen = labels[name], UnseenRecord(labels[name])
         for paper, into in zip(papers, judged, strict=True):
-            kept = paper.kept[done - 1]
-            into.append(_judged(cases, paper.folder, kept, labels[name], unseen))
+            kept, history = paper.kept[done - 1], answers_of(paper.folder, name)
+            nominal, improved = parameters_of(cases.folder / name / NOMINAL, kept.improved)
+            tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
+            into.append(Judged(
+                Label.of(label), kept.answer, unseen.shrunk(nominal, improved),
+                (parameter_error(label["truth"], nominal, nominal),
+                 parameter_error(label["truth"], nominal, improved)),
+                moved_parameters(nominal, improved),
+                second=history[-1].answer if len(history) > 1 else None,
+                followed=tied and (len(history) > 1 or not asks_for_more(kept)),
+                seconds=kept.seconds, failure=kept.line,
+            ))  # fmt: skip
         report(done)
     return [
         Score(paper.name, tuple(found), {m.name: m.of(found) for m in (*TARGETS, *OTHERS)})
         for paper, found in zip(papers, judged, strict=True)
     ]
-
-
-def _judged(
-    cases: CaseSet, folder: Path, kept: Kept, label: Mapping[str, Any], unseen: UnseenRecord
-) -> Judged:
-    nominal, improved = parameters_of(cases.folder / kept.case / NOMINAL, kept.improved)
-    truth = label["truth"]
-    history = answers_of(folder, kept.case)
-    tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
-    followed = tied and (len(history) > 1 or not asks_for_more(kept))
-    second = history[-1].answer if len(history) > 1 else None
-    return Judged(
-        Label.of(label),
-        kept.answer,
-        unseen.shrunk(nominal, improved),
-        (parameter_error(truth, nominal, nominal), parameter_error(truth, nominal, improved)),
-        moved_parameters(nominal, improved),
-        second,
-        followed,
-        kept.seconds,
-        kept.line,
-    )
 
 
 def followed_up(papers: Sequence[Paper]) -> list[Paper]:
@@ -179,11 +170,6 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
     return found
 
 
-def _row(measure: Measure, measured: Measured) -> dict[str, Any]:
-    bounds = {"floor": measure.floor, "aim": measure.aim, "met": measure.met(measured)}
-    return {**vars(measured), **bounds, "definition": measure.definition}
-
-
 # --- Results by what was hidden: the confusion matrix, the reliability diagram, groups of cases.
 
 JOINT, OTHER, FAILED = "two effects", "other effect", "no answer"
@@ -195,12 +181,8 @@ _BINS = 10
 
 @dataclass(frozen=True)
 class Bin:
-    """Most probable candidates stated with a probability from `low` to `high`.
-
-    Attributes:
-        n: how many; stated: their mean probability.
-        right: share that was right, with its 95 % interval right_low to right_high.
-    """
+    """Most probable candidates stated with a probability from `low` to `high`: how many, their mean
+    probability, and the share that was right with its 95 % interval."""
 
     low: float
     high: float
@@ -216,7 +198,10 @@ def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
     table: dict[str, dict[str, int]] = {}
     for case in cases:
         row = table.setdefault(truth_of(case), dict.fromkeys(COLUMNS, 0))
-        row[_column(case, row)] += 1
+        chosen = case.first_choice.name if case.first_choice else FAILED
+        if chosen not in row:
+            chosen = JOINT if PAIR_SIGN in chosen else OTHER
+        row[chosen] += 1
     return {name: table[name] for name in sorted(table, key=_place)}
 
 
@@ -224,38 +209,23 @@ def truth_of(case: Judged) -> str:
     """Name of a case's row."""
     if case.label.kind == "single":
         return next(iter(case.label.names))
-    if case.label.kind == "none" and case.label.kinetics:
-        return "mild kinetics"
-    return case.label.kind
+    mild = case.label.kind == "none" and case.label.kinetics
+    return "mild kinetics" if mild else case.label.kind
 
 
 def _place(name: str) -> int:
     return _ROWS.index(name) if name in _ROWS else len(_ROWS)
 
 
-def _column(case: Judged, columns: Mapping[str, int]) -> str:
-    if case.first_choice is None:
-        return FAILED
-    name = case.first_choice.name
-    if name in columns:
-        return name
-    return JOINT if PAIR_SIGN in name else OTHER
-
-
 def reliability(cases: Sequence[Judged]) -> list[Bin]:
     """Stated probability of the most probable candidate against how often it was right."""
     stated = np.array([c.first_choice.probability for c in cases if c.first_choice])
     right = np.array([c.first_choice_right for c in cases if c.first_choice], dtype=bool)
-    which = bin_of(stated, _BINS)
-    bins = []
-    for k in range(_BINS):
-        here = which == k
-        if here.any():
-            share = proportion(right[here].tolist())
-            bins.append(
-                Bin(k / _BINS, (k + 1) / _BINS, share.n, float(stated[here].mean()), share.value,
-                    share.low, share.high)
-            )  # fmt: skip
+    which, bins = bin_of(stated, _BINS), []
+    for k in np.unique(which).tolist():
+        share = proportion(right[which == k].tolist())
+        bins.append(Bin(k / _BINS, (k + 1) / _BINS, share.n, float(stated[which == k].mean()),
+                        share.value, share.low, share.high))  # fmt: skip
     return bins
 
 
@@ -272,57 +242,48 @@ Groups = dict[str, dict[str, dict[str, Measured]]]
 
 def groups(cases: Sequence[Judged]) -> Groups:
     """Title -> group -> measure: singles by severity, by signals and by effect; all by kind."""
+
+    def severity(case: Judged) -> str:
+        k = int(np.searchsorted(_EDGES, case.label.severity, side="right")) - 1
+        above = "above " * (k == len(_EDGES) - 2)
+        return f"{k + 1}: {above}{_EDGES[k]:g}" + f" to {_EDGES[k + 1]:g}" * (not above)
+
     singles = [c for c in cases if c.label.kind == "single"]
-    return {
-        "single effects by severity (gap over noise)": _by(singles, _severity),
-        "single effects by signals": _by(singles, lambda c: c.label.signals),
-        "single effects by distinguishability": _by(
-            singles, lambda c: "distinguishable" if c.label.distinguishable else "not by 5 sigma"
-        ),
-        "single effects by name": _by(singles, truth_of),
-        "all cases by kind": _by(cases, _kind),
-        "all cases by noise": _by(cases, lambda c: c.label.noise),
-    }
-
-
-def _kind(case: Judged) -> str:
-    return truth_of(case) if case.label.kind == "none" else case.label.kind
-
-
-def _severity(case: Judged) -> str:
-    k = int(np.searchsorted(_EDGES, case.label.severity, side="right")) - 1
-    if k == len(_EDGES) - 2:
-        return f"{k + 1}: above {_EDGES[k]:g}"
-    return f"{k + 1}: {_EDGES[k]:g} to {_EDGES[k + 1]:g}"
-
-
-def _by(
-    cases: Sequence[Judged], group_of: Callable[[Judged], str]
-) -> dict[str, dict[str, Measured]]:
-    split: dict[str, list[Judged]] = {}
-    for case in cases:
-        split.setdefault(group_of(case), []).append(case)
-    return {
-        group: {name: of(split[group]) for name, of in GROUP_MEASURES.items()}
-        for group in sorted(split, key=lambda name: (_place(name), name))
-    }
+    found: Groups = {}
+    for title, among, group_of in (
+        ("single effects by severity (gap over noise)", singles, severity),
+        ("single effects by signals", singles, lambda c: c.label.signals),
+        ("single effects by distinguishability", singles,
+         lambda c: "distinguishable" if c.label.distinguishable else "not by 5 sigma"),
+        ("single effects by name", singles, truth_of),
+        ("all cases by kind", cases,
+         lambda c: truth_of(c) if c.label.kind == "none" else c.label.kind),
+        ("all cases by noise", cases, lambda c: c.label.noise),
+    ):  # fmt: skip
+        split: dict[str, list[Judged]] = {}
+        for case in among:
+            split.setdefault(group_of(case), []).append(case)
+        found[title] = {
+            group: {name: of(split[group]) for name, of in GROUP_MEASURES.items()}
+            for group in sorted(split, key=lambda name: (_place(name), name))
+        }
+    return found
 
 
 def beaten(score: Score, rivals: Sequence[Score]) -> list[str]:
-    """Measures with a floor in which some rival is better than `score`."""
-    return [
-        measure.name
-        for measure in TARGETS
-        if any(_outdoes(measure, rival, score) for rival in rivals)
-    ]
-
-
-def _outdoes(measure: Measure, rival: Score, score: Score) -> bool:
-    mine, theirs = score.measured[measure.name], rival.measured[measure.name]
-    if not mine.n or not theirs.n or not measure.better_than(theirs.value, mine.value):
-        return False
-    condition = next((m for m in TARGETS if m.name == measure.given), None)
-    if condition is None:
-        return True
-    here, there = (s.measured[condition.name].value for s in (score, rival))
-    return not condition.better_than(here, there)
+    """Measures with a floor in which some rival is better than `score`, and as good in the one that
+    is its condition."""
+    measures, worse = {m.name: m for m in TARGETS}, []
+    for measure in TARGETS:
+        condition, mine = measures.get(measure.given), score.measured[measure.name]
+        for rival in rivals:
+            theirs = rival.measured[measure.name]
+            if not mine.n or not theirs.n or not measure.better_than(theirs.value, mine.value):
+                continue
+            if condition and condition.better_than(
+                score.measured[condition.name].value, rival.measured[condition.name].value
+            ):
+                continue
+            worse.append(measure.name)
+            break
+    return worse
