@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -57,14 +58,10 @@ class Given:
 
 
 class Examinee:
-    """A program that takes the arguments of `sma-bench diagnose`."""
+    """A program that takes the arguments of `sma-bench diagnose`; a case fails after `time_limit` s
+    (half as long more a further record)."""
 
     def __init__(self, program: Sequence[str], time_limit: float) -> None:
-        """
-        Args:
-            program: start of the command line.
-            time_limit: s after which a case counts as failed.
-        """
         self._program = tuple(program)
         self._limit = time_limit
         self._running: set[subprocess.Popen[str]] = set()
@@ -82,7 +79,7 @@ class Examinee:
     def ask(
         self, case: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
     ) -> Given:
-        """Put a case to the program.
+        """Put a case to the program, in a folder of its own that holds copies and nothing else.
 
         Args:
             case: folder with record, hold_out and nominal.yaml.
@@ -94,11 +91,10 @@ class Examinee:
                 program does is a failed answer.
         """
         with tempfile.TemporaryDirectory(prefix="bench_") as folder:
-            desk = Path(folder)
+            desk, records = Path(folder), [RECORD]
             for name in (RECORD, HOLD_OUT):
                 _copy(case / name, desk / name)
             _copy(nominal or case / NOMINAL, desk / NOMINAL)
-            records = [RECORD]
             for number, bag in enumerate(experiments, 1):
                 records.append(f"{EXPERIMENT}_{number}")
                 _copy(bag, desk / records[-1])
@@ -108,10 +104,21 @@ class Examinee:
             if line:
                 return Given(None, line, seconds)
             try:
-                result, improved = _collected(desk)
+                text = (desk / _RESULT).read_text(encoding="utf-8")
+                result = json.loads(text)
+                answer, improved = checked_answer(result, "result"), desk / _IMPROVED
+                if improved.is_file():
+                    read_parameters(improved)
+                    return Given(result, "", seconds, improved.read_text(encoding="utf-8"))
+                if answer.verdict in _NEEDS_IMPROVED:
+                    raise InputError(f"verdict {answer.verdict} without improved parameters")
+            except FileNotFoundError:
+                return Given(None, "no result was written", seconds)
             except InputError as error:
                 return Given(None, str(error).replace(f"{desk}/", ""), seconds)
-            return Given(result, "", seconds, improved)
+            except (ValueError, RecursionError) as error:
+                return Given(None, f"result is not JSON: {str(error).splitlines()[0]}", seconds)
+            return Given(result, "", seconds)
 
     def _run(self, desk: Path, records: Sequence[str]) -> str:
         """Run the program in its folder; "" or the line that says why there is no answer."""
@@ -119,9 +126,25 @@ class Examinee:
             *self._program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
             "--json", _RESULT, "--out", _IMPROVED,
         ]  # fmt: skip
+        # The caller's environment, with one thread a process and without a trace of its folder.
+        paths = [str(PACKAGE_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+        environment = {k: v for k, v in os.environ.items() if k not in ("OLDPWD", "_")}
+        environment |= dict.fromkeys(_ONE_THREAD, "1")
+        environment |= {"PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
         limit = self._limit * (1 + len(records)) / 2.0  # half of the time goes with the records
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-            process = self._start(command, desk, errors)
+            with self._lock:
+                if self._stopped:
+                    raise InputError("the examination was stopped")
+                try:
+                    process = subprocess.Popen(
+                        command, cwd=desk, env=environment, text=True, start_new_session=True,
+                        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+                    )  # fmt: skip
+                except OSError as error:
+                    reason = f"cannot be started: {error.strerror}"
+                    raise InputError(f"{command[0]}: {reason}") from None
+                self._running.add(process)
             try:
                 code = process.wait(timeout=limit)
             except subprocess.TimeoutExpired:
@@ -137,35 +160,10 @@ class Examinee:
             return ""
         return f"exit code {code}: {said[-1] if said else 'nothing said'}"[:_LONGEST_LINE]
 
-    def _start(self, command: list[str], desk: Path, errors: Any) -> subprocess.Popen[str]:
-        with self._lock:
-            if self._stopped:
-                raise InputError("the examination was stopped")
-            try:
-                process = subprocess.Popen(
-                    command, cwd=desk, env=_environment(desk), text=True, start_new_session=True,
-                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-                )  # fmt: skip
-            except OSError as error:
-                raise InputError(f"{command[0]}: cannot be started: {error.strerror}") from None
-            self._running.add(process)
-            return process
-
-
-def _environment(desk: Path) -> dict[str, str]:
-    """The caller's, with one thread a process and without a trace of the caller's folder."""
-    environment = {k: v for k, v in os.environ.items() if k not in ("PWD", "OLDPWD", "_")}
-    paths = [str(PACKAGE_ROOT), *filter(None, [environment.get("PYTHONPATH")])]
-    one_thread = dict.fromkeys(_ONE_THREAD, "1")
-    return {**environment, **one_thread, "PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
-
 
 def _copy(source: Path, target: Path) -> None:
-    """Contents only: links and times of files would show where the case lies and when it was made.
-
-    Raises:
-        InputError: there is no such file or folder.
-    """
+    """Contents only: links and times of files would show where the case lies and when it was made;
+    raises InputError where there is no such file or folder."""
     try:
         if source.is_dir():
             shutil.copytree(source, target, copy_function=shutil.copyfile)
@@ -177,34 +175,10 @@ def _copy(source: Path, target: Path) -> None:
         raise InputError(f"{source}: cannot be read: {reason}") from None
 
 
-def _collected(desk: Path) -> tuple[Any, str | None]:
-    """Checked result and text of the improved parameters.
-
-    Raises:
-        InputError: there is none, or it is against the contract.
-    """
-    try:
-        result = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError("no result was written") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"result is not JSON: {str(error).splitlines()[0]}") from None
-    answer = checked_answer(result, "result")
-    improved = desk / _IMPROVED
-    if improved.is_file():
-        read_parameters(improved)
-        return result, improved.read_text(encoding="utf-8")
-    if answer.verdict in _NEEDS_IMPROVED:
-        raise InputError(f"verdict {answer.verdict} without improved parameters")
-    return result, None
-
-
 def _kill(process: subprocess.Popen[str]) -> None:
     """End a process and all that it started: it leads a session of its own."""
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        return
 
 
 # --- Every case of a set put to one program; what is answered stays answered.
@@ -214,26 +188,16 @@ Report = Callable[[int, str], None]
 
 
 def open_cases(cases: Sequence[str], answers: Path, again: bool = False) -> list[str]:
-    """The cases that have no answer yet.
-
-    Args:
-        cases: names of all.
-        answers: folder of the examinee.
-        again: whether a failed case counts as open.
-    """
-    waiting = [case for case in cases if not is_kept(answers, case)]
-    if again:
-        kept = (case for case in cases if is_kept(answers, case))
-        waiting += [case for case in kept if read_kept(answers, case).answer is None]
-    return sorted(waiting)
+    """Those of the cases that have no answer in the examinee's folder yet; with `again` those that
+    failed, too."""
+    return sorted(
+        case for case in cases
+        if not is_kept(answers, case) or (again and read_kept(answers, case).answer is None)
+    )  # fmt: skip
 
 
 def examine(
-    examinee: Examinee,
-    cases: Sequence[str],
-    folder: Path,
-    answers: Path,
-    jobs: int = 1,
+    examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path, jobs: int = 1,
     report: Report = lambda done, line: None,
 ) -> None:
     """Put `cases` to a program, `jobs` at a time, and keep each answer as soon as it is there.
@@ -286,19 +250,13 @@ _STREAM = 1_000_003
 
 def asks_for_more(kept: Kept) -> bool:
     """An answer with an experiment, whatever its verdict."""
-    answer = kept.answer
-    if answer is None or answer.next_experiment is None:
-        return False
-    return bool(answer.next_experiment.protocol or answer.next_experiment.parameters)
+    asked = kept.answer.next_experiment if kept.answer else None
+    return asked is not None and bool(asked.protocol or asked.parameters)
 
 
 def follow_up(
-    cases: CaseSet,
-    labels: Mapping[str, Mapping[str, Any]],
-    examinee: Examinee,
-    answers: Path,
-    jobs: int = 1,
-    report: Report = lambda done, line: None,
+    cases: CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee, answers: Path,
+    jobs: int = 1, report: Report = lambda done, line: None,
 ) -> None:
     """Do what is asked for, and keep each answer after it in `answers`/after_1 to after_3.
 
@@ -356,23 +314,19 @@ def after_tests(
     Raises:
         InputError: a parameter that no test gives.
     """
-    values, stds = {}, asked.parameters
+    stds, truth = asked.parameters, label["truth"]
+    values, world = {}, world_of(rig_of(label), label["features"])
     for name, std in stds.items():
-        if name not in label["truth"]:
+        if name not in truth:
             raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
-        values[name] = float(_hidden(label, name) + std * rng.standard_normal())
+        # What an instrument finds in the hidden wire, with what its world does to it.
+        hidden, kind = float(truth[name]), name.removeprefix("wire.stress_influence_")
+        if kind != name:
+            hidden /= max(world.feature(f"stress_influence_factor_{kind}"), 0.05)
+        values[name] = float(hidden + std * rng.standard_normal())
         if name == FRONT:
             values[BACK] = values[name]
     return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
-
-
-def _hidden(label: Mapping[str, Any], name: str) -> float:
-    """What an instrument finds in the hidden wire, with what its world does to it."""
-    value, world = label["truth"][name], world_of(rig_of(label), label["features"])
-    kind = name.removeprefix("wire.stress_influence_")
-    if kind != name:
-        return float(value / max(world.feature(f"stress_influence_factor_{kind}"), 0.05))
-    return float(value)
 
 
 def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol:

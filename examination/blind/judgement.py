@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,8 @@ from examination.blind.case_files import (
     Candidate,
     Claim,
 )
-from examination.blind.rigs import (
-    PER_WIRE,
-    Drive,
-    Pulse,
-    Stage,
-    quantity_of,
-    simulated_reading,
-)
-from sma_bench.parameters import Parameters, read_parameters
+from examination.blind.rigs import PER_WIRE, Drive, Pulse, Stage, quantity_of, simulated_reading
+from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
 
 Array = npt.NDArray[np.float64]
@@ -76,19 +68,22 @@ class Label:
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Label":
         """From a sealed label."""
-        kind = document["kind"]
-        names = frozenset(document["effects"]) if kind in ("single", "pair") else _RIGHT_NAMES[kind]
+        kind, effects = document["kind"], document["effects"]
+        stages, severities = document.get("stages") or [], document.get("severities") or {}
+        if kind != "recalibration" and len(severities) > 1:
+            largest = max(severities, key=lambda name: severities[name])
+            stages = [stages[k] for k, name in enumerate(effects) if name == largest]
         return cls(
             id=document["id"],
             kind=kind,
-            names=names,
+            names=frozenset(effects) if kind in ("single", "pair") else _RIGHT_NAMES[kind],
             severity=float(document.get("severity") or 0.0),
             where=document.get("where") or {},
             distinguishable=bool(document.get("distinguishable", True)),
             noise=document.get("noise", "white"),
             kinetics=bool(document.get("kinetics", False)),
             signals=document.get("signals", "all"),
-            own_stages=_own_stages(document),
+            own_stages=frozenset(stages),
             wrong=frozenset(document.get("wrong") or ()),
         )
 
@@ -96,14 +91,6 @@ class Label:
     def stages(self) -> frozenset[str]:
         """Stages of the contract's effects in it."""
         return frozenset(STAGE_OF[name] for name in self.names if name in STAGE_OF)
-
-
-def _own_stages(document: Mapping[str, Any]) -> frozenset[str]:
-    stages, severities = document.get("stages") or [], document.get("severities") or {}
-    if document["kind"] == "recalibration" or len(severities) < 2:
-        return frozenset(stages)
-    largest = max(severities, key=lambda name: severities[name])
-    return frozenset(stages[k] for k, n in enumerate(document["effects"]) if n == largest)
 
 
 @dataclass(frozen=True)
@@ -159,8 +146,13 @@ class Judged:
 
     @property
     def credible_set(self) -> tuple[Candidate, ...]:
-        """The fewest candidates whose probabilities make 90 %."""
-        return credible_set(self.answer) if self.answer else ()
+        """The fewest candidates whose probabilities make 90 %, most probable first."""
+        total, chosen = 0.0, []
+        for candidate in self.answer.candidates if self.answer else ():
+            if total < SET_MASS - 1e-9:
+                chosen.append(candidate)
+            total += candidate.probability
+        return tuple(chosen)
 
     @property
     def first_choice_right(self) -> bool:
@@ -262,12 +254,10 @@ class Judged:
         the noise, else the signal with the largest; None where none has, or nothing is claimed."""
         if self.answer is None:
             return None
+        said = self.answer.shrinkage
         usable = {
-            name: self.answer.shrinkage[name]
-            for name, true in self.shrunk.items()
-            if name in self.answer.shrinkage
-            and math.isfinite(true.fraction)
-            and math.isfinite(self.answer.shrinkage[name].fraction)
+            name: said[name] for name, true in self.shrunk.items()
+            if name in said and math.isfinite(true.fraction) and math.isfinite(said[name].fraction)
         }
         if not usable:
             return None
@@ -277,17 +267,6 @@ class Judged:
 
     def _set_has(self, names: frozenset[str]) -> bool:
         return any(c.parts & names for c in self.credible_set)
-
-
-def credible_set(answer: Answer, mass: float = SET_MASS) -> tuple[Candidate, ...]:
-    """The fewest candidates whose probabilities sum to `mass`, most probable first."""
-    total, chosen = 0.0, []
-    for candidate in answer.candidates:
-        chosen.append(candidate)
-        total += candidate.probability
-        if total >= mass - 1e-9:
-            break
-    return tuple(chosen)
 
 
 # --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
@@ -304,9 +283,7 @@ _HILLS = ((5.0, 20.0, 1.0), (31.0, 18.0, 0.98), (56.0, 16.0, 0.9), (79.0, 22.0, 
 _CORNERS = 17
 
 
-def unseen_drive(
-    drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", "front")
-) -> Drive:
+def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", "front")) -> Drive:
     """Raised cosines that reach as high as a case's own records; no family of theirs."""
     highest = max(max(pulse.volts) for drive in drives.values() for pulse in drive.pulses)
     phase = np.linspace(0.0, 1.0, _CORNERS)
@@ -323,10 +300,10 @@ def unseen_drive(
 
 
 class UnseenRecord:
-    """What a case's world does on the unseen drive, as perfect instruments would read it."""
+    """What the world of a sealed label does on the unseen drive, as perfect instruments would read
+    it."""
 
     def __init__(self, label: Mapping[str, Any]) -> None:
-        """Play the world of a sealed label."""
         seen = Stage.from_label(label)
         sides = tuple(sorted(set(seen.sides)))
         self.stage = replace(seen, drives={UNSEEN: unseen_drive(seen.drives, sides)})
@@ -369,9 +346,3 @@ def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str
         name for name, std in stated
         if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std
     )
-
-
-def parameters_of(nominal: Path, improved: Path | None) -> tuple[Parameters, Parameters]:
-    """The lab's parameters and the improved ones, which are the same where there is no file."""
-    before = read_parameters(nominal)
-    return before, before if improved is None else read_parameters(improved)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from examination.blind.case_files import CaseSet
@@ -101,19 +102,15 @@ def tables(score: Score) -> list[ResultTable]:
     ]  # fmt: skip
     shown.append(("reliability", ("probability of the first choice", "cases", "stated", "right"),
                   bins))  # fmt: skip
-    choices = [
-        (truth, str(sum(row.values())), _choices(row))
-        for truth, row in confusion(score.cases).items()
-    ]
+    choices = []
+    for truth, row in confusion(score.cases).items():
+        chosen = sorted((name for name in row if row[name]), key=lambda name: -row[name])
+        often = [f"{row[name]} {name}" for name in chosen[:_MOST_SHOWN]]
+        if len(chosen) > _MOST_SHOWN:
+            often.append(f"{len(chosen) - _MOST_SHOWN} more")
+        choices.append((truth, str(sum(row.values())), ", ".join(often)))
     header = ("truth", "cases", "most frequent first choices")
     return [*shown, ("truth against first choice", header, choices)]
-
-
-def _choices(row: dict[str, int]) -> str:
-    chosen = sorted((name for name in row if row[name]), key=lambda name: -row[name])
-    more = len(chosen) - _MOST_SHOWN
-    shown = ", ".join(f"{row[name]} {name}" for name in chosen[:_MOST_SHOWN])
-    return shown + (f", {more} more" if more > 0 else "")
 
 
 def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:
@@ -152,8 +149,22 @@ def write_markdown(
         f"sealed labels {cases.sealed_sha256[:16]}."
     )
     lines = ["# The withheld-effect check", "", head, "", "```"]
-    lines += [*_commands(cases, papers), f"./bench blind score cases --markdown {path.name}", "```"]
-    lines += ["", *(f"- {summary(score)}" for score in scores), *_comparison(scores)]
+    lines += [f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases"]
+    for paper in papers:
+        words = paper.examination.program
+        if not paper.name.endswith(FOLLOWED_UP):
+            rival = f" --rival {paper.name}" if "rival" in words else ""
+            own = rival or paper.name == _CHALLENGER
+            other = "" if own else f" --program '{' '.join(words)}'"
+            lines.append(f"./bench blind run cases{rival}{other}")
+    lines += [f"./bench blind score cases --markdown {path.name}", "```", ""]
+    lines += [f"- {summary(score)}" for score in scores]
+    mine = next((score for score in scores if score.name == _CHALLENGER), None)
+    rivals = [score for score in scores if not score.name.startswith(_CHALLENGER)]
+    if mine and rivals:
+        worse = ", ".join(beaten(mine, rivals))
+        lines.append(f"- A rival is better than the diagnosis in: {worse}." if worse else
+                     "- The diagnosis is as good as every rival or better in every row.")
     lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
     rows = [
         (name, bound(m, m.floor), bound(m, m.aim), *values)
@@ -166,48 +177,17 @@ def write_markdown(
             lines += [f"{name.capitalize()}:", "", *_markdown(header, rows), ""]
     lines += ["## Definitions", ""]
     lines += [f"- **{m.name}**: {m.definition}" for m in (*TARGETS, *OTHERS) if m.definition]
-    lines += ["", *_kept_notes(path)]
+    lines.append("")
+    # The hand-written end of the page stays as it is.
+    with suppress(OSError, UnicodeDecodeError):
+        _, found, notes = path.read_text(encoding="utf-8").partition(f"\n{NOTES}\n")
+        lines += [NOTES, notes] if found else []
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path.parent}: cannot be made: {error.strerror}") from None
     write_text_atomically(path, "\n".join(lines).rstrip() + "\n")
     return path
-
-
-def _commands(cases: CaseSet, papers: Sequence[Paper]) -> list[str]:
-    """The command lines that lead to the answers."""
-    lines = [f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases"]
-    for paper in papers:
-        words = paper.examination.program
-        if paper.name.endswith(FOLLOWED_UP):
-            continue
-        rival = f" --rival {paper.name}" if "rival" in words else ""
-        other = "" if rival or paper.name == _CHALLENGER else f" --program '{' '.join(words)}'"
-        lines.append(f"./bench blind run cases{rival}{other}")
-    return lines
-
-
-def _comparison(scores: Sequence[Score]) -> list[str]:
-    """Whether the diagnosis beats every rival, row by row."""
-    mine = [score for score in scores if score.name == _CHALLENGER]
-    rivals = [score for score in scores if not score.name.startswith(_CHALLENGER)]
-    if not mine or not rivals:
-        return []
-    worse = beaten(mine[0], rivals)
-    if not worse:
-        return ["- The diagnosis is as good as every rival or better in every row."]
-    return [f"- A rival is better than the diagnosis in: {', '.join(worse)}."]
-
-
-def _kept_notes(path: Path) -> list[str]:
-    """The hand-written end of the page as it is."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return []
-    _, found, notes = text.partition(f"\n{NOTES}\n")
-    return [NOTES, notes] if found else []
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -26,7 +26,6 @@ from examination.blind.judgement import (
     UnseenRecord,
     moved_parameters,
     parameter_error,
-    parameters_of,
 )
 from examination.blind.measures import (
     OTHERS,
@@ -37,6 +36,7 @@ from examination.blind.measures import (
     proportion,
 )
 from sma_bench.errors import InputError
+from sma_bench.parameters import read_parameters
 
 Labels = Mapping[str, Mapping[str, Any]]
 FOLLOWED_UP = ", followed up"
@@ -141,7 +141,8 @@ def score(
         label, unseen = labels[name], UnseenRecord(labels[name])
         for paper, into in zip(papers, judged, strict=True):
             kept, history = paper.kept[done - 1], answers_of(paper.folder, name)
-            nominal, improved = parameters_of(cases.folder / name / NOMINAL, kept.improved)
+            nominal = read_parameters(cases.folder / name / NOMINAL)
+            improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
             into.append(Judged(
                 Label.of(label), kept.answer, unseen.shrunk(nominal, improved),
