@@ -105,17 +105,16 @@ def checked_answer(document: Any, where: str = "answer") -> Answer:
         InputError: what is missing, of another type or against the contract, in one line.
     """
     try:
-        answer = _answer(document)
-        _check(answer)
+        return _answer(document)
     except KeyError as error:
         raise InputError(f"{where}: no {error.args[0]} in it") from None
     except (TypeError, ValueError, AttributeError) as error:
         # The answer's own names may hold anything.
         raise InputError(f"{where}: {' '.join(str(error).split())}"[:300]) from None
-    return answer
 
 
 def _answer(document: Any) -> Answer:
+    """Raises ValueError for the first clause of the contract that is broken."""
     candidates = [
         Candidate(
             _text(c["name"]), c.get("stage") or "", _number(c["probability"]),
@@ -128,7 +127,7 @@ def _answer(document: Any) -> Answer:
     for signal, c in (document["shrinkage"] or {}).items():
         low, high = _list(c["ci90"] or [None, None])
         claims[signal] = Claim(_or_nan(c["fraction"]), (_or_nan(low), _or_nan(high)))
-    return Answer(
+    answer = Answer(
         _text(document["verdict"]), tuple(map(_text, _list(document["cause"]))),
         tuple(sorted(candidates, key=lambda c: -c.probability)),
         Where(*(_text(place[k]) if k != "side" else place[k] or ""
@@ -141,9 +140,6 @@ def _answer(document: Any) -> Answer:
         ) if following else None,
     )  # fmt: skip
 
-
-def _check(answer: Answer) -> None:
-    """Raises ValueError for the first clause of the contract that is broken."""
     names = [candidate.name for candidate in answer.candidates]
     total = math.fsum(candidate.probability for candidate in answer.candidates)
     effects = frozenset[str]().union(*(c.parts for c in answer.candidates)) - {*NO_EFFECT}
@@ -171,6 +167,7 @@ def _check(answer: Answer) -> None:
     for broken, holds in clauses.items():
         if not holds:
             raise ValueError(broken)
+    return answer
 
 
 def _text(found: Any) -> str:
@@ -247,7 +244,9 @@ def read_case_set(root: str | Path) -> CaseSet:
     except (ValueError, RecursionError):
         raise InputError(f"{path}: not JSON") from None
     try:
-        names = tuple(_name(entry) for entry in document["cases"])
+        names = tuple(map(_text, document["cases"]))
+        if strange := [name for name in names if not _CASE_NAME.match(name)]:
+            raise ValueError(f"case {strange[0]!r}")
         found = CaseSet(
             Path(root), names, int(document["seed"]), str(document["split"]), document["sha256"]
         )
@@ -256,12 +255,6 @@ def read_case_set(root: str | Path) -> CaseSet:
     if not names:
         raise InputError(f"{path}: names no cases")
     return found
-
-
-def _name(entry: Any) -> str:
-    if not isinstance(entry, str) or not _CASE_NAME.match(entry):
-        raise ValueError(f"case {entry!r}")
-    return entry
 
 
 # --- Labels under seal: one deflated file whose digest the manifest names.
@@ -278,15 +271,8 @@ def seal(path: Path, labels: Sequence[dict[str, Any]]) -> str:
 
 
 def unseal(path: str | Path, sha256: str | None = None) -> list[dict[str, Any]]:
-    """The labels of a sealed file.
-
-    Args:
-        path: the file.
-        sha256: that it must have; None takes any.
-
-    Raises:
-        InputError: unreadable, no sealed labels, or not the ones that were sealed.
-    """
+    """The labels of a sealed file; raises InputError where it is unreadable, no sealed labels, or
+    has not this sha256 (None takes any)."""
     try:
         content = Path(path).read_bytes()
     except OSError as error:
@@ -344,15 +330,8 @@ class Examination:
 def keep(
     folder: Path, case: str, result: Any, line: str, seconds: float, improved: str | None = None
 ) -> None:
-    """Keep an answer (result None: failed, line says why); it is there once answer.json is.
-
-    Args:
-        folder: of the examinee; case: its name.
-        result: plain document of the answer; improved: text of its parameter file.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Keep the plain document of an answer (None: failed, `line` says why) and the text of its
+    parameter file; it is there once answer.json is. Raises InputError if it cannot be written."""
     place = folder / case
     try:
         place.mkdir(parents=True, exist_ok=True)
@@ -371,11 +350,7 @@ def is_kept(folder: Path, case: str) -> bool:
 
 
 def read_kept(folder: Path, case: str) -> Kept:
-    """The answer to a case.
-
-    Raises:
-        InputError: there is none, or its file is damaged.
-    """
+    """The answer to a case; raises InputError where there is none, or its file is damaged."""
     path = folder / case / ANSWER
     document = _read(path)
     result, seconds = document.get("result"), document.get("seconds", math.nan)
@@ -414,19 +389,11 @@ def write_examination(folder: Path, examination: Examination) -> None:
 
 
 def read_examination(folder: Path) -> Examination:
-    """Who gave the answers of a folder.
-
-    Raises:
-        InputError: nobody, or the file is damaged.
-    """
+    """Who gave the answers of a folder; raises InputError if nobody did, or the file is damaged."""
     document = _read(folder / EXAMINATION)
     try:
-        return Examination(
-            document["name"],
-            tuple(document["program"]),
-            float(document["time_limit"]),
-            document["sealed"],
-        )
+        program, limit = tuple(document["program"]), float(document["time_limit"])
+        return Examination(document["name"], program, limit, document["sealed"])
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{folder / EXAMINATION}: damaged") from None
 

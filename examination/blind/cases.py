@@ -143,24 +143,20 @@ def amount_for(
     low, high = drawn.symptom.natural
     smallest, largest = np.log(high * _SMALLEST), np.log(high * STRETCH)
     at = float(np.log(start)) if start else 0.5 * float(np.log(low * high))
-    tried: list[tuple[float, float]] = []
+    tried: list[tuple[float, float]] = []  # log amount, log gap over target
     for _ in range(_TRIALS):
         tried.append((at, float(np.log(max(gap(float(np.exp(at))), 1e-9) / target))))
-        following = float(np.clip(_next(tried), smallest, largest))
+        below, above = ([t for t in tried if (t[1] < 0) == small] for small in (True, False))
+        if below and above:
+            (x0, y0), (x1, y1) = max(below), min(above)
+            crossing = x0 - y0 * (x1 - x0) / (y1 - y0)
+        else:
+            crossing = at - tried[-1][1]
+        following = float(np.clip(crossing, smallest, largest))
         if abs(tried[-1][1]) < _CLOSE or abs(following - at) < _STALLED:
             break
         at = following
     return float(np.exp(min(tried, key=lambda trial: abs(trial[1]))[0]))
-
-
-def _next(tried: list[tuple[float, float]]) -> float:
-    """Where the misses, (log amount, log gap over target), should cross zero."""
-    below, above = ([t for t in tried if (t[1] < 0) == small] for small in (True, False))
-    if not (below and above):
-        amount, miss = tried[-1]
-        return amount - miss
-    (x0, y0), (x1, y1) = max(below), min(above)
-    return x0 - y0 * (x1 - x0) / (y1 - y0)
 
 
 # --- Which case hides what: kinds, effects, severities and signals dealt in balance.
@@ -361,32 +357,30 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         return _stream(seed, index, purpose)
 
     truth = draw_truth(stream("rig"), load)
-    beliefs = stream("beliefs")
+    beliefs, little, bag = map(stream, ("beliefs", "nuisances", "bag"))
     mistakes = draw_wrong(beliefs, load)
     wrong = mistakes if card.kind == RECALIBRATION else {}
-    little = stream("nuisances")
     nuisances = {n: float(little.uniform(*limits)) for n, limits in _NUISANCES.items()}
-    bag = stream("bag")
     storage, namespace = str(bag.choice(_STORAGES)), str(bag.choice(_NAMESPACES))
     # Some working day, the second record after the first.
     day = _FIRST_DAY + 86400 * int(bag.integers(_DAYS))
     first = day + float(bag.uniform(*_WORKING_HOURS))
     starts = (first, first + float(bag.uniform(*_PAUSE)))
+    rng, noise = stream("sensors"), {}
+    for quantity, middle in _NOISE.items():
+        std = middle * float(np.exp(rng.uniform(*np.log(_NOISE_FACTOR))))
+        noise_model = "white" if quantity == "voltage" else card.noise
+        noise[quantity] = Noise.of_model(noise_model, std, rng)
+    sensors = Sensors(
+        noise, jitter=float(rng.uniform(*_JITTER)), dropout=float(rng.uniform(*_DROPOUT)),
+        camera_clock=float(rng.uniform(*_CAMERA_CLOCK)), seed=int(rng.integers(2**31)),
+    )  # fmt: skip
     return Case(
-        seed,
-        index,
-        name,
-        card,
-        truth,
-        draw_nominal(truth, beliefs, wrong),
-        wrong,
-        _draw_sensors(card.noise, stream("sensors")),
-        draw_drives(truth, stream("drives")),
-        nuisances,
+        seed, index, name, card, truth, draw_nominal(truth, beliefs, wrong), wrong, sensors,
+        draw_drives(truth, stream("drives")), nuisances,
         nuisance_gap=float(little.uniform(*NUISANCE_GAP)),
         mild_gap=float(np.exp(little.uniform(*np.log(MILD_GAP)))),
-        storage=storage,
-        namespace=namespace,
+        storage=storage, namespace=namespace,
         starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
     )
 
@@ -394,18 +388,3 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
 def _stream(seed: int, index: int, purpose: str) -> np.random.Generator:
     key = (index, _STREAMS.index(purpose))
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-
-
-def _draw_sensors(noise_model: str, rng: np.random.Generator) -> Sensors:
-    noise = {}
-    for quantity, middle in _NOISE.items():
-        std = middle * float(np.exp(rng.uniform(*np.log(_NOISE_FACTOR))))
-        own_model = "white" if quantity == "voltage" else noise_model
-        noise[quantity] = Noise.of_model(own_model, std, rng)
-    return Sensors(
-        noise,
-        jitter=float(rng.uniform(*_JITTER)),
-        dropout=float(rng.uniform(*_DROPOUT)),
-        camera_clock=float(rng.uniform(*_CAMERA_CLOCK)),
-        seed=int(rng.integers(2**31)),
-    )

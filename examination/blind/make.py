@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
@@ -14,15 +14,7 @@ import numpy as np
 
 from examination.bags import in_sqlite3
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, seal
-from examination.blind.cases import (
-    EFFECTS,
-    NONE,
-    OUTSIDE,
-    QUANTITIES,
-    Case,
-    draw_cases,
-    split_of,
-)
+from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, draw_cases, split_of
 from examination.blind.rigs import (
     RECORDS,
     Stage,
@@ -34,7 +26,7 @@ from examination.blind.rigs import (
     world_of,
 )
 from examination.blind.sensors import measure
-from examination.blind.severity import Readings, Sized, measured, separation, size
+from examination.blind.severity import Sized, measured, separation, size
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.parameters import write_parameters
@@ -77,6 +69,20 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
     if card.kind not in (NONE, RECALIBRATION):
         own = card.effects[0] if len(card.effects) == 1 else ""
         found = separation(stage, sized.base, truth, without, quantities, own)
+    # Where it shows in the record that a diagnosis sees: signal of the largest gap; phase and side
+    # of most of that signal's share; stage of the largest effect; the twelve largest cells.
+    place: dict[str, Any] | None = None
+    if severity:
+        first = RECORDS[0]
+        table = where(truth[first], without[first], stage, first, quantities)
+        signal = max(gap[first], key=lambda name: gap[first][name])
+        most = next(row for row in table if row["signal"] == signal)
+        place = {
+            "signal": quantity_of(signal), "channel": signal.rpartition(".")[0],
+            "phase": most["phase"], "side": most["side"], "stage": stages[0],
+            "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
+                      for row in table[:12]],
+        }  # fmt: skip
     return {
         "id": case.name,
         "kind": card.kind,
@@ -93,7 +99,7 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
         "nuisance_gap": round(sized.nuisance_gap, 4),
         "kinetics_gap": round(sized.kinetics_gap, 4),
         "wrong": dict(case.wrong),
-        "where": _where(stage, truth, without, gap, stages[0], quantities) if severity else None,
+        "where": place,
         "distinguishable": found is None or found["distinguishable"],
         "separation": found and {k: v for k, v in found.items() if k != "distinguishable"},
         "features": dict(sorted(sized.features.items())),
@@ -107,27 +113,6 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
     }
 
 
-def _where(
-    stage: Stage, truth: Readings, without: Readings, gap: Mapping[str, Mapping[str, float]],
-    own_stage: str, quantities: tuple[str, ...],
-) -> dict[str, Any]:
-    """Signal of the largest gap in the record that a diagnosis sees; phase and side of most of
-    that signal's share; stage of the largest effect; the twelve largest cells."""
-    record = RECORDS[0]
-    table = where(truth[record], without[record], stage, record, quantities)
-    signal = max(gap[record], key=lambda name: gap[record][name])
-    first = next(row for row in table if row["signal"] == signal)
-    return {
-        "signal": quantity_of(signal),
-        "channel": signal.rpartition(".")[0],
-        "phase": first["phase"],
-        "side": first["side"],
-        "stage": own_stage,
-        "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
-                  for row in table[:12]],
-    }  # fmt: skip
-
-
 # --- A set in a new folder.
 
 NOMINAL = "nominal.yaml"
@@ -136,12 +121,8 @@ _LAYOUT = 1
 
 
 def make(
-    out: str | Path,
-    seed: int,
-    n: int,
-    jobs: int = 1,
-    progress: Callable[[int], None] = lambda done: None,
-    load: str = "beam",
+    out: str | Path, seed: int, n: int, jobs: int = 1,
+    progress: Callable[[int], None] = lambda done: None, load: str = "beam",
 ) -> dict[str, Any]:
     """Make n cases in a new folder, which appears when all of them are there.
 
@@ -177,15 +158,10 @@ def make(
             labels.append(label)
             progress(len(labels))
         manifest = {
-            "layout": _LAYOUT,
-            "version": VERSION,
-            "seed": seed,
-            "n": n,
-            "split": split_of(seed),
-            "load": load,
-            "cases": [label["id"] for label in labels],
+            "layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "split": split_of(seed),
+            "load": load, "cases": [label["id"] for label in labels],
             "sha256": seal(folder / LABELS, labels),
-        }
+        }  # fmt: skip
         (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     return manifest
 

@@ -75,11 +75,39 @@ class Sized:
 
 def size(case: Case, stage: Stage) -> Sized:
     """Find the features of a case: nuisances below their limit, effects at their targets."""
-    little, nuisance_gap = _nuisances(case, stage)
+    # The rig's nuisances at their wanted gap.
+    wanted, scale = case.nuisance_gap, 1.0
+    little: dict[str, float] = {}
+    nuisance_gap = 0.0
+    for trial in range(_TRIALS):
+        scaled = {name: scale * value for name, value in case.nuisances.items()}
+        reached = measured(stage, scaled, {}, fine=COARSE if trial == 0 else 1.0)
+        if trial and reached <= NUISANCE_LIMIT:
+            little, nuisance_gap = scaled, reached
+            break
+        # The gap grows with the scale or its square: down by the root stays above nothing.
+        scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
+
+    # A transformation smoother by the wanted gap.
     base, kinetics_gap = dict(little), 0.0
     if case.card.mild_kinetics:
-        base = _mild_kinetics(case, stage, little)
+        rng = case.stream("effect")
+        parts = {name: value * rng.uniform(0.3, 1.0) for name, value in MILD_KINETICS.items()}
+
+        def smoother(amount: float) -> dict[str, float]:
+            added = {name: little.get(name, 0.0) + amount * part for name, part in parts.items()}
+            smoothness = min(added["kinetics_smoothness"], 1.0)
+            return {**little, **added, "kinetics_smoothness": smoothness}
+
+        amount = 1.0
+        for _ in range(3):
+            reached = measured(stage, smoother(amount), little, fine=COARSE)
+            # Smoothing acts by its variance: the gap grows between the first and second power.
+            amount *= float(np.clip((case.mild_gap / reached) ** 0.7, 0.2, 3.0))
+        base = smoother(amount)
         kinetics_gap = measured(stage, base, little)
+
+    # What is hidden, at its target or as it comes.
     rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
     for name, target in zip(case.card.effects, case.card.targets, strict=True):
@@ -109,37 +137,6 @@ def measured(
         one, two = (stage.read(f, record, fine) for f in (features, other))
         found = max(found, *gaps(one, two, stage.sensors, quantities).values())
     return found
-
-
-def _nuisances(case: Case, stage: Stage) -> tuple[dict[str, float], float]:
-    """The rig's nuisances at their wanted gap, and the gap that both records measure."""
-    wanted, scale = case.nuisance_gap, 1.0
-    for trial in range(_TRIALS):
-        features = {name: scale * value for name, value in case.nuisances.items()}
-        fine = COARSE if trial == 0 else 1.0
-        reached = measured(stage, features, {}, fine=fine)
-        if trial and reached <= NUISANCE_LIMIT:
-            return features, reached
-        # The gap grows with the scale or its square: down by the root stays above nothing.
-        scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
-    return {}, 0.0
-
-
-def _mild_kinetics(case: Case, stage: Stage, base: Features) -> dict[str, float]:
-    """The base with a transformation smoother by the wanted gap."""
-    rng = case.stream("effect")
-    parts = {name: value * rng.uniform(0.3, 1.0) for name, value in MILD_KINETICS.items()}
-
-    def features(amount: float) -> dict[str, float]:
-        added = {name: base.get(name, 0.0) + amount * part for name, part in parts.items()}
-        return {**base, **added, "kinetics_smoothness": min(added["kinetics_smoothness"], 1.0)}
-
-    amount = 1.0
-    for _ in range(3):
-        reached = measured(stage, features(amount), base, fine=COARSE)
-        # Smoothing acts by its variance: the gap grows between the first and second power.
-        amount *= float(np.clip((case.mild_gap / reached) ** 0.7, 0.2, 3.0))
-    return features(amount)
 
 
 # --- Could another explanation look the same? Measured with the reality's own sensitivities.
@@ -222,7 +219,19 @@ def separation(
             whitened({r: stage.read(features, r, COARSE) for r in RECORDS}, origin)
             for features in _varieties(symptom, base)
         ]
-        distances[name] = _left_over(rest, beyond_parameters(np.column_stack(columns)), symptom)
+        free_of = beyond_parameters(np.column_stack(columns))
+        # What the columns cannot explain, those of one direction in that direction only.
+        if free_of.shape[1] == 1:
+            square = float(np.sum(free_of**2))
+            share = float(free_of[:, 0] @ rest) / max(square, _TINY)
+            if symptom.signs in ((1,), (-1,)):
+                share = max(share, 0.0)
+            left = rest - share * free_of[:, 0]
+        else:
+            basis, spread, _ = np.linalg.svd(free_of, full_matrices=False)
+            basis = basis[:, spread > spread[0] * _TINY]
+            left = rest - basis @ (basis.T @ rest)
+        distances[name] = float(np.linalg.norm(left))
     rival = min(distances, key=lambda name: distances[name])
     return {
         "rival": rival,
@@ -230,19 +239,6 @@ def separation(
         "distances": {name: round(value, 3) for name, value in distances.items()},
         "distinguishable": distances[rival] ** 2 > DISTINCT,
     }
-
-
-def _left_over(rest: Array, columns: Array, symptom: Symptom) -> float:
-    """Norm of what the columns cannot explain, those of one direction in that direction only."""
-    if columns.shape[1] == 1:
-        square = float(np.sum(columns**2))
-        size = float(columns[:, 0] @ rest) / max(square, _TINY)
-        if symptom.signs in ((1,), (-1,)):
-            size = max(size, 0.0)
-        return float(np.linalg.norm(rest - size * columns[:, 0]))
-    basis, spread, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, spread > spread[0] * _TINY]
-    return float(np.linalg.norm(rest - basis @ (basis.T @ rest)))
 
 
 def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:

@@ -94,45 +94,31 @@ def beam(world: World) -> Beam:
     """What the wires of a world pull against."""
     p = world.parameters
     sides = np.array([0 if side == "front" else 1 for side in world.sides], dtype=np.int64)
-    lever, stiffness, load, opposing = _composite(world) if world.load == "beam" else _load(world)
+    # Lever [m], stiffness [Pa/m] and load [Pa] of each side, and how they oppose each other.
+    if world.load == "beam":
+        asymmetry, opposing = world.feature("stiffness_asymmetry"), world.feature("opposing")
+        front, back = (p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back"))
+        stiffness = np.array([front * (1.0 + asymmetry), back * (1.0 - asymmetry)])
+        lever, load = p["composite.deflection_per_strain"], np.zeros(2)
+    else:
+        section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
+        spring, preload = p["load.stiffness"] / section, p["load.preload"] / section
+        held, lever, opposing = p["load.force"] / section, wire_length(p), 0.0
+        if world.load == "antagonist":
+            stiffness, load, opposing = np.full(2, spring), np.full(2, preload), 1.0
+        elif world.load == "spring":
+            stiffness, load = np.array([spring, IDLE]), np.array([preload + held, 0.0])
+        else:
+            stiffness, load = np.array([0.0, IDLE]), np.array([held, 0.0])
     return Beam(
-        sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
-        lever,
-        world.feature("stiffening"),
-        opposing,
-        world.feature("matrix_relaxation"),
+        sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]), lever,
+        world.feature("stiffening"), opposing, world.feature("matrix_relaxation"),
         world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
-        p["wire.austenite_modulus"],
-        p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
-        p["wire.maximum_recoverable_strain"],
-        p["wire.thermal_expansion_factor"],
-        p["environment.ambient_temperature"],
-        world.feature("unrecovered_strain"),
-        world.feature("slack"),
-        world.feature("detwinning_stress"),
+        p["wire.austenite_modulus"], p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
+        p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
+        p["environment.ambient_temperature"], world.feature("unrecovered_strain"),
+        world.feature("slack"), world.feature("detwinning_stress"),
     )
-
-
-def _composite(world: World) -> tuple[float, Array, Array, float]:
-    """Lever [m], stiffness [Pa/m] and load [Pa] of each side, and how they oppose each other."""
-    p = world.parameters
-    betas = [p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back")]
-    asymmetry = world.feature("stiffness_asymmetry")
-    stiffness = np.array([betas[0] * (1.0 + asymmetry), betas[1] * (1.0 - asymmetry)])
-    return p["composite.deflection_per_strain"], stiffness, np.zeros(2), world.feature("opposing")
-
-
-def _load(world: World) -> tuple[float, Array, Array, float]:
-    """The same of wires with a load, whose lever is their length."""
-    p = world.parameters
-    section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
-    stiffness, preload = p["load.stiffness"] / section, p["load.preload"] / section
-    if world.load == "antagonist":
-        return wire_length(p), np.full(2, stiffness), np.full(2, preload), 1.0
-    held = p["load.force"] / section
-    if world.load == "spring":
-        return wire_length(p), np.array([stiffness, IDLE]), np.array([preload + held, 0.0]), 0.0
-    return wire_length(p), np.array([0.0, IDLE]), np.array([held, 0.0]), 0.0
 
 
 def pull_at_rest(beam: Beam) -> Pull:

@@ -117,13 +117,11 @@ class Circuit(NamedTuple):
 
 def circuit(world: World) -> Circuit:
     """The circuit of a world."""
+    p = world.parameters
     return Circuit(
-        world.parameters["wire.resistance"],
-        world.feature("resistance_austenite_change"),
-        world.feature("resistance_temperature_coefficient"),
-        world.parameters["environment.ambient_temperature"],
-        world.feature("supply_resistance"),
-        world.feature("contact_growth") / SECONDS_PER_MINUTE,
+        p["wire.resistance"], world.feature("resistance_austenite_change"),
+        world.feature("resistance_temperature_coefficient"), p["environment.ambient_temperature"],
+        world.feature("supply_resistance"), world.feature("contact_growth") / SECONDS_PER_MINUTE,
         world.feature("current_limit"),
     )
 
@@ -191,36 +189,24 @@ def strip_of(world: World) -> Strip:
     """The strips of a world."""
     p = world.parameters
     loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]
-    share = world.feature("silicone_share")
-    skin = _between_wire_and_surface(share / loss)
-    middle, joined = _between_wires(world.feature("side_conductance"))
+    share, conductance = world.feature("silicone_share"), world.feature("side_conductance")
+    # W/K: wire to the first cell, cell to cell, last cell to the surface; and from wire to wire.
+    skin_cells, middle_cells = share / loss * np.array(SKIN_CELLS), np.array(MIDDLE_CELLS)
+    skin, middle = (
+        0.5 * np.concatenate([[0.0], cells]) + 0.5 * np.concatenate([cells, [0.0]])
+        for cells in (skin_cells, middle_cells)
+    )
+    skin, middle = 1.0 / skin, conductance / middle
     heat = world.feature("silicone_heat_capacity")
     wire = p["wire.mass"] * p["wire.specific_heat"]
     skin_heat = heat * np.array(SKIN_CELLS)
     # Isolated cells take part in nothing, but the equations need a number.
-    middle_heat = 2.0 * heat * np.array(MIDDLE_CELLS) if joined else np.ones(MIDDLE)
+    middle_heat = 2.0 * heat * middle_cells if conductance > 0.0 else np.ones(MIDDLE)
     return Strip(
         np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
-        np.concatenate([skin[:-1][::-1], middle, skin[:-1]]),
-        float(skin[-1]),
-        loss / (1.0 - share),
-        relative_film(world),
+        np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),
+        loss / (1.0 - share), relative_film(world),
     )
-
-
-def _between_wire_and_surface(resistance: float) -> Array:
-    """(SKIN + 1,) W/K: wire to the first cell, cell to cell, last cell to the surface."""
-    cells = resistance * np.array(SKIN_CELLS)
-    ends = 0.5 * np.concatenate([[0.0], cells])
-    starts = 0.5 * np.concatenate([cells, [0.0]])
-    return np.asarray(1.0 / (ends + starts))
-
-
-def _between_wires(conductance: float) -> tuple[Array, bool]:
-    """(MIDDLE + 1,) W/K from wire to wire, and whether they are joined at all."""
-    cells = np.array(MIDDLE_CELLS)
-    halves = 0.5 * (np.concatenate([[0.0], cells]) + np.concatenate([cells, [0.0]]))
-    return np.asarray(conductance / halves), conductance > 0.0
 
 
 @inlined

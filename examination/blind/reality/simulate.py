@@ -110,19 +110,6 @@ class Scratch(NamedTuple):
     beam: Array
 
 
-def wires_at_rest(wires: int, temperature: float) -> Wires:
-    """Cold, all martensite, never driven."""
-    before, after = np.full((2, wires), temperature)
-    return Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(5)))
-
-
-def scratch_for(wires: int) -> Scratch:
-    """Room for so many wires."""
-    return Scratch(
-        np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)), np.zeros((ROWS, wires))
-    )
-
-
 class Rig(NamedTuple):
     """What a world is made of; `pairs` (s, 2) are the wires in front and behind of each strip."""
 
@@ -300,39 +287,12 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
         InputError: shapes that do not fit, times that do not increase, values that are not finite.
     """
     warn_if_plain()
-    inputs = _inputs(world, np.array(time, dtype=float), np.array(voltage, dtype=float), fine)
-    samples, wires = inputs.voltage.shape
-    rig, driven = _rig(world), len(world.parameters["bench.channels"])
-    still = float(world.parameters["environment.ambient_temperature"])
-    field = np.full((len(rig.pairs), NODES), still)
-    values = np.zeros((samples, QUANTITIES, wires))
-    tip, sides = np.zeros(samples), np.zeros((samples, 2))
-    grains = grains_at_rest(wires, len(rig.classes.weight))
-    run(
-        rig, inputs, field, grains, pull_at_rest(rig.beam), wires_at_rest(wires, still),
-        scratch_for(wires), values, tip, sides,
-    )
-    values = values[:, :, :driven]
-    return Outcome(
-        time=inputs.time,
-        voltage=inputs.voltage[:, :driven],
-        current=values[:, CURRENT],
-        temperature=values[:, TEMPERATURE],
-        surface=values[:, SURFACE],
-        martensite_fraction=values[:, MARTENSITE],
-        stress=values[:, STRESS],
-        deflection=tip if world.load in ("beam", "antagonist") else -tip,
-        side_deflection=sides,
-        ambient=inputs.ambient,
-    )
-
-
-def _inputs(world: World, time: Array, voltage: Array, fine: float) -> Inputs:
-    wires = len(world.parameters["bench.channels"])
-    if time.ndim != 1 or voltage.shape != (len(time), wires):
+    time, voltage = np.array(time, dtype=float), np.array(voltage, dtype=float)
+    driven, wires = len(world.parameters["bench.channels"]), len(world.sides)
+    if time.ndim != 1 or voltage.shape != (len(time), driven):
         raise InputError(
             f"happen: time has shape {time.shape} and voltage {voltage.shape}, "
-            f"expected (n,) and (n, {wires})"
+            f"expected (n,) and (n, {driven})"
         )
     if not (np.all(np.isfinite(time)) and np.all(np.isfinite(voltage))):
         raise InputError("happen: time or voltage is not finite, expected numbers")
@@ -343,30 +303,38 @@ def _inputs(world: World, time: Array, voltage: Array, fine: float) -> Inputs:
     if not 0.0 < fine < math.inf:
         raise InputError(f"happen: fine is {fine:g}, expected above 0")
     steps = np.ceil(gap * (fine / LONGEST_STEP) - ROUNDING).astype(np.int64)
-    idle = np.zeros((len(time), len(world.sides) - wires))
-    volts = np.hstack([voltage, idle])
-    return Inputs(time, volts, ambient(world, time), gusts(world, time), np.maximum(steps, 1))
+    volts = np.hstack([voltage, np.zeros((len(time), wires - driven))])
+    inputs = Inputs(time, volts, ambient(world, time), gusts(world, time), np.maximum(steps, 1))
 
-
-def _rig(world: World) -> Rig:
-    sides = world.sides
-    front, back = ([i for i, s in enumerate(sides) if s == side] for side in ("front", "back"))
-    return Rig(
-        circuit(world),
-        strip_of(world),
-        np.array([front, back], dtype=np.int64).T.copy(),
-        grain_classes(world),
-        ramp_table(world.feature("kinetics_smoothness")),
-        beam(world),
-        Habits(
-            memory=world.feature("return_point_memory"),
-            lag=world.feature("transformation_lag"),
-            latent=world.parameters["wire.mass"] * world.feature("latent_heat"),
-            drift=world.feature("transition_drift"),
-            plastic=world.feature("plastic_strain"),
-            drift_cycles=world.feature("drift_cycles"),
-            friction=world.feature("friction"),
-            slip=world.feature("clamp_slip"),
-            slip_time=world.feature("clamp_slip_time"),
-        ),
+    front, back = ([i for i, s in enumerate(world.sides) if s == side]
+                   for side in ("front", "back"))  # fmt: skip
+    habits = Habits(
+        memory=world.feature("return_point_memory"), lag=world.feature("transformation_lag"),
+        latent=world.parameters["wire.mass"] * world.feature("latent_heat"),
+        drift=world.feature("transition_drift"), plastic=world.feature("plastic_strain"),
+        drift_cycles=world.feature("drift_cycles"), friction=world.feature("friction"),
+        slip=world.feature("clamp_slip"), slip_time=world.feature("clamp_slip_time"),
+    )
+    rig = Rig(
+        circuit(world), strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
+        grain_classes(world), ramp_table(world.feature("kinetics_smoothness")), beam(world), habits,
+    )
+    # Cold, all martensite, never driven.
+    still = float(world.parameters["environment.ambient_temperature"])
+    before, after = np.full((2, wires), still)
+    at_rest = Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(5)))
+    scratch = Scratch(
+        np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)), np.zeros((ROWS, wires))
+    )
+    field = np.full((len(rig.pairs), NODES), still)
+    values = np.zeros((len(time), QUANTITIES, wires))
+    tip, sides = np.zeros(len(time)), np.zeros((len(time), 2))
+    grains = grains_at_rest(wires, len(rig.classes.weight))
+    run(rig, inputs, field, grains, pull_at_rest(rig.beam), at_rest, scratch, values, tip, sides)
+    values = values[:, :, :driven]
+    return Outcome(
+        time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE], values[:, SURFACE],
+        values[:, MARTENSITE], values[:, STRESS],
+        deflection=tip if world.load in ("beam", "antagonist") else -tip,
+        side_deflection=sides, ambient=inputs.ambient,
     )
