@@ -62,7 +62,10 @@ def run(args: SimpleNamespace) -> int:
         files = [Path(args.out) / f"{name}{end}" for name in names for end in (".json", ".yaml")]
         given = [Path(path) for path in (*paths, args.params) if path and Path(path).exists()]
         options.keep_safe({str(file): (file, options.FILE) for file in files}, given, args.force)
-        _make(Path(args.out))
+        try:
+            Path(args.out).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{args.out}: cannot be made: {error.strerror}") from None
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:
         done_so_far = closing(do_tasks(tasks, args.jobs, args.dask))
@@ -70,8 +73,12 @@ def run(args: SimpleNamespace) -> int:
             count = counted(report, len(tasks), "record")
             for done, (k, outcome) in enumerate(work, start=1):
                 outcomes[k] = outcome
-                if args.out:
-                    _write(Path(args.out), names[k], outcome)
+                if args.out and outcome.result is not None and outcome.parameters is not None:
+                    comment = f"By sma-bench batch from {outcome.path}".replace("\n", " ")
+                    file = str(Path(args.out) / names[k])
+                    with interrupts_held():  # both or none
+                        write_json(f"{file}.json", outcome.result)
+                        write_parameters(f"{file}.yaml", outcome.parameters, comment)
                 count(done)
     except (KeyboardInterrupt, InputError) as error:
         if any(outcomes):
@@ -93,22 +100,6 @@ def _names(paths: list[str]) -> list[str]:
     while len(set(names)) < len(names):  # a record may be called as another's number makes it
         names = [f"{k + 1}_{name}" for k, name in enumerate(names)]
     return names
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
-
-
-def _write(folder: Path, name: str, outcome: Outcome) -> None:
-    if outcome.result is None or outcome.parameters is None:
-        return
-    comment = f"By sma-bench batch from {outcome.path}".replace("\n", " ")
-    with interrupts_held():  # both or none
-        write_json(str(folder / f"{name}.json"), outcome.result)
-        write_parameters(folder / f"{name}.yaml", outcome.parameters, comment)
 
 
 def _print_outcomes(

@@ -4,10 +4,9 @@ from types import SimpleNamespace
 
 from sma_bench.commands import options
 from sma_bench.commands.terminal import output_console, print_table, write_json
-from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters import write_parameters
 from sma_bench.parameters.documentation import parameter_page
 from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.parameters.parameter import Parameter
 from sma_bench.parameters.table import TABLE
 
 
@@ -23,7 +22,14 @@ def run(args: SimpleNamespace) -> int:
     """Print the table, the page, or write the file."""
     parameters = options.parameters_from_options(args)
     if args.json:
-        write_json(args.json, {"parameters": [_entry(p, parameters) for p in TABLE]})
+        entries = [
+            {"name": p.name, "unit": p.unit,
+             "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
+             "std": parameters.std(p.name) if p.uncertainty is not None else None,
+             "low": p.low, "high": p.high, "description": p.description, "source": p.provenance}
+            for p in TABLE
+        ]  # fmt: skip
+        write_json(args.json, {"parameters": entries})
     if args.markdown:
         print(parameter_page(NODE_TABLES), end="")
         return 0
@@ -43,17 +49,3 @@ def _shown(value: object) -> str:
     if isinstance(value, tuple):
         return ", ".join(map(str, value))
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _entry(parameter: Parameter, parameters: Parameters) -> dict[str, object]:
-    value = parameters[parameter.name]
-    return {
-        "name": parameter.name,
-        "unit": parameter.unit,
-        "value": list(value) if isinstance(value, tuple) else value,
-        "std": parameters.std(parameter.name) if parameter.uncertainty is not None else None,
-        "low": parameter.low,
-        "high": parameter.high,
-        "description": parameter.description,
-        "source": parameter.provenance,
-    }

@@ -174,7 +174,14 @@ def record_section(record: AnyRecord, name: str) -> tuple[Section, str, list[str
     tables = []
     if kind in _TABLE_ROWS:
         key, columns = _TABLE_ROWS[kind]
-        tables.append(_table(described[key], columns, f"{name}_{key}", key.capitalize()))
+        cells = [
+            ["" if row[of] is None else format(0.0 if _is_nothing(row[of]) else row[of], form)
+             for _, of, form in columns]
+            for row in described[key]
+        ]
+        numeric = frozenset(k for k, (_, _, form) in enumerate(columns) if form)
+        header = [heading for heading, _, _ in columns]
+        tables.append(Table(header, cells, numeric, f"{name}_{key}", key.capitalize()))
     findings = described["findings"]
     lines = [f"{f['severity']}: {f['subject']}: {f['text']}" for f in findings]
     worth = [
@@ -187,19 +194,9 @@ def record_section(record: AnyRecord, name: str) -> tuple[Section, str, list[str
     return section, said, worth
 
 
-def _table(rows: Sequence[Mapping[str, Any]], columns: _Columns, name: str, title: str) -> Table:
-    cells = [[_cell(row[key], form) for _, key, form in columns] for row in rows]
-    numeric = frozenset(k for k, (_, _, form) in enumerate(columns) if form)
-    return Table([heading for heading, _, _ in columns], cells, numeric, name, title)
-
-
-_NOTHING = 1e-12  # of a signal's times: the last bits of doubles
-
-
-def _cell(value: Any, form: str) -> str:
-    if isinstance(value, float) and abs(value) < _NOTHING:
-        value = 0.0
-    return "" if value is None else format(value, form)
+def _is_nothing(value: object) -> bool:
+    """Of a signal's times: the last bits of doubles."""
+    return isinstance(value, float) and abs(value) < 1e-12
 
 
 # --- The parts of a report that show result files of `identify` and `diagnose`.
@@ -223,9 +220,10 @@ def identify_section(result: Identification, name: str) -> Section:
     """How the numbers agree with what is known, how their errors hang together, and what each
     experiment gave beside them."""
     tables = [estimate_table(result.estimates, f"{name}_parameters", "Parameters")]
+    told = {key: (n.value, n.std) for key, n in result.estimates.items()}
     for k, e in enumerate(result.experiments, 1):
         own = {key: n for key, n in {**e.estimates, **e.details}.items()
-               if (n.value, n.std) != _told(result, key)}
+               if (n.value, n.std) != told.get(key)}
         if own:
             title = f"{e.name} {e.title}, from {e.source}"
             tables.append(estimate_table(own, f"{name}_experiment_{k}", title))
@@ -237,12 +235,6 @@ def identify_section(result: Identification, name: str) -> Section:
         f"Identification {result.path}", [], result.warnings, tables,
         [picture for picture in drawn if picture is not None], pictures_first=True,
     )
-
-
-def _told(result: Identification, name: str) -> tuple[float, float] | None:
-    """Value and error of a parameter, as the result has it."""
-    known = result.estimates.get(name)
-    return None if known is None else (known.value, known.std)
 
 
 def diagnose_section(result: DiagnosisResult, name: str) -> Section:
