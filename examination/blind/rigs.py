@@ -157,14 +157,9 @@ def _rig(values: dict[str, float], stds: dict[str, float], load: str = "beam") -
     if load != "beam":
         wires = {"load.kind": load, "wire.diameter": 0.3e-3, **_WIRES[load]}
         return Parameters({**wires, **values}, stds)
-    both = {BACK: values[FRONT]}
-    std_of_both = {BACK: stds[FRONT]} if stds else {}
-    layout = {
-        "bench.channels": CHANNELS,
-        "bench.channel_sides": SIDES,
-        "wire.diameter": 0.3e-3,
-    }
-    return Parameters({**layout, **values, **both}, {**stds, **std_of_both})
+    layout = {"bench.channels": CHANNELS, "bench.channel_sides": SIDES, "wire.diameter": 0.3e-3}
+    both = {BACK: stds[FRONT]} if stds else {}
+    return Parameters({**layout, **values, BACK: values[FRONT]}, {**stds, **both})
 
 
 # --- What the rig is driven with: triangles, steps, staircases and holds, with rests between.
@@ -371,10 +366,7 @@ class Stage:
         return cls(rig_of(label), Sensors.from_json(label["sensors"]), drives)
 
     def play(
-        self,
-        features: Mapping[str, float],
-        record: str,
-        fine: float = 1.0,
+        self, features: Mapping[str, float], record: str, fine: float = 1.0,
         parameters: Parameters | None = None,
     ) -> Outcome:
         """What happens in a record under these features, every 20 ms.
@@ -398,10 +390,7 @@ class Stage:
         return outcome
 
     def read(
-        self,
-        features: Mapping[str, float],
-        record: str,
-        fine: float = 1.0,
+        self, features: Mapping[str, float], record: str, fine: float = 1.0,
         parameters: Parameters | None = None,
     ) -> dict[str, Array]:
         """What the instruments would read without noise: signal -> (n,), every 20 ms."""
@@ -426,9 +415,7 @@ def quantity_of(signal: str) -> str:
 
 
 def gaps(
-    one: Mapping[str, Array],
-    other: Mapping[str, Array],
-    sensors: Sensors,
+    one: Mapping[str, Array], other: Mapping[str, Array], sensors: Sensors,
     quantities: Iterable[str],
 ) -> dict[str, float]:
     """Root mean square of the difference over the noise, for every signal of the quantities."""

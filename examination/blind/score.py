@@ -124,9 +124,7 @@ def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
 
 
 def score(
-    cases: CaseSet,
-    papers: Sequence[Paper],
-    labels: Labels,
+    cases: CaseSet, papers: Sequence[Paper], labels: Labels,
     report: Callable[[int], None] = lambda done: None,
 ) -> list[Score]:
     """Judge every paper; each case's world is played once for all of them.

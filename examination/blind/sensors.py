@@ -203,12 +203,8 @@ def shutter_offset(time: Array, seed: int) -> Array:
 
 
 def measure(
-    outcome: Outcome,
-    world: World,
-    sensors: Sensors,
-    channels: tuple[str, ...],
-    rng: np.random.Generator,
-    quantities: tuple[str, ...] = QUANTITIES,
+    outcome: Outcome, world: World, sensors: Sensors, channels: tuple[str, ...],
+    rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES,
 ) -> list[Signal]:
     """Signals of the contract as this set of instruments would record them.
 

@@ -125,11 +125,8 @@ def size(case: Case, stage: Stage) -> Sized:
 
 
 def measured(
-    stage: Stage,
-    features: Features,
-    other: Features,
-    quantities: tuple[str, ...] = ALL_QUANTITIES,
-    fine: float = 1.0,
+    stage: Stage, features: Features, other: Features,
+    quantities: tuple[str, ...] = ALL_QUANTITIES, fine: float = 1.0,
 ) -> float:
     """Gap over noise between two worlds: the largest over signals and records."""
     found = 0.0
@@ -155,11 +152,7 @@ _SHAPES = (0.25, 0.75)  # places within the range of a setting
 
 
 def separation(
-    stage: Stage,
-    base: Features,
-    truth: Readings,
-    without: Readings,
-    quantities: tuple[str, ...],
+    stage: Stage, base: Features, truth: Readings, without: Readings, quantities: tuple[str, ...],
     own: str = "",
 ) -> dict[str, Any]:
     """Distances [standard deviations] of one difference from every rival explanation, the closest

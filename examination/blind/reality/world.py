@@ -79,9 +79,14 @@ class World:
     features: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "features", {name: _checked(name, v) for name, v in self.features.items()}
-        )
+        for name, value in self.features.items():
+            self.feature(name)
+            feature = BY_NAME[name]
+            if not (math.isfinite(value) and feature.low <= value <= feature.high):
+                raise InputError(f"world: {name} is {value!r}, expected {feature.low:g} to "
+                                 f"{feature.high:g} {feature.unit}")  # fmt: skip
+        checked = {name: float(value) for name, value in self.features.items()}
+        object.__setattr__(self, "features", checked)
         sides = self.sides
         front, back = sides.count("front"), sides.count("back")
         if self.load == "antagonist" and not (
@@ -117,16 +122,3 @@ class World:
         if name not in BY_NAME:
             raise InputError(f"world: no feature {name}, expected one of FEATURES")
         return self.features.get(name, BY_NAME[name].off)
-
-
-def _checked(name: str, value: float) -> float:
-    if name not in BY_NAME:
-        raise InputError(f"world: no feature {name}, expected one of FEATURES")
-    feature = BY_NAME[name]
-    number = float(value)
-    if not math.isfinite(number) or not feature.low <= number <= feature.high:
-        raise InputError(
-            f"world: {name} is {value!r}, "
-            f"expected {feature.low:g} to {feature.high:g} {feature.unit}"
-        )
-    return number
