@@ -28,7 +28,6 @@ FINER = 4  # steps of the bench between samples
 DURATION = 20.0  # s
 NOISE = {"current": 0.01, "temperature": 0.15, "deflection": 1e-4}  # A, K, m
 UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
-KINDS = ("white", "coloured", "drifting")
 ALL = ("current", "temperature", "deflection")
 # Those planted, and for each stage one that it is easily taken for.
 FEW = (

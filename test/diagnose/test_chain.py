@@ -7,7 +7,6 @@ from sma_bench.diagnose.chain import (
     T_TO_DEFLECTION,
     V_TO_DEFLECTION,
     break_chain,
-    measured_temperature,
     reading_of,
 )
 from sma_bench.estimation.observation import observe
@@ -53,21 +52,6 @@ def test_a_mechanical_cause_stays_whatever_drives_the_model(tmp_path):
     assert gaps[V_TO_DEFLECTION] > 2.0
     assert gaps[T_TO_DEFLECTION] == pytest.approx(gaps[V_TO_DEFLECTION], rel=0.5)
     assert "acts after the temperature" in reading_of(links)
-
-
-def test_the_measured_temperature_is_within_its_noise_of_what_was_measured(tmp_path):
-    fitted = recalibrated(tmp_path, {"effect.latent_heat.heat": 2e4})
-    (view,) = fitted.problem.observations
-    run = view.simulate(fitted.parameters)
-    corrected = measured_temperature(view, run)
-    before, after = 0.0, 0.0
-    for signal in view.signals:
-        if signal.quantity == "temperature":
-            model = signal.average @ run.temperature[:, signal.wire]
-            used = signal.average @ corrected[:, signal.wire]
-            before += ((signal.value - model) ** 2).mean()
-            after += ((signal.value - used) ** 2).mean()
-    assert after < 0.4 * before
 
 
 def test_without_temperatures_only_the_free_run_is_left(tmp_path):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from sma_bench.diagnose.decision import SCALE, Weights
-from sma_bench.diagnose.next_experiment import WORTH, Matter, NextExperiment, taken_up
+from sma_bench.diagnose.next_experiment import Matter, taken_up
 from sma_bench.diagnose.prospect import Telling, prospect
 
 
@@ -61,34 +61,6 @@ def test_evidence_counts_as_little_as_the_decision_lets_it():
     well = after(apart(5.0, *ALL), slack=20.0, residual_strain=20.0)
     badly = after(apart(5.0, *ALL), slack=9000.0, residual_strain=9000.0)
     assert well.named > 0.9 and badly.named < 0.1
-
-
-def test_noise_may_go_against_the_true_cause():
-    plenty = after(apart(6.0, *ALL), slack=14.0, residual_strain=14.0)
-    close = after(apart(2.4, *ALL), slack=14.0, residual_strain=14.0)
-    assert plenty.named > close.named > 0.0
-
-
-def test_an_effect_that_is_not_there_is_refitted_away_and_stays_possible():
-    # Recalibration cannot do what the effect does; the effect can do what recalibration does.
-    free = {("slack", "recalibration"): Telling(30.0, 8.0),
-            ("recalibration", "slack"): Telling(0.0, 0.0)}
-    costly = free | {("recalibration", "slack"): Telling(8.0, 1.0)}
-    assert after(free, slack=5.0).named < after(costly, slack=5.0).named
-
-
-def test_freedom_alone_settles_nothing_where_neither_would_be_seen():
-    blind = {("recalibration", "slack"): Telling(8.0, 0.02),
-             ("slack", "recalibration"): Telling(0.1, 0.1)}
-    nothing = dict.fromkeys(blind, Telling(0.0, 0.0))
-    assert after(blind, slack=5.0).given == pytest.approx(after(nothing, slack=5.0).given, abs=1e-3)
-    seeing = blind | {("slack", "recalibration"): Telling(30.0, 8.0)}
-    assert after(seeing, slack=5.0).named > after(blind, slack=5.0).named
-
-
-@pytest.mark.parametrize("worth, settles", [(0.4, True), (WORTH, True), (0.01, False)])
-def test_only_what_is_worth_it_is_proposed(worth, settles):
-    assert NextExperiment("protocol", "", BOTH, {}, 1.0, 0.9, worth).settles is settles
 
 
 def matter(minutes, **gains):

@@ -2,14 +2,10 @@
 
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from planted import believed
 
-from sma_bench.diagnose import search
-from sma_bench.diagnose.decision import Weights, _unsteady, signs_of_unexplained
+from sma_bench.diagnose.decision import Weights, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
-from sma_bench.estimation.unknowns import unknowns_of_records
 
 SMOOTH = "a smooth response of free form is left"
 BELIEF = "parameters are needed that nobody believes in"
@@ -64,12 +60,6 @@ def test_a_smooth_response_smaller_than_the_noise_says_little_however_sure_it_is
     assert told[0] < 0.0 and told[1] == pytest.approx(3.0, abs=0.1)
 
 
-def test_where_no_effect_was_found_a_sign_counts_whole():
-    found = signs_of_unexplained(searched(1.0, flexible=400.0, beyond=40.0, sizes=(5.0, 5.0)))
-    assert found[SMOOTH] == pytest.approx(5.0, abs=0.01)
-    assert found["deflection scatters more in motion than at rest"] == pytest.approx(3.5, abs=0.01)
-
-
 def test_a_single_event_and_an_impossible_drift_are_never_weighed_against_what_was_explained():
     search = searched(5000.0)
     search.left_by_best = Left(0.0, "", 0.0, 12.0, 11.0)
@@ -122,58 +112,3 @@ def test_what_gains_here_and_there_counts_as_often_as_it_is_told_and_rivals_stay
     steady, scattered = found({}, **both), found({"latent_heat": 9.0}, **both)
     assert scattered["latent_heat"] == pytest.approx(steady["latent_heat"], abs=0.01)
     assert found({"slack": 5.0}, latent_heat=18.0, slack=9.0)["latent_heat"] > 0.8
-
-
-def test_a_wandering_zero_is_no_less_one_for_wandering_here_and_there():
-    def unsteady(effect):
-        told = SimpleNamespace(effects=(effect,), baseline=0)
-        return _unsteady(SimpleNamespace(unknowns=told, jackknifed=np.array([3.2]), std=np.ones(1)))
-
-    assert unsteady("deflection_drift") == 1.0 < 4.0 < unsteady("viscoelastic_matrix")
-
-
-def test_a_stress_effect_is_tried_with_the_parameters_as_believed_at_the_same_sum(monkeypatch):
-    name, phases = "stress_dependent_transition", ("austenite", "martensite")
-    unknowns = unknowns_of_records(believed(), ("deflection",)).with_effects([name])
-    slopes = [unknowns.names.index(f"wire.stress_influence_{phase}") for phase in phases]
-    x = np.zeros(len(unknowns.names))
-    x[slopes] = 2.0, -1.5
-
-    def sums(at):
-        there = unknowns.parameters(at)
-        return [
-            1.0 / there[f"wire.stress_influence_{p}"] + there[f"effect.{name}.{p}"] for p in phases
-        ]
-
-    monkeypatch.setattr(search, "fit", lambda problem, unknowns, x, rounds: x)
-    found = search._handed_over(SimpleNamespace(unknowns=unknowns, x=x, problem=None))
-    assert found[slopes].tolist() == [0.0, 0.0]
-    assert sums(found) == pytest.approx(sums(x), rel=1e-9) and sums(found) != sums(0.0 * x)
-    arrived = SimpleNamespace(unknowns=unknowns, x=found, problem=None)
-    assert search._handed_over(arrived) is arrived
-
-
-def fitted(evidence, *effects):
-    return SimpleNamespace(evidence=evidence, unknowns=SimpleNamespace(effects=effects))
-
-
-def test_pairs_are_built_around_every_single_that_comes_near_the_best_and_fitted_afresh(
-    monkeypatch,
-):
-    singles = {
-        name: fitted(evidence, name)
-        for name, evidence in {"a": 100.0, "b": 70.0, "c": 60.0, "d": 30.0}.items()
-    }
-    asked = []
-
-    def with_partners(name, baseline, singles):
-        asked.append(name)
-        return [fitted({"a": 150.0, "b": 180.0, "c": 90.0}[name], name, "d")]
-
-    monkeypatch.setattr(search, "_pairs_with", with_partners)
-    monkeypatch.setattr(search, "_refined", lambda f: fitted(f.evidence + 9.0, *f.unknowns.effects))
-    pairs = search._pairs(None, singles, fitted(0.0))
-    assert asked == ["a", "b", "c"]  # d explains too little to be the better half of a rival
-    assert {key: f.evidence for key, f in pairs.items()} == {
-        ("a", "d"): 150.0, ("b", "d"): 189.0, ("c", "d"): 90.0,
-    }

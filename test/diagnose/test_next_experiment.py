@@ -66,24 +66,6 @@ def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
     assert "nothing that the bench can do" in remark and "ambient_drift" in remark
 
 
-def test_where_no_drive_promises_anything_none_is_searched_for(short_record, monkeypatch):
-    tied, begun = diagnosed([short_record]), []
-    matter = next_experiment.Matter(
-        tied.decision, tied.search, weigh(tied.search), tied.observations, believed()
-    )
-
-    def same(drive, _):
-        begun.append(drive)
-        return drive
-
-    monkeypatch.setattr(next_experiment, "changed", same)
-    searched = next_experiment._drives(matter)
-    assert begun and searched
-    begun.clear()
-    monkeypatch.setattr(next_experiment, "_HOPE", 2.0)  # more than any probability
-    assert len(next_experiment._drives(matter)) >= len(searched) and not begun
-
-
 def test_a_test_separates_no_cause_that_its_readings_hold(short_record):
     """What isobaric tests read is believed of C_A then, whichever of the two moved it. The wire's
     ends are before any leads."""

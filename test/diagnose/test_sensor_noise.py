@@ -53,13 +53,6 @@ def test_likelihood_is_that_of_the_full_covariance(noise):
         assert log_likelihood(noise, residual) == pytest.approx(exact, abs=2.5)
 
 
-def test_columns_are_whitened_each_by_itself():
-    noise = NOISES[1]
-    columns = np.column_stack([drawn(noise, 80, 1), drawn(noise, 80, 2)])
-    apart = [noise.whiten(column) for column in columns.T]
-    np.testing.assert_allclose(noise.whiten(columns), np.column_stack(apart))
-
-
 def test_white_level_drift_and_memory_are_recovered():
     true = Noise(0.3, 0.9, 6.0, PERIOD)
     found = estimate_noise([drawn(true, 3000, 1), drawn(true, 3000, 2)], 0.3, PERIOD)
@@ -96,13 +89,6 @@ def test_a_drift_that_no_sensor_has_costs_probability_unless_its_zero_wanders():
     assert held.drift < free.drift
     whole = log_likelihood(held, residual) + held.log_prior
     assert whole < log_likelihood(free, residual)
-
-
-def test_a_usual_drift_costs_nothing():
-    residual = drawn(Noise(0.1, 0.25, 12.0, PERIOD), 1500, 4)
-    found = estimate_noise([residual], 0.1, PERIOD, usual=0.6)
-    assert found.drift > 0.15
-    assert found.log_prior == 0.0
 
 
 def test_the_drift_in_a_residual_is_its_mean_under_the_noise():

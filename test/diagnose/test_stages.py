@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sma_bench.diagnose import stages
-from sma_bench.diagnose.decision import FLEXIBLE, UNSEEN, Candidate, Decision
+from sma_bench.diagnose.decision import FLEXIBLE, Candidate, Decision
 from sma_bench.diagnose.sizes import Cell
 from sma_bench.diagnose.stages import stage_of_recalibration, stages_of
 
@@ -85,11 +84,6 @@ def test_recalibration_has_the_stage_whose_parameters_moved_beyond_belief(moved,
     assert stage_of(said, searched(moved), []) == (stage or "mechanical")
 
 
-def test_a_recalibration_without_rivals_has_the_stage_that_moved_most():
-    said = decision("recalibration", candidate("recalibration", 1.0))
-    assert stage_of(said, searched({RESISTANCE: 1.0}), []) == "electrical"
-
-
 def test_every_stage_has_the_probability_of_its_explanations():
     said = decision(
         "effect",
@@ -103,42 +97,6 @@ def test_every_stage_has_the_probability_of_its_explanations():
     assert list(found) == ["mechanical", "thermal"]
     electrical = stages_of(said, searched({RESISTANCE: 9.0}), [])
     assert electrical == pytest.approx({"mechanical": 0.6, "thermal": 0.2, "electrical": 0.2})
-
-
-def test_what_is_granted_to_the_unexplained_without_a_sign_tells_of_no_stage():
-    granted = 0.6 * float(np.exp(UNSEEN))
-    said = decision(
-        "recalibration",
-        candidate("recalibration", 0.6),
-        candidate("unexplained", granted + 0.01),
-        candidate("latent_heat", 0.02, ("latent_heat",)),
-    )
-    found = stages_of(said, searched(shows=("deflection",)), cells())
-    assert found["thermal"] == 0.02
-    assert sum(found.values()) == pytest.approx(0.03)
-
-
-def test_effects_add_up_by_stage():
-    said = decision(
-        "ambiguous",
-        candidate("recalibration", 0.3),
-        candidate("latent_heat", 0.25, ("latent_heat",)),
-        candidate("ambient_drift", 0.15, ("ambient_drift",)),
-        candidate("slack", 0.3, ("slack",)),
-    )
-    assert stage_of(said, searched({RESISTANCE: 9.0}), []) == "thermal"
-    assert stage_of(said, searched({STROKE: 9.0}), []) == "mechanical"
-
-
-def test_a_pair_has_the_stage_of_the_effect_that_does_more(monkeypatch):
-    fit = SimpleNamespace(unknowns=SimpleNamespace(effects=("ambient_drift", "slack")), problem=0)
-    said = decision("effect", Candidate("ambient_drift+slack", 0.99, fit, 1.0, 0.0))
-    gaps = {("ambient_drift",): 2.0, ("slack",): 9.0}
-    monkeypatch.setattr(stages, "contribution", lambda fitted, names: names)
-    monkeypatch.setattr(stages, "largest_gap", lambda problem, difference: gaps[difference])
-    assert stage_of(said, searched(), []) == "mechanical"
-    gaps["ambient_drift",] = 12.0
-    assert stage_of(said, searched(), []) == "thermal"
 
 
 @pytest.mark.parametrize("shows, stage", [
@@ -167,28 +125,11 @@ def test_a_single_event_has_the_stage_of_what_can_jump(event, stage):
     assert stage_of(said, found, cells()) == stage
 
 
-def test_effects_that_come_near_alike_share_what_is_unexplained():
-    said = decision("unexplained", candidate("unexplained", 0.9))
-    found = searched(shows=("deflection",), ranked=("residual_strain", "transition_drift"))
-    found.gain = {"residual_strain": 7.0, "transition_drift": 6.0}.get
-    shares = stages_of(said, found, cells())
-    assert list(shares) == ["mechanical", "transformation"]
-    assert sum(shares.values()) == pytest.approx(0.9)
-    assert shares["mechanical"] < 2.0 * shares["transformation"]
-
-
 def test_a_sure_smooth_response_tells_which_signals_are_off():
     said = decision("unexplained", candidate("unexplained", 0.9))
     response = cells(temperature=0.9, deflection=0.1)
     assert stage_of(said, searched(flexible=FLEXIBLE + 1.0), response) == "sensor"
     assert stage_of(said, searched(flexible=FLEXIBLE - 1.0), response) == "thermal"  # the nearest
-
-
-def test_without_temperatures_the_nearest_effect_is_the_only_lead():
-    said = decision("unexplained", candidate("unexplained", 0.9))
-    found = searched(shows=("deflection",), ranked=("latent_heat", "slack"))
-    assert stage_of(said, found, cells()[2:]) == "thermal"
-    assert stage_of(said, found, cells()) == "mechanical"
 
 
 def test_parameters_that_nobody_believes_in_tell_where_the_unexplained_is():

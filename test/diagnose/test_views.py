@@ -8,7 +8,6 @@ from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_re
 
 from sma_bench.errors import InputError
 from sma_bench.estimation import nuisances
-from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import Observation, observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.unknowns import unknowns_of_records
@@ -47,23 +46,6 @@ def test_bins_are_means_of_samples_with_their_mean_time_and_noise(view):
     assert temperature.count.min() >= 5
     assert temperature.noise == pytest.approx(NOISE["temperature"] / np.sqrt(10.0), rel=0.15)
     assert np.all(np.diff(temperature.time) > 0.0)
-
-
-def test_a_straight_course_is_averaged_to_its_value_at_the_mean_time(view):
-    for signal in view.signals:
-        if signal.quantity != "current":
-            mean = signal.average @ (3.0 + 2.0 * view.grid)
-            np.testing.assert_allclose(mean, 3.0 + 2.0 * signal.time, atol=1e-9)
-
-
-def test_a_current_is_the_mean_of_voltage_times_conductance(view):
-    current = next(s for s in view.signals if s.quantity == "current")
-    reading = current.average @ np.full(len(view.grid), 0.4)
-    time, voltage = drive()
-    whole = np.sum(reading * current.count) / RATE
-    assert whole == pytest.approx(0.4 * np.sum(voltage[:, 0]) / RATE, rel=1e-3)
-    held = (current.time > 2.8) & (current.time < 4.2)
-    np.testing.assert_allclose(reading[held], 0.4 * 2.6, rtol=1e-4)
 
 
 def test_time_before_during_and_after_driving_has_its_phase(view):
@@ -120,17 +102,6 @@ def test_leads_and_the_wires_resistance_take_the_same_heat_away(view):
         if block.signal.quantity != "current":
             own, leads = columns[block.rows].T
             assert np.linalg.norm(leads - 2.0 * own) < 1e-3 * np.linalg.norm(leads)
-
-
-def test_whitened_drift_is_white_and_its_likelihood_that_of_the_covariance():
-    noise = Noise(0.7, 1.3, 2.0, 0.2)
-    lags = 0.2 * np.abs(np.subtract.outer(np.arange(200), np.arange(200)))
-    covariance = 0.7**2 * np.eye(200) + 1.3**2 * np.exp(-lags / 2.0)
-    drawn = np.linalg.cholesky(covariance) @ np.random.default_rng(5).standard_normal((200, 3))
-    white = noise.whiten(drawn)
-    exact = np.sum(drawn * np.linalg.solve(covariance, drawn), axis=0)
-    np.testing.assert_allclose(np.sum(white**2, axis=0), exact, rtol=2e-2)
-    np.testing.assert_array_equal(noise.whiten(drawn[:, 1]), white[:, 1])
 
 
 def test_what_cannot_be_compared_is_named():

@@ -43,13 +43,6 @@ def test_a_warning_is_on_the_number_that_it_is_about() -> None:
     assert doubted == {"wire.heat_transfer_coefficient", "wire.specific_heat"}
 
 
-def test_an_error_for_show_is_found_out() -> None:
-    number = {"z": 3.1, "warnings": []}
-    assert attacks.verdict(number) == "silent"
-    assert attacks.verdict({**number, "warnings": ["wire.resistance: ..."]}) == "warned"
-    assert attacks.verdict({**number, "z": -2.9}) == "right"
-
-
 def test_a_clean_bag_raises_no_warning() -> None:
     for seed in (0, 1):
         result = attacks.judge(attacks.clean_bag(np.random.default_rng(seed), seed))

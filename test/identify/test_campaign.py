@@ -34,23 +34,12 @@ def test_true_errors_pass_and_others_fail():
     assert not campaign.summarise(results, error_scale=2.0)["passed"]
 
 
-def test_a_missing_estimate_fails():
-    results = results_with(
-        np.random.default_rng(1).standard_normal((50, len(campaign.IDENTIFIED)))
-    )
-    del results[3]["parameters"]["wire.resistance"]
-    summary = campaign.summarise(results)
-    assert summary["missing"] == 1
-    assert not summary["passed"]
-    assert summary["parameters"]["wire.resistance"]["n"] == 49
-
-
 @pytest.mark.slow
 def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
     from examination.simulated_lab.instruments import Instruments
 
     clock = Instruments.clock
-    monkeypatch.setattr(Instruments, "clock", lambda self, rate: clock(self, 0.5 * rate))
+    monkeypatch.setattr(Instruments, "clock", lambda self, rate: clock(self, 0.2 * rate))
     file = tmp_path / "result.json"
     # One bench is too few for the verdict itself: all 17 inside would be too many.
     assert campaign.main(["--draws", "1", "--seed", "11", "--json", str(file)]) in (0, 1)

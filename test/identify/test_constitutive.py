@@ -6,22 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loops import isobaric
 
 from sma_bench.errors import InputError
 from sma_bench.identify.constitutive.joint_fit import fit_constitutive
-from sma_bench.identify.constitutive.law import elastic, make_loops, martensite_fractions, strain_of
-from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.identify.result import Experiment
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
-from sma_bench.physics.material import (
-    austenite_ramp,
-    cooled_fraction,
-    fraction_since_reversal,
-    heated_fraction,
-    martensite_ramp,
-    modulus,
-)
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
 
 STRESSES = (20e6, 80e6, 150e6, 220e6)
@@ -41,27 +32,10 @@ FITTED = (
 
 
 def record(
-    stress: float, truth: Parameters, seed: int = 1, noise: float = 5e-5, growth: float = 0.0,
-    zero: float = 0.01,
+    stress: float, truth: Parameters, seed: int = 1, growth: float = 0.0, zero: float = 0.01
 ) -> IsobaricRecord:
-    """One cycle of a material that obeys the contract; eps_L may grow with stress (1/Pa)."""
-    rng = np.random.default_rng(seed)
-    theta, ambient = truth["wire.thermal_expansion_factor"], 296.15
-    eps_l = truth["wire.maximum_recoverable_strain"] * (
-        1.0 - np.exp(-growth * stress) if growth else 1.0
-    )
-    branches = []
-    t = np.linspace(293.15, 423.15, 500)
-    for direction, fraction in (("heating", heated_fraction), ("cooling", cooled_fraction)):
-        xi = fraction(t, stress, truth)
-        strain = (stress - theta * (t - ambient)) / modulus(xi, truth) - eps_l * (1.0 - xi)
-        strain = zero + strain + noise * rng.standard_normal(len(t))
-        order = slice(None) if direction == "heating" else slice(None, None, -1)
-        branches.append(
-            Branch(direction, t[order], strain[order], np.full(len(t), stress))  # type: ignore[arg-type]
-        )
-    cycle = Cycle(1, tuple(branches))
-    return IsobaricRecord(Path("x"), f"{stress / 1e6:.0f} MPa", stress, "1", (cycle,))
+    return isobaric(stress, truth, seed=seed, noise=5e-5, growth=growth, zero=zero,
+                    span=(293.15, 423.15), points=500)
 
 
 def draw(seed: int) -> Parameters:
@@ -141,46 +115,6 @@ def test_one_stress_takes_the_influences_as_given() -> None:
     assert any("taken as given" in f.text for f in experiment.findings)
 
 
-def test_correlations_are_reported(fitted: Experiment) -> None:
-    experiment = fitted
-    matrix = experiment.curves["correlation"]
-    np.testing.assert_allclose(np.diag(matrix), 1.0, rtol=1e-6)
-    assert np.all(np.abs(matrix) <= 1.0 + 1e-9)
-    (finding,) = [f for f in experiment.findings if f.subject == "correlation"]
-    assert len(finding.numbers) == len(matrix) * (len(matrix) - 1) // 2
-
-
-def test_incomplete_loop_follows_the_contracts_rule() -> None:
-    truth = draw(3)
-    t_up, t_down = np.linspace(300.0, 360.0, 200), np.linspace(360.0, 300.0, 200)
-    cycle = Cycle(1, (
-        Branch("heating", t_up, t_up * 0.0, t_up), Branch("cooling", t_down, t_down * 0.0, t_up),
-    ))
-    (loop,) = make_loops([IsobaricRecord(Path("x"), "x", 50e6, "1", (cycle,))])
-    p = {
-        "A_s": truth["wire.austenite_start_temperature"],
-        "A_f": truth["wire.austenite_finish_temperature"],
-        "M_s": truth["wire.martensite_start_temperature"],
-        "M_f": truth["wire.martensite_finish_temperature"],
-        "slope_A": 1e8 / truth["wire.stress_influence_austenite"],
-        "slope_M": 1e8 / truth["wire.stress_influence_martensite"],
-        "eps_L": truth["wire.maximum_recoverable_strain"],
-        "Theta_T": truth["wire.thermal_expansion_factor"] / 1e6,
-    }
-    up, down = martensite_fractions("contract", p, loop)
-    turn = loop.paths[0].temperature[-1]
-    assert 0.0 < up[-1] < 1.0
-    ramps = [
-        (float(austenite_ramp(t, 50e6, truth)), float(martensite_ramp(t, 50e6, truth)))
-        for t in (turn, loop.paths[1].temperature[100])
-    ]
-    expected = fraction_since_reversal(False, float(up[-1]), ramps[0], ramps[1])
-    assert down[100] == pytest.approx(expected, abs=1e-6)
-    strain, columns = strain_of("contract", p, loop, elastic(truth))
-    assert len(strain) == len(loop.strain)
-    assert columns.shape == (len(strain), 1)
-
-
 def test_flat_strain_is_refused() -> None:
     t = np.linspace(300.0, 400.0, 200)
     noise = 1e-5 * np.random.default_rng(1).standard_normal(200)
@@ -213,18 +147,6 @@ def test_measured_alloys_are_met_within_five_percent_at_every_stress(
         # Known of NiTiHf: some 10e-6 1/K in both phases.
         assert experiment.details["extended: alpha_A"].value == pytest.approx(10.8, abs=1.5)
         assert experiment.details["extended: alpha_M"].value == pytest.approx(9.4, abs=1.5)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 2])
-def test_measured_temperatures_of_single_branches_agree_with_the_joint_fit(
-    alloy: Alloy, measured: Callable[[int], Experiment], number: int
-) -> None:
-    branches = identify_isobaric(alloy(number)).estimates
-    jointly = measured(number).estimates
-    for name in (n for n in jointly if n.endswith("_temperature")):
-        apart = branches[name].value - jointly[name].value
-        assert abs(apart) < 2.5 * np.hypot(branches[name].std, jointly[name].std), name
 
 
 def test_seven_cycles_do_not_fit_one_set_and_each_its_own(measured_data: Path) -> None:

@@ -7,7 +7,7 @@ from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 
-TRIALS = 60
+TRIALS = 50
 GAIN_STD = 3e-4  # of the voltmeter; that of a calibrated one
 KNOWN = Parameters.of_paper().replace(
     uncertainty={**EXACT_SENSORS, "sensor.voltage.gain": GAIN_STD, "sensor.temperature.lag": 0.0}
@@ -34,7 +34,7 @@ def deviation(seed, wire, sensors, staircase, ramp):
     # Nor does a supply know when it will be read: in step with the readings c_p is 0.1 % low.
     lead = 4.0 + rng.uniform(0.0, 1.0 / moving.power_rate)
     records = [
-        staircase(truth, steady, seed, top=6.25 * scale, increment=0.25 * scale),
+        staircase(truth, steady, seed, 15.0, top=6.25 * scale, increment=0.5 * scale),
         ramp(truth, moving, seed + 5000, top=2.5 * scale, lead=lead),
     ]
     found = identify(records, KNOWN).estimates

@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 from sma_bench.cli import main
-from sma_bench.commands import identify as command
-from sma_bench.commands import options
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
-from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 from sma_bench.records import Record, Signal, open_record
-from sma_bench.tasks import work
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
 DEFAULTS = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
@@ -61,14 +58,6 @@ def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     }
     assert document["parameters"][R]["unit"] == "ohm"
     assert json.loads(json.dumps(document, allow_nan=False)) == document
-
-
-def test_identified_parameters_survive_a_parameter_file(staircase, tmp_path):
-    found = identify([staircase()], DEFAULTS)
-    write_parameters(tmp_path / "p.yaml", found.parameters)
-    again = read_parameters(tmp_path / "p.yaml")
-    assert again[R] == found.estimates[R].value
-    assert again.std(R) == found.estimates[R].std
 
 
 def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistance(staircase):
@@ -187,10 +176,3 @@ def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_pat
     for arguments in ([step], [tmp_path / "absent"], [step, "--params", tmp_path / "no.yaml"]):
         assert main(["identify", *map(str, arguments)]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
-
-
-def test_unwritable_folder_is_one_line_and_leaves_no_file(staircase, tmp_path, monkeypatch):
-    monkeypatch.setattr(work, "open_record", lambda path, namespace=None: staircase())
-    words = ["bag", "--json", str(tmp_path / "no folder" / "r.json")]
-    assert "cannot write" in one_line(lambda: options.run_command(command.run, "identify", words))
-    assert list(tmp_path.iterdir()) == []

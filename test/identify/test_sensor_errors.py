@@ -200,12 +200,6 @@ def test_a_lag_of_a_second_is_found_or_doubted(ramp):
     assert abs(cp.value - 350.0) < 3.0 * cp.std
 
 
-def test_clean_ramps_raise_no_warning(staircase, ramp):
-    for seed in range(5):
-        found = identify([staircase(seed=seed, dwell=12.0), ramp(seed=seed)], Parameters.of_paper())
-        assert found.warnings == ()
-
-
 def test_slow_ramps_without_a_jump_have_no_bias_from_the_noise_of_their_voltage(ramp, sensors):
     known = KNOWN.replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4})
     off = []

@@ -11,7 +11,6 @@ from sma_bench.identify.estimate import fit_linear
 from sma_bench.identify.instruments.thermal_expansion import (
     check_size,
     identify_thermal_expansion,
-    steady_windows,
 )
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
@@ -72,7 +71,7 @@ def test_factor_comes_back_and_is_judged_plausible() -> None:
 def test_intervals_cover_the_truth() -> None:
     exact = Parameters.of_paper().replace(uncertainty={**EXACT_SENSORS, "wire.diameter": 0.0})
     scores = []
-    for seed in range(60):
+    for seed in range(40):
         theta = float(np.random.default_rng(seed).uniform(-0.6e6, -0.1e6))
         estimate = identify_thermal_expansion(record(theta=theta, seed=seed), exact).estimates[NAME]
         scores.append((estimate.value - theta) / estimate.std)
@@ -137,19 +136,6 @@ def test_ramp_without_plateaus_is_refused() -> None:
     )
     with pytest.raises(InputError, match="never holds still"):
         identify_thermal_expansion(ramp)
-
-
-def test_windows_begin_after_the_overshoot() -> None:
-    time, temperature = staircase([300.0, 310.0, 320.0])
-    windows = steady_windows(time, temperature)
-    assert len(windows) == 3
-    for (start, stop), level in zip(windows, (300.0, 310.0, 320.0), strict=True):
-        inside = (time >= start) & (time <= stop)
-        assert np.abs(temperature[inside] - level).max() < 0.05
-
-
-def test_a_lone_reading_holds_still_for_no_time():
-    assert steady_windows(np.array([1.0]), np.array([300.0])).shape == (0, 2)
 
 
 def test_readings_that_no_bench_has_are_one_line():

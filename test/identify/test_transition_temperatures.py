@@ -77,16 +77,6 @@ def test_powder_is_reported_by_rate_and_cycle_with_peaks_and_latent_heat(powder)
     assert "10 K/min, cycle 1" in powder.details["segment_4/start"].method
 
 
-def test_curves_of_the_powder_draw_the_figure(powder):
-    for number in (2, 4, 6, 8):
-        get = {k: powder.curves[f"segment_{number}/{k}"] for k in ("temperature", "heat_flow")}
-        assert len(get["temperature"]) == len(get["heat_flow"]) > 1000
-        touch = powder.curves[f"segment_{number}/start/tangent_temperature"][0]
-        assert touch == pytest.approx(powder.details[f"segment_{number}/start"].value)
-        # The start-up transient of up to 400 W/kg is not part of the curve.
-        assert np.ptp(get["heat_flow"]) < 370.0
-
-
 def scan(number, rate, start, finish, height=300.0, transient=400.0, latent=None):
     """A scan with a trapezoidal peak: its tangents meet the base at start and finish exactly."""
     low, high, sign = 260.0, 400.0, np.sign(rate)

@@ -10,7 +10,6 @@ from effect_references import (
     lagged_heating,
     pulses,
     refined,
-    steady,
 )
 from scipy.linalg import expm
 
@@ -112,34 +111,6 @@ def test_all_that_changes_the_heat_at_once_converges_to_the_equations(
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.3)
 
 
-def test_what_one_side_gives_the_other_gets(composite_rig):
-    """With loss to the air alike for all, the sum of excess temperatures knows no coupling."""
-    rig = composite_rig.replace({"bench.channel_sides": ("front", "front", "front", "back")})
-    time, voltage = refined(*warm(0.25), 200)
-    alone = simulate(rig, time, voltage).temperature.sum(axis=1)
-    coupled = simulate(effect(rig, side_heat_coupling__conductance=0.05), time, voltage)
-    assert np.ptp(alone) > 20.0
-    assert coupled.temperature.sum(axis=1) == pytest.approx(alone, abs=0.05)
-
-
-def test_convection_that_grows_settles_where_heat_is_lost(composite_rig):
-    rig = effect(composite_rig, temperature_dependent_convection__rise=2.5e-3)
-    time = np.arange(0.0, 10.0, 0.05)
-    run = simulate(rig, time, np.full((200, 4), 6.0))
-    loss = 403.26 * 395.84e-6
-    rise = steady(lambda x: loss * (1 + 2.5e-3 * x) * x - 36.0 / 2.6987, 0.0, 200.0)
-    assert run.temperature[-1] == pytest.approx(np.full(4, AMBIENT + rise), abs=1e-9)
-
-
-def test_wires_at_rest_follow_drifting_air(composite_rig):
-    rig = effect(composite_rig, ambient_drift__rate=0.01)
-    time = np.arange(0.0, 300.0, 0.05)
-    run = simulate(rig, time, np.zeros((time.size, 4)))
-    tau = 0.091e-3 * 343.2 / (403.26 * 395.84e-6)
-    expected = AMBIENT + 0.01 * (time - tau * (1 - np.exp(-time / tau)))
-    assert run.temperature[:, 0] == pytest.approx(expected, abs=1e-3)
-
-
 def test_latent_heat_with_silicone_is_spread_as_the_matrix_exponential_says(composite_rig):
     rig = effect(composite_rig, latent_heat__heat=9e3, matrix_thermal_mass__heat_capacity=0.08,
                  matrix_thermal_mass__inner_share=0.3, side_heat_coupling__conductance=0.02)
@@ -154,15 +125,6 @@ def test_latent_heat_with_silicone_is_spread_as_the_matrix_exponential_says(comp
     rates[1, :2] = np.array([inner, -(inner + outer + across)]) / 0.08
     response = expm(rates * step)[:2, 2] * 9e3 / 343.2 / step  # of 1 K/s; xi + 1 within the step
     assert [wires[0, at.LAG], wires[0, at.MATRIX_LAG]] == pytest.approx(response, rel=1e-9)
-
-
-def test_silicone_without_heat_capacity_is_no_silicone_even_with_latent_heat(composite_rig):
-    rig = effect(composite_rig, latent_heat__heat=9e3)
-    time, voltage = pulses(0.1)
-    without = simulate(rig, time, voltage)
-    light = simulate(effect(rig, matrix_thermal_mass__heat_capacity=1e-8), time, voltage)
-    assert light.temperature == pytest.approx(without.temperature, abs=1e-4)
-    assert light.deflection == pytest.approx(without.deflection, abs=1e-7)
 
 
 # --- transformation
@@ -217,17 +179,6 @@ def test_incomplete_loops_lie_between_the_contracts_rule_and_the_full_loop(wire_
     assert 0.1 < xi[ends[1]] < 0.9
 
 
-def test_with_full_memory_an_inner_loop_closes_where_it_opened(wire_rig):
-    rig = effect(wire_rig, partial_transformation__memory=1.0)
-    run = held(rig, *wave(0, 4.6, 3.9, 4.6, 3.9, 4.6, 3.9))
-    xi, ends = run.martensite_fraction[:, 0], turns(run)
-    assert 0.2 < xi[ends[1]] < 0.8
-    assert 0.5 < xi[ends[2]] < 0.99
-    assert run.temperature[ends[3], 0] == pytest.approx(run.temperature[ends[5], 0], abs=1e-3)
-    assert xi[ends[5]] == pytest.approx(xi[ends[3]], abs=1e-4)
-    assert xi[ends[4]] == pytest.approx(xi[ends[2]], abs=1e-4)
-
-
 def nested(rig, kelvin, memory):
     """xi along temperatures at no stress: straight lines over the ramp to where loops opened."""
     f, g = material.austenite_ramp(kelvin, 0.0, rig), material.martensite_ramp(kelvin, 0.0, rig)
@@ -267,22 +218,6 @@ def test_return_points_follow_nested_loops(wire_rig, memory):
     assert np.max(np.abs(plain.martensite_fraction[:, 0] - xi)) > 0.02 * memory
 
 
-def test_with_return_points_an_inner_loop_closes_where_it_opened(wire_rig):
-    rig = effect(wire_rig, partial_transformation__return_point=1.0)
-    run = held(rig, *wave(0, 4.6, 3.9, 4.6, 3.9, 4.6, 3.9))
-    xi, ends = run.martensite_fraction[:, 0], turns(run)
-    assert 0.2 < xi[ends[1]] < xi[ends[2]] - 0.1
-    kelvin, again = run.temperature[:, 0], slice(ends[2], ends[3] + 1)
-    closed = np.interp(kelvin[ends[1]], kelvin[again], xi[again])
-    assert closed == pytest.approx(xi[ends[1]], abs=1e-4)
-    # Beyond, the wire goes on along the loop that the inner one interrupted.
-    first = slice(ends[0], ends[1] + 1)
-    assert kelvin[ends[3]] > kelvin[ends[1]] + 0.5
-    along = material.heated_fraction(kelvin[again][-5:], 0.0, rig)
-    assert xi[again][-5:] == pytest.approx(along, abs=1e-9)
-    assert xi[first][-5:] == pytest.approx(material.heated_fraction(kelvin[first][-5:], 0.0, rig))
-
-
 @pytest.mark.parametrize("memory", [-0.5, -0.2, 0.5, 1.0])
 def test_the_fraction_goes_one_way_and_without_jumps_whatever_the_memory(wire_rig, memory):
     rig = effect(wire_rig, partial_transformation__memory=memory)
@@ -310,17 +245,6 @@ def test_transitions_shift_by_the_cycles_done(wire_rig):
     assert at_rest == pytest.approx([-2e-3 * done(n, 2.0) for n in range(4)], abs=1e-5)
 
 
-def test_a_shift_goes_on_where_a_run_is_continued(wire_rig):
-    rig = effect(wire_rig, transition_drift__shift=8.0, transition_drift__cycles=1.0)
-    time, voltage = wave(0, 7, 0, 7, 0)
-    whole = held(rig, time, voltage)
-    first = held(rig, time[:2200], voltage[:2200])
-    second = simulate(rig, time[2199:], voltage[2199:], initial=first.final,
-                      boundary=Boundary.held_stress(0.0))
-    assert 0.05 < first.martensite_fraction[-1, 0] < 1.0 or first.time[-1] > 8.0
-    assert np.array_equal(second.martensite_fraction, whole.martensite_fraction[2199:])
-
-
 def test_stress_dependence_adds_to_that_of_the_parameters(composite_rig):
     time, voltage = pulses(0.05)
     run = simulate(effect(composite_rig, stress_dependent_transition__austenite=5e-8,
@@ -330,14 +254,6 @@ def test_stress_dependence_adds_to_that_of_the_parameters(composite_rig):
         "wire.stress_influence_martensite": 1 / (1 / 8.0e6 - 3e-8),
     }), time, voltage)
     assert run.deflection == pytest.approx(same.deflection, abs=1e-12)
-
-
-def test_stress_never_favours_austenite(composite_rig):
-    """1/C below 0 would be an avalanche: the wire's own stress would transform it at once."""
-    time, voltage = pulses(0.005)
-    run = simulate(effect(composite_rig, stress_dependent_transition__austenite=-2e-6,
-                          stress_dependent_transition__martensite=-2e-6), time, voltage)
-    assert np.abs(np.diff(run.martensite_fraction, axis=0)).max() < 0.1
 
 
 # --- mechanical
@@ -507,16 +423,6 @@ def test_slack_is_a_dead_zone_of_exactly_its_strain(composite_rig, step):
     assert (e - b)[pushing] == pytest.approx(0.0, abs=1e-12)
     assert np.all((e >= -1e-12) & (e <= slack + 1e-12) | ~hanging)
     assert np.abs(pulled[hanging]).max() < 10.0
-
-
-def test_small_strokes_are_lost_to_slack_altogether(composite_rig):
-    time = np.arange(0.0, 10.0, 0.02)
-    voltage = 4.4 * (time < 5.0)[:, np.newaxis] * np.array([1.0, 1.0, 0.0, 0.0])
-    paper = simulate(composite_rig, time, voltage)
-    run = simulate(effect(composite_rig, slack__strain=0.02), time, voltage)
-    assert paper.deflection.max() > 3e-3
-    assert run.contraction[:, 0].max() > 3e-3
-    assert run.deflection.max() == 0.0
 
 
 # --- sensors

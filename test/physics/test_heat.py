@@ -22,12 +22,6 @@ def test_paper_numbers_give_a_time_constant_of_a_fifth_of_a_second(wire_rig):
     assert heat.time_constant(wire_rig) == pytest.approx(0.19565, abs=1e-5)
 
 
-def test_heating_is_specific_heat_times_rate(wire_rig):
-    rate = heat.temperature_rate(300.0, 2.7, wire_rig)  # eq. (5) is c_p times it
-    power = 2.7**2 / 2.6987 - 403.26 * 395.84e-6 * (300.0 - 296.15)
-    assert wire_rig["wire.specific_heat"] * rate == pytest.approx(power / 0.091e-3)
-
-
 def held_voltage_response(start, voltage, elapsed, wire):
     """T [K] after `elapsed` [s] at a held voltage [V] from `start` [K]: eq. (2) solved."""
     steady = heat.steady_temperature(voltage, wire)

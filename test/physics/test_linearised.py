@@ -308,19 +308,6 @@ def test_wire_rig_has_no_bending_coefficients() -> None:
     assert "alpha" not in names
 
 
-def test_both_inputs_lead_to_the_same_place() -> None:
-    point = OperatingPoint.at_deflection(COMPOSITE, 0.02, "heating")
-    model = linearise(point)
-    by_voltage = lsim(model.state_space(), np.tile([1.0, 0, 0, 0], (50, 1)), np.arange(50) * 0.1)
-    watts = 2.0 * point.voltage[0] / COMPOSITE["wire.resistance"]
-    by_power = lsim(
-        model.state_space("power"), np.tile([watts, 0, 0, 0], (50, 1)), np.arange(50) * 0.1
-    )
-    np.testing.assert_allclose(by_voltage[1], by_power[1], rtol=1e-9, atol=1e-12)
-    assert by_voltage[1][-1, 0] == pytest.approx(model.deflection_per_volt()[0], rel=1e-6)
-    assert model.output_names[:2] == ("deflection", "front_1.temperature")
-
-
 @pytest.mark.parametrize(
     ("build", "message"),
     [

@@ -58,16 +58,8 @@ def test_latent_heat_converges_to_the_stiff_solver_with_the_square_of_the_step(c
 
 
 @pytest.mark.slow
-def test_ten_minute_triangle_agrees_with_the_stiff_solver_to_a_millionth(wire_rig):
-    time = np.arange(0.0, 600.01, 0.5)
-    voltage = triangle(time, 6.25, 60.0)[:, np.newaxis]
-    reference = solve(Wires(wire_rig, np.array([0]), None), time, voltage, "LSODA")
-    assert_agree(simulate(wire_rig, time, voltage), reference, 1e-6)
-
-
-@pytest.mark.slow
-def test_ten_minute_triangle_of_the_composite_agrees_to_a_millionth(composite_rig):
-    time = np.arange(0.0, 600.01, 0.5)
+def test_two_minutes_of_the_composite_agree_to_a_millionth(composite_rig):
+    time = np.arange(0.0, 120.01, 0.5)
     wave = triangle(time, 6.25, 60.0)
     voltage = np.stack([wave, 0.95 * wave, 0.8 * wave[::-1], wave], axis=1)
     reference = solve(composite_wires(composite_rig), time, voltage, "LSODA")

@@ -1,0 +1,36 @@
+"""Isobaric tests of a material that obeys the contract, for E6 and E9."""
+
+from pathlib import Path
+
+import numpy as np
+
+from sma_bench.parameters import Parameters
+from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
+from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord
+
+
+def isobaric(
+    stress: float, parameters: Parameters, *, noise: float = 2e-5, seed: int = 1,
+    shift: float = 0.0, directions: tuple[str, ...] = ("heating", "cooling"),
+    span: tuple[float, float] = (293.15, 413.15), points: int = 600, growth: float = 0.0,
+    zero: float = 0.05,
+) -> IsobaricRecord:
+    """One cycle at one stress (Pa); eps_L may grow with stress (1/Pa)."""
+    rng = np.random.default_rng(seed)
+    theta, ambient = parameters["wire.thermal_expansion_factor"], 296.15
+    eps_l = parameters["wire.maximum_recoverable_strain"] * (
+        1.0 - np.exp(-growth * stress) if growth else 1.0
+    )
+    branches = []
+    for direction in directions:
+        t = np.linspace(*span, points)
+        fraction = heated_fraction if direction == "heating" else cooled_fraction
+        xi = fraction(t - shift, stress, parameters)
+        strain = (stress - theta * (t - ambient)) / modulus(xi, parameters) - eps_l * (1.0 - xi)
+        strain = zero + strain + noise * rng.standard_normal(points)
+        order = slice(None) if direction == "heating" else slice(None, None, -1)
+        branches.append(
+            Branch(direction, t[order], strain[order], np.full(points, stress))  # type: ignore[arg-type]
+        )
+    return IsobaricRecord(Path(f"{stress / 1e6:.0f} MPa.txt"), f"s/{stress / 1e6:.0f} MPa {seed}",
+                          stress, "1", (Cycle(1, tuple(branches)),))
