@@ -183,7 +183,7 @@ def identify(
     Args:
         records: one of what `load` takes, or a list of them; they are combined.
         parameters: what is known beforehand (mass, area, ...), as for `load_parameters`.
-        experiments: of E1 to E10; all that the records allow when None.
+        experiments: of E0 to E10; all that the records allow when None.
 
     Returns:
         `Identification`: `estimates` by name, each with `value`, `std`, `unit`; `parameters`, the

@@ -37,7 +37,7 @@ def experiments() -> tuple[str, ...]:
 @options.parameter_options
 @options.option(
     "--experiment EXPERIMENT",
-    "do this one only, of E1, E2, ... E10 (repeatable; default: all that the records hold)",
+    "do this one only, of E0, E1, ... E10 (repeatable; default: all that the records hold)",
     dest="experiments",
     type=options.Words(experiments),
     multiple=True,

@@ -41,9 +41,11 @@ from sma_bench.records import DscRecord, Record
 from sma_bench.records.check import check_record
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
+from sma_bench.records.record import has_samples, samples
 from sma_bench.records.tensile import Phase, TensileRecord
 
 NEEDS = {
+    "E0": "E0 any voltage that changes, with current or temperature",
     "E1": f"E1 a staircase of {FEWEST_LEVELS} voltages or more with current",
     "E2": f"E2 a staircase of {FEWEST_LEVELS} voltages or more with temperature",
     "E3": "E3 a voltage ramp below A_s with temperature",
@@ -56,6 +58,7 @@ NEEDS = {
 }
 EXPERIMENTS = tuple(NEEDS)
 _FAR_APART = 4.0
+_LEAST_DRIVE = 0.05  # V
 _THERMAL = {"E1": run_resistance, "E2": run_heat_transfer, "E3": run_specific_heat}
 # Parts of the time: a whole-model fit takes most of it, and so does E9 where it is asked for.
 _WHOLE_MODEL = 0.9
@@ -108,10 +111,11 @@ def identify(
 ) -> Identification:
     """Identify what the records allow.
 
-    Staircases give E1 and E2, ramps E3, DSC files E5, isobaric test files E6, tensile ones E7, the
-    force of a clamped wire E8, load frames that hold loads E9, the composite and wires against a
-    load E10 (which takes the load frame's bags along: the same alloy). Several records are
-    combined: the resistance of one bag serves the ramps of another.
+    Staircases give E1 and E2, without any another drive that excites gives E0; ramps E3, DSC files
+    E5, isobaric test files E6, tensile ones E7, the force of a clamped wire E8, load frames that
+    hold loads E9, the composite and wires against a load E10 (which takes the load frame's bags
+    along: the same alloy). Several records are combined: the resistance of one bag serves the ramps
+    of another.
 
     Args:
         records: bags and instrument files, already read.
@@ -144,12 +148,14 @@ def identify(
     for name, thermal in _THERMAL.items():
         reporter(name)
         thermal(run, drives)
+    driven = _driven(run, still, drives, report)
     pulled = [test for r in still for test in load_frame.tensile_tests(r, run.improved())]
     _instruments(run, [*records, *pulled, *_held(run, still)], phases or {}, reporter, report)
     reporter("E8")
     _thermal_expansion(run, bags)
+    _take_sharper(run, driven)
     _take_sharper(run, whole)
-    run.weigh_priors(whole)
+    run.weigh_priors(driven, whole)
     run.keep_order(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
@@ -210,7 +216,7 @@ def _fit(
     model = found.replace({LAG: lag.value}) if lag else found
     fits: list[tuple[str, SignalFit]] = []
     done = {e.name for e in run.experiments}
-    if whole := done & {whole_model.NAME, load_frame.NAME}:
+    if whole := done & {whole_model.NAME, whole_model.DRIVEN, load_frame.NAME}:
         used = {path for e in run.experiments if e.name in whole for path in e.source.split("; ")}
         records = [record for record in bags if str(record.path) in used]
         if records:
@@ -264,6 +270,42 @@ def _whole_model(
         return None
     run.experiments.append(experiment)
     return experiment
+
+
+def _driven(
+    run: IdentificationRun, bags: Sequence[Record],
+    drives: Sequence[tuple[Record, ChannelDrive]], report: Report,
+) -> Experiment | None:
+    """E0 on all records whose wires are driven and read, where no staircase was found in any."""
+    name = whole_model.DRIVEN
+    if name not in run.wanted or run.of("E1") or run.of("E2") or run.of(load_frame.NAME):
+        return None
+    excited = [
+        record for record in bags
+        if any(
+            record is own and _changes(record, f"{drive.channel}.voltage") for own, drive in drives
+        )
+        and any(
+            has_samples(record, f"{c}.{q}")
+            for c in record.channels for q in ("current", "temperature")
+        )
+    ]
+    if not excited:
+        return None
+    try:
+        fitted = whole_model.identify_driven_wires(
+            excited, run.given, part(report, 0.0, _WHOLE_MODEL, name)
+        )
+    except InputError as error:
+        run.fail(name, str(error))
+        return None
+    run.experiments.append(fitted)
+    return fitted
+
+
+def _changes(record: Record, name: str) -> bool:
+    """Whether a voltage is anything but one level."""
+    return has_samples(record, name) and bool(np.ptp(samples(record, name)[1]) > _LEAST_DRIVE)
 
 
 def _held(run: IdentificationRun, bags: Sequence[Record]) -> list[IsobaricRecord]:

@@ -112,11 +112,11 @@ class IdentificationRun:
             del self.estimates[name]
         return found
 
-    def weigh_priors(self, whole: Experiment | None) -> None:
+    def weigh_priors(self, *fits: Experiment | None) -> None:
         """Join what was measured with what was stated of the same number: nothing is less sure than
         it was before. A default that nobody stated is no match for a measurement, which stands with
-        its own error. The whole model has weighed the priors already."""
-        told = whole.estimates if whole else {}
+        its own error. Whole-model fits have weighed the priors already."""
+        told = [estimate for fit in fits if fit for estimate in fit.estimates.values()]
         for name, estimate in list(self.estimates.items()):
             prior = Estimate(self.given[name], self.given.std(name), estimate.unit, "given", 0)
             if name not in self.given.given:
@@ -127,7 +127,7 @@ class IdentificationRun:
                     )
                     self.notes.append(Finding("warning", name, text))
                 continue
-            if estimate is not told.get(name):
+            if not any(estimate is one for one in told):
                 self.estimates[name], remark = with_prior(estimate, prior)
                 if remark:
                     self.notes.append(Finding("warning", name, remark))

@@ -1,4 +1,4 @@
-"""E9, E10 and E12: the whole model fitted to any set of a bench's records, as an experiment.
+"""E0, E9, E10 and E12: the whole model fitted to any set of a bench's records, as an experiment.
 
 It is the fit that the diagnosis calls recalibration, from more starts.
 """
@@ -25,6 +25,7 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Number, Result, result_of, scale_errors
 from sma_bench.estimation.solver import Fit, fit_with_misfit, recalibrate
 from sma_bench.estimation.unknowns import (
+    HEAT,
     LOADS,
     PRODUCTS,
     SHAPES,
@@ -49,6 +50,8 @@ from sma_bench.records.record import Record, has_samples
 
 NAME = "E10"
 TITLE = "Whole model of a bench that moves"
+DRIVEN, DRIVEN_TITLE = "E0", "Joint fit of a drive that was made for something else"
+_THERMAL = ("current", "temperature")
 _NUISANCES = (*SHAPES, *UNMODELLED)
 _MOTIONS = ("deflection", "elongation")
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
@@ -96,6 +99,36 @@ def identify_moving_bench(
     return fit_experiment(NAME, TITLE, observations, parameters, report)
 
 
+def identify_driven_wires(
+    records: Sequence[Record], parameters: Parameters, report: Report = silent
+) -> Experiment:
+    """R, h and c_p from whatever drive excites them: one step, a random sequence, a controller's.
+
+    Only what the records tell better than was known is among the estimates.
+
+    Args:
+        records: with the voltages of all their channels, and currents or temperatures.
+        parameters: the lab's values with their uncertainties; report: called with how far it is.
+
+    Raises:
+        InputError: no voltage of some channel, or a drive that tells nothing of the wire.
+    """
+    shortest = shared_bin(records, parameters)
+    observations = [observe(record, parameters, shortest, _THERMAL) for record in records]
+    fitted = fit_experiment(DRIVEN, DRIVEN_TITLE, observations, parameters, report, most_starts=2)
+    told = {
+        n: e for n, e in fitted.estimates.items() if n in HEAT and e.informed >= _UNINFORMED
+    }
+    if not told.keys() - {"environment.ambient_temperature"}:
+        raise InputError(f"{fitted.source}: the drive excites nothing that R, h or c_p show in")
+    text = (
+        f"{', '.join(told)} by one fit of all that was read, whose errors rest on the model: a "
+        "staircase with current (E1) and with temperature (E2) and a ramp (E3) tell them better"
+    )
+    remark = Finding("info", DRIVEN, text)
+    return replace(fitted, estimates=told, findings=(remark, *fitted.findings))
+
+
 def moves(record: Record, parameters: Parameters) -> bool:
     """Whether a record shows the composite bending, or wires moving their load."""
     signals = ["deflection", "front.range", "back.range"]
@@ -115,10 +148,10 @@ def observe_all(records: Sequence[Record], parameters: Parameters) -> list[Obser
 
 def fit_experiment(
     name: str, title: str, observations: Sequence[Observation], parameters: Parameters,
-    report: Report = silent,
+    report: Report = silent, most_starts: int | None = None,
 ) -> Experiment:
     """Fit everything that the records can depend on, and report it."""
-    result = fit_whole_model(observations, parameters, report)
+    result = fit_whole_model(observations, parameters, report, most_starts)
     quantities = list(dict.fromkeys(q for one in observations for q in one.quantities))
     method = f"simulation fitted to {', '.join(quantities)}"
     # A shape of the kinetics that is the cosine's is not worth a line.
@@ -137,11 +170,12 @@ def fit_experiment(
 
 
 def fit_whole_model(
-    observations: Sequence[Observation], parameters: Parameters, report: Report = silent
+    observations: Sequence[Observation], parameters: Parameters, report: Report = silent,
+    most_starts: int | None = None,
 ) -> Result:
     """The whole model fitted to prepared records, from several starts."""
     unknowns = unknowns_of_observations(observations, parameters)
-    tries = starts(unknowns)
+    tries = starts(unknowns)[:most_starts]
     problem = Problem.of(observations, voltage_noise=True)
     fitted, tried = recalibrate(problem, parameters, unknowns, tries, report)
     fitted, tried = _with_lag(fitted, tried, parameters)

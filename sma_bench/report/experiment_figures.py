@@ -517,7 +517,7 @@ _PICTURES: dict[str, Callable[[Experiment], list[Picture]]] = {
         [constitutive_picture(e9)] if any(name.endswith("/model") for name in e9.curves)
         else bench_fit_pictures(e9)
     ),
-    "E10": bench_fit_pictures,
+    "E0": bench_fit_pictures, "E10": bench_fit_pictures,
 }
 
 

@@ -43,7 +43,7 @@ def identify_files(
 
     Args:
         paths: of the records; parameters: what is known beforehand.
-        experiments: of E1 to E10; all that the records allow when None.
+        experiments: of E0 to E10; all that the records allow when None.
         namespace: where two benches are in one bag, the one to take.
         report: called with how far it is.
         phases: of tensile tests, by file name or pattern of names.

@@ -109,7 +109,7 @@ def test_record_without_signals_is_one_line():
 def test_no_record_and_unknown_experiment_are_errors(staircase):
     assert "no record" in one_line(lambda: identify([], DEFAULTS))
     text = one_line(lambda: identify([staircase()], DEFAULTS, ["E4"]))
-    assert "'E4', expected one of E1" in text
+    assert "'E4', expected one of E0" in text
 
 
 def test_experiment_asked_for_and_not_possible_is_an_error(staircase):
