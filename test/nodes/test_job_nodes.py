@@ -41,13 +41,32 @@ def bag(tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def a_robot(tmp_path):
+    """Where rosdep brought everything: without the packages of requirements-robot.txt."""
+    for name in ("mcap", "msgspec", "pint", "zstandard"):
+        text = f"raise ModuleNotFoundError('no {name}', name='{name}')\n"
+        (tmp_path / f"without/{name}.py").parent.mkdir(exist_ok=True)
+        (tmp_path / f"without/{name}.py").write_text(text)
+    path = os.pathsep.join(filter(None, [str(tmp_path / "without"), os.environ.get("PYTHONPATH")]))
+    return {"env": {**os.environ, "PYTHONPATH": path}}
+
+
+@pytest.mark.parametrize("name", ["simulator", "serial_bridge", "ir_camera"])
+def test_nodes_of_the_mission_start_with_what_rosdep_brings(bench, a_robot, name):
+    node = bench.start(name, options=a_robot)
+    bench.until(lambda: name in bench.node.get_node_names())
+    assert node.end() == 0 and "Traceback" not in node.output
+
+
 def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_meanwhile(
-    bench, bag, tmp_path
+    bench, bag, tmp_path, a_robot
 ):
     results, states = bench.hear("identification/result", "identification/state")
     out = tmp_path / "out"
     node = bench.start(
-        "identification", record_root=bag.parent, output_directory=out, output_root=tmp_path
+        "identification", options=a_robot, record_root=bag.parent, output_directory=out,
+        output_root=tmp_path,
     )
     for record, said in (
         ("", "record: is empty"), ("no_such_bag", "no_such_bag"),
