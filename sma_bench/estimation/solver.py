@@ -176,7 +176,7 @@ def recalibrate(
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
-    return fit(best.problem.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
+    return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
 
 
 def fit_with_misfit(fitted: Fit) -> Fit:
@@ -273,24 +273,7 @@ class _State:
         force[: len(self.x)] -= self.x
         before = self.x, self.z, self.predicted
         for damping in _DAMPINGS:
-            # (k,) damped in the unknowns, in their prior deviations (Levenberg).
-            k = len(self.x)
-            damped = normal.copy()
-            damped[range(k), range(k)] += damping
-            free = np.ones(len(force), dtype=bool)
-            step = np.zeros(len(force))
-            for _ in range(4):
-                step[:] = 0.0
-                step[free] = np.linalg.solve(damped[np.ix_(free, free)], force[free])
-                outward = (self.x <= low) & (step[:k] < 0.0)
-                outward |= (self.x >= high) & (step[:k] > 0.0)
-                if not (outward & free[:k]).any():
-                    break
-                free[:k] &= ~outward
-            longest = float(np.max(np.abs(step[:k]), initial=0.0))
-            if longest > _RADIUS:
-                step *= _RADIUS / longest
-            step = step[:k]
+            step = self._step(normal, force, damping, low, high)
             if np.max(np.abs(step), initial=0.0) < _SHORTEST:
                 break
             self.x = np.clip(before[0] + step, low, high)
@@ -305,14 +288,7 @@ class _State:
     def _system(self) -> tuple[Array, Array]:
         """Information (k + q, k + q) on x and z, priors among it, and the residual's pull."""
         k, first = len(self.x), self.unknowns.baseline
-        # Whitened columns that stay from step to step, the baseline's and the nuisances',
-        # and what they tell of these.
-        assert self.base is not None
-        kept = self.kept
-        if kept is None or kept[0] is not self.problem or kept[1] is not self.base:
-            still = np.hstack([self.problem.whiten(self.base), self.problem.white_nuisances])
-            self.kept = kept = self.problem, self.base, still, still.T @ still
-        still, known = kept[2:]
+        still, known = self._still()
         own = self.problem.whiten(self.slopes[:, first:])
         across = still.T @ own
         information = np.block([[known, across], [across.T, own.T @ own]])
@@ -321,6 +297,37 @@ class _State:
         # The baseline, an effect's own numbers, the nuisances.
         order = np.argsort([*range(first), *range(k, len(pull)), *range(first, k)])
         return information[np.ix_(order, order)] + np.eye(len(pull)), pull[order]
+
+    def _still(self) -> tuple[Array, Array]:
+        """Whitened columns that stay from step to step, the baseline's and the nuisances', and
+        what they tell of these."""
+        assert self.base is not None
+        kept = self.kept
+        if kept is None or kept[0] is not self.problem or kept[1] is not self.base:
+            still = np.hstack([self.problem.whiten(self.base), self.problem.white_nuisances])
+            self.kept = kept = self.problem, self.base, still, still.T @ still
+        return kept[2:]
+
+    def _step(
+        self, normal: Array, force: Array, damping: float, low: Array, high: Array
+    ) -> Array:
+        """(k,) damped in the unknowns, in their prior deviations (Levenberg)."""
+        k = len(self.x)
+        damped = normal.copy()
+        damped[range(k), range(k)] += damping
+        free = np.ones(len(force), dtype=bool)
+        step = np.zeros(len(force))
+        for _ in range(4):
+            step[:] = 0.0
+            step[free] = np.linalg.solve(damped[np.ix_(free, free)], force[free])
+            outward = ((self.x <= low) & (step[:k] < 0.0)) | ((self.x >= high) & (step[:k] > 0.0))
+            if not (outward & free[:k]).any():
+                break
+            free[:k] &= ~outward
+        longest = float(np.max(np.abs(step[:k]), initial=0.0))
+        if longest > _RADIUS:
+            step *= _RADIUS / longest
+        return step[:k]
 
     def _best_nuisances(self) -> Array:
         seen = self.problem.white_nuisances.T @ self.problem.whiten(self.difference())
