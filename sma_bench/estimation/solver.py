@@ -159,13 +159,16 @@ def fit(
 
 def recalibrate(
     problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
-    report: Report = silent,
+    report: Report = silent, keep_noise: bool = False,
 ) -> tuple[Fit, list[Fit]]:
     """The model fitted from several starts, the best of them carried to its end; and all of them.
 
     Args:
         parameters: as believed, about which nuisances are linear at first.
         starts: (k,) each; report: called at every start.
+        keep_noise: begin the last fit with the noise that the best start left. Begun with the
+            first guess it may end some nats before its optimum; the diagnosis' thresholds were
+            found so.
     """
     first = problem.with_nuisances(parameters)
 
@@ -176,7 +179,8 @@ def recalibrate(
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
-    return fit(first.with_nuisances(best.parameters), unknowns, best.x, rounds=2), tried
+    last = (best.problem if keep_noise else first).with_nuisances(best.parameters)
+    return fit(last, unknowns, best.x, rounds=2), tried
 
 
 def fit_with_misfit(fitted: Fit) -> Fit:

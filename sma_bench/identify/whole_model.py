@@ -177,7 +177,7 @@ def fit_whole_model(
     unknowns = unknowns_of_observations(observations, parameters)
     tries = starts(unknowns)[:most_starts]
     problem = Problem.of(observations, voltage_noise=True)
-    fitted, tried = recalibrate(problem, parameters, unknowns, tries, report)
+    fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
     fitted, tried = _with_lag(fitted, tried, parameters)
     if load_kind(parameters) in LOADS:  # what ten strokes leave of a beam is not yet measured
         fitted = fit_with_misfit(fitted)
