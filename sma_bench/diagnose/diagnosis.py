@@ -18,7 +18,7 @@ from sma_bench.diagnose.facts import (
 )
 from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
 from sma_bench.diagnose.result import DiagnosisResult, Where
-from sma_bench.diagnose.search import Progress, Search, search
+from sma_bench.diagnose.search import Progress, Search, held_back, search
 from sma_bench.diagnose.shrinkage import sensors_noise, shrinkage, unknown_share
 from sma_bench.diagnose.sizes import Cell, contribution, locate
 from sma_bench.diagnose.stages import missing_term, stages_of
@@ -35,6 +35,7 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.records.check import check_response
 from sma_bench.records.record import Record, fingerprint
+from sma_bench.records.trust import mended, under_suspicion
 
 Array = NDArray[np.float64]
 
@@ -96,6 +97,20 @@ def diagnose(
                 f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
             )
     progress("records")
+    # What is known of the records: clocks are mended, signals under suspicion are named.
+    whole = [mended(record) for record in (*records, *hold_out)]
+    known = [(record, finding) for record, found in whole for finding in found]
+    doubts = [
+        (r, f) for r, _ in whole for f in under_suspicion(r)
+        if f.subject.rpartition(".")[2] in ("voltage", "range", *quantities)
+    ]
+    lines = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in (*known, *doubts)]
+    doubted = {finding.subject.rpartition(".")[2] for _, finding in doubts}
+    if held := held_back(doubted):
+        lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}, ..."
+                     if len(held) > 3 else f"held back for that: {', '.join(held)}")
+    sound = [record for record, _ in whole]
+    records, hold_out = sound[: len(records)], sound[len(records) :]
     unrelated = [
         replace(f, subject=f"{record.path}, {f.subject}")
         for record in (*records, *hold_out) for f in check_response(record)
@@ -105,7 +120,7 @@ def diagnose(
     shortest = shared_bin([*records, *hold_out], parameters)
     seen = [observe(record, parameters, shortest, quantities) for record in records]
     unseen = [observe(record, parameters, shortest, quantities) for record in hold_out]
-    found = search([*seen, *unseen], parameters, progress)
+    found = search([*seen, *unseen], parameters, progress, doubted)
     weights = weigh(found)
     decision = decide(found, weights)
     model = _model(decision, found)
@@ -138,6 +153,7 @@ def diagnose(
         left=left_behind(found, model),
         unexplained_sign=unexplained_sign(decision, found),
         not_compared=_not_compared([*seen, *unseen], parameters),
+        record=tuple(dict.fromkeys(lines)),
         next_experiment=following if following and following.settles else None,
         findings=(
             *unrelated, *audit(parameters, papers_own=False),

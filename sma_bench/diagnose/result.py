@@ -186,6 +186,7 @@ class DiagnosisResult:
             beside the cosine's; difference: of the two best; left: what the best model leaves.
         unexplained_sign: what speaks most for a cause outside the library, "" without a sign.
         not_compared: quantities that no record holds; findings: remarks on records and parameters.
+        record: what is known of the records' readings, and what was held back or mended for it.
         path: of the result file.
     """
 
@@ -203,6 +204,7 @@ class DiagnosisResult:
     unexplained_sign: str = ""
     not_compared: tuple[str, ...] = ()
     next_experiment: NextExperiment | None = None
+    record: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     path: str = "diagnosis"
 
@@ -279,6 +281,7 @@ class DiagnosisResult:
             "unexplained_sign": self.unexplained_sign,
             "not_compared": list(self.not_compared),
             "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
+            "record": list(self.record),
             "findings": [str(f) for f in self.findings],
         }
 
@@ -303,6 +306,7 @@ class _File:
     unexplained_sign: str = ""
     not_compared: tuple[str, ...] = ()
     next_experiment: NextExperiment | None = None
+    record: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
 
 

@@ -1,6 +1,6 @@
 """Candidates: recalibration alone, every effect with it, and pairs around the best ones."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,13 +91,15 @@ class Search:
 
 def search(
     observations: Sequence[Observation], parameters: Parameters,
-    progress: Progress = lambda text: None,
+    progress: Progress = lambda text: None, doubted: Collection[str] = (),
 ) -> Search:
     """Fit everything.
 
     Args:
         observations: of all records, those held out as well (their shares are told apart later).
         parameters: as believed, with uncertainties.
+        doubted: quantities whose readings are under suspicion; effects of their sensors, or all
+            effects where the drive's are, are held back.
     """
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
     baseline = unknowns_of_records(parameters, quantities)
@@ -108,7 +110,8 @@ def search(
     problem = replace(fresh, nuisances=recalibrated.problem.nuisances)
     # As believed: every parameter exact.
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
-    possible = _possible(parameters, quantities)
+    held = held_back(doubted)
+    possible = [name for name in _possible(parameters, quantities) if name not in held]
     singles = _singles(baseline, recalibrated, possible, progress)
     recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
@@ -232,6 +235,16 @@ def _from_belief(
         lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True), best
     )
     return {name: found for (name, _), found in zip(best, fits, strict=True)}
+
+
+def held_back(doubted: Collection[str]) -> list[str]:
+    """Effects that a doubted signal may feign: those of its sensor, and all where the voltage or
+    the current itself is doubted."""
+    everything = bool({"voltage", "current"} & set(doubted))
+    return [
+        name for name, effect in EFFECTS.items()
+        if everything or (effect.stage == "sensor" and set(effect.acts_on) & set(doubted))
+    ]
 
 
 def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:

@@ -43,6 +43,7 @@ from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.record import has_samples, samples
 from sma_bench.records.tensile import Phase, TensileRecord
+from sma_bench.records.trust import mended
 
 NEEDS = {
     "E0": "E0 any voltage that changes, with current or temperature",
@@ -135,9 +136,11 @@ def identify(
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
-    bags = [as_calibrated(r, parameters) for r in records if isinstance(r, Record)]
+    sound = [mended(r) for r in records if isinstance(r, Record)]
+    bags = [as_calibrated(record, parameters) for record, _ in sound]
     known = sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
+    run.notes.extend(f for _, found in sound for f in found)
     run.notes.extend(f for record in bags for f in _remarks(record))
     run.notes.extend(about_wire(known))
     whole = _whole_model(run, bags, report)
