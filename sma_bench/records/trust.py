@@ -38,7 +38,7 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
     delays = {
         name: signal.received - signal.time
         for name, signal in record.signals.items()
-        if signal.received is not None and 0 < len(signal) == len(signal.received)
+        if signal.received is not None and len(signal)
     }
     drive = next((n for n in delays if n.endswith(".voltage")), None)
     for name, delay in delays.items() if drive else ():

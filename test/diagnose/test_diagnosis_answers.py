@@ -155,7 +155,7 @@ def test_a_record_whose_readings_end_early_leaves_none_to_try_the_model_on(tmp_p
     made = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
     tip = made["deflection"]
     first = slice(len(tip.time) // 3)
-    early = replace(tip, time=tip.time[first], values=tip.values[first])
+    early = replace(tip, time=tip.time[first], values=tip.values[first], received=None)
     short = replace(made, signals={**made.signals, "deflection": early})
     with few_effects(("residual_strain",)), pytest.raises(InputError, match="too few readings"):
         diagnose([short], believed())
