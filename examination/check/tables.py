@@ -24,7 +24,7 @@ from examination.tables.dialects import HABITS, draw_habits, write
 from examination.tables.outcome import ASKED, OUTCOMES, RAISED, REFUSED, RIGHT, WRONG, outcome
 from examination.tables.truths import TABLES, true_table
 
-BLOCK = 20  # imports of one piece
+BLOCK = 20  # imports of one piece at most
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,9 +37,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--faults", type=int, default=0, metavar="N", help="show N wrong ones")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep files that are read wrong")
     options = parser.parse_args(argv)
+    if options.package:  # at least two pieces: one alone would run in this process
+        options.imports = max(options.imports, 2)
+    step = min(BLOCK, max(options.imports // 2, 1))
     numbers = range(options.first, options.first + options.imports)
-    jobs = [(options.seed, k, min(k + BLOCK, numbers.stop), str(options.keep or ""))
-            for k in numbers[::BLOCK]]  # fmt: skip
+    jobs = [(options.seed, k, min(k + step, numbers.stop), str(options.keep or ""))
+            for k in numbers[::step]]  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         if options.package:  # found first by every process of the pool
             options.processes = max(options.processes, 2)

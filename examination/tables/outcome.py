@@ -18,7 +18,7 @@ from examination.tables.truths import RIGS, FloatArray, Truth
 
 RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
 OUTCOMES = (RIGHT, ASKED, REFUSED, WRONG, RAISED)
-_ENOUGH = 0.8  # of an instrument's rows; its readers leave out turns and rests
+_ENOUGH = 0.7  # of an instrument's rows; its readers leave out turns and rests
 _MOST_LINE = 300
 
 
