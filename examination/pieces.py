@@ -1,4 +1,4 @@
-"""Long checks in pieces: work side by side in fresh processes, each result kept as it comes."""
+"""The skeleton of a check: its options, its cases side by side, each result kept as it comes."""
 
 import argparse
 import json
@@ -15,18 +15,39 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 
 PROCESSES = 2
 Z_95 = 1.959964
+IN_PIECES = {
+    "processes": (PROCESSES, "at once"),
+    "json": (Path, "keep every result in this file as it comes; what is in it is not done again"),
+}
 
 
-def parser_of(name: str, description: str | None) -> argparse.ArgumentParser:
-    """The parser of `./bench check NAME`, with the options of what is done in pieces."""
-    parser = argparse.ArgumentParser(prog=f"bench check {name}", description=description)
+def options_of(
+    name: str, doc: str | None, argv: Sequence[str] | None, **own: tuple[Any, str]
+) -> argparse.Namespace:
+    """Options of `./bench check NAME`, of which `in_pieces` needs IN_PIECES.
+
+    Args:
+        own: default and help of each; False for a flag, several for a list, of texts the
+            only ones that there are; a type where there is no default; ... for what must be given.
+    """
+    parser = argparse.ArgumentParser(prog=f"./bench check {name}", description=doc)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--processes", type=int, default=PROCESSES, help="at once (default 2)")
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE",
-        help="keep every result in FILE as it comes; what is in it is not done again",
-    )
-    return parser
+    for option, (default, text) in own.items():
+        if default is ...:
+            parser.add_argument(option, metavar=option.upper(), help=text)
+            continue
+        how: dict[str, Any] = {"type": type(default), "default": default}
+        if default is False:
+            how = {"action": "store_true"}
+        elif isinstance(default, type):
+            how = {"type": default}
+        elif isinstance(default, tuple):
+            how = {"type": type(default[0]), "default": default, "nargs": "+"}
+            how |= {"choices": default} if isinstance(default[0], str) else {}
+        elif default != "":
+            text += f" (default {default})"
+        parser.add_argument(f"--{option.replace('_', '-')}", help=text, **how)
+    return parser.parse_args(argv)
 
 
 def in_pieces(
@@ -37,7 +58,7 @@ def in_pieces(
     Args:
         run: a function of a module, whose result is plain JSON.
         jobs: numbers, texts or tuples of them.
-        options: of `parser_of`.
+        options: with IN_PIECES.
     """
     kept: dict[str, Any] = {}
     if options.json and options.json.is_file():
@@ -64,9 +85,8 @@ def in_pieces(
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         with get_context("spawn").Pool(options.processes) as pool:
-            for done, (job, result) in enumerate(
-                pool.imap_unordered(partial(_labelled, run), due), 1
-            ):
+            found = pool.imap_unordered(partial(_labelled, run), due)
+            for done, (job, result) in enumerate(found, 1):
                 keep(done, job, result)
     return [kept[str(job)] for job in jobs]
 

@@ -12,27 +12,34 @@ from sma_bench.records import DscRecord, DscSegment, Record, Signal
 from sma_bench.records.isobaric import IsobaricRecord, find_cycles
 from sma_bench.records.tensile import TensileRecord
 
-A_S, A_F = "wire.austenite_start_temperature", "wire.austenite_finish_temperature"
-M_S, M_F = "wire.martensite_start_temperature", "wire.martensite_finish_temperature"
-C_A, C_M = "wire.stress_influence_austenite", "wire.stress_influence_martensite"
-E_A, E_M = "wire.austenite_modulus", "wire.martensite_modulus"
-EPS_L, THETA = "wire.maximum_recoverable_strain", "wire.thermal_expansion_factor"
+NAMES = {
+    "a_s": "wire.austenite_start_temperature", "a_f": "wire.austenite_finish_temperature",
+    "m_s": "wire.martensite_start_temperature", "m_f": "wire.martensite_finish_temperature",
+    "c_a": "wire.stress_influence_austenite", "c_m": "wire.stress_influence_martensite",
+    "e_a": "wire.austenite_modulus", "e_m": "wire.martensite_modulus",
+    "eps_l": "wire.maximum_recoverable_strain", "theta": "wire.thermal_expansion_factor",
+}  # fmt: skip
+
+
+def named(**own: float) -> dict[str, float]:
+    """Numbers of an alloy by their names in a parameter file."""
+    return {NAMES[symbol]: value for symbol, value in own.items()}
 
 
 @dataclass(frozen=True)
 class Alloy:
     """Stress-free temperatures in K, moduli and slopes in Pa and Pa/K."""
 
-    a_s: float = 340.0
-    a_f: float = 356.0
-    m_s: float = 330.0
-    m_f: float = 315.0
-    c_a: float = 7.2e6
-    c_m: float = 6.4e6
-    e_a: float = 55e9
-    e_m: float = 25e9
-    eps_l: float = 0.043
-    theta: float = -0.17e6
+    a_s: float
+    a_f: float
+    m_s: float
+    m_f: float
+    c_a: float
+    c_m: float
+    e_a: float
+    e_m: float
+    eps_l: float
+    theta: float
 
     @classmethod
     def drawn(cls, random) -> "Alloy":
@@ -45,9 +52,7 @@ class Alloy:
         )
 
     def truth(self, *names: str) -> dict[str, float]:
-        own = {A_S: self.a_s, A_F: self.a_f, M_S: self.m_s, M_F: self.m_f, C_A: self.c_a,
-               C_M: self.c_m, E_A: self.e_a, E_M: self.e_m, EPS_L: self.eps_l, THETA: self.theta}
-        return {name: own[name] for name in names}
+        return named(**{name: getattr(self, name) for name in names})
 
     def martensite(self, kelvin, stress, heating: bool, tail: float = 0.0):
         """Fraction along a full branch; `tail`: share that transforms in an R-phase step later."""
@@ -65,41 +70,41 @@ def _half(kelvin, low, high):
 # --- Calorimeter (E5).
 
 
-def dsc(alloy: Alloy, random, *, rate=5.0, lag=3.0, noise=0.3e-6, zero=0.0, bow=10e-6, cycles=2,
-        span=(273.15, 453.15), top=math.inf, step=0.0, peaks=0.0, spikes=0, turned=False,
-        scale=1.0, drift=0.0) -> DscRecord:
+def dsc(alloy: Alloy, random, *, rate=5.0, lag=3.0, noise=0.3e-6, zero=0.0, bow=10e-6,
+        top=math.inf, step=0.0, peaks=0.0, spikes=0, turned=False, scale=1.0,
+        drift=0.0) -> DscRecord:
     """Heating and cooling at `rate` K/min; `lag` s between sample and its thermometer.
 
     `zero`, `scale`: of the thermometer, K; `drift` K a cycle; `peaks` share in a second step;
     `step` W of a baseline that jumps in the middle of the peak; `top` W where the signal clips.
     """
     segments, began, mass, heat = [], 0.0, 8e-6, 18e3
-    per_second = rate / 60.0
-    for cycle in range(cycles):
-        for sign in (1.0, -1.0):
-            time = np.arange(0.0, (span[1] - span[0]) / per_second, 0.5)
-            kelvin = (span[0] if sign > 0 else span[1]) + sign * per_second * time
-            xi = alloy.martensite(kelvin - drift * cycle, 0.0, sign > 0, peaks)
-            flow = mass * (470.0 * sign * per_second - heat * np.gradient(xi, time))
-            flow = _relaxed(flow, 0.5 / lag) if lag else flow
-            share = (kelvin - span[0]) / (span[1] - span[0])
-            flow = flow + 20e-6 * share + bow * share**2
-            flow = flow + step * (kelvin > alloy.a_s + 0.5 * (alloy.a_f - alloy.a_s))
-            flow = flow + noise * random.standard_normal(len(time))
-            for at in random.integers(50, len(time) - 50, spikes):
-                flow[at : at + 4] += 60e-6
-            flow = np.clip(flow, -top, top) * (-1.0 if turned else 1.0)
-            told = scale * (kelvin - 273.15) + 273.15 + zero
-            segments.append(DscSegment(
-                len(segments) + 1, "heating" if sign > 0 else "cooling", sign * per_second,
-                began + time, flow, np.zeros(len(time)), told, told,
-            ))
-            began += float(time[-1])
+    per_second, low, high = rate / 60.0, 273.15, 453.15
+    for k, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
+        time = np.arange(0.0, (high - low) / per_second, 0.5)
+        kelvin = (low if sign > 0 else high) + sign * per_second * time
+        xi = alloy.martensite(kelvin - drift * (k // 2), 0.0, sign > 0, peaks)
+        flow = mass * (470.0 * sign * per_second - heat * np.gradient(xi, time))
+        flow = relaxed(flow, 0.5 / lag)
+        share = (kelvin - low) / (high - low)
+        flow = flow + 20e-6 * share + bow * share**2
+        flow = flow + step * (kelvin > alloy.a_s + 0.5 * (alloy.a_f - alloy.a_s))
+        flow = flow + noise * random.standard_normal(len(time))
+        for at in random.integers(50, len(time) - 50, spikes):
+            flow[at : at + 4] += 60e-6
+        flow = np.clip(flow, -top, top) * (-1.0 if turned else 1.0)
+        told = scale * (kelvin - 273.15) + 273.15 + zero
+        segments.append(DscSegment(
+            k + 1, "heating" if sign > 0 else "cooling", sign * per_second, began + time, flow,
+            np.zeros(len(time)), told, told,
+        ))
+        began += float(time[-1])
     return DscRecord(Path("attacked DSC"), mass, {"Sample ID": "synthetic"}, tuple(segments),
                      instrument="synthetic")
 
 
-def _relaxed(values, share):
+def relaxed(values, share):
+    """A reading that follows by this share a sample."""
     out, state = np.empty_like(values), values[0]
     for k, value in enumerate(values.tolist()):
         state += share * (value - state)
@@ -114,8 +119,8 @@ LOADS = (14e6, 60e6, 120e6, 180e6)
 
 def isobaric(
     alloy: Alloy, stress: float, random, *, zero=0.0, lag=0.0, gauge=1.0, area=1.0, creep=0.0,
-    slip=0.0, noise=3e-5, tail=0.0, span=(285.0, 420.0), points=700, cycles=2, stuck=False,
-    swapped=False, friction=0.0, percent=False, drift=0.0, top=math.inf,
+    slip=0.0, tail=0.0, span=(285.0, 420.0), cycles=2, stuck=False, swapped=False, friction=0.0,
+    drift=0.0, top=math.inf,
 ) -> IsobaricRecord:
     """Full loops under one stress (Pa).
 
@@ -123,7 +128,7 @@ def isobaric(
     strain a branch; `slip` strain at once in a branch; `friction` Pa against the motion; `drift` K
     of the alloy a cycle; `top` the strain where the extensometer ends.
     """
-    t, eps = [], []
+    t, eps, points = [], [], 700
     for cycle in range(cycles):
         for sign in (1.0, -1.0):
             grid = np.linspace(*span, points)
@@ -136,13 +141,11 @@ def isobaric(
             strain = strain + creep * (len(t) + np.linspace(0.0, 1.0, points))
             strain = strain + slip * (np.arange(points) > 0.5 * points) * (len(t) == 0)
             t.append(kelvin + zero - sign * lag + 0.05 * random.standard_normal(points))
-            eps.append(strain / gauge + noise * random.standard_normal(points))
+            eps.append(strain / gauge + 3e-5 * random.standard_normal(points))
     kelvin, strain = np.concatenate(t), np.minimum(np.concatenate(eps), top)
     if stuck:
         at = len(strain) // 3
         strain[at : at + points // 3] = strain[at]
-    if percent:
-        strain = 100.0 * strain
     told = stress * area
     name = f"{told / 1e6:.0f} MPa"
     held = np.full(len(strain), told)
@@ -158,22 +161,20 @@ def isobaric(
 
 def tensile(
     alloy: Alloy, phase: str, number: int, random, *, compliance=0.0, gauge=1.0, area=1.0,
-    force_top=math.inf, toe=0.0015, noise=0.5e6, end=0.06, slip=0.0, points=1200, zero=0.0,
-    said: str | None = None, yielding=math.inf,
+    force_top=math.inf, toe=0.0015, end=0.06, slip=0.0, points=1200, said: str | None = None,
+    yielding=math.inf,
 ) -> TensileRecord:
     """One test; `compliance` strain per Pa of grips; `slip` strain lost in the rise that counts."""
     modulus = alloy.e_m if phase == "martensite" else alloy.e_a
-    if phase == "martensite":
-        plateau, level, after = 0.04, 130e6, 0.6e9
-    else:
-        plateau, level, after = 0.07, 500e6, 1e9
+    plateau, level, after = (
+        (0.04, 130e6, 0.6e9) if phase == "martensite" else (0.07, 500e6, 1e9)
+    )
     fine = np.linspace(0.0, end, 8000)
     first = level / modulus
     stress = np.where(fine < first, modulus * fine, level + after * (fine - first))
     last = level + after * (plateau - first)
     stress = np.where(fine > plateau, last + modulus * (fine - plateau), stress)
-    above = np.maximum(stress - yielding, 0.0)
-    stress = stress - 0.7 * above
+    stress = stress - 0.7 * np.maximum(stress - yielding, 0.0)
     width = 60
     padded = np.pad(stress, width, mode="reflect", reflect_type="odd")
     stress = np.convolve(padded, np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
@@ -182,7 +183,7 @@ def tensile(
     travel = travel + slip * (stress > at_slip)
     strain = np.linspace(0.0, float(travel[-1]) + toe, points)
     read = np.interp(np.maximum(strain - toe, 0.0), travel, stress)
-    read = np.minimum(read + noise * random.standard_normal(points) + zero, force_top)
+    read = np.minimum(read + 0.5e6 * random.standard_normal(points), force_top)
     kelvin = 293.15 if phase == "martensite" else 403.15
     return TensileRecord(Path(f"{phase}_{number}.csv"), strain / gauge, read / area, kelvin,
                          phase=said or phase)
@@ -191,18 +192,15 @@ def tensile(
 # --- The clamped wire (E8).
 
 
-def clamped(
-    alloy: Alloy, random, *, preload=60e6, diameter=0.3e-3, force_gain=1.0, force_drift=0.0,
-    clamps=0.0, camera=1.0, turned=False, above=math.inf, creep=0.0, stuck=False, room=296.0,
-    late=0.0, levels=7, zero=0.0,
-) -> Record:
+def clamped(alloy: Alloy, random, *, preload=60e6, force_gain=1.0, force_drift=0.0, clamps=0.0,
+            camera=1.0, turned=False, above=math.inf, creep=0.0, stuck=False, late=0.0) -> Record:
     """A staircase of temperature up and down below A_s under tension.
 
     `camera`: of the excess over the room; `clamps` m of strain a K that they give way (as strain);
     `force_drift` N over the record; `creep` Pa/s; `late` s of the force's stamps.
     """
-    hold = 20.0
-    up = np.linspace(298.0, 322.0, levels)
+    hold, room, diameter = 20.0, 296.0, 0.3e-3
+    up = np.linspace(298.0, 322.0, 7)
     steps = np.concatenate([up, up[-2::-1]])
     time = np.arange(0.0, hold * len(steps), 0.05)
     place = np.clip((time / hold).astype(int), 0, len(steps) - 1)
@@ -211,7 +209,7 @@ def clamped(
     stress = preload + alloy.theta * (kelvin - steps[0]) - clamps * alloy.e_m * (kelvin - steps[0])
     stress = stress + 10e6 * np.maximum(kelvin - above, 0.0) - creep * time
     force = np.maximum(stress, 0.0) * math.pi * diameter**2 / 4.0
-    force = force_gain * force + force_drift * time / time[-1] + zero
+    force = force_gain * force + force_drift * time / time[-1]
     force = force + 0.02 * random.standard_normal(len(time))
     seen = room + camera * (kelvin - room) + 0.1 * random.standard_normal(len(time))
     if stuck:
@@ -238,16 +236,14 @@ class Beam:
     room: float = 296.0
 
 
-def bend(beam: Beam, random, *, top=2.6, rate=50.0, gains=None, zeros=None, swapped=False,
-         volts_lag=0.0, stuck=None, clip=math.inf, residual=0.0, late=0.0, stroke=4.0) -> Record:
-    """Triangles of the front, then of the back wire; readings with gains and zeros by quantity."""
-    gains, zeros = {**dict.fromkeys(("current", "temperature", "deflection", "voltage"), 1.0),
-                    **(gains or {})}, zeros or {}
-    alloy, step, duration = beam.alloy, 0.01, 36.0
+def bend(beam: Beam, random, *, gains=None, swapped=False, stuck=None, clip=math.inf,
+         residual=0.0, late=0.0) -> Record:
+    """Triangles of the front, then of the back wire; readings with gains by quantity."""
+    alloy, step, duration, rate = beam.alloy, 0.01, 36.0, 50.0
     time = np.arange(0.0, duration, step)
-    one = np.interp(time, [0, 1, 1 + stroke, 1 + 2 * stroke, 36], [0, 0, top, 0, 0])
-    other = np.interp(time, [0, 14, 14 + stroke, 14 + 2 * stroke, 36], [0, 0, top, 0, 0])
-    volts = np.column_stack([one, other])
+    volts = np.column_stack([
+        np.interp(time, [0, at, at + 4.0, at + 8.0, 36], [0, 0, 2.6, 0, 0]) for at in (1, 14)
+    ])
     kelvin = np.empty_like(volts)
     deflection = np.zeros((len(time), 2))
     for side in range(2):
@@ -284,24 +280,24 @@ def bend(beam: Beam, random, *, top=2.6, rate=50.0, gains=None, zeros=None, swap
     tip = deflection[:, 0] - deflection[:, 1] + rest
     stamps = np.arange(0.0, duration - step, 1.0 / rate)
 
-    def seen(name, quantity, unit, truth, noise, zero=0.0, delay=0.0):
+    signals: dict[str, Signal] = {}
+
+    def read(name, unit, truth, noise, zero=0.0):
+        quantity = name.rpartition(".")[2]
         values = np.interp(stamps, time, truth) - zero
-        values = gains[quantity] * values + zero + zeros.get(quantity, 0.0)
-        values = np.minimum(values + noise * random.standard_normal(len(stamps)), clip
-                            if quantity == "deflection" else math.inf)
+        values = (gains or {}).get(quantity, 1.0) * values + zero
+        values = values + noise * random.standard_normal(len(stamps))
+        if name == "deflection":
+            values = np.minimum(values, clip)
         if stuck == quantity:
             values[len(values) // 3 :] = values[len(values) // 3]
-        return Signal(name, unit, stamps + delay, values)
+        delay = late if name == "deflection" else 0.0
+        signals[name] = Signal(name, unit, stamps + delay, values)
 
-    signals = {}
-    sides = ("back_1", "front_1") if swapped else ("front_1", "back_1")
-    for side, name in enumerate(("front_1", "back_1")):
-        current = volts[:, side] / beam.resistance
-        signals[f"{name}.voltage"] = seen(f"{name}.voltage", "voltage", "V", volts[:, side], 0.004)
-        signals[f"{name}.current"] = seen(f"{name}.current", "current", "A", current, 0.015)
-        told = sides[side]
-        signals[f"{told}.temperature"] = seen(
-            f"{told}.temperature", "temperature", "K", kelvin[:, side], 0.1, 273.15
-        )
-    signals["deflection"] = seen("deflection", "deflection", "m", tip, 1e-4, delay=late)
+    sides = ("front_1", "back_1")
+    for side, (name, told) in enumerate(zip(sides, sides[::-1] if swapped else sides, strict=True)):
+        read(f"{name}.voltage", "V", volts[:, side], 0.004)
+        read(f"{name}.current", "A", volts[:, side] / beam.resistance, 0.015)
+        read(f"{told}.temperature", "K", kelvin[:, side], 0.1, 273.15)
+    read("deflection", "m", tip, 1e-4)
     return Record(Path("beam"), 0, signals)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from examination.attack_lab.instruments import relaxed
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
 
@@ -38,11 +39,6 @@ class Wire:
     def tau(self) -> float:
         return self.mass * self.specific_heat / (self.loss * self.area)
 
-    def share_changed(self, kelvin: float) -> float:
-        low, high = self.change
-        x = min(max((kelvin - low) / (high - low), 0.0), 1.0)
-        return 0.5 - 0.5 * math.cos(math.pi * x)
-
     def run(self, voltage: Callable[[np.ndarray], np.ndarray], duration: float):
         """Times, volts, amperes, kelvin, kelvin of the room, on a fine grid."""
         step = self.tau / STEPS_PER_TAU
@@ -52,17 +48,13 @@ class Wire:
         kelvin, amperes = np.empty_like(time), np.empty_like(time)
         hot, around = room[0], room[0]
         capacity, mantle, link = self.mass * self.specific_heat, *self.sheath
-        simple = not (self.latent or self.hot_resistance)
         rise = self.change[1] - self.change[0]
-        for k, (t, v, air) in enumerate(
-            zip(time.tolist(), volts.tolist(), room.tolist(), strict=True)
-        ):
-            ohm = self.resistance
-            held = capacity
-            if not simple:
-                ohm *= 1.0 + self.hot_resistance * self.share_changed(hot)
-                x = (hot - self.change[0]) / rise
-                if self.latent and 0.0 < x < 1.0:
+        for k, (t, v, air) in enumerate(zip(*np.stack([time, volts, room]).tolist(), strict=True)):
+            ohm, held = self.resistance, capacity
+            if self.latent or self.hot_resistance:
+                x = min(max((hot - self.change[0]) / rise, 0.0), 1.0)
+                ohm *= 1.0 + self.hot_resistance * (0.5 - 0.5 * math.cos(math.pi * x))
+                if 0.0 < x < 1.0:
                     slope = 0.5 * math.pi * math.sin(math.pi * x) / rise
                     held += self.mass * self.latent * slope
             current = v / (ohm + self.lead)
@@ -113,23 +105,30 @@ class Sensors:
 def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Record:
     """One bag, in memory."""
     time, volts, amperes, kelvin, room = wire.run(voltage, duration)
-    power, camera = (_clock(random, duration, r, sensors.lost)
-                     for r in (sensors.rate, sensors.camera_rate))
+    clocks = []
+    for rate in (sensors.rate, sensors.camera_rate):
+        stamps = np.arange(0.5 / rate, duration, 1.0 / rate)
+        stamps = stamps + random.uniform(-0.2, 0.2, len(stamps)) / rate
+        clocks.append(stamps[random.random(len(stamps)) >= sensors.lost])
+    power, camera = clocks
+
+    def reading(values, noise, step, top):
+        noisy = np.minimum(values + noise * random.standard_normal(len(values)), top)
+        return np.round(noisy / step) * step
+
     after = np.clip(np.searchsorted(time, power, side="right") - 1, 0, None)
     v = sensors.volt_gain * volts[after] + sensors.volt_offset
-    v = _reading(random, v, sensors.volt_noise, sensors.volt_step, sensors.volt_top)
+    v = reading(v, sensors.volt_noise, sensors.volt_step, sensors.volt_top)
     i = sensors.ampere_gain * amperes[after] + sensors.ampere_offset
-    i = _reading(random, i, sensors.ampere_noise, sensors.ampere_step, sensors.ampere_top)
+    i = reading(i, sensors.ampere_noise, sensors.ampere_step, sensors.ampere_top)
     seen = kelvin
     if sensors.camera_lag:
-        seen = _lagged(time, kelvin, sensors.camera_lag)
+        seen = relaxed(kelvin, 1.0 - math.exp(-(time[1] - time[0]) / sensors.camera_lag))
     t = np.interp(camera, time, seen)
     air = np.interp(camera, time, room)
     t = air + sensors.emissivity * (t - air) + sensors.drift * camera / duration
     t = sensors.camera_gain * (t - ZERO) + sensors.camera_zero
-    t = ZERO + _reading(
-        random, t, sensors.camera_noise, sensors.camera_step, sensors.camera_top - ZERO
-    )
+    t = ZERO + reading(t, sensors.camera_noise, sensors.camera_step, sensors.camera_top - ZERO)
     signals = {
         "wire.voltage": Signal("wire.voltage", "V", power, v),
         "wire.current": Signal("wire.current", "A", power, i),
@@ -140,26 +139,6 @@ def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Reco
         told = np.interp(stamps, time, room) + 0.05 * random.standard_normal(len(stamps))
         signals["ambient.temperature"] = Signal("ambient.temperature", "K", stamps, told)
     return Record(Path("attacked"), 0, signals)
-
-
-def _clock(random, duration, rate, lost):
-    stamps = np.arange(0.5 / rate, duration, 1.0 / rate)
-    stamps = stamps + random.uniform(-0.2, 0.2, len(stamps)) / rate
-    return stamps[random.random(len(stamps)) >= lost]
-
-
-def _reading(random, values, noise, step, top):
-    noisy = np.minimum(values + noise * random.standard_normal(len(values)), top)
-    return np.round(noisy / step) * step if step else noisy
-
-
-def _lagged(time, values, lag):
-    kept = math.exp(-(time[1] - time[0]) / lag)
-    out, state = np.empty_like(values), values[0]
-    for k, value in enumerate(values.tolist()):
-        state = value + (state - value) * kept
-        out[k] = state
-    return out
 
 
 @dataclass(frozen=True)
@@ -177,18 +156,16 @@ class Bench:
     known: Mapping[str, float] = field(default_factory=dict)
     unsure: Mapping[str, float] = field(default_factory=dict)
 
-    def staircase(self, random, wire: Wire | None = None, sensors: Sensors | None = None) -> Record:
+    def staircase(self, random, wire: Wire | None = None) -> Record:
         up = np.linspace(0.0, self.top, self.levels)
         steps = np.concatenate([up, up[-2::-1]])
 
         def voltage(time):
             return steps[np.clip((time / self.dwell).astype(int), 0, len(steps) - 1)]
 
-        return read(wire or self.wire, sensors or self.sensors, voltage,
-                    self.dwell * len(steps), random)
+        return read(wire or self.wire, self.sensors, voltage, self.dwell * len(steps), random)
 
-    def ramps(self, random, wire: Wire | None = None, sensors: Sensors | None = None,
-              repeat: int = 3) -> Record:
+    def ramps(self, random, wire: Wire | None = None) -> Record:
         period = self.rise + self.rest
 
         def voltage(time):
@@ -196,8 +173,7 @@ class Bench:
             inside = (time >= 4.0) & (local < self.rise)
             return np.where(inside, self.ramp_top * local / self.rise, 0.0)
 
-        return read(wire or self.wire, sensors or self.sensors, voltage,
-                    4.0 + repeat * period, random)
+        return read(wire or self.wire, self.sensors, voltage, 4.0 + 3 * period, random)
 
     def parameters(self) -> Parameters:
         return Parameters.of_paper().replace(dict(self.known), dict(self.unsure))
@@ -210,12 +186,10 @@ class Bench:
             "environment.ambient_temperature": self.wire.room,
         }
 
-    def but(self, *, wire=None, sensors=None, **own) -> "Bench":
+    def but(self, *, wire=None, sensors=None) -> "Bench":
         """The same with some numbers changed."""
-        return replace(
-            self, wire=replace(self.wire, **(wire or {})),
-            sensors=replace(self.sensors, **(sensors or {})), **own,
-        )
+        return replace(self, wire=replace(self.wire, **(wire or {})),
+                       sensors=replace(self.sensors, **(sensors or {})))
 
 
 def paper_bench(random) -> Bench:

@@ -19,15 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from examination.alloys.drawn import (
-    Alloy,
-    calorimetry,
-    clamped_staircase,
-    draw_alloy,
-    isobaric_tests,
-    tensile_tests,
-)
-from examination.pieces import in_pieces, parser_of
+from examination.alloys import drawn
+from examination.pieces import IN_PIECES, in_pieces, options_of
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
@@ -37,15 +30,15 @@ BAND = (0.85, 0.95)
 FAR = 3.0  # of the table's deviations, from the paper's number
 METHODS = ("E5", "E6", "E7", "E8", "E9")
 SECTION = math.pi * 0.3e-3**2 / 4.0
+LOADS = (50e6, 100e6, 150e6, 200e6, 250e6, 300e6)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print a row a method and number; 0 where the intervals hold, else 1."""
-    parser = parser_of("alloys", __doc__)
-    parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--joint", type=int, default=20, metavar="N", help="E9 of every N-th draw")
-    options = parser.parse_args(argv)
+    options = options_of(
+        "alloys", __doc__, argv, draws=(200, "alloys"), seed=(1, "of all"),
+        joint=(20, "E9 of every N-th draw"), **IN_PIECES,
+    )  # fmt: skip
     jobs = [(options.seed, draw, options.joint) for draw in range(options.draws)]
     found = [row for rows in in_pieces(_examine, jobs, options) for row in rows]
     print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
@@ -60,50 +53,40 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
-    """What each method finds of one alloy: name, deviations from the truth, how far it is from the
-    paper's; E9, which takes longer, of every `joint`-th draw (0: of none)."""
+    """What each method finds of one alloy, a row a number: deviations from the truth, and how far
+    it is from the paper's; E9, which takes longer, of every `joint`-th draw (0: of none)."""
     random = np.random.default_rng([seed, draw])
-    alloy = draw_alloy(random)
-    levels = np.sort(random.choice([50e6, 100e6, 150e6, 200e6, 250e6, 300e6],
-                                   int(random.integers(1, 5)), replace=False))
-    found: list[dict[str, Any]] = []
+    alloy = drawn.draw_alloy(random)
+    levels = np.sort(random.choice(LOADS, int(random.integers(1, 5)), replace=False))
+    paper, start = Parameters.of_paper(), "wire.austenite_start_temperature"
+    stated = {"wire.diameter": 0.3e-3, start: alloy.numbers[start]}
+    rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        isobaric = isobaric_tests(alloy, random, Path(folder), levels)
-        found += compare("E5", alloy, [calorimetry(alloy, random)])
-        found += compare("E6", alloy, isobaric)
-        found += compare("E7", alloy, tensile_tests(alloy, random))
-        clamped = clamped_staircase(alloy, random, SECTION)
-        start = "wire.austenite_start_temperature"
-        stated = {"wire.diameter": 0.3e-3, start: alloy.numbers[start]}
-        found += compare("E8", alloy, [clamped], stated)
+        isobaric = drawn.isobaric_tests(alloy, random, Path(folder), levels)
+        records = {
+            "E5": [drawn.calorimetry(alloy, random)], "E6": isobaric,
+            "E7": drawn.tensile_tests(alloy, random),
+            "E8": [drawn.clamped_staircase(alloy, random, SECTION)],
+        }  # fmt: skip
         if joint and draw % joint == 0:
-            found += compare("E9", alloy, isobaric)
-    return found
+            records["E9"] = isobaric
+        for method, of in records.items():
+            given = stated if method == "E8" else {}
+            try:
+                result = identify(of, Parameters(given), [method])
+            except InputError as error:
+                print(f"{method}: {error}"[:160], file=sys.stderr)
+                continue
+            for name, e in result.estimates.items():
+                if name in alloy.numbers and name not in given:
+                    off, far = e.value - alloy.numbers[name], abs(alloy.numbers[name] - paper[name])
+                    rows.append({"method": method, "name": name, "z": off / e.std, "error": off,
+                                 "far": far / paper.std(name), "std": e.std})  # fmt: skip
+    return rows
 
 
 def _examine(job: tuple[int, int, int]) -> list[dict[str, Any]]:
     return examine(*job)
-
-
-def compare(
-    method: str, alloy: Alloy, records: Sequence[Any], stated: dict[str, float] | None = None
-) -> list[dict[str, Any]]:
-    """One row a number of the alloy that a method gives; none where it refuses the records."""
-    try:
-        result = identify(records, Parameters(stated), [method])
-    except InputError as error:
-        print(f"{method}: {error}"[:160], file=sys.stderr)
-        return []
-    paper = Parameters.of_paper()
-    return [
-        {
-            "method": method, "name": name, "z": (e.value - alloy.numbers[name]) / e.std,
-            "far": abs(alloy.numbers[name] - paper[name]) / paper.std(name),
-            "std": e.std, "error": e.value - alloy.numbers[name],
-        }
-        for name, e in result.estimates.items()
-        if name in alloy.numbers and name not in (stated or {})
-    ]
 
 
 def coverage(found: Iterable[dict[str, Any]]) -> float:
@@ -114,12 +97,10 @@ def coverage(found: Iterable[dict[str, Any]]) -> float:
 def _print_row(method: str, name: str, found: Sequence[dict[str, Any]]) -> float:
     if not found:
         return 0.9
-    z = np.array([f["z"] for f in found])
-    share = coverage(found)
-    typical = float(np.median([f["std"] for f in found]))
+    z, share = np.array([f["z"] for f in found]), coverage(found)
     print(
-        f"{method:4s} {name:36s} {len(z):5d}  {share:6.1%}  bias {np.median(z):+5.2f}  "
-        f"rms z {math.sqrt(float(np.mean(z**2))):5.2f}  std {typical:.3g}"
+        f"{method:4s} {name:36s} {len(z):5d}  {share:6.1%}  bias {np.median(z):+5.2f}  rms z "
+        f"{math.sqrt(float(np.mean(z**2))):5.2f}  std {np.median([f['std'] for f in found]):.3g}"
     )
     return share
 

@@ -8,20 +8,21 @@ warning is on that number, or it is silently wrong. Clean ones must raise no war
 """
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from examination.attack_lab.cases import ATTACKS, Attack, Case, clean_bag, clean_tables
-from examination.pieces import in_pieces, parser_of
+from examination.pieces import IN_PIECES, in_pieces, options_of
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 
 LIMIT = 3.0
 FALSE_ALARMS = 0.02
 ROW = "{:9s} {:46s} {:>5s} {:>6s} {:>6s} {:>7s}  {}"
-TITLES = ("attack", "", "right", "warned", "silent", "refused", "largest silent, or |z| when right")
+CLEAN = (clean_bag, clean_tables)
 
 
 def judge(case: Case) -> dict[str, Any]:
@@ -32,15 +33,10 @@ def judge(case: Case) -> dict[str, Any]:
     except InputError as error:
         return {"refused": str(error), "numbers": {}, "warnings": []}
     numbers = {
-        name: {
-            "truth": truth,
-            "value": float(found.estimates[name].value),
-            "std": float(found.estimates[name].std),
-            "z": float((found.estimates[name].value - truth) / found.estimates[name].std),
-            "warnings": list(found.estimates[name].warnings),
-        }
-        for name, truth in case.truth.items() if name in found.estimates
-    }
+        name: {"truth": truth, "value": float(e.value), "std": float(e.std),
+               "z": float((e.value - truth) / e.std), "warnings": list(e.warnings)}
+        for name, truth in case.truth.items() if (e := found.estimates.get(name))
+    }  # fmt: skip
     return {"refused": "", "numbers": numbers, "warnings": list(found.warnings)}
 
 
@@ -55,42 +51,20 @@ def run_attack(attack: Attack, seeds: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def run_numbered(job: tuple[str, int, int]) -> Any:
-    """An attack by its place in ATTACKS, with so many seeds, or a clean set of this kind and seed:
-    what an attack does to records cannot be sent to a process."""
-    what, number, seeds = job
-    if what == "clean":
-        return run_clean((number, seeds))
-    return run_attack(ATTACKS[number], range(seeds))
-
-
-CLEAN = (clean_bag, clean_tables)
-
-
-def run_clean(one: tuple[int, int]) -> dict[str, Any]:
-    """A clean set: its kind, by its place in CLEAN, and its seed."""
-    kind, seed = one
-    return judge(CLEAN[kind](np.random.default_rng(9000 + seed), seed))
-
-
-def row(attack: Attack, results: Sequence[dict[str, Any]]) -> tuple[str, int]:
-    """A line of the table, and how many numbers are silently wrong."""
-    every = [(name, n, verdict(n)) for r in results for name, n in r["numbers"].items()]
-    count = {kind: sum(v == kind for _, _, v in every) for kind in ("right", "warned", "silent")}
-    shown = [x for x in every if x[2] == ("silent" if count["silent"] else "right")]
-    worst = max(shown, key=lambda x: abs(x[1]["z"]), default=None)
-    said = f"{worst[0].rpartition('.')[2]} z {worst[1]['z']:+.1f}" if worst else ""
-    refused = sum(bool(r["refused"]) for r in results)
-    numbers = (str(count[k]) for k in ("right", "warned", "silent"))
-    return ROW.format(attack.experiment, attack.name, *numbers, str(refused), said), count["silent"]
+    """An attack by its place in ATTACKS, with so many seeds, or a clean set by its place in CLEAN,
+    of this seed: what an attack does to records cannot be sent to a process."""
+    what, number, seed = job
+    if what == "attack":
+        return run_attack(ATTACKS[number], range(seed))
+    return judge(CLEAN[number](np.random.default_rng(9000 + seed), seed))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; 0 if nothing is silently wrong and clean records raise no alarm."""
-    parser = parser_of("attacks", __doc__)
-    parser.add_argument("--only", default="", metavar="WORD", help="attacks with this in the name")
-    parser.add_argument("--seeds", type=int, default=5, help="of each attack (default 5)")
-    parser.add_argument("--clean", type=int, default=50, help="clean sets of each kind (50)")
-    options = parser.parse_args(argv)
+    options = options_of(
+        "attacks", __doc__, argv, only=("", "attacks with this in the name"),
+        seeds=(5, "of each attack"), clean=(50, "clean sets of each kind"), **IN_PIECES,
+    )  # fmt: skip
     words = [f"{a.experiment} {a.name}" for a in ATTACKS]
     chosen = [k for k, word in enumerate(words) if options.only.lower() in word.lower()]
     jobs = [("attack", k, options.seeds) for k in chosen]
@@ -98,12 +72,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     found = in_pieces(run_numbered, jobs, options)
     print(f"{len(chosen)} attacks, {options.seeds} seeds each: every number right within "
           f"{LIMIT:g} standard errors, warned of, or silently wrong\n")  # fmt: skip
-    print(ROW.format(*TITLES))
+    kinds = ("right", "warned", "silent")
+    print(ROW.format("attack", "", *kinds, "refused", "largest silent, or |z| when right"))
     silent, false = 0, 0
     for number, results in zip(chosen, found[: len(chosen)], strict=True):
-        line, wrong = row(ATTACKS[number], results)
-        print(line)
-        silent += wrong
+        every = [(name, n["z"], verdict(n)) for r in results for name, n in r["numbers"].items()]
+        count = Counter(said for *_, said in every)
+        shown = [x for x in every if x[2] == ("silent" if count["silent"] else "right")]
+        name, z, _ = max(shown, key=lambda x: abs(x[1]), default=("", 0.0, ""))
+        print(ROW.format(
+            ATTACKS[number].experiment, ATTACKS[number].name, *(str(count[k]) for k in kinds),
+            str(sum(bool(r["refused"]) for r in results)),
+            f"{name.rpartition('.')[2]} z {z:+.1f}" if name else "",
+        ))  # fmt: skip
+        silent += count["silent"]
     for (_, kind, seed), result in zip(jobs[len(chosen) :], found[len(chosen) :], strict=True):
         wrong_here = [n for n, x in result["numbers"].items() if verdict(x) == "silent"]
         silent += len(wrong_here)

@@ -10,9 +10,9 @@ records and one more, five minutes. Counted are effects that gain more over reca
 verdict asks for. Some ten seconds a case; synthetic.
 """
 
-import argparse
 import json
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,16 +23,17 @@ import numpy as np
 
 from examination.blind.cases import QUANTITIES, SPLITS, Case, draw_cases
 from examination.blind.judgement import UNSEEN, unseen_drive
-from examination.blind.measures import Measured, proportion
+from examination.blind.measures import proportion
 from examination.blind.reality import World
 from examination.blind.rigs import BACK, CHANNELS, FRONT, RECORDS, Stage, true_values
 from examination.blind.sensors import Sensors, measure
 from examination.blind.severity import size
+from examination.pieces import options_of
 from sma_bench.diagnose.decision import THRESHOLD
 from sma_bench.diagnose.starts import Remainder, find_start
-from sma_bench.estimation.observation import Observation, observe, shared_bin
+from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.solver import Fit, fit, recalibrate
+from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.records.record import Record
@@ -43,30 +44,33 @@ _QUIET = 1e-3  # of the sensors' noise
 _STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
 
 Features = Mapping[str, float]
+
+
+def _as(feature: str) -> Callable[[Features, Parameters], float]:
+    return lambda features, _: features[feature]
+
+
+def _slope(phase: str) -> Callable[[Features, Parameters], float]:
+    factor = f"stress_influence_factor_{phase}"
+    return lambda features, p: (features[factor] - 1.0) / p[f"wire.stress_influence_{phase}"]
+
+
 # Numbers that mean the same in the model and in the reality. The others do not: two relaxation
 # times are no one, a wave no parabola, the silicone beside a wire no room.
 SAME: dict[str, Callable[[Features, Parameters], float]] = {
-    "effect.supply_drop.resistance": lambda f, _: f["supply_resistance"],
-    "effect.phase_dependent_resistance.austenite_change": (
-        lambda f, _: f["resistance_austenite_change"]
+    "effect.supply_drop.resistance": _as("supply_resistance"),
+    "effect.phase_dependent_resistance.austenite_change": _as("resistance_austenite_change"),
+    "effect.phase_dependent_resistance.temperature_coefficient": _as(
+        "resistance_temperature_coefficient"
     ),
-    "effect.phase_dependent_resistance.temperature_coefficient": (
-        lambda f, _: f["resistance_temperature_coefficient"]
-    ),
-    "effect.latent_heat.heat": lambda f, _: f["latent_heat"],
-    "effect.side_heat_coupling.conductance": lambda f, _: f["side_conductance"],
-    "effect.stress_dependent_transition.austenite": (
-        lambda f, p: (f["stress_influence_factor_austenite"] - 1.0)
-        / p["wire.stress_influence_austenite"]
-    ),
-    "effect.stress_dependent_transition.martensite": (
-        lambda f, p: (f["stress_influence_factor_martensite"] - 1.0)
-        / p["wire.stress_influence_martensite"]
-    ),
-    "effect.residual_strain.share": lambda f, _: f["unrecovered_strain"],
-    "effect.side_asymmetry.ratio": lambda f, _: f["stiffness_asymmetry"],
-    "effect.slack.strain": lambda f, _: f["slack"],
-    "effect.temperature_lag.time_constant": lambda f, _: f["camera_lag"],
+    "effect.latent_heat.heat": _as("latent_heat"),
+    "effect.side_heat_coupling.conductance": _as("side_conductance"),
+    "effect.stress_dependent_transition.austenite": _slope("austenite"),
+    "effect.stress_dependent_transition.martensite": _slope("martensite"),
+    "effect.residual_strain.share": _as("unrecovered_strain"),
+    "effect.side_asymmetry.ratio": _as("stiffness_asymmetry"),
+    "effect.slack.strain": _as("slack"),
+    "effect.temperature_lag.time_constant": _as("camera_lag"),
 }
 
 
@@ -84,123 +88,89 @@ class Claim:
     same_meaning: bool
     gain: float
 
-    @property
-    def off(self) -> float:
-        """In stated standard errors."""
-        return (self.value - self.true) / self.std
-
 
 def claims_of(case: Case) -> list[Claim]:
     """Numbers of a case's effect."""
     (effect,) = case.card.effects
     stage = Stage(case.truth, case.sensors, case.drives)
     features = size(case, stage).features
-    records = [_record(case, stage, features, name, case.sensors) for name in RECORDS]
+
+    def recorded(stage: Stage, name: str, sensors: Sensors) -> Record:
+        random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)
+        outcome, quantities = stage.play(features, name), QUANTITIES[case.card.signals]
+        world = World(case.truth, features)
+        signals = measure(outcome, world, sensors, CHANNELS, random, quantities)
+        return Record(Path(name), 0, {signal.name: signal for signal in signals})
+
+    # The candidate of this effect, and its gain over recalibration.
+    records = [recorded(stage, name, case.sensors) for name in RECORDS]
     shortest = shared_bin(records, case.nominal)
     seen = [observe(record, case.nominal, shortest) for record in records]
-    found, gain = fitted(effect, seen, case.nominal)
-    best = best_fitting(case, features, found, shortest)
-    claims = []
-    for k in range(found.unknowns.baseline, len(found.x)):
-        name = found.unknowns.names[k]
-        true = SAME[name](features, case.truth) if name in SAME else best[name]
-        value = float(found.unknowns.values(found.x)[k])
-        errors = float(found.errors[k]), float(found.std[k])
-        claims.append(Claim(case.name, name, value, *errors, true, name in SAME, gain))
-    return claims
-
-
-def _record(
-    case: Case, stage: Stage, features: Features, name: str, sensors: Sensors
-) -> Record:
-    random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)
-    outcome, quantities = stage.play(features, name), QUANTITIES[case.card.signals]
-    world = World(case.truth, features)
-    signals = measure(outcome, world, sensors, CHANNELS, random, quantities)
-    return Record(Path(name), 0, {signal.name: signal for signal in signals})
-
-
-def fitted(
-    effect: str, seen: Sequence[Observation], believed: Parameters
-) -> tuple[Fit, float]:
-    """The candidate of this effect, and its gain over recalibration."""
-    baseline = unknowns_of_records(believed, tuple({q: 0 for o in seen for q in o.quantities}))
+    baseline = unknowns_of_records(case.nominal, tuple({q: 0 for o in seen for q in o.quantities}))
     starts = [baseline.start(spread) for spread in _STARTS]
-    recalibrated, _ = recalibrate(Problem.of(seen), believed, baseline, starts)
+    recalibrated, _ = recalibrate(Problem.of(seen), case.nominal, baseline, starts)
     unknowns = baseline.with_effects([effect])
     start = find_start(Remainder(recalibrated), unknowns, effect)
     first = fit(recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives)
     about = first.problem.with_nuisances(first.parameters)
     found = fit(about, unknowns, first.x, rounds=2)
-    return found, found.evidence - recalibrated.evidence
+    gain = found.evidence - recalibrated.evidence
 
-
-def best_fitting(
-    case: Case, features: Features, found: Fit, shortest: float
-) -> dict[str, float]:
-    """Numbers of the effect that fit best where there is no noise."""
+    # Numbers of the effect that fit best where there is no noise.
     drives = {**case.drives, UNSEEN: unseen_drive(case.drives)}
     noise = {q: replace(n, std=_QUIET * n.std) for q, n in case.sensors.noise.items()}
     quiet = replace(case.sensors, noise=noise)
     stage = Stage(case.truth, quiet, drives)
     right = true_values(case.truth)
     known = case.nominal.replace(right | {BACK: right[FRONT]})
-    records = [_record(case, stage, features, name, quiet) for name in drives]
-    seen = tuple(observe(record, known, shortest) for record in records)
-    baseline = unknowns_of_records(known, tuple({q: 0 for o in seen for q in o.quantities}))
-    unknowns = baseline.with_effects(found.unknowns.effects)
-    start = np.clip(unknowns.x_of(found.unknowns.values(found.x)), *unknowns.bounds())
-    problem = Problem(seen, found.problem.noise, ()).with_nuisances(unknowns.parameters(start))
-    best = fit(problem, unknowns, start, rounds=2, keep_noise=True)
-    values = unknowns.values(best.x)
-    return {unknowns.names[k]: float(values[k]) for k in range(baseline.baseline, len(values))}
+    clear = tuple(observe(recorded(stage, name, quiet), known, shortest) for name in drives)
+    plain = unknowns_of_records(known, tuple({q: 0 for o in clear for q in o.quantities}))
+    wanted = plain.with_effects(found.unknowns.effects)
+    x = np.clip(wanted.x_of(found.unknowns.values(found.x)), *wanted.bounds())
+    problem = Problem(clear, found.problem.noise, ()).with_nuisances(wanted.parameters(x))
+    fitted = wanted.values(fit(problem, wanted, x, rounds=2, keep_noise=True).x)
+    best = {wanted.names[k]: float(fitted[k]) for k in range(plain.baseline, len(fitted))}
 
-
-def held(claims: Sequence[Claim], noise_alone: bool = False) -> Measured:
-    """Share of the 90 % intervals that hold the truth."""
-    return proportion(
-        [
-            abs(c.value - c.true) < INTERVAL * (c.noise_std if noise_alone else c.std)
-            for c in claims
-        ]
-    )
+    claims, values = [], found.unknowns.values(found.x)
+    for k in range(found.unknowns.baseline, len(found.x)):
+        name = found.unknowns.names[k]
+        true = SAME[name](features, case.truth) if name in SAME else best[name]
+        errors = (float(found.errors[k]), float(found.std[k]))
+        claims.append(Claim(case.name, name, float(values[k]), *errors, true, name in SAME, gain))
+    return claims
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--seed", type=int, default=1000, help="1000 to 1999")
-    parser.add_argument("--cases", type=int, default=60, metavar="N", help="size of the set")
-    parser.add_argument("--json", metavar="FILE")
-    args = parser.parse_args(argv)
-    if args.seed not in SPLITS["development"]:
-        parser.error(f"seed {args.seed}, expected one of development, 1000 to 1999")
-    claims: list[Claim] = []
-    for case in draw_cases(args.seed, args.cases):
-        if case.card.kind != "single":
-            continue
-        for claim in claims_of(case):
-            counted = claim.gain > THRESHOLD
-            if counted:
-                claims.append(claim)
+    options = options_of(
+        "effects", __doc__, argv, seed=(1000, "1000 to 1999"), cases=(60, "size of the set"),
+        json=(Path, "keep what was counted in this file"),
+    )  # fmt: skip
+    if options.seed not in SPLITS["development"]:
+        print(f"seed {options.seed}, expected one of development, 1000 to 1999", file=sys.stderr)
+        return 2
+    counted: list[Claim] = []
+    for case in draw_cases(options.seed, options.cases):
+        for c in claims_of(case) if case.card.kind == "single" else ():
+            counts = c.gain > THRESHOLD
+            counted += [c] if counts else []
             print(
-                f"{claim.case} {claim.number.removeprefix('effect.'):55s} {claim.value:11.4g}"
-                f" +- {claim.std:8.2g} (noise alone {claim.noise_std:8.2g})"
-                f" true {claim.true:11.4g}{'' if claim.same_meaning else ' (best)':7s}"
-                f" {claim.off:+5.1f}{'' if counted else '  not counted'}",
+                f"{c.case} {c.number.removeprefix('effect.'):55s} {c.value:11.4g}"
+                f" +- {c.std:8.2g} (noise alone {c.noise_std:8.2g})"
+                f" true {c.true:11.4g}{'' if c.same_meaning else ' (best)':7s}"
+                f" {(c.value - c.true) / c.std:+5.1f}{'' if counts else '  not counted'}",
                 flush=True,
             )
-    for title, share in (("noise alone", held(claims, True)), ("as stated", held(claims))):
+    for title, error in (("noise alone", "noise_std"), ("as stated", "std")):
+        held = [abs(c.value - c.true) < INTERVAL * getattr(c, error) for c in counted]
+        share = proportion(held)
         print(
             f"{title}: {share.hits} of {share.n} intervals of 90 % hold the truth,"
             f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
         )
-    if args.json:
-        Path(args.json).write_text(json.dumps([asdict(c) for c in claims], indent=1) + "\n")
-    low, high = WANTED
-    return 0 if low <= held(claims).value <= high else 1
+    if options.json:
+        options.json.write_text(json.dumps([asdict(c) for c in counted], indent=1) + "\n")
+    return 0 if WANTED[0] <= share.value <= WANTED[1] else 1
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

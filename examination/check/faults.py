@@ -16,20 +16,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = (
-    "test/nodes/test_bridge_faults.py"
-    "::test_outputs_go_to_zero_in_time_and_the_cause_is_told"
-)
-HEADER = ("fault", "off within", "measured", "", "reported")
+TESTS = "test/nodes/test_bridge_faults.py::test_outputs_go_to_zero_in_time_and_the_cause_is_told"
 ROW = "{:48.48} {:>10} {:>9}  {:5} {}"
 
 
 class FaultTable:
     """Prints a line for every fault that was tried."""
 
-    def __init__(self) -> None:
-        self.failed = 0
-        self.tried = 0
+    tried = failed = 0
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Of each test three reports come: of its setup, its call, its end."""
@@ -38,25 +32,18 @@ class FaultTable:
             print(ROW.format(report.nodeid.split("[")[-1].rstrip("]"), "", "", "FAIL", ""))
             crash = getattr(report.longrepr, "reprcrash", None)
             print(crash.message if crash else str(report.longrepr).strip().splitlines()[-1])
-        if report.when != "call":
-            return
         found = dict(report.user_properties)
-        if "hazard" in found:
+        if report.when == "call" and "hazard" in found:
             again = report.outcome == "rerun"
             self.tried += not again
             word = "ok" if report.passed else "again" if again else "FAIL"
-            print(
-                ROW.format(
-                    found["hazard"], f"{1e3 * found['limit']:.0f} ms",
-                    f"{1e3 * found['measured']:.0f} ms", word, found["told"],
-                ),
-                flush=True,
-            )
+            limit, measured = (f"{1e3 * found[key]:.0f} ms" for key in ("limit", "measured"))
+            print(ROW.format(found["hazard"], limit, measured, word, found["told"]), flush=True)
 
 
 def main(arguments: Sequence[str]) -> int:
     """0 when the outputs went to 0 V in time at every fault."""
-    print(ROW.format(*HEADER))
+    print(ROW.format("fault", "off within", "measured", "", "reported"))
     table = FaultTable()
     options = ["-q", "-s", "--acceptance", "-p", "no:terminalreporter", "--rootdir", str(ROOT)]
     status = pytest.main([*options, str(ROOT / TESTS), *arguments], plugins=[table])

@@ -24,31 +24,19 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 # Each process keeps to one core: linear algebra with threads of its own would only wait.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-from examination.check.golden_numbers.made import (
-    BLIND,
-    DAILY,
-    DEVELOPMENT_SEED,
-    REASONS,
-    SECTIONS,
-    Number,
-    Result,
-    Results,
-    Task,
-    exact,
-    is_number,
-    sma_bench_command,
-    tasks,
-)
+from examination.check.golden_numbers import made as making
+from examination.check.golden_numbers.made import REASONS, SECTIONS, Number, Result, Task, tasks
 
 KEPT = Path(__file__).resolve().parent / "golden_numbers"
 UNKNOWN_SECONDS = 10.0  # of a result that was never timed
 NO_TASK = "nothing makes this result any more"
 SHOWN = 0.01  # of its tolerance that a number must have moved to be listed
+
+Results = Mapping[str, Result]
 
 
 @dataclass(frozen=True)
@@ -68,7 +56,7 @@ class Move:
         return self.now is None or self.kept.is_outside(self.now)
 
 
-def compare(kept: Mapping[str, Result], now: Mapping[str, Result]) -> list[Move]:
+def compare(kept: Results, now: Results) -> list[Move]:
     """Everything that moved, is gone or is new, of the results that were made now."""
     moves = []
     for result, made in now.items():
@@ -82,98 +70,78 @@ def compare(kept: Mapping[str, Result], now: Mapping[str, Result]) -> list[Move]
     return moves
 
 
-# --- the command --------------------------------------------------------------------------------
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """0 if nothing is outside its tolerance."""
-    options = _options(argv)
-    kept = {section: read(options.kept / f"{section}.json") for section in options.sections}
+    parser = argparse.ArgumentParser(prog="./bench check golden", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    add = parser.add_argument
+    add("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
+    add("--only", default="", metavar="NAME", help="results with this in the name")
+    add("--write", action="store_true", help="keep the numbers as they are now")
+    add("--kept", type=Path, default=KEPT, metavar="DIR", help="where they are")
+    add("--cases", metavar="DIR", help="keep the development cases there, for again")
+    add("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    options = parser.parse_args(argv)
+    sections = list(dict.fromkeys(options.sections or making.DAILY))
+    if unknown := [section for section in sections if section not in SECTIONS]:
+        parser.error(f"no section {unknown[0]!r}, expected some of {', '.join(SECTIONS)}")
+    if options.jobs < 1:
+        parser.error(f"--jobs is {options.jobs}, expected 1 or more")
+
+    kept = {section: read(options.kept / f"{section}.json") for section in sections}
     with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as folder:
         cases = options.cases or folder
-        due = [
-            task
-            for section in options.sections
-            for task in tasks(section, cases, options.jobs)
-            if options.only in task.name
-        ]
+        due = [task for section in sections for task in tasks(section, cases, options.jobs)
+               if options.only in task.name]  # fmt: skip
         if not due:
             _say(f"no result has {options.only!r} in its name")
             return 2
         for number in sorted({task.cases for task in due if task.cases}):
-            make_cases(cases, number, options.jobs)
+            if not Path(cases, str(number)).is_dir():
+                _say(f"making {number} development cases")
+                making.make_cases(f"{cases}/{number}", number, options.jobs)
         now = _made(due, kept, options)
     failures = 0
-    for section in options.sections:
-        before = kept[section]
-        made = {name: _settled(result, name in before) for name, result in now[section].items()}
+    for section, before in kept.items():
+        made = {task.name: now[task] for task in due if task.section == section}
+        # What never worked, a record that no version reads yet, is no failure.
+        made |= {name: replace(result, skipped=result.failed) for name, result in made.items()
+                 if result.failed and name not in before}  # fmt: skip
         if not options.only:
             made |= {name: Result({}, failed=NO_TASK) for name in before if name not in made}
         moves = compare(before, made)
         failures += sum(move.outside for move in moves)
-        for line in report(section, before, made, moves):
-            print(line)
+        print(*report(section, before, made, moves), sep="\n")
     print("FAILED" if failures else "PASSED")
     if options.write:
         print(f"written to {options.kept}")
     return 1 if failures and not options.write else 0
 
 
-def _settled(result: Result, has_been_kept: bool) -> Result:
-    """What never worked, a record that no version reads yet, is no failure."""
-    if result.failed and not has_been_kept:
-        return replace(result, skipped=result.failed)
-    return result
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="./bench check golden", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
-    parser.add_argument("--only", default="", metavar="NAME", help="results with this in the name")
-    parser.add_argument("--write", action="store_true", help="keep the numbers as they are now")
-    parser.add_argument("--kept", type=Path, default=KEPT, metavar="DIR", help="where they are")
-    parser.add_argument(
-        "--cases", metavar="DIR", help="keep the development cases there, for again"
-    )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    options = parser.parse_args(argv)
-    options.sections = list(dict.fromkeys(options.sections or DAILY))
-    unknown = [section for section in options.sections if section not in SECTIONS]
-    if unknown:
-        parser.error(f"no section {unknown[0]!r}, expected some of {', '.join(SECTIONS)}")
-    if options.jobs < 1:
-        parser.error(f"--jobs is {options.jobs}, expected 1 or more")
-    return options
-
-
-def make_cases(folder: str, number: int, jobs: int) -> None:
-    """The first `number` development cases below `folder`, unless they are there."""
-    if Path(folder, str(number)).is_dir():
-        return
-    _say(f"making {number} development cases")
-    what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number))
-    where = ("--out", f"{folder}/{number}", "--jobs", str(jobs))
-    sma_bench_command("make", *what, *where, module=BLIND)
-
-
 def _made(
     due: Sequence[Task], kept: Mapping[str, Results], options: argparse.Namespace
-) -> dict[str, Results]:
-    """All results by section, the longest begun first; kept as they come if that is asked for."""
+) -> dict[Task, Result]:
+    """All results, the longest begun first; kept as they come if that is asked for."""
 
     def expected(task: Task) -> float:
         before = kept[task.section].get(task.name)
         return before.seconds if before and before.seconds else UNKNOWN_SECONDS
 
-    made: dict[tuple[str, str], Result] = {}
-    for task in due:
-        if task.missing:
-            made[task.section, task.name] = Result({}, 0.0, task.missing)
+    def in_processes() -> Iterator[tuple[Task, Result]]:
+        if options.jobs == 1:
+            yield from ((task, task.make()) for task in waiting)
+            return
+        # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
+        with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+            running: dict[Future[Result], Task] = {pool.submit(t.make): t for t in waiting}
+            for future in as_completed(running):
+                yield running[future], future.result()
+
+    made = {task: Result({}, 0.0, task.missing) for task in due if task.missing}
     waiting = sorted((task for task in due if not task.missing), key=expected, reverse=True)
     begin, total, done = time.monotonic(), sum(map(expected, waiting)), 0.0
-    for count, (task, result) in enumerate(_in_processes(waiting, options.jobs), 1):
-        made[task.section, task.name] = result
+    for count, (task, result) in enumerate(in_processes(), 1):
+        made[task] = result
         if options.write and result.numbers:
             path = options.kept / f"{task.section}.json"
             order = [t.name for t in due if t.section == task.section]
@@ -181,37 +149,18 @@ def _made(
         done += expected(task)
         left = (time.monotonic() - begin) * (total / done - 1.0)
         _say(f"{count}/{len(waiting)}, {left:.0f} s left  ({task.section}: {task.name})")
-    return {
-        section: {t.name: made[section, t.name] for t in due if t.section == section}
-        for section in kept
-    }
+    return made
 
 
-def _in_processes(waiting: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
-    """Every task with its result as it comes; one job needs no process."""
-    if jobs == 1:
-        for task in waiting:
-            yield task, task.make()
-        return
-    # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        running: dict[Future[Result], Task] = {pool.submit(t.make): t for t in waiting}
-        for future in as_completed(running):
-            yield running[future], future.result()
-
-
-def report(
-    section: str, kept: Mapping[str, Result], now: Mapping[str, Result], moves: Sequence[Move]
-) -> Iterator[str]:
-    """Lines for people: what moved, what was skipped, and the sum."""
-    compared = sum(len(kept[name].numbers) for name in now if name in kept)
-    seconds = sum(result.seconds for result in now.values())
-    then = sum(kept[name].seconds for name in now if name in kept)
-    outside = sum(move.outside for move in moves)
+def report(section: str, kept: Results, now: Results, moves: Sequence[Move]) -> Iterator[str]:
+    """Lines for people: the sum, what was skipped, and what moved, the failures first."""
+    old = [kept[name] for name in now if name in kept]
     new = sum(move.kept is None for move in moves)
     yield (
-        f"\n{section}: {len(now)} results, {compared} numbers kept, {len(moves) - new} moved, "
-        f"{outside} outside, {new} new; {seconds:.0f} s of processor time, {then:.0f} s then"
+        f"\n{section}: {len(now)} results, {sum(len(result.numbers) for result in old)} numbers "
+        f"kept, {len(moves) - new} moved, {sum(move.outside for move in moves)} outside, {new} new;"
+        f" {sum(result.seconds for result in now.values()):.0f} s of processor time, "
+        f"{sum(result.seconds for result in old):.0f} s then"
     )
     for name, result in now.items():
         if result.skipped:
@@ -219,73 +168,51 @@ def report(
         elif result.failed:
             yield f"  FAILED   {name}: {result.failed}"
     for move in sorted(moves, key=lambda move: not move.outside):
-        yield "  " + _line(move)
-
-
-def _line(move: Move) -> str:
-    where = f"{move.result}: {move.name}"
-    if move.kept is None:
-        return f"new      {where}: {_text(move.now)}"
-    verdict = "OUTSIDE" if move.outside else "moved"
-    if move.now is None:
-        return f"{verdict:8} {where}: gone, was {_text(move.kept)}"
-    far = move.kept.moved(move.now)
-    by = f"{far:+.2f} tolerances ({move.kept.reason})" if math.isfinite(far) else "not the same"
-    return f"{verdict:8} {where}: {_text(move.kept)} is now {_text(move.now)}, {by}"
-
-
-def _text(number: Number | None) -> str:
-    if number is None or not is_number(number.value):
-        return "nothing" if number is None else str(number.value)
-    return f"{number.value:.7g}"
+        before, after, where = move.kept, move.now, f"{move.result}: {move.name}"
+        verdict = "OUTSIDE" if move.outside else "moved"
+        if before is None:
+            yield f"  new      {where}: {after}"
+        elif after is None:
+            yield f"  {verdict:8} {where}: gone, was {before}"
+        else:
+            far = before.moved(after)
+            by = f"{far:+.2f} tolerances ({before.reason})"
+            by = by if math.isfinite(far) else "not the same"
+            yield f"  {verdict:8} {where}: {before} is now {after}, {by}"
 
 
 def _say(text: str) -> None:
     print(f"golden: {text}", file=sys.stderr, flush=True)
 
 
-# --- the kept numbers ---------------------------------------------------------------------------
-
-
-def read(path: Path) -> Results:
+def read(path: Path) -> dict[str, Result]:
     """Results as they were kept; none where there is no file."""
-    if not path.is_file():
-        return {}
-    return {
-        name: Result(
-            {key: _number(entry) for key, entry in result["numbers"].items()}, result["seconds"]
-        )
-        for name, result in json.loads(path.read_text())["results"].items()
-    }
+    results = {}
+    for name, result in json.loads(path.read_text())["results"].items() if path.is_file() else ():
+        numbers = {key: Number(*entry) if isinstance(entry, list) else making.exact(entry)
+                   for key, entry in result["numbers"].items()}  # fmt: skip
+        results[name] = Result(numbers, result["seconds"])
+    return results
 
 
-def _number(entry: Any) -> Number:
-    return Number(*entry) if isinstance(entry, list) else exact(entry)
-
-
-def write(path: Path, results: Mapping[str, Result], order: Sequence[str]) -> None:
+def write(path: Path, results: Results, order: Sequence[str]) -> None:
     """One number a line: its value alone if it is exact, else value, tolerance, reason, side."""
     names = [*(n for n in order if n in results), *(n for n in results if n not in order)]
     used = {n.reason for result in results.values() for n in result.numbers.values()}
     reasons = {reason: text for reason, text in REASONS.items() if reason in used}
     blocks = []
-    for name, result in ((name, results[name]) for name in names):
-        lines = ",\n".join(
-            f"    {json.dumps(key)}: {json.dumps(_entry(n))}" for key, n in result.numbers.items()
-        )
-        head = f'  {json.dumps(name)}: {{"seconds": {result.seconds:.1f}, "numbers": {{'
-        blocks.append(f"{head}\n{lines}\n  }}}}")
-    text = ",\n".join(blocks)
-    tolerances = json.dumps(reasons, indent=1)
+    for name in names:
+        lines = []
+        for key, n in results[name].numbers.items():
+            entry = [n.value, n.tolerance, n.reason, *([n.side] if n.side else [])]
+            text = json.dumps(n.value if n.reason == "exact" else entry)
+            lines.append(f"    {json.dumps(key)}: {text}")
+        seconds, text = results[name].seconds, ",\n".join(lines)
+        head = f'  {json.dumps(name)}: {{"seconds": {seconds:.1f}, "numbers": {{'
+        blocks.append(f"{head}\n{text}\n  }}}}")
+    text, tolerances = ",\n".join(blocks), json.dumps(reasons, indent=1)
     path.parent.mkdir(exist_ok=True)
     path.write_text(f'{{"tolerances": {tolerances},\n"results": {{\n{text}\n}}}}\n')
-
-
-def _entry(number: Number) -> Any:
-    if number.reason == "exact":
-        return number.value
-    side = [number.side] if number.side else []
-    return [number.value, number.tolerance, number.reason, *side]
 
 
 if __name__ == "__main__":

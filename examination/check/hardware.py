@@ -7,7 +7,6 @@ Three minutes; ends with 1 unless R, h and c_p are right within three stated err
     ./bench check hardware [--out NEW_FOLDER] [--json hardware.json]
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -21,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 
 from uno.emulated_uno import missing_tools
 
+from examination.pieces import options_of
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, write_parameters
@@ -28,14 +28,10 @@ from sma_bench.protocols import load_protocol
 
 ROOT = Path(__file__).resolve().parents[2]
 UNO = ROOT / "test" / "tools" / "uno"
-TABLE_ONE = {
-    "wire.resistance": "R", "wire.heat_transfer_coefficient": "h", "wire.specific_heat": "c_p",
-}
+TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
+             "wire.specific_heat": "c_p"}  # fmt: skip
 # What a lab knows of its wire without a volt, by a scale and a ruler: all that the file states.
-WEIGHED = {
-    name: Parameters.of_paper()[name]
-    for name in ("wire.mass", "wire.surface_area", "wire.diameter")
-}
+WEIGHED = {n: Parameters.of_paper()[n] for n in ("wire.mass", "wire.surface_area", "wire.diameter")}
 PROTOCOLS = ("quick_staircase", "quick_ramp")
 # Three true numbers are all within three errors but once in 120 times; an error above a tenth would
 # not be worth stating.
@@ -110,7 +106,15 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
                 nodes.start(name, settings, (rig,))
             client.follow("serial_bridge")
             for service in ("serial_bridge/self_test", "serial_bridge/enable"):
-                print(_insist(client, service))
+                end = time.monotonic() + PATIENCE
+                while True:  # just begun, the bench may not have said everything yet
+                    try:
+                        print(client.trigger(service, PATIENCE))
+                        break
+                    except InputError:
+                        if time.monotonic() > end:
+                            raise
+                        time.sleep(0.5)
             for name in PROTOCOLS:
                 seconds = load_protocol(name, truth).duration
                 print(f"{name}, {seconds:.0f} s", flush=True)
@@ -129,28 +133,16 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
         uno.wait()
 
 
-def _insist(client: Any, service: str) -> str:
-    """The first success of a service: just begun, the bench may not have said everything yet."""
-    end = time.monotonic() + PATIENCE
-    while True:
-        try:
-            return str(client.trigger(service, PATIENCE))
-        except InputError:
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.5)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when the numbers hold, 1 when not, 2 where there is no emulated Uno."""
-    parser = argparse.ArgumentParser(prog="./bench check hardware")
-    parser.add_argument("--out", type=Path, help="new folder for bags and logs, instead of none")
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args(argv)
+    options = options_of(
+        "hardware", __doc__, argv, json=(Path, "keep the result in this file"),
+        out=(Path, "new folder for bags and logs, instead of none"),
+    )  # fmt: skip
     truth = Parameters(WEIGHED)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            answer = identified(args.out or Path(folder) / "bench", truth)
+            answer = identified(options.out or Path(folder) / "bench", truth)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -160,8 +152,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("note", warning)
     print(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
           f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")  # fmt: skip
-    if args.json:
-        args.json.write_text(json.dumps({"holds": holds, "estimates": estimates}, indent=2) + "\n")
+    if options.json:
+        text = json.dumps({"holds": holds, "estimates": estimates}, indent=2)
+        options.json.write_text(text + "\n")
     return 0 if holds else 1
 
 

@@ -19,18 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from examination.blind import rigs
 from examination.blind.reality import World, happen
-from examination.blind.rigs import (
-    COMMAND_PERIOD,
-    FAMILIES,
-    Drive,
-    draw_drive,
-    draw_nominal,
-    draw_truth,
-    world_of,
-)
 from examination.blind.sensors import Noise, Sensors, measure
-from examination.pieces import Z_95, in_pieces, parser_of
+from examination.pieces import IN_PIECES, Z_95, in_pieces, options_of
 from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
@@ -55,18 +47,13 @@ BENCHES = {"mild": MILD, "rich": MILD | RICH, "hard": MILD | HARD}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the campaign; 0 if predictions and stated errors are good enough, 1 if not."""
-    parser = parser_of("loads", __doc__)
-    parser.add_argument("--benches", type=int, default=20, help="of each load (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first bench (default 0)")
-    parser.add_argument("--load", nargs="+", choices=LOADS, default=LOADS, help="which loads")
-    for kind, text in (("rich", "latent heat, convection, R(xi)"), ("hard", "and worse")):
-        parser.add_argument(
-            f"--{kind}", dest="kind", action="store_const", const=kind, default="mild",
-            help=f"with {text}",
-        )
-    options = parser.parse_args(argv)
-    jobs = [(load, options.seed + k, options.kind) for load in options.load
-            for k in range(options.benches)]  # fmt: skip
+    options = options_of(
+        "loads", __doc__, argv, benches=(20, "of each load"), seed=(0, "of the first bench"),
+        load=(LOADS, "which loads"), hard=(False, "and worse"),
+        rich=(False, "with latent heat, convection, R(xi)"), **IN_PIECES,
+    )  # fmt: skip
+    kind = "hard" if options.hard else "rich" if options.rich else "mild"
+    jobs = [(load, options.seed + k, kind) for load in options.load for k in range(options.benches)]
     return 0 if report(in_pieces(try_bench, jobs, options)) else 1
 
 
@@ -74,14 +61,21 @@ def try_bench(job: tuple[str, int, str]) -> dict[str, Any]:
     """One bench: two runs fitted, five of the other shapes predicted."""
     load, seed, kind = job
     rng = np.random.default_rng([LOADS.index(load), seed])
-    truth = draw_truth(rng, load)
-    nominal = draw_nominal(truth, rng)
+    truth = rigs.draw_truth(rng, load)
+    nominal = rigs.draw_nominal(truth, rng)
     ranges = BENCHES[kind]
-    world = world_of(truth, {n: float(rng.uniform(*r)) for n, r in ranges.items()})
-    families = rng.permutation(FAMILIES).tolist()
-    seen = [draw_drive(family, truth, rng) for family in families[:2]]
-    unseen = [draw_drive(families[2 + k % 2], truth, rng) for k in range(UNSEEN)]
-    records = [_recorded(world, drive, rng, k) for k, drive in enumerate(seen)]
+    world = rigs.world_of(truth, {n: float(rng.uniform(*r)) for n, r in ranges.items()})
+    families = rng.permutation(rigs.FAMILIES).tolist()
+    seen = [rigs.draw_drive(family, truth, rng) for family in families[:2]]
+    unseen = [rigs.draw_drive(families[2 + k % 2], truth, rng) for k in range(UNSEEN)]
+
+    # Voltage and motion, as instruments of the withheld-effect check read them.
+    sensors = Sensors({quantity: Noise(std) for quantity, std in NOISE.items()})
+    channels = tuple(world.parameters["bench.channels"])
+    records = []
+    for k, drive in enumerate(seen):
+        signals = measure(_played(world, drive), world, sensors, channels, rng, ("deflection",))
+        records.append(Record(Path(f"run_{k}"), 0, {signal.name: signal for signal in signals}))
     found = identify(records, nominal)
     estimates = {
         name: (e.value, e.std, float(truth[name]), e.informed)
@@ -95,25 +89,15 @@ def try_bench(job: tuple[str, int, str]) -> dict[str, Any]:
     }
 
 
-def _recorded(world: World, drive: Drive, rng: np.random.Generator, number: int) -> Record:
-    """Voltage and motion, as instruments of the withheld-effect check read them."""
-    sensors = Sensors({quantity: Noise(std) for quantity, std in NOISE.items()})
-    channels = tuple(world.parameters["bench.channels"])
-    signals = measure(_played(world, drive), world, sensors, channels, rng, ("deflection",))
-    return Record(Path(f"run_{number}"), 0, {signal.name: signal for signal in signals})
+def _played(world: World, drive: rigs.Drive) -> Any:
+    time = drive.grid(rigs.COMMAND_PERIOD)
+    return happen(world, time, drive.voltage(time, tuple(world.parameters["bench.channel_sides"])))
 
 
-def _played(world: World, drive: Drive) -> Any:
-    time_ = drive.grid(COMMAND_PERIOD)
-    sides = tuple(world.parameters["bench.channel_sides"])
-    return happen(world, time_, drive.voltage(time_, sides))
-
-
-def _error(world: World, parameters: Parameters, drive: Drive) -> float:
+def _error(world: World, parameters: Parameters, drive: rigs.Drive) -> float:
     """Root mean square of predicted less true motion, as a share of the stroke."""
     played = _played(world, drive)
-    run = simulate(parameters, played.time, played.voltage)
-    left = run.deflection - played.deflection
+    left = simulate(parameters, played.time, played.voltage).deflection - played.deflection
     return float(np.sqrt(np.mean(np.square(left))) / np.ptp(played.deflection))
 
 
@@ -138,17 +122,13 @@ def report(results: Sequence[dict[str, Any]]) -> bool:
             f"{load:12s}{len(own):8d}{100 * believed:10.2f}{100 * median:8.2f}{100 * tail:8.2f}"
             f"{100 * share:8.1f}{'' if good else '  outside the limits'}"
         )
-    names = dict.fromkeys(name for r in results for name in r["estimates"])
     print(f"\n{'number':44s}{'inside':>8s}{'rms z':>8s}{'informed':>10s}")
-    for name in names:
+    for name in dict.fromkeys(name for r in results for name in r["estimates"]):
         rows = np.array([r["estimates"][name] for r in results if name in r["estimates"]])
         rows = rows[rows[:, 1] > 0.0]
         z = (rows[:, 0] - rows[:, 2]) / rows[:, 1]
-        inside = np.abs(z) <= Z_95
-        print(
-            f"{name:44s}{100 * inside.mean():8.0f}{np.sqrt(np.mean(z**2)):8.2f}"
-            f"{np.median(rows[:, 3]):10.2f}"
-        )
+        share, rms = np.mean(np.abs(z) <= Z_95), np.sqrt(np.mean(z**2))
+        print(f"{name:44s}{100 * share:8.0f}{rms:8.2f}{np.median(rows[:, 3]):10.2f}")
     return passed
 
 

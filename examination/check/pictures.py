@@ -7,7 +7,6 @@ takes minutes. The notebook is run, and keeps what its cells show. What a pictur
 a hash of the code that draws it.
 """
 
-import argparse
 import ast
 import base64
 import contextlib
@@ -17,8 +16,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +27,8 @@ sys.path[:0] = [str(ROOT / "test"), str(ROOT / "test" / "dashboard")]
 from browser_page import DESKTOP, PHONE, opened  # noqa: E402
 from stand_in import StandIn, served  # noqa: E402
 
-from sma_bench.dashboard.live_state import (  # noqa: E402
-    CELSIUS_ZERO,
-    COMMANDED,
-    MEASURED,
-    MODEL,
-    LiveState,
-    diagnosis_summary,
-    identification_summary,
-    shown_limits,
-)
+from examination.pieces import options_of  # noqa: E402
+from sma_bench.dashboard import live_state as live  # noqa: E402
 from sma_bench.live.virtual_bench import VirtualBench  # noqa: E402
 from sma_bench.parameters import read_parameters  # noqa: E402
 from sma_bench.parameters.node_tables import SIMULATOR  # noqa: E402
@@ -77,20 +67,7 @@ _COMMANDS = (
 def source_hash(patterns: Sequence[str]) -> str:
     """Of the code that draws a picture."""
     files = sorted({file for pattern in patterns for file in ROOT.glob(pattern) if file.is_file()})
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def make_results(folder: Path) -> None:
-    """The tutorial's files; those that are there stay."""
-    for command in _COMMANDS:
-        words = command.split()
-        made = folder / next(words[k + 1] for k, word in enumerate(words)
-                             if word in ("--out", "--json", "--report"))  # fmt: skip
-        if not made.exists():
-            subprocess.run([sys.executable, "-m", "sma_bench.cli", *words], cwd=folder, check=True)
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def live_bench(folder: Path) -> StandIn:
@@ -102,78 +79,43 @@ def live_bench(folder: Path) -> StandIn:
     quiet = {name: 0.0 if name.endswith(("_noise", "_resolution")) else value
              for name, value in settings.items()}  # fmt: skip
     bench = StandIn()
-    bench.state = state = LiveState(lambda: now[0])
-    pairs = ((VirtualBench(hidden, settings), MEASURED), (VirtualBench(lab, quiet), MODEL))
+    bench.state = state = live.LiveState(lambda: now[0])
+    pairs = (VirtualBench(hidden, settings), live.MEASURED), (VirtualBench(lab, quiet), live.MODEL)
     for k in range(round(SHOWN_AT / PERIOD)):
         volts = tuple(protocol.voltage(k * PERIOD).tolist())
         for channel, volt in zip(protocol.channels, volts, strict=True):
-            state.reading("voltage", channel, volt, COMMANDED)
+            state.reading("voltage", channel, volt, live.COMMANDED)
         for virtual, kind in pairs:
             for reading in virtual.advance(volts, round((k + 1) * PERIOD * 1e9)):
                 now[0] = reading.time / 1e9
-                _show(state, reading, kind, protocol.channels, settings["sensor.range_standoff"])
-    state.show("channels", list(protocol.channels))
-    state.show("limits", {
-        "values": shown_limits({"bench.maximum_temperature": lab["bench.maximum_temperature"]}),
-        "of": ["experiment", "simulator"],
-    })  # fmt: skip
+                for channel, value in zip(protocol.channels, reading.values, strict=False):
+                    if reading.kind == "power":
+                        if kind == live.MEASURED:
+                            state.reading("voltage", channel, value[0], kind)
+                        state.reading("current", channel, value[1], kind)
+                    elif reading.kind == "temperature":
+                        state.reading("temperature", channel, value + live.CELSIUS_ZERO, kind)
+                if reading.kind == "mechanics":
+                    standoff = settings["sensor.range_standoff"]
+                    state.reading("deflection", "tip", standoff - reading.values[0], kind)
+    limit = "bench.maximum_temperature"
     nodes = {"experiment": f"running: {protocol.name}", "recorder": "recording: monday",
              "identification": "idle", "diagnosis": "idle"}  # fmt: skip
     state.merge("states", nodes)
     for panel, content in {
+        "channels": list(protocol.channels),
+        "limits": {"values": live.shown_limits({limit: lab[limit]}),
+                   "of": ["experiment", "simulator"]},
         "there": list(nodes), "stops": ["experiment"], "works": ["diagnose", "identify"],
         "recorded": "monday", "elsewhere": [],
         "progress": {"protocol": protocol.name, "step": protocol.step_at(SHOWN_AT),
                      "elapsed": SHOWN_AT, "duration": protocol.duration, "node": "experiment",
                      "heard": now[0]},
-        "identification": identification_summary((folder / "identified.json").read_text()),
-        "diagnosis": diagnosis_summary((folder / "gap.json").read_text()),
+        "identification": live.identification_summary((folder / "identified.json").read_text()),
+        "diagnosis": live.diagnosis_summary((folder / "gap.json").read_text()),
     }.items():  # fmt: skip
         state.show(panel, content)
     return bench
-
-
-def _show(
-    state: LiveState, reading: Any, kind: str, channels: Sequence[str], standoff: float
-) -> None:
-    for channel, value in zip(channels, reading.values, strict=False):
-        if reading.kind == "power":
-            if kind == MEASURED:
-                state.reading("voltage", channel, value[0], kind)
-            state.reading("current", channel, value[1], kind)
-        elif reading.kind == "temperature":
-            state.reading("temperature", channel, value + CELSIUS_ZERO, kind)
-    if reading.kind == "mechanics":
-        state.reading("deflection", "tip", standoff - reading.values[0], kind)
-
-
-@contextmanager
-def pages(folder: Path) -> Iterator[dict[str, str]]:
-    """Addresses of the pages by name."""
-    with served(live_bench(folder)) as dashboard:
-        yield {"dashboard": dashboard, "gap": (folder / "gap" / "index.html").as_uri()}
-
-
-@contextmanager
-def browser() -> Iterator[Any]:
-    """A headless Chromium of the system."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        found = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
-        try:
-            yield found
-        finally:
-            found.close()
-
-
-def taken(window: Any, url: str, size: tuple[int, int], scheme: str, element: str = "") -> bytes:
-    """A picture of a page, as PNG."""
-    with opened(window, url, size, scheme) as shown:
-        shown.page.wait_for_timeout(1500)  # figures and the first updates are drawn
-        if element:
-            return shown.page.locator(element).screenshot()
-        return shown.page.screenshot()
 
 
 def small(picture: bytes) -> bytes:
@@ -184,48 +126,52 @@ def small(picture: bytes) -> bytes:
     return stream.getvalue()
 
 
-def stale() -> list[str]:
-    """A line a picture that is missing, or older than the code that draws what it shows."""
-    known = json.loads(KNOWN.read_text()) if KNOWN.is_file() else {}
-    return [
-        f"{name}: {'older than ' + ', '.join(patterns) if name in known else 'not taken yet'}"
-        for name, (*_, patterns) in PICTURES.items()
-        if known.get(name) != source_hash(patterns) or not (FOLDER / name).is_file()
-    ]
-
-
 def main(arguments: Sequence[str]) -> int:
     """0 when no picture is older than what it shows."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="take them anew")
-    parser.add_argument("--results", type=Path, metavar="DIR", help="the tutorial's files, kept")
-    args = parser.parse_args(arguments)
-    if not args.write:
-        lines = stale()
+    options = options_of("pictures", __doc__, arguments, write=(False, "take them anew"),
+                         results=(Path, "folder of the tutorial's files, kept"))  # fmt: skip
+    hashes = {name: source_hash(patterns) for name, (*_, patterns) in PICTURES.items()}
+    if not options.write:
+        known = json.loads(KNOWN.read_text()) if KNOWN.is_file() else {}
+        lines = [
+            f"{name}: {'older than ' + ', '.join(patterns) if name in known else 'not taken yet'}"
+            for name, (*_, patterns) in PICTURES.items()
+            if known.get(name) != hashes[name] or not (FOLDER / name).is_file()
+        ]
         print("\n".join(lines) or f"{len(PICTURES)} pictures, none is old")
         return 1 if lines else 0
-    with tempfile.TemporaryDirectory() as own:
-        folder = (args.results or Path(own)).resolve()
+
+    from playwright.sync_api import sync_playwright
+
+    made = {}
+    with tempfile.TemporaryDirectory() as own, sync_playwright() as driver:
+        folder = (options.results or Path(own)).resolve()
         folder.mkdir(exist_ok=True, parents=True)
-        make_results(folder)
-        with pages(folder) as urls, browser() as window:
-            _write(window, urls)
-    return 0
-
-
-def _write(window: Any, urls: dict[str, str]) -> None:
-    FOLDER.mkdir(exist_ok=True)
-    made = {name: small(taken(window, urls[page], size, scheme, element))
-            for name, (page, size, scheme, element, _) in PICTURES.items()}  # fmt: skip
+        for command in _COMMANDS:  # of what is there nothing is made again
+            words = command.split()
+            result = folder / next(words[k + 1] for k, word in enumerate(words)
+                                   if word in ("--out", "--json", "--report"))  # fmt: skip
+            if not result.exists():
+                subprocess.run([sys.executable, "-m", "sma_bench.cli", *words], cwd=folder,
+                               check=True)  # fmt: skip
+        window = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        with contextlib.closing(window), served(live_bench(folder)) as dashboard:
+            pages = {"dashboard": dashboard, "gap": (folder / "gap" / "index.html").as_uri()}
+            for name, (page, size, scheme, element, _) in PICTURES.items():
+                with opened(window, pages[page], size, scheme) as shown:
+                    shown.page.wait_for_timeout(1500)  # figures and the first updates are drawn
+                    target = shown.page.locator(element) if element else shown.page
+                    made[name] = small(target.screenshot())
     total = sum(map(len, made.values()))
     if total > LARGEST:
         raise SystemExit(f"pictures: {total} bytes, expected at most {LARGEST}")
+    FOLDER.mkdir(exist_ok=True)
     for name, content in made.items():
         (FOLDER / name).write_bytes(content)
     total += _execute_notebook()
-    hashes = {name: source_hash(patterns) for name, (*_, patterns) in PICTURES.items()}
     KNOWN.write_text(json.dumps(hashes, indent=1) + "\n")
     print(f"{FOLDER}: {len(made)} pictures and those of the notebook, {total} bytes")
+    return 0
 
 
 def _execute_notebook() -> int:

@@ -12,7 +12,6 @@ known vulnerabilities (with pip-audit) and, where it cannot ask, says so.
     ./bench check pins [--write] [--audit]
 """
 
-import argparse
 import json
 import re
 import subprocess
@@ -20,13 +19,15 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from packaging.markers import Marker, default_environment
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name as canonical
+
+from examination.pieces import options_of
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / "locks"
@@ -37,25 +38,22 @@ BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requiremen
 ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
 # What is installed before each, whose packages it need not name again.
 BELOW = {
-    BUILD: (),
-    RUNTIME: (BUILD,),
-    TEST: (BUILD, RUNTIME),
+    BUILD: (), RUNTIME: (BUILD,), TEST: (BUILD, RUNTIME),
     "requirements-docs.txt": (BUILD, RUNTIME, TEST),
     "requirements-perf.txt": (BUILD, RUNTIME, TEST),
     "requirements-notebook.txt": (BUILD, RUNTIME),
-    ROBOT: (),
-    NOBLE: (BUILD, ROBOT),
-}
+    ROBOT: (), NOBLE: (BUILD, ROBOT),
+}  # fmt: skip
 # These two have Ubuntu 24.04's Python and versions, and never meet the others.
 UBUNTU = (ROBOT, NOBLE)
 
 _PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)([^\\\n#]*)", re.MULTILINE)
 _HASHED = re.compile(r"^[\w.-]+==.*\\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
+_BLOCKS = re.compile(r"\n(?=[\w.-]+==)")
 _REQUIRES = "    # requires "
 
 
-@dataclass(frozen=True)
-class Locked:
+class Locked(NamedTuple):
     """A line of a lock: what it pins, for which Pythons, and what that version requires."""
 
     name: str
@@ -65,38 +63,17 @@ class Locked:
     requires: tuple[Requirement, ...]
 
 
-def canonical(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def pinned(text: str) -> set[tuple[str, str, str]]:
-    """(name, version, marker) of every line, names and quotes in one form."""
-    return {
-        (
-            canonical(name), version,
-            re.sub(r"[\s;'\"]", "", marker).replace("python_full_version", "python_version"),
-        )
-        for name, version, marker in _PIN.findall(text)
-    }  # fmt: skip
-
-
 def read_lock(path: Path) -> dict[str, Locked]:
     """Every package of a lock by its name; none where there is no lock."""
     found = {}
-    text = path.read_text() if path.exists() else ""
-    for block in re.split(r"\n(?=[\w.-]+==)", text):
-        pin = _PIN.search(block)
-        if pin:
+    for block in _BLOCKS.split(path.read_text() if path.exists() else ""):
+        if pin := _PIN.search(block):
             name, version, marker = canonical(pin[1]), pin[2], pin[3].strip(" ;")
             said = re.findall(rf"^{_REQUIRES}(.*)$", block, re.MULTILINE)
             python = [line.removeprefix("Python ") for line in said if line.startswith("Python ")]
-            found[name] = Locked(
-                name,
-                version,
-                Marker(marker) if marker else None,
-                SpecifierSet(python[0] if python else ""),
-                tuple(Requirement(line) for line in said if not line.startswith("Python ")),
-            )
+            requires = (Requirement(line) for line in said if not line.startswith("Python "))
+            found[name] = Locked(name, version, Marker(marker) if marker else None,
+                                 SpecifierSet(python[0] if python else ""), tuple(requires))
     return found
 
 
@@ -104,12 +81,23 @@ def disagreements(requirements: Path, lock: Path) -> list[str]:
     """A line for everything in which a lock is not its requirement file with hashes."""
     if not lock.exists():
         return [f"{lock.name}: no lock"]
+
+    def pinned(text: str) -> set[tuple[str, str, str]]:
+        """(name, version, marker) of every line, names and quotes in one form."""
+        return {
+            (canonical(name), version,
+             re.sub(r"[\s;'\"]", "", marker).replace("python_full_version", "python_version"))
+            for name, version, marker in _PIN.findall(text)
+        }  # fmt: skip
+
     wanted, given = pinned(requirements.read_text()), pinned(lock.read_text())
-    found = [f"{lock.name}: {name}=={version} is not locked" for name, version, _ in wanted - given]
-    found += [f"{lock.name}: {name}=={version} is not required" for name, version, _ in
-              given - wanted]  # fmt: skip
+    found = sorted(
+        f"{lock.name}: {name}=={version} is not {what}"
+        for pins, what in ((wanted - given, "locked"), (given - wanted, "required"))
+        for name, version, _ in pins
+    )
     bare = len(given) - len(_HASHED.findall(lock.read_text()))
-    return sorted(found) + ([f"{lock.name}: {bare} without a hash"] if bare else [])
+    return found + ([f"{lock.name}: {bare} without a hash"] if bare else [])
 
 
 def conflicts(locks: dict[str, dict[str, Locked]]) -> list[str]:
@@ -139,10 +127,9 @@ def not_installable(file: str, locks: dict[str, dict[str, Locked]]) -> list[str]
             "platform_python_implementation": "CPython",
         }  # fmt: skip
         there = {
-            name: package
-            for name, package in together.items()
+            name: package for name, package in together.items()
             if package.marker is None or package.marker.evaluate(environment)
-        }
+        }  # fmt: skip
         for package, needed in required(there, environment):
             if package.name not in locks[file]:
                 continue
@@ -166,14 +153,11 @@ def required(
     while True:
         found = [
             (package, needed)
-            for package in there.values()
-            for needed in package.requires
+            for package in there.values() for needed in package.requires
             if needed.marker is None
-            or any(
-                needed.marker.evaluate({**environment, "extra": extra})
-                for extra in extras[package.name]
-            )
-        ]
+            or any(needed.marker.evaluate({**environment, "extra": extra})
+                   for extra in extras[package.name])
+        ]  # fmt: skip
         asked = {(canonical(needed.name), extra) for _, needed in found for extra in needed.extras}
         if all(extra in extras[name] for name, extra in asked):
             return found
@@ -191,29 +175,26 @@ def problems() -> list[str]:
     found = [f"{file.name}: not in BELOW of {__file__}" for file in files if file.name not in BELOW]
     found += [line for file in files for line in disagreements(file, LOCKS / file.name)]
     locks = {file: read_lock(LOCKS / file) for file in BELOW}
-    return (
-        found + conflicts(locks) + [line for file in BELOW for line in not_installable(file, locks)]
-    )
+    found += conflicts(locks)
+    return found + [line for file in BELOW for line in not_installable(file, locks)]
 
 
 def write_locks(folder: Path) -> int:
     """Ask the index for every file's hashes and requirements; 0 when all locks are written."""
-    uv = _tool(folder, UV, PIP) / "uv"
+    tools = _tools(folder, UV, PIP)
     LOCKS.mkdir(exist_ok=True)
     texts, metadata = {}, {}
     for path in requirement_files():
         made = folder / path.name
-        compile_ = [
-            str(uv), "pip", "compile", "--quiet", "--no-deps", "--generate-hashes", "--universal",
-            "--no-config", "--no-header", "--no-annotate", "--python-version", PYTHONS[0],
-            str(path), "-o", str(made),
-        ]  # fmt: skip
-        ask = [
-            str(uv.with_name("pip")), "install", "--quiet", "--dry-run", "--ignore-installed",
-            "--no-deps", "--report", "-", "-r", str(made),
-        ]  # fmt: skip
-        for command in (compile_, ask):
-            process = subprocess.run(command, capture_output=True, text=True, check=False)
+        for command in (
+            "uv pip compile --quiet --no-deps --generate-hashes --universal --no-config "
+            "--no-header --no-annotate --python-version {python} {path} -o {made}",
+            "pip install --quiet --dry-run --ignore-installed --no-deps --report - -r {made}",
+        ):
+            tool, *words = (word.format(python=PYTHONS[0], path=path, made=made)
+                            for word in command.split())  # fmt: skip
+            process = subprocess.run([str(tools / tool), *words], capture_output=True, text=True,
+                                     check=False)  # fmt: skip
             if process.returncode:
                 print(f"pins: {path.name}: {process.stderr.strip()[-300:]}", file=sys.stderr)
                 return 1
@@ -223,43 +204,31 @@ def write_locks(folder: Path) -> int:
             for package in json.loads(process.stdout)["install"]
         }
     # Of hundreds of extras only those that a package here asks for are of interest.
-    asked = [
-        needed
-        for packages in metadata.values()
-        for package in packages.values()
-        for needed in map(Requirement, package.get("requires_dist", []))
-        if needed.extras
-    ]
+    extras: dict[str, set[str]] = defaultdict(set)
+    for packages in metadata.values():
+        for package in packages.values():
+            for needed in map(Requirement, package.get("requires_dist", [])):
+                extras[canonical(needed.name)] |= needed.extras
     for file, text in texts.items():
         lines = [f"# {file} with hashes; written by ./bench check pins --write."]
-        for block in re.split(r"\n(?=[\w.-]+==)", text.strip("\n")):
+        for block in _BLOCKS.split(text.strip("\n")):
             name = canonical(block.partition("==")[0])
-            extras = {
-                extra
-                for needed in asked
-                if canonical(needed.name) == name
-                for extra in needed.extras
-            }
-            lines += [block, *required_lines(metadata[file][name], extras)]
+            package, lines = metadata[file][name], [*lines, block]
+            if package.get("requires_python"):
+                lines.append(f"{_REQUIRES}Python {package['requires_python']}")
+            for needed in map(Requirement, package.get("requires_dist", [])):
+                of = re.findall(r"""extra\s*==\s*["']([^"']+)""", str(needed.marker or ""))
+                if not of or extras[name] & set(of):
+                    lines.append(f"{_REQUIRES}{needed}")
         (LOCKS / file).write_text("\n".join(lines) + "\n")
         print(f"{file}: {len(metadata[file])} packages locked")
     return 0
 
 
-def required_lines(package: dict[str, Any], extras: set[str]) -> list[str]:
-    """Comment lines of a lock from a package's metadata, with those of these extras."""
-    found = [f"Python {package['requires_python']}"] if package.get("requires_python") else []
-    for needed in map(Requirement, package.get("requires_dist", [])):
-        names = re.findall(r"""extra\s*==\s*["']([^"']+)""", str(needed.marker or ""))
-        if not names or extras & set(names):
-            found.append(str(needed))
-    return [_REQUIRES + line for line in found]
-
-
 def audit(folder: Path) -> int:
     """1 when a vulnerability is known; 0 when none is, or nobody can be asked."""
     try:
-        tool = _tool(folder, PIP_AUDIT) / "pip-audit"
+        tool = _tools(folder, PIP_AUDIT) / "pip-audit"
     except subprocess.CalledProcessError:
         print("pins: not audited: pip-audit cannot be fetched")
         return 0
@@ -294,20 +263,18 @@ def audited(name: str, packages: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def _tool(folder: Path, *pins: str) -> Path:
+def _tools(folder: Path, *pins: str) -> Path:
     """The bin folder of an environment with these tools alone."""
     subprocess.run([sys.executable, "-m", "venv", str(folder / "tool")], check=True)
-    pip = folder / "tool" / "bin" / "pip"
-    subprocess.run([str(pip), "install", "--quiet", *pins], check=True, capture_output=True)
-    return folder / "tool" / "bin"
+    tools = folder / "tool" / "bin"
+    subprocess.run([tools / "pip", "install", "--quiet", *pins], check=True, capture_output=True)
+    return tools
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when every lock would install (and, asked for it, nothing is known against it)."""
-    parser = argparse.ArgumentParser(prog="./bench check pins")
-    parser.add_argument("--write", action="store_true", help="ask the package index anew")
-    parser.add_argument("--audit", action="store_true", help="ask for known vulnerabilities")
-    options = parser.parse_args(argv)
+    options = options_of("pins", __doc__, argv, write=(False, "ask the package index anew"),
+                         audit=(False, "ask for known vulnerabilities"))  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         if options.write and (status := write_locks(Path(folder))):
             return status

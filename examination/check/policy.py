@@ -6,7 +6,6 @@ and compares that with config/sros2/policy.xml. `--write` writes the policy from
     ./bench check policy [--write]
 """
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from xml.etree import ElementTree
 
 import rclpy
 
+from examination.pieces import options_of
 from sma_bench.hardware.thermal_settings import regions_side_by_side
 from sma_bench.nodes.start import node_class
 from sma_bench.parameters import Parameters, read_parameters
@@ -43,11 +43,8 @@ CONTRACT = (
 # has records worked on, too.
 LISTENERS = ("recorder", DASHBOARD)
 _STOPS = ("*/stop", "*/get_parameters")
-_WORK = tuple(
-    f"{node}/{service}"
-    for node, own in (("diagnosis", "diagnose"), ("identification", "identify"))
-    for service in (own, "set_parameters")
-)
+_WORK = ("diagnosis/diagnose", "diagnosis/set_parameters", "identification/identify",
+         "identification/set_parameters")  # fmt: skip
 _CLOCK = "/clock"
 _STATES = ("/diagnostics", "*/state", "*/progress", "*/result")
 _PICTURE = (382, 288)
@@ -112,32 +109,32 @@ def nodes_rules() -> Rules:
 
 def read_policy(path: Path = POLICY) -> Rules:
     """Names that the policy allows, by node; ValueError where it is not as sros2's schema says."""
+
+    def require(holds: bool, what: str) -> None:
+        if not holds:
+            raise ValueError(f"{POLICY.name}: expected {what}")
+
     policy = ElementTree.parse(path).getroot()
-    _require(policy.tag == "policy" and policy.get("version") == "0.2.0", "policy 0.2.0")
+    require(policy.tag == "policy" and policy.get("version") == "0.2.0", "policy 0.2.0")
     (enclaves,) = policy
-    _require(enclaves.tag == "enclaves", "enclaves")
+    require(enclaves.tag == "enclaves", "enclaves")
     rules: Rules = {}
     for enclave in enclaves:
-        _require(enclave.tag == "enclave" and str(enclave.get("path")).startswith("/"), "a path")
+        require(enclave.tag == "enclave" and str(enclave.get("path")).startswith("/"), "a path")
         (profiles,) = enclave
-        _require(profiles.tag == "profiles", "profiles")
+        require(profiles.tag == "profiles", "profiles")
         for profile in profiles:
-            _require(profile.tag == "profile" and bool(profile.get("ns")), "a profile with ns")
+            require(profile.tag == "profile" and bool(profile.get("ns")), "a profile with ns")
             of = rules.setdefault(str(profile.get("node")), {kind: set() for kind in KINDS})
             for group in profile:
                 for kind, permission in group.attrib.items():
                     wanted, item = KINDS[kind]
-                    _require(group.tag == wanted, f"{kind} in {wanted}")
-                    _require(permission == "ALLOW", "ALLOW")
-                    _require(len(group) > 0, "a rule")
-                    _require(all(entry.tag == item for entry in group), item)
+                    require(group.tag == wanted, f"{kind} in {wanted}")
+                    require(permission == "ALLOW", "ALLOW")
+                    require(len(group) > 0, "a rule")
+                    require(all(entry.tag == item for entry in group), item)
                     of[kind] |= {str(entry.text) for entry in group}
     return rules
-
-
-def _require(holds: bool, what: str) -> None:
-    if not holds:
-        raise ValueError(f"{POLICY.name}: expected {what}")
 
 
 def missing_rules(wanted: Rules, given: Rules) -> Rules:
@@ -152,36 +149,29 @@ def missing_rules(wanted: Rules, given: Rules) -> Rules:
     return missing
 
 
-def write_policy(rules: Rules, path: Path = POLICY) -> None:
-    """The policy that allows exactly these."""
-    policy = ElementTree.Element("policy", version="0.2.0")
-    enclaves = ElementTree.SubElement(policy, "enclaves")
-    for node in sorted(rules):
-        enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{NAMESPACE}/{node}")
-        profiles = ElementTree.SubElement(enclave, "profiles")
-        profile = ElementTree.SubElement(profiles, "profile", ns=NAMESPACE, node=node)
-        for kind, (group, item) in KINDS.items():
-            if names := sorted(rules[node][kind]):
-                allowed = ElementTree.SubElement(profile, group, {kind: "ALLOW"})
-                for name in names:
-                    ElementTree.SubElement(allowed, item).text = name
-    ElementTree.indent(policy)
-    head = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Who may say what: docs/threats.md. Written '
-        "from the nodes by ./bench check policy with its option write. -->\n"
-    )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when the policy allows all that the nodes have, and nothing else."""
-    parser = argparse.ArgumentParser(prog="./bench check policy")
-    parser.add_argument("--write", action="store_true", help="write the policy from the nodes")
-    options = parser.parse_args(argv)
+    write = (False, "write the policy from the nodes")
+    options = options_of("policy", __doc__, argv, write=write)
     found = nodes_rules()
     if options.write:
-        write_policy(found)
+        policy = ElementTree.Element("policy", version="0.2.0")
+        enclaves = ElementTree.SubElement(policy, "enclaves")
+        for node in sorted(found):
+            enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{NAMESPACE}/{node}")
+            profiles = ElementTree.SubElement(enclave, "profiles")
+            profile = ElementTree.SubElement(profiles, "profile", ns=NAMESPACE, node=node)
+            for kind, (group, item) in KINDS.items():
+                if names := sorted(found[node][kind]):
+                    allowed = ElementTree.SubElement(profile, group, {kind: "ALLOW"})
+                    for name in names:
+                        ElementTree.SubElement(allowed, item).text = name
+        ElementTree.indent(policy)
+        head = (
+            '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Who may say what: docs/threats.md. '
+            "Written from the nodes by ./bench check policy with its option write. -->\n"
+        )
+        POLICY.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
     policy = read_policy()
     absent, unused = missing_rules(found, policy), missing_rules(policy, found)
     for title, rules in (("had, but not allowed", absent), ("allowed, but not had", unused)):

@@ -18,12 +18,13 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 import sma_bench
-from examination.pieces import in_pieces, parser_of
+from examination.pieces import IN_PIECES, in_pieces, options_of
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BENDING, HEAT, LOADS, MATERIAL, TEMPERATURES
 from sma_bench.parameters import Parameters
@@ -40,10 +41,8 @@ FINE, REFUSED, HIDDEN, RAISED = "finite", "refused", "nothing to identify", "exc
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw and try; 0 if nothing failed, 1 if something did."""
-    parser = parser_of("rigs", __doc__)
-    parser.add_argument("--draws", type=int, default=20, help="how many rigs (default 20)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first rig (default 0)")
-    options = parser.parse_args(argv)
+    options = options_of("rigs", __doc__, argv, draws=(20, "rigs"), seed=(0, "of the first rig"),
+                         **IN_PIECES)  # fmt: skip
     found = in_pieces(try_rig, range(options.seed, options.seed + options.draws), options)
     for one in found:
         said = ", ".join(f"{work} {one[work]}" for work in WORK)
@@ -51,21 +50,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         for work in WORK:
             if one[work] != FINE:
                 print(f"    {work}: {one[f'{work} said']}")
-    print(table(found))
+    ends = (FINE, REFUSED, HIDDEN, RAISED)
+    print(f"{'load':12}{'work':12}" + "".join(f"{end:>22}" for end in ends))
+    for load, work in product(LOAD_KINDS, WORK):
+        count = Counter(one[work] for one in found if one["load"] == load)
+        print(f"{load:12}{work:12}" + "".join(f"{count[end]:22}" for end in ends))
     return 0 if all(one[work] in (FINE, REFUSED) for one in found for work in WORK) else 1
-
-
-def table(found: Sequence[dict[str, Any]]) -> str:
-    """Outcomes by load and work."""
-    lines = [f"{'load':12}{'work':12}" + "".join(f"{end:>22}" for end in _ENDS)]
-    for load in LOAD_KINDS:
-        for work in WORK:
-            count = Counter(one[work] for one in found if one["load"] == load)
-            lines.append(f"{load:12}{work:12}" + "".join(f"{count[end]:22}" for end in _ENDS))
-    return "\n".join(lines)
-
-
-_ENDS = (FINE, REFUSED, HIDDEN, RAISED)
 
 
 def try_rig(seed: int) -> dict[str, Any]:
@@ -81,7 +71,21 @@ def try_rig(seed: int) -> dict[str, Any]:
         if isinstance(stated[name], float)
     }}  # fmt: skip
     for work in WORK:
-        found[work], found[f"{work} said"] = _outcome(work, record, stated)
+        outcome, said = FINE, ""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", RuntimeWarning)
+                numbers, improved = WORK[work](record, stated)
+            a_s, a_f, m_s, m_f = (improved[name] for name in TEMPERATURES)
+            if not all(map(math.isfinite, numbers)) or a_s >= a_f or m_f >= m_s:
+                said = f"not finite, or out of order: {numbers}, {a_s, a_f, m_s, m_f}"
+                outcome = RAISED
+        except InputError as error:
+            said = str(error)
+            outcome = HIDDEN if HIDDEN in said or "\n" in said else REFUSED
+        except Exception:
+            outcome, said = RAISED, traceback.format_exc()
+        found[work], found[f"{work} said"] = outcome, said
     return found | {"seconds": time.monotonic() - started}
 
 
@@ -92,7 +96,6 @@ def identified(record: Record, stated: Parameters) -> tuple[list[float], Paramet
 
 
 def diagnosed(record: Record, stated: Parameters) -> tuple[list[float], Parameters]:
-    """All numbers of the result, and the parameters as improved."""
     result = sma_bench.diagnose(record, stated)
     json.dumps(result.to_json(), allow_nan=False)
     numbers = [c.probability for c in result.decision.candidates]
@@ -100,23 +103,6 @@ def diagnosed(record: Record, stated: Parameters) -> tuple[list[float], Paramete
 
 
 WORK = {"identify": identified, "diagnose": diagnosed}
-
-
-def _outcome(work: str, record: Record, stated: Parameters) -> tuple[str, str]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", RuntimeWarning)
-            numbers, improved = WORK[work](record, stated)
-    except InputError as error:
-        line = str(error)
-        hidden = HIDDEN in line or "\n" in line
-        return HIDDEN if hidden else REFUSED, line
-    except Exception:
-        return RAISED, traceback.format_exc()
-    a_s, a_f, m_s, m_f = (improved[name] for name in TEMPERATURES)
-    if not all(map(math.isfinite, numbers)) or a_s >= a_f or m_f >= m_s:
-        return RAISED, f"not finite, or out of order: {numbers}, {a_s, a_f, m_s, m_f}"
-    return FINE, ""
 
 
 def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
@@ -129,8 +115,8 @@ def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
     pull = section * rng.uniform(40e6, 150e6)
     given = {
         "bench.channels": tuple(f"{side}_wire" for side in sides), "bench.channel_sides": sides,
-        "bench.maximum_voltage": 60.0,
-        "load.kind": load, "wire.length": length, "wire.diameter": diameter,
+        "bench.maximum_voltage": 60.0, "load.kind": load,
+        "wire.length": length, "wire.diameter": diameter,
         "wire.mass": DENSITY * section * length, "wire.surface_area": math.pi * diameter * length,
         "wire.resistance": RESISTIVITY * length / section,
         "wire.heat_transfer_coefficient": rng.uniform(60.0, 250.0),
@@ -176,7 +162,8 @@ def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
     """What its lab states: some numbers not at all, others exactly, tightly or absurdly widely,
     some of them at an end of what they may be."""
     load = truth["load.kind"]
-    rig = {n: truth[n] for n in truth.given if n not in BY_NAME or not _uncertain(n)}
+    exact = {n for n, p in BY_NAME.items() if p.uncertainty is None or n == "wire.length"}
+    rig = {n: truth[n] for n in truth.given if n not in BY_NAME or n in exact}
     names = [*HEAT, *MATERIAL, *sorted(WIDE), *LOADS.get(load, ())]
     names += BENDING if load == "beam" else ()
     while True:
@@ -199,18 +186,13 @@ def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
         if rng.random() < 0.4:
             number = effect.size
             sign = -1.0 if number.low < 0.0 and rng.random() < 0.5 else 1.0
-            values[number.name] = float(
-                np.clip(sign * number.uncertainty * rng.uniform(), number.low, number.high)
-            )
+            size = sign * number.uncertainty * rng.uniform()
+            values[number.name] = float(np.clip(size, number.low, number.high))
             stds[number.name] = float(number.uncertainty * 10.0 ** rng.uniform(-2.0, 4.0))
         try:
             return Parameters(rig | values, stds)
         except InputError:  # the file itself would be refused
             continue
-
-
-def _uncertain(name: str) -> bool:
-    return BY_NAME[name].uncertainty is not None and name != "wire.length"
 
 
 if __name__ == "__main__":

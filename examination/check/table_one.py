@@ -11,7 +11,6 @@ one. A minute or two a wire.
     ./bench check table_one [--wires 6] [--json table_one.json]
 """
 
-import argparse
 import json
 import math
 import sys
@@ -31,6 +30,7 @@ from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware, missin
 from virtual_host import VirtualPort
 
 from examination.check.hardware import PROTOCOLS, SIGMAS, TABLE_ONE, WEIGHED
+from examination.pieces import options_of
 from sma_bench.hardware.bench_sensors import BenchSensors
 from sma_bench.hardware.conversation import LinkError
 from sma_bench.hardware.device import Reading
@@ -47,26 +47,30 @@ PICTURE_PERIOD = 1.0 / 15.0
 PICTURE = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 SETTLED = 5.0
 REST = 1.0
-# Of z over all wires and parameters, on average 1: 18 true ones exceed it once in 10,000.
-LARGEST_RMS = 1.6
+LARGEST_RMS = 1.6  # of z, on average 1: 18 true ones exceed it once in 10,000
 USB_VOLTS = (4.75, 5.0, 5.1)
 SOURCE_RESISTANCE = 0.1
 
 
-class WireAtPins:
-    """An Uno with a wire at its pins and a camera that looks at it: what the link's port opens."""
+class Bench:
+    """An Uno with a wire at its pins and a camera that looks at it, which is what the link's port
+    opens; drives that wire through the link, and records it."""
 
     def __init__(self, uno: EmulatedUno, truth: Parameters, seed: int) -> None:
-        self._uno = uno
-        self._plant = Plant(uno, truth)
+        self._uno, self._plant = uno, Plant(uno, truth)
         self.write, self.read = uno.write, uno.read
-        camera = {**_settings("synthetic_camera"), **PICTURE, "seed": seed}
         reader = {**_settings("ir_camera"), **PICTURE, "read_cold_wires": True}
-        self._camera = synthetic_camera(truth, camera)
+        self._camera = synthetic_camera(
+            truth, {**_settings("synthetic_camera"), **PICTURE, "seed": seed}
+        )
         (self._gauge,) = wire_gauges(truth, reader)
-        self._due = 0.0
-        self.temperature: list[tuple[float, float]] = []
-        """(s, K)"""
+        self._due, self._begin = 0.0, math.inf
+        self._temperature: list[tuple[float, float]] = []  # s, K
+        self._power: list[tuple[float, float, float]] = []  # s, V, A
+        self._sensors = BenchSensors(truth["bench.channel_sides"], _settings("serial_bridge"))
+        self._protocol: Protocol | None = None
+        port = VirtualPort(self)
+        self.link = SerialLink(lambda: port, LinkOptions(), self._take, clock=port.clock)
 
     @property
     def time(self) -> float:
@@ -77,33 +81,19 @@ class WireAtPins:
         """Let time pass; a picture when one is due."""
         self._uno.run(seconds)
         self._plant.advance()
-        if self.time < self._due:
-            return
-        self._due = self.time + PICTURE_PERIOD
-        frame = self._camera.picture([float(self._plant.bench.temperature[0])])
-        reading = self._gauge.read(frame, self.time)
-        if not reading.reason:
-            self.temperature.append((self.time, reading.kelvin))
-
-
-class Bench:
-    """Drives that wire through the link, and records it."""
-
-    def __init__(self, wire: WireAtPins, truth: Parameters) -> None:
-        self._wire = wire
-        self._sensors = BenchSensors(truth["bench.channel_sides"], _settings("serial_bridge"))
-        self._protocol: Protocol | None = None
-        self._begin = math.inf
-        self._power: list[tuple[float, float, float]] = []
-        port = VirtualPort(wire)
-        self.link = SerialLink(lambda: port, LinkOptions(), self._take, clock=port.clock)
+        if self.time >= self._due:
+            self._due = self.time + PICTURE_PERIOD
+            frame = self._camera.picture([float(self._plant.bench.temperature[0])])
+            reading = self._gauge.read(frame, self.time)
+            if not reading.reason:
+                self._temperature.append((self.time, reading.kelvin))
 
     def _take(self, reading: Reading) -> None:
         """In the link's thread, which is the one that lets time pass."""
         (power,) = self._sensors.reading(reading).powers
         self._power.append((reading.time, power.voltage, power.current))
         if self._protocol is not None and reading.telemetry.sequence % 2:
-            elapsed = self._wire.time - self._begin
+            elapsed = self.time - self._begin
             volts = self._protocol.voltage(elapsed) if elapsed > 0.0 else [0.0]
             try:
                 self.link.drive(self._sensors.millivolts(list(volts), reading.telemetry.supply))
@@ -117,21 +107,23 @@ class Bench:
         # At 0 V as soon as it is armed: virtual time waits for no thread.
         self._begin, self._protocol = math.inf, protocol
         self.link.arm()
-        begin = self._wire.time
+        begin = self.time
         self._begin = begin + REST
         end = self._begin + protocol.duration + REST
         self._wait(end)
         self._protocol = None
-        power = np.array([row for row in self._power if begin < row[0] < end])
-        warmth = np.array([row for row in self._wire.temperature if begin < row[0] < end])
+        power, warmth = (
+            np.array([row for row in rows if begin < row[0] < end]).T
+            for rows in (self._power, self._temperature)
+        )
         return [
-            Signal("wire.voltage", "V", power[:, 0] - begin, power[:, 1]),
-            Signal("wire.current", "A", power[:, 0] - begin, power[:, 2]),
-            Signal("wire.temperature", "K", warmth[:, 0] - begin, warmth[:, 1]),
+            Signal("wire.voltage", "V", power[0] - begin, power[1]),
+            Signal("wire.current", "A", power[0] - begin, power[2]),
+            Signal("wire.temperature", "K", warmth[0] - begin, warmth[1]),
         ]
 
     def _wait(self, until: float) -> None:
-        while self._wire.time < until:
+        while self.time < until:
             status = self.link.status
             if status.problem or status.cause:
                 raise RuntimeError(status.problem or status.cause_text)
@@ -140,7 +132,10 @@ class Bench:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when every number is within its stated error, and these are not too small on the whole."""
-    options = _options(argv)
+    options = options_of(
+        "table_one", __doc__, argv, wires=(6, "drawn"), seed=(1, "of the first wire"),
+        json=(Path, "keep the result in this file"),
+    )  # fmt: skip
     if missing := missing_tools():
         print(missing, file=sys.stderr)
         return 2
@@ -150,9 +145,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         built = build_emulator(Path(folder)), build_firmware(Path(folder))
         for seed in range(options.seed, options.seed + options.wires):
             row = one_wire(*built, seed, Path(folder) / f"wire_{seed}")
-            cells = [
-                f"{row[name]['off']:+.2%}, z = {row[name]['z']:+.2f}" for name in TABLE_ONE
-            ]
+            cells = [f"{row[name]['off']:+.2%}, z = {row[name]['z']:+.2f}" for name in TABLE_ONE]
             print(f"{seed:>4}  " + "  ".join(f"{cell:>22}" for cell in cells), flush=True)
             rows.append(row)
     z = np.array([[row[name]["z"] for name in TABLE_ONE] for row in rows])
@@ -165,7 +158,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"{LARGEST_RMS:g}): {'passed' if passed else 'FAILED'}"
     )
     if options.json:
-        Path(options.json).write_text(json.dumps({"wires": rows, "passed": passed}, indent=2))
+        options.json.write_text(json.dumps({"wires": rows, "passed": passed}, indent=2))
     return 0 if passed else 1
 
 
@@ -178,7 +171,7 @@ def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[st
         uno = EmulatedUno(emulator, firmware, seed=2 * seed + k + 1)
         uno.electrics.reference = USB_VOLTS[(seed - 1) % len(USB_VOLTS)]
         uno.electrics.supply_resistance = SOURCE_RESISTANCE
-        bench = Bench(WireAtPins(uno, truth, seed), truth)
+        bench = Bench(uno, truth, seed)
         bench.link.start()
         try:
             signals = bench.record(load_protocol(name, truth))
@@ -199,14 +192,6 @@ def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[st
 
 def _settings(node: str) -> dict[str, Any]:
     return {parameter.name: parameter.default for parameter in NODE_TABLES[node]}
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="./bench check table_one", description="z of R, h, c_p")
-    parser.add_argument("--wires", type=int, default=6)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", metavar="FILE")
-    return parser.parse_args(argv)
 
 
 if __name__ == "__main__":

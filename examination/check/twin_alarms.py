@@ -11,11 +11,11 @@ drifts takes ten minutes.
     ./bench check twin_alarms [--weeks 8] [--seed 1] [--drift 1 --time 200]
 """
 
-import argparse
 import math
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import product
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: idle threads would only wait
 
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from examination.pieces import options_of
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin.comparison import BIN, MEMORY, SURPRISING, Bin, SignalBins
 
@@ -34,7 +35,7 @@ WINDOW, FEWEST = SETTINGS["window"], round(SETTINGS["learning"] / BIN)
 THRESHOLD, ALLOWED = SETTINGS["threshold"], SETTINGS["allowed.temperature"]
 SCATTER, COUNT = 0.1, 8  # K of a sample, and samples a bin: a camera of 40 Hz
 SIGNALS = 9  # of a composite bench: four currents, four temperatures, the deflection
-WEEK = 7 * 24 * 3600.0
+WEEK, MINUTE = 7 * 24 * 3600.0, round(60.0 / BIN)  # s, bins
 EVERY = 5  # bins between two verdicts
 LIMITS = (4.0, 4.5, 5.0, SURPRISING)
 TIMES = (3.0, 10.0, 30.0, 200.0)  # s, of the drift
@@ -94,39 +95,27 @@ def delays(
 ) -> Array:
     """(trials,) s from a step of the residual to the first verdict that names it, inf for none
     within a minute."""
-    found = []
-    for _ in range(trials):
-        at = MEMORY
-        residual = residuals(random, at + round(60.0 / BIN), drift, time)
-        residual[at:] += step
-        signal = signal_of(residual[:at])
-        delay = math.inf
-        for end in range(at, len(residual), EVERY):
+    found = np.full(trials, math.inf)
+    for trial in range(trials):
+        residual = residuals(random, MEMORY + MINUTE, drift, time)
+        residual[MEMORY:] += step
+        signal = signal_of(residual[:MEMORY])
+        for end in range(MEMORY, len(residual), EVERY):
             add(signal, residual, end, end + EVERY)
             said = signal.read(ALLOWED, 1, FEWEST, WINDOW, THRESHOLD)
             if said and said.gap[0] >= THRESHOLD and said.surprise >= SURPRISING:
-                delay = (end + EVERY - at) * BIN
+                found[trial] = (end + EVERY - MEMORY) * BIN
                 break
-        found.append(delay)
-    return np.array(found)
-
-
-def alarms(random: np.random.Generator, weeks: int, drift: float, time: float) -> list[int]:
-    """Excursions beyond each of LIMITS of a bench whose signals all drift so, in these weeks."""
-    counts = np.zeros(len(LIMITS), int)
-    for _ in range(weeks * SIGNALS):
-        largest = list(excursions(residuals(random, round(WEEK / BIN), drift, time)))
-        counts += [sum(one >= limit for one in largest) for limit in LIMITS]
-    return [int(count) for count in counts]
+    return found
 
 
 def alarms_at_starts(random: np.random.Generator, starts: int, drift: float, time: float) -> int:
     """Of so many starts of a signal, those with an alarm in the first minute."""
     width, found = round(WINDOW / BIN), 0
     for _ in range(starts):
-        residual = residuals(random, round(60.0 / BIN), drift, time)
+        residual = residuals(random, MINUTE, drift, time)
         squares = (residual / math.hypot(SCATTER, ALLOWED)) ** 2
-        for end in range(FEWEST, len(residual) + 1, EVERY):
+        for end in range(FEWEST, MINUTE + 1, EVERY):
             if np.sqrt(squares[max(end - width, 0) : end].mean()) < THRESHOLD:
                 continue
             said = signal_of(residual[:end]).read(ALLOWED, 1, FEWEST, WINDOW)
@@ -136,48 +125,44 @@ def alarms_at_starts(random: np.random.Generator, starts: int, drift: float, tim
     return found
 
 
-def at_most(count: int, confidence: float = 0.95) -> float:
-    """Mean of a Poisson distribution that gives so few, or fewer, in 5 % of all cases."""
-    return float(chi2.ppf(confidence, 2 * (count + 1)) / 2.0)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """0 where, for sure, no drift that the twin grants gives more than one alarm a week."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--weeks", type=int, default=8, help="of a bench, of every kind of drift")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--drift", type=float, nargs="+", default=(0.5, 1.0), metavar="SHARE",
-                        help="of what is allowed; with --time one row, for more weeks of it")
-    parser.add_argument("--time", type=float, nargs="+", default=TIMES, metavar="SECONDS")
-    options = parser.parse_args(argv)
+    options = options_of(
+        "twin_alarms", __doc__, argv, weeks=(8, "of a bench, of every kind of drift"),
+        seed=(1, "of all"), time=(TIMES, "s, of the drift"),
+        drift=((0.5, 1.0), "share of what is allowed; with --time one row, for more weeks of it"),
+    )  # fmt: skip
     random = np.random.default_rng(options.seed)
     print(f"alarms a week, of {options.weeks} weeks of a bench with {SIGNALS} signals; the twin's "
           f"limit is {SURPRISING:g}")
     print("drift [allowed]  time [s]  " + "  ".join(f"limit {limit:3g}" for limit in LIMITS)
           + "  at most (95 %)")
     worst = 0.0
-    for share in options.drift:
-        for time in options.time:
-            found = alarms(random, options.weeks, share * ALLOWED, time)
-            bound = at_most(found[-1]) / options.weeks
-            worst = max(worst, bound)
-            print(f"{share:15g}  {time:8g}  "
-                  + "  ".join(f"{count / options.weeks:9.3g}" for count in found)
-                  + f"  {bound:14.2f}", flush=True)
+    for share, time in product(options.drift, options.time):
+        counts = np.zeros(len(LIMITS), int)
+        for _ in range(options.weeks * SIGNALS):
+            week = residuals(random, round(WEEK / BIN), share * ALLOWED, time)
+            largest = list(excursions(week))
+            counts += [sum(one >= limit for one in largest) for limit in LIMITS]
+        # Mean of a Poisson distribution that gives so few, or fewer, in 5 % of all cases.
+        bound = float(chi2.ppf(0.95, 2 * (counts[-1] + 1)) / 2.0) / options.weeks
+        worst = max(worst, bound)
+        cells = "  ".join(f"{count / options.weeks:9.3g}" for count in counts)
+        print(f"{share:15g}  {time:8g}  {cells}  {bound:14.2f}", flush=True)
     print(f"\nof {STARTS} starts of a signal, those with an alarm in the first minute")
     for time in options.time:
-        found_at = alarms_at_starts(random, STARTS, ALLOWED, time)
-        print(f"{1.0:15g}  {time:8g}  {found_at:9d}", flush=True)
+        found = alarms_at_starts(random, STARTS, ALLOWED, time)
+        print(f"{1.0:15g}  {time:8g}  {found:9d}", flush=True)
     print(f"\nseconds until a step is named, median of {TRIALS} (share that is within a minute)")
     print("drift [allowed]  " + "  ".join(f"{step:9g} K" for step in STEPS))
     for share in (0.0, 0.1, 0.5, 1.0):
-        cells = []
+        cells = ""
         for step in STEPS:
             delay = delays(random, step, share * ALLOWED, 30.0)
             named = np.isfinite(delay)
             median = f"{np.median(delay[named]):.0f} s" if named.any() else "-"
-            cells.append(f"{median:>5} {100 * named.mean():3.0f} %")
-        print(f"{share:15g}  " + "  ".join(f"{cell:>11}" for cell in cells), flush=True)
+            cells += f"  {f'{median:>5} {100 * named.mean():3.0f} %':>11}"
+        print(f"{share:15g}{cells}", flush=True)
     return int(worst > MOST)
 
 

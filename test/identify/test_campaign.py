@@ -62,7 +62,8 @@ def halved(job):
 
 def test_a_check_in_pieces_goes_on_where_it_was_left(tmp_path, capsys):
     file = tmp_path / "kept.json"
-    options = pieces.parser_of("halves", None).parse_args(["--processes", "1", "--json", str(file)])
+    arguments = ["--processes", "1", "--json", str(file)]
+    options = pieces.options_of("halves", None, arguments, **pieces.IN_PIECES)
     jobs = [("a", 4), ("b", 6)]
     file.write_text(json.dumps({str(jobs[0]): 7.0}))
     assert pieces.in_pieces(halved, jobs, options) == [7.0, 3.0]

@@ -61,11 +61,10 @@ class Number:
 
     def moved(self, now: "Number") -> float:
         """By how many of this number's tolerances `now` is off; infinite if not comparable."""
-        if not (is_number(self.value) and is_number(now.value)):
-            return 0.0 if self.value == now.value else math.inf
-        assert isinstance(self.value, float | int) and isinstance(now.value, float | int)
         if self.value == now.value:
             return 0.0
+        if not (is_number(self.value) and is_number(now.value)):
+            return math.inf
         if not math.isfinite(self.value - now.value) or not self.tolerance:
             return math.inf
         return (now.value - self.value) / self.tolerance
@@ -74,6 +73,10 @@ class Number:
         """Whether `now` is farther off than this number allows."""
         moved = self.moved(now)
         return {"": abs(moved), "+": moved, "-": -moved}[self.side] > 1.0
+
+
+    def __str__(self) -> str:
+        return f"{self.value:.7g}" if is_number(self.value) else str(self.value)
 
 
 Numbers = dict[str, Number]
@@ -92,10 +95,6 @@ class Result:
     failed: str = ""
 
 
-Results = dict[str, Result]
-"""by name"""
-
-
 def exact(value: float | str | None) -> Number:
     """A verdict, a name, a count: the same or wrong."""
     return Number(value, 0.0, "exact")
@@ -105,7 +104,7 @@ def within(value: float | None, tolerance: float, reason: str, side: str = "") -
     """A number with its tolerance, both as they will be kept."""
     if not is_number(value) or not math.isfinite(float(value or 0.0)):
         return exact(None if value is None else str(value))
-    return Number(_digits(float(value or 0.0), 9), _digits(tolerance, 3), reason, side)
+    return Number(float(f"{float(value or 0.0):.9g}"), float(f"{tolerance:.3g}"), reason, side)
 
 
 def relative(value: float | None, share: float, reason: str) -> Number:
@@ -126,14 +125,9 @@ def is_number(value: Any) -> bool:
     return isinstance(value, float | int) and not isinstance(value, bool)
 
 
-def _digits(value: float, digits: int) -> float:
-    return float(f"{value:.{digits}g}")
-
-
 # --- what is computed: identify -----------------------------------------------------------------
 
-WIRE, DEMO = CONFIG / "wire_rig.yaml", CONFIG / "demo_rig.yaml"
-COMPOSITE = CONFIG / "composite_rig.yaml"
+WIRE, DEMO, COMPOSITE = (CONFIG / f"{rig}_rig.yaml" for rig in ("wire", "demo", "composite"))
 # A wire that is none of the paper's, as `demo --draw` makes them.
 DRAWN = {
     "wire.resistance": 2.84, "wire.heat_transfer_coefficient": 377.0, "wire.specific_heat": 363.0,
@@ -384,6 +378,19 @@ def paper() -> Numbers:
     return numbers
 
 
+# Of the scorer's measures, by which way is worse: one case more may be wrong, or 2 % of it.
+MEASURES = {
+    "-": (
+        "detection of gaps above twice the noise", "first choice right, distinguishable singles",
+        "first choice right, all singles", "90 % set holds the truth",
+        "probability given to the truth", "out-of-library: abstains or flags",
+        "pairs: at least one", "pairs: both", "where: signal", "where: stage", "answered",
+    ),
+    "+": ("false alarms on no effect", "90 % set, mean size", "confident and wrong"),
+}  # fmt: skip
+IN_SHARES = ("90 % set, mean size", "probability given to the truth")
+
+
 def blind_measures(cases: str, jobs: int) -> Numbers:
     """The scorer's measures of the development cases, without the follow-up experiments."""
     with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as made:
@@ -391,42 +398,23 @@ def blind_measures(cases: str, jobs: int) -> Numbers:
         asked = ("--answers", answers, "--jobs", str(jobs), "--time-limit", PATIENCE)
         before = _processor_time()
         sma_bench_command("run", cases, *asked, module=BLIND)
-        seconds = _processor_time() - before
+        each = (_processor_time() - before) / SCORED_CASES
         scored = ("--answers", answers, "--no-follow-up", "--json", score)
         sma_bench_command("score", cases, *scored, module=BLIND)
-        found = measures(json.loads(Path(score).read_text())["scores"]["diagnosis"])
-        each = seconds / SCORED_CASES
-        return {**found, "processor time of a case, s": within(each, 0.5 * each, "time", "+")}
-
-
-# Of the scorer's measures: which way is worse, and what is allowed.
-MEASURES = {
-    "detection of gaps above twice the noise": ("-", "case"),
-    "false alarms on no effect": ("+", "case"),
-    "first choice right, distinguishable singles": ("-", "case"),
-    "first choice right, all singles": ("-", "case"),
-    "90 % set holds the truth": ("-", "case"),
-    "90 % set, mean size": ("+", "not worse"),
-    "probability given to the truth": ("-", "not worse"),
-    "confident and wrong": ("+", "case"),
-    "out-of-library: abstains or flags": ("-", "case"),
-    "pairs: at least one": ("-", "case"),
-    "pairs: both": ("-", "case"),
-    "where: signal": ("-", "case"),
-    "where: stage": ("-", "case"),
-    "answered": ("-", "case"),
-}
-
-
-def measures(score: Mapping[str, Any]) -> Numbers:
-    """The measures of one examinee that must not become worse."""
-    numbers = {}
-    for name, (side, reason) in MEASURES.items():
-        found = score["measures"][name]
-        value, n = found["value"], found["n"]
-        tolerance = 0.5 / max(n, 1) if reason == "case" else 0.02 * (value or 0.0)
-        numbers[name] = within(value, tolerance, reason, side)
+        found = json.loads(Path(score).read_text())["scores"]["diagnosis"]["measures"]
+    numbers = {"processor time of a case, s": within(each, 0.5 * each, "time", "+")}
+    for side, names in MEASURES.items():
+        for name in names:
+            value, n = found[name]["value"], found[name]["n"]
+            case, share = (0.5 / max(n, 1), "case"), (0.02 * (value or 0.0), "not worse")
+            numbers[name] = within(value, *(share if name in IN_SHARES else case), side)
     return numbers
+
+
+def make_cases(folder: str, number: int, jobs: int) -> None:
+    """The first `number` development cases."""
+    what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number), "--out", folder)
+    sma_bench_command("make", *what, "--jobs", str(jobs), module=BLIND)
 
 
 def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
@@ -445,7 +433,7 @@ def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
 # --- the tasks ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Task:
     """A result to be made: the name of a function above, and what it is called with.
 
@@ -456,7 +444,7 @@ class Task:
     name: str
     function: str
     arguments: tuple[Any, ...] = ()
-    effects: tuple[tuple[str, float], ...] = ()
+    named: tuple[tuple[str, Any], ...] = ()
     needs: str = ""
     cases: int = 0
 
@@ -470,7 +458,7 @@ class Task:
         """Compute it."""
         begin = _processor_time()
         try:
-            numbers = globals()[self.function](*self.arguments, **dict(self.effects))
+            numbers = globals()[self.function](*self.arguments, **dict(self.named))
         except Exception as error:  # one result that ends badly leaves the others theirs
             line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
             return Result({}, _processor_time() - begin, failed=line)
@@ -490,12 +478,9 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
         jobs: processes that blind60 may use.
     """
 
-    def task(name: str, function: Any, *arguments: Any, needs: str = "", of: int = 0) -> Task:
-        return Task(section, name, function.__name__, arguments, needs=needs, cases=of)
-
-    def effect(rig: str, protocol: str, name: str, size: float) -> Task:
-        label = f"{name}, {rig}"
-        return Task(section, label, "simulated", (rig, protocol), ((name, size),))
+    def task(name: str, function: Any, *arguments: Any, needs: str = "", of: int = 0,
+             **named: Any) -> Task:  # fmt: skip
+        return Task(section, name, function.__name__, arguments, tuple(named.items()), needs, of)
 
     if section == "identify":
         frames = [f"{load}_MPa.txt" for load in (10, 50, 100)]
@@ -505,18 +490,14 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
             task("foreign composite", foreign_composite, needs="foreign/composite"),
             task("foreign spring", foreign_spring, needs="foreign/spring"),
             task("foreign wire", foreign_wire, needs="foreign/wire"),
-            *(
-                task(f"SMA-REACT sample {k}, {experiment}", measured,
-                     f"cal_sample_{k}/* MPa.txt", experiment, needs=folder)
-                for k in (1, 2) for experiment in ("E6", "E9")
-            ),
+            *(task(f"SMA-REACT sample {k}, {experiment}", measured, f"cal_sample_{k}/* MPa.txt",
+                   experiment, needs=folder) for k in (1, 2) for experiment in ("E6", "E9")),
             task("SMA-REACT seven cycles", measured, f"{samples}/isobaric_7cycle.txt",
                  needs=folder),
             task("SMA-REACT DSC", measured, f"{samples}/DSC.txt", needs=folder),
             task("demo, Table I", simulated_wire, "staircase", "ramp"),
             task("demo, quick", simulated_wire, "quick_staircase", "quick_ramp"),
-            Task(section, "demo, drawn wire", "simulated_wire", ("staircase", "ramp"),
-                 (("changed", DRAWN),)),
+            task("demo, drawn wire", simulated_wire, "staircase", "ramp", changed=DRAWN),
             task("E1, E2", simulated_wire, "quick_staircase"),
             task("E4, validation", thermal_validation),
             task("E5", instrument_files, "E5", "DSC.txt"),
@@ -527,24 +508,23 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
             task("E10", simulated_composite),
         ]  # fmt: skip
     if section == "simulate":
-        bend, hold = "composite_triangle", "triangle"
+        bend, hold = ("composite", "composite_triangle"), ("wire", "triangle")
         thermal = ("latent_heat", "supply_drop", "temperature_dependent_convection")
+        of_effects = [(*bend, n) for n in EFFECTS] + [(*hold, n) for n in thermal]
         return [
-            task("plain, composite", simulated, "composite", bend),
+            task("plain, composite", simulated, *bend),
             task("plain, composite steps", simulated, "composite", "composite_step"),
-            task("plain, wire", simulated, "wire", hold),
-            *(effect("composite", bend, name, size) for name, size in EFFECTS.items()),
-            *(effect("wire", hold, name, EFFECTS[name]) for name in thermal),
-        ]
+            task("plain, wire", simulated, *hold),
+            *(task(f"{name}, {rig}", simulated, rig, protocol, **{name: EFFECTS[name]})
+              for rig, protocol, name in of_effects),
+        ]  # fmt: skip
     if section == "diagnose":
         return [
             task("foreign composite", foreign_gap, needs="foreign/composite"),
             *(task(f"demo, {hidden}", diagnosed_demo, hidden) for hidden in HIDDEN),
-            *(
-                task(f"case {k}", development_case, f"{cases}/{CASES}", k, of=CASES)
-                for k in range(DIAGNOSED)
-            ),
-        ]
+            *(task(f"case {k}", development_case, f"{cases}/{CASES}", k, of=CASES)
+              for k in range(DIAGNOSED)),
+        ]  # fmt: skip
     if section == "paper":
         return [task("all tables", paper)]
     label = f"{SCORED_CASES} development cases"
