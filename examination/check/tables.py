@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from examination.pieces import in_pieces, parser_of
+from examination.pieces import IN_PIECES, in_pieces, options_of
 from examination.tables.dialects import HABITS, draw_habits, write
 from examination.tables.outcome import ASKED, OUTCOMES, RAISED, REFUSED, RIGHT, WRONG, outcome
 from examination.tables.truths import TABLES, true_table
@@ -29,14 +29,12 @@ BLOCK = 20  # imports of one piece at most
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write, import, compare; 0 if nothing was silently wrong, 1 if something was."""
-    parser = parser_of("tables", __doc__)
-    parser.add_argument("--imports", type=int, default=200, help="how many (default 200)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first (default 0)")
-    parser.add_argument("--seed", type=int, default=1, help="of all of them (default 1)")
-    parser.add_argument("--package", type=Path, help="another checkout, whose package is judged")
-    parser.add_argument("--faults", type=int, default=0, metavar="N", help="show N wrong ones")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep files that are read wrong")
-    options = parser.parse_args(argv)
+    options = options_of(
+        "tables", __doc__, argv, imports=(200, "how many"), first=(0, "number of the first"),
+        seed=(1, "of all of them"), package=(Path, "another checkout, whose package is judged"),
+        faults=(0, "show so many wrong ones"), keep=(Path, "keep files that are read wrong"),
+        **IN_PIECES,
+    )  # fmt: skip
     if options.package:  # at least two pieces: one alone would run in this process
         options.imports = max(options.imports, 2)
     step = min(BLOCK, max(options.imports // 2, 1))
