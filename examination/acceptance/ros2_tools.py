@@ -24,6 +24,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +40,9 @@ class Failed(Exception):
     """What went wrong."""
 
 
-def row(item: str, what: str) -> Callable[[Callable[["Stage"], str]], Callable[["Stage"], str]]:
+def row(item: str, what: str) -> Callable[[Callable[["Stage"], str]], None]:
     """Add a row: an item of the list that it belongs to, and what is done."""
-
-    def add(play: Callable[["Stage"], str]) -> Callable[["Stage"], str]:
-        ROWS.append((item, what, play))
-        return play
-
-    return add
+    return lambda play: ROWS.append((item, what, play))
 
 
 def need(condition: Any, said: str) -> None:
@@ -60,12 +56,12 @@ def need(condition: Any, said: str) -> None:
 class Program:
     """A program in a session of its own, as in a terminal, and everything that it starts."""
 
-    def __init__(self, command: list[str], log: Path, **options: Any) -> None:
+    def __init__(self, command: list[str], log: Path, environment: dict[str, str]) -> None:
         self.log = log
         with log.open("wb") as stream:
             self.process = subprocess.Popen(
                 command, stdout=stream, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-                start_new_session=True, **options,
+                start_new_session=True, cwd=log.parent, env=environment,
             )  # fmt: skip
 
     @property
@@ -74,12 +70,17 @@ class Program:
 
     def says(self, text: str, patience: float = PATIENCE) -> None:
         """Wait for a text."""
-        until(lambda: text in self.output, f"nothing like {text!r} from {self.log.name}", patience,
-              self)
+        otherwise = f"nothing like {text!r} from {self.log.name}"
+        until(lambda: text in self.output, otherwise, patience, self)
 
     def children(self) -> list[int]:
         """Nodes and whatever else it has started, and they have."""
-        return descendants(self.process.pid)
+        pids = [int(p.name) for p in Path("/proc").iterdir() if p.name.isdigit()]
+        parents = {pid: stat(pid)[1:2] for pid in pids}
+        found = [self.process.pid]
+        for parent in found:
+            found += [child for child, of in parents.items() if of == [str(parent)]]
+        return alive(found[1:])
 
     def ends(self, patience: float = PATIENCE) -> int:
         """Exit status."""
@@ -112,20 +113,6 @@ def stat(pid: int) -> list[str]:
 
 def alive(pids: list[int]) -> list[int]:
     return [pid for pid in pids if stat(pid)[:1] not in ([], ["Z"])]
-
-
-def descendants(pid: int) -> list[int]:
-    parents = {int(p.name): stat(int(p.name)) for p in Path("/proc").iterdir() if p.name.isdigit()}
-    found = [pid]
-    for parent in found:
-        found += [child for child, of in parents.items() if len(of) > 1 and int(of[1]) == parent]
-    return alive(found[1:])
-
-
-def used(pid: int) -> float:
-    """CPU time of a process, s."""
-    fields = stat(pid)
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def name_of(pid: int) -> str:
@@ -161,12 +148,16 @@ class Stage:
         self.source = folder / "ws" / "src" / "sma_bench"
         self.environment = dict(os.environ)
         self._programs: list[Program] = []
-        self._ears: Ears | None = None
-
-    # The workspace
+        self._ears: Any = None
 
     def build(self) -> str:
-        copy_checkout(self.source)
+        """In a new workspace: what a commit of everything here would hold."""
+        wanted = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        listed = subprocess.run(wanted, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for name in filter(None, listed.split("\0")):
+            if (ROOT / name).is_file():
+                (self.source / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(ROOT / name, self.source / name)
         started = time.monotonic()
         text = self.run("colcon", "build", "--packages-select", "sma_bench")
         need("1 package finished" in text, text[-300:])
@@ -174,8 +165,6 @@ class Stage:
         shown = self.run("bash", "-c", f". {shlex.quote(str(setup))} && env -0")
         self.environment |= dict(line.partition("=")[::2] for line in shown.split("\0") if line)
         return f"built in {time.monotonic() - started:.0f} s"
-
-    # Commands and programs
 
     def run(self, *command: str, patience: float = 120.0, status: int | None = 0) -> str:
         """Output of a command that ends by itself, with this exit status."""
@@ -188,29 +177,16 @@ class Stage:
             need(done.returncode == status, f"{shlex.join(command)}: {done.stdout.strip()[-400:]}")
         return done.stdout
 
-    def start(self, *command: str, **variables: str) -> Program:
-        program = Program(
-            list(command), self.folder / f"{len(self._programs):02d}_{command[-1][:20].strip('/')}"
-            .replace("/", "_"),
-            cwd=self.folder, env=self.environment | variables,
-        )  # fmt: skip
-        self._programs.append(program)
-        return program
+    def start(self, *command: str) -> Program:
+        name = f"{len(self._programs):02d}_{command[-1][:20].strip('/')}".replace("/", "_")
+        self._programs.append(Program(list(command), self.folder / name, self.environment))
+        return self._programs[-1]
 
     def launch(self, file: str = "wire_bench", **arguments: object) -> Program:
         """`ros2 launch` of one of the package's files; nothing recorded unless asked for."""
         given = {"record": "false", "nodes": "identification"} | arguments
-        return self.start(
-            "ros2", "launch", "sma_bench", f"{file}.launch.py",
-            *(f"{name}:={value}" for name, value in given.items()),
-        )
-
-    def node(self, name: str, namespace: str, **parameters: object) -> Program:
-        """`ros2 run` of a node."""
-        given = [word for k, v in parameters.items() for word in ("-p", f"{k}:={v}")]
-        return self.start(
-            "ros2", "run", "sma_bench", name, "--ros-args", "-r", f"__ns:=/{namespace}", *given
-        )
+        words = (f"{name}:={value}" for name, value in given.items())
+        return self.start("ros2", "launch", "sma_bench", f"{file}.launch.py", *words)
 
     def call(self, service: str) -> tuple[bool, str]:
         """Answer of a std_srvs/Trigger service."""
@@ -219,11 +195,27 @@ class Stage:
         need(found, f"{service}: {text.strip()[-200:]}")
         return found[1] == "True", found[3]
 
-    @property
-    def ears(self) -> "Ears":
+    def hear(self, topic: str, kind: str, latched: bool = False) -> list[tuple[float, Any]]:
+        """Arrivals and messages of a topic, growing; heard by a node of the script's own."""
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from rosidl_runtime_py.utilities import get_message
+
         if self._ears is None:
-            self._ears = Ears()
-        return self._ears
+            rclpy.init(args=[])
+            self._ears = rclpy.create_node("acceptance")
+            executor = SingleThreadedExecutor()
+            executor.add_node(self._ears)
+            threading.Thread(target=executor.spin, daemon=True).start()
+        qos = QoSProfile(depth=1000)
+        if latched:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        heard: list[tuple[float, Any]] = []
+        self._ears.create_subscription(
+            get_message(kind), topic, lambda m: heard.append((time.monotonic(), m)), qos
+        )
+        return heard
 
     def clear(self) -> None:
         for program in reversed(self._programs):
@@ -231,79 +223,18 @@ class Stage:
         self._programs = []
 
 
-class Ears:
-    """A node of the script's own that hears what the bench says."""
-
-    def __init__(self) -> None:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-
-        rclpy.init(args=[])
-        self.node = rclpy.create_node("acceptance")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
-        threading.Thread(target=self.executor.spin, daemon=True).start()
-
-    def hear(self, topic: str, kind: str, latched: bool = False) -> list[tuple[float, Any]]:
-        """Arrivals and messages of a topic, growing."""
-        from rclpy.qos import DurabilityPolicy, QoSProfile
-        from rosidl_runtime_py.utilities import get_message
-
-        qos = QoSProfile(depth=1000)
-        if latched:
-            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-        heard: list[tuple[float, Any]] = []
-        self.node.create_subscription(
-            get_message(kind), topic, lambda m: heard.append((time.monotonic(), m)), qos
-        )
-        return heard
-
-
-def copy_checkout(target: Path) -> None:
-    """What a commit of everything here would hold."""
-    wanted = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(wanted, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, target / name)
-
-
 # --- what several rows do ------------------------------------------------------------------------
 
 
 @contextmanager
-def driven(stage: Stage, namespace: str, **arguments: object) -> Iterator[tuple[Program, Any]]:
+def driven(stage: Stage, namespace: str) -> Iterator[tuple[Program, Any]]:
     """A launched simulated bench whose experiment heats the wire, and the commands heard."""
-    commands = stage.ears.hear(f"/{namespace}/voltage_command", "std_msgs/msg/Float64MultiArray")
-    bench = stage.launch(namespace=namespace, protocol=warm(stage), autostart="true", **arguments)
+    warm = stage.folder / "warm.yaml"
+    warm.write_text("name: warm\nsteps:\n- {kind: hold, name: hold, level: 3.0, duration: 600.0}\n")
+    commands = stage.hear(f"/{namespace}/voltage_command", "std_msgs/msg/Float64MultiArray")
+    bench = stage.launch(namespace=namespace, protocol=warm, autostart="true")
     until(lambda: commands and commands[-1][1].data[0] > 1.0, "no volts commanded", 240.0, bench)
     yield bench, commands
-
-
-def warm(stage: Stage) -> str:
-    """A protocol that heats for long."""
-    path = stage.folder / "warm.yaml"
-    path.write_text("name: warm\nsteps:\n- {kind: hold, name: hold, level: 3.0, duration: 600.0}\n")
-    return str(path)
-
-
-def all_gone(children: list[int], since: float, commands: Any) -> str:
-    """How long the nodes of a launch that is gone went on, and to which volts."""
-    names = {pid: name_of(pid) for pid in children}
-    ended: dict[int, float] = {}
-    while len(ended) < len(names):
-        for pid in names.keys() - alive(children):
-            ended.setdefault(pid, time.monotonic() - since)
-        left = sorted(names[pid] for pid in alive(children))
-        need(time.monotonic() - since < 20.0, f"left over: {left}")
-        time.sleep(0.01)
-    took = max(ended.values())
-    times = ", ".join(f"{names[pid]} {after:.2f} s" for pid, after in ended.items())
-    time.sleep(0.3)
-    need(commands[-1][1].data[0] == 0.0, f"the last command is {commands[-1][1].data[0]} V")
-    need(took <= LEFT, f"gone later than {LEFT} s: {times}")
-    return f"last command 0 V; gone: {times}"
 
 
 def no_traceback(program: Program) -> None:
@@ -339,16 +270,23 @@ def colcon_test(stage: Stage) -> str:
 
 @row("8", "the first start of an installed package: a simulated composite bench")
 def first_start(stage: Stage) -> str:
-    power = stage.ears.hear("/first/front_1/power", "sensor_msgs/msg/BatteryState")
+    power = stage.hear("/first/front_1/power", "sensor_msgs/msg/BatteryState")
     started = time.monotonic()
     bench = stage.launch("composite_bench", namespace="first")
     bench.says("[simulator-1]: process started", 240.0)
     begun = time.monotonic()
     node = next(p for p in bench.children() if name_of(p) == "simulator")
+
+    def used() -> tuple[float, float]:
+        """s of the processor, and on the wall."""
+        fields = stat(node)
+        ticks = int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK"), time.monotonic() - begun
+
     bench.says("[simulator-1] starting", 240.0)
-    word, spoken = used(node), time.monotonic() - begun
+    word, spoken = used()
     until(lambda: power, "no reading", 240.0, bench)
-    reading, first = used(node), time.monotonic() - begun
+    reading, first = used()
     # Seconds of the processor: those of the wall are the machine's.
     need(word <= 1.0, f"first word after {word:.2f} s of CPU")
     need(reading <= 10.0, f"first reading after {reading:.2f} s of CPU")
@@ -376,7 +314,7 @@ def every_mode(stage: Stage) -> str:
 
 @row("1", "camera:=true, which gives a node a list")
 def camera(stage: Stage) -> str:
-    heard = stage.ears.hear("/lists/wire/temperature", "sensor_msgs/msg/Temperature")
+    heard = stage.hear("/lists/wire/temperature", "sensor_msgs/msg/Temperature")
     stage.launch(namespace="lists", camera="true")
     until(lambda: len(heard) > 20, "no temperatures of the camera", 240.0)
     need(heard[-1][1].variance > 0.0, "the temperatures are not the camera's")
@@ -399,30 +337,38 @@ def own_launch_file(stage: Stage) -> str:
     return f"ros2 param get: {said}"
 
 
-@row("2", "SIGTERM to launch alone, while 3 V are commanded")
-def sigterm(stage: Stage) -> str:
-    with driven(stage, "terminated") as (bench, commands):
-        children = bench.children()
-        kill(bench.process.pid, signal.SIGTERM)
+def killed(number: int, namespace: str, stage: Stage) -> str:
+    """How long the nodes of a launch that is gone went on, and to which volts."""
+    with driven(stage, namespace) as (bench, commands):
+        names = {pid: name_of(pid) for pid in bench.children()}
+        kill(bench.process.pid, number)
         since = time.monotonic()
-        return all_gone(children, since, commands)
+        ended: dict[int, float] = {}
+        while len(ended) < len(names):
+            going = alive(list(names))
+            ended |= {pid: time.monotonic() - since for pid in names.keys() - going - ended.keys()}
+            left = sorted(names[pid] for pid in going)
+            need(time.monotonic() - since < 20.0, f"left over: {left}")
+            time.sleep(0.01)
+        times = ", ".join(f"{names[pid]} {after:.2f} s" for pid, after in ended.items())
+        time.sleep(0.3)
+        need(commands[-1][1].data[0] == 0.0, f"the last command is {commands[-1][1].data[0]} V")
+        need(max(ended.values()) <= LEFT, f"gone later than {LEFT} s: {times}")
+        return f"last command 0 V; gone: {times}"
 
 
-@row("2", "SIGKILL to launch, while 3 V are commanded")
-def sigkill(stage: Stage) -> str:
-    with driven(stage, "killed") as (bench, commands):
-        children = bench.children()
-        kill(bench.process.pid)
-        since = time.monotonic()
-        return all_gone(children, since, commands)
+for number, namespace in ((signal.SIGTERM, "terminated"), (signal.SIGKILL, "killed")):
+    row("2", f"{number.name} to launch alone, while 3 V are commanded")(
+        partial(killed, number, namespace)
+    )
 
 
 @row("3", "two benches at once: in real time, and above it")
 def two_benches(stage: Stage) -> str:
     runs = {}
     for name in ("left", "right"):
-        heard = stage.ears.hear(f"/{name}/experiment/marker", "std_msgs/msg/String")
-        states = stage.ears.hear(f"/{name}/experiment/state", "std_msgs/msg/String", latched=True)
+        heard = stage.hear(f"/{name}/experiment/marker", "std_msgs/msg/String")
+        states = stage.hear(f"/{name}/experiment/state", "std_msgs/msg/String", latched=True)
         stage.launch(namespace=name, protocol="quick_ramp", autostart="true")
         runs[name] = (heard, states)
     until(lambda: all(s and s[-1][1].data.startswith("running") for _, s in runs.values()),
@@ -442,11 +388,9 @@ def two_benches(stage: Stage) -> str:
 @row("5", "autostart with a recorder: the record begins before the run")
 def recorded_from_the_start(stage: Stage) -> str:
     bag = stage.folder / "whole"
-    states = stage.ears.hear("/whole/experiment/state", "std_msgs/msg/String", latched=True)
-    bench = stage.launch(
-        namespace="whole", protocol="quick_ramp", autostart="true", speed="20.0", record="true",
-        output=bag,
-    )
+    states = stage.hear("/whole/experiment/state", "std_msgs/msg/String", latched=True)
+    bench = stage.launch(namespace="whole", protocol="quick_ramp", autostart="true", speed="20.0",
+                         record="true", output=bag)
     until(lambda: states and states[-1][1].data.startswith("done"), "not done", 240.0, bench)
     bench.ctrl_c()
     clean_end(bench)
@@ -490,7 +434,8 @@ def fixed_parameters(stage: Stage) -> str:
     refused = stage.run("ros2", "param", "set", "/fixed/experiment", "use_sim_time", "true",
                         status=None)
     need("failed" in refused.lower(), refused)
-    stage.node("diagnosis", "fixed").says("starting diagnosis")
+    node = stage.start("ros2", "run", "sma_bench", "diagnosis", "--ros-args", "-r", "__ns:=/fixed")
+    node.says("starting diagnosis")
     until(lambda: "/fixed/diagnosis" in stage.run("ros2", "node", "list"), "no diagnosis")
     outside = stage.run("ros2", "param", "set", "/fixed/diagnosis", "improved", "/etc/x.yaml",
                         status=None)
@@ -500,7 +445,7 @@ def fixed_parameters(stage: Stage) -> str:
 
 @row("10", "diagnostics of every node; recorder start, split, stop; a cancelled identification")
 def services(stage: Stage) -> str:
-    heard = stage.ears.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    heard = stage.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     bag = stage.folder / "served"
     bench = stage.launch("composite_bench", namespace="served", record="true", output=bag,
                          twin="true", nodes="identification,diagnosis", camera="true")
@@ -550,16 +495,6 @@ def missing() -> str:
     return ""
 
 
-def play(stage: Stage, act: Callable[[Stage], str]) -> tuple[str, str]:
-    """Verdict and outcome of a row."""
-    try:
-        return "ok", act(stage)
-    except (Failed, subprocess.SubprocessError, StopIteration) as error:
-        return "FAILED", str(error) or type(error).__name__
-    finally:
-        stage.clear()
-
-
 def main(words: list[str]) -> int:
     if reason := missing():
         print(f"skipped: {reason}")
@@ -574,7 +509,12 @@ def main(words: list[str]) -> int:
         if act is not Stage.build and words and not any(w in what or w == item for w in words):
             continue
         started = time.monotonic()
-        verdict, outcome = play(stage, act)
+        try:
+            verdict, outcome = "ok", act(stage)
+        except (Failed, subprocess.SubprocessError, StopIteration) as error:
+            verdict, outcome = "FAILED", str(error) or type(error).__name__
+        finally:
+            stage.clear()
         verdicts.append(verdict)
         outcome = f"{verdict}: {' '.join(outcome.split())}".replace("|", "/")
         print(f"| {item} | {what} | {outcome} | {time.monotonic() - started:.0f} |", flush=True)

@@ -22,6 +22,7 @@ import sma_bench
 ROOT = Path(__file__).resolve().parents[3]
 CONFIG = ROOT / "config"
 DATA = ROOT.parent / "shared" / "data"
+FOREIGN = DATA / "foreign"
 sys.path.insert(0, str(ROOT / "examples"))
 
 DAILY = ("identify", "simulate", "diagnose", "paper")
@@ -178,56 +179,36 @@ def measured(pattern: str, experiment: str = "") -> Numbers:
     return identified(records, None, [experiment] if experiment else None)
 
 
-def foreign_wire() -> Numbers:
-    """A wire bench made elsewhere."""
-    bench = DATA / "foreign" / "wire"
-    return identified([bench / "staircase", bench / "ramp"], bench / "bench.yaml")
-
-
-def foreign_composite() -> Numbers:
-    """A composite made elsewhere: identified from one record, tried on the other."""
-    bench = DATA / "foreign" / "composite"
-    found = sma_bench.identify(bench / "triangle", bench / "nominal.yaml")
-    return {
-        **_estimates(found.to_json()),
-        **unseen_errors(sma_bench.load(bench / "step"), found.parameters),
-    }
-
-
 def foreign_spring() -> Numbers:
     """A wire against a spring made elsewhere: identified from two runs, tried on a third."""
-    bench = DATA / "foreign" / "spring"
+    bench, rig = FOREIGN / "spring", str(FOREIGN / "spring" / "rig.yaml")
     with tempfile.TemporaryDirectory() as made:
         for name in ("run_a.csv", "run_b_european.txt", "run_c.mat"):
-            sma_bench_command(
-                "import", str(bench / name), "--params", str(bench / "rig.yaml"),
-                "--out", f"{made}/{name[:5]}",
-            )
-        found = sma_bench.identify([f"{made}/run_a", f"{made}/run_b"], bench / "rig.yaml")
-        return {
-            **_estimates(found.to_json()),
-            **unseen_errors(sma_bench.load(f"{made}/run_c"), found.parameters),
-        }
+            out = f"{made}/{name[:5]}"
+            sma_bench_command("import", str(bench / name), "--params", rig, "--out", out)
+        return identified([f"{made}/run_a", f"{made}/run_b"], rig, None, f"{made}/run_c")
 
 
 def identified(
-    records: Sequence[Any], parameters: Any = None, experiments: Sequence[str] | None = None
-) -> Numbers:
-    """Estimates of `identify`."""
-    return _estimates(sma_bench.identify(list(records), parameters, experiments).to_json())
-
-
-def _estimates(result: Mapping[str, Any]) -> Numbers:
-    """Of the result file: which experiments, their estimates, and the details behind them."""
-    names = sorted(experiment["name"] for experiment in result["experiments"])
+    records: Sequence[Any], parameters: Any = None, experiments: Sequence[str] | None = None,
+    unseen: Any = None,
+) -> Numbers:  # fmt: skip
+    """Of `identify`: which experiments, their estimates, the details behind them, and how far a
+    record is missed that the fit has not seen."""
+    found = sma_bench.identify(list(records), parameters, experiments)
+    result = found.to_json()
     tables = {"": result["parameters"]}
-    for experiment in result["experiments"]:
-        tables[experiment["name"] + ": "] = experiment.get("details", {})
-    return {"experiments": exact(" ".join(names))} | {
-        f"{table}{name}{ending}": number
-        for table, estimates in tables.items()
-        for name, found in estimates.items()
-        for ending, number in estimate(found["value"], found["std"])
+    tables |= {f"{one['name']}: ": one.get("details", {}) for one in result["experiments"]}
+    names = " ".join(sorted(one["name"] for one in result["experiments"]))
+    return {
+        "experiments": exact(names),
+        **{
+            f"{table}{name}{ending}": number
+            for table, estimates in tables.items()
+            for name, value in estimates.items()
+            for ending, number in estimate(value["value"], value["std"])
+        },
+        **(unseen_errors(sma_bench.load(unseen), found.parameters) if unseen else {}),
     }
 
 
@@ -318,12 +299,6 @@ def diagnosed_demo(hidden: str) -> Numbers:
         )
     )
     return diagnosed(seen, lab, unseen)
-
-
-def foreign_gap() -> Numbers:
-    """The foreign composite, diagnosed on one record and tried on the other."""
-    bench = DATA / "foreign" / "composite"
-    return diagnosed(bench / "triangle", bench / "nominal.yaml", bench / "step")
 
 
 def development_case(folder: str, number: int) -> Numbers:
@@ -482,14 +457,17 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
              **named: Any) -> Task:  # fmt: skip
         return Task(section, name, function.__name__, arguments, tuple(named.items()), needs, of)
 
+    wire, bent = FOREIGN / "wire", "foreign/composite"
+    triangle, step, nominal = (DATA / bent / n for n in ("triangle", "step", "nominal.yaml"))
     if section == "identify":
         frames = [f"{load}_MPa.txt" for load in (10, 50, 100)]
         tests = ("cold_1.csv", "cold_2.csv", "hot_1.csv", "hot_2.csv")
         folder, samples = "sma_react", "preprocessor_samples"
         return [
-            task("foreign composite", foreign_composite, needs="foreign/composite"),
+            task("foreign composite", identified, [triangle], nominal, None, step, needs=bent),
             task("foreign spring", foreign_spring, needs="foreign/spring"),
-            task("foreign wire", foreign_wire, needs="foreign/wire"),
+            task("foreign wire", identified, [wire / "staircase", wire / "ramp"],
+                 wire / "bench.yaml", needs="foreign/wire"),
             *(task(f"SMA-REACT sample {k}, {experiment}", measured, f"cal_sample_{k}/* MPa.txt",
                    experiment, needs=folder) for k in (1, 2) for experiment in ("E6", "E9")),
             task("SMA-REACT seven cycles", measured, f"{samples}/isobaric_7cycle.txt",
@@ -520,7 +498,7 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
         ]  # fmt: skip
     if section == "diagnose":
         return [
-            task("foreign composite", foreign_gap, needs="foreign/composite"),
+            task("foreign composite", diagnosed, triangle, nominal, step, needs=bent),
             *(task(f"demo, {hidden}", diagnosed_demo, hidden) for hidden in HIDDEN),
             *(task(f"case {k}", development_case, f"{cases}/{CASES}", k, of=CASES)
               for k in range(DIAGNOSED)),
