@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from sma_bench.commands import options
-from sma_bench.commands.terminal import print_findings, write_json
+from sma_bench.commands.terminal import print_findings, say, write_json
 from sma_bench.errors import InputError
 
 MAP_SUFFIX = ".map.yaml"
@@ -31,6 +31,12 @@ MAP_SUFFIX = ".map.yaml"
     "the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
     type=options.Files(),
 )
+@options.option(
+    "--unit COLUMN=UNIT",
+    "of a column whose title does not tell it, 'time=ms' (repeatable)",
+    dest="units",
+    multiple=True,
+)
 @options.output(
     "--out BAG",
     options.OWN,
@@ -45,45 +51,57 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.parameters.yaml_file import read_parameter_names
     from sma_bench.records.bag_writer import write_record
     from sma_bench.records.check import check_record
-    from sma_bench.records.import_map import convert, map_text, read_map
+    from sma_bench.records.import_map import account_of, convert, map_text, read_map
     from sma_bench.records.import_proposal import BenchHints, bench_of, propose
     from sma_bench.records.record import Record
-    from sma_bench.records.tables import read_table_file
+    from sma_bench.records.tables import read_table_file, runs_of
 
     given = read_map(args.map_file) if args.map_file else None
     bench = BenchHints()
     if args.params:
         bench = bench_of(read_parameter_names(args.params), args.params)
-    # Each file with its bag and its map.
+    units = {}
+    for text in args.units:
+        column, equals, unit = text.rpartition("=")
+        if not equals:
+            raise InputError(f"--unit {text!r}, expected COLUMN=UNIT")
+        units[column] = unit
+    # Each file, and each sheet that is a run of its own, with its bag and its map.
     out = Path(args.out)
-    stems = [re.sub(r"[^\w.-]+", "_", Path(file).stem).strip(".") or "run" for file in args.files]
+    runs = [(file, *run) for file in args.files for run in runs_of(read_table_file(Path(file)))]
+    stems = [re.sub(r"[^\w.-]+", "_", f"{Path(file).stem} {sheet}".strip()).strip(".") or "run"
+             for file, sheet, _ in runs]  # fmt: skip
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
         raise InputError(f"--out {out}: two files would become {twice}, expected different names")
     bags = [out] if len(stems) == 1 else [out / stem for stem in stems]
-    maps = [bag.with_name(bag.name + MAP_SUFFIX) for bag in bags]
+    # Maps lie beside the folder of bags, where `identify week/*` does not trip over them.
+    maps = [out.with_name((out.name if bag == out else f"{out.name}.{stem}") + MAP_SUFFIX)
+            for bag, stem in zip(bags, stems, strict=True)]  # fmt: skip
     inputs = options.paths_in([args.files, args.map_file, args.params])
     if given is None:  # a map that exists is looked at when it is written
         options.keep_safe({str(path): (path, options.FILE) for path in maps}, inputs, True)
     options.keep_safe({str(bag): (bag, options.BAG) for bag in bags}, inputs, args.force)
     # Everything is read before anything is written, but for a map that is to be filled in.
     read = []
-    for source, bag, path in zip(args.files, bags, maps, strict=True):
-        table, used, text = read_table_file(Path(source)), given, None
+    for (source, _, table), bag, path in zip(runs, bags, maps, strict=True):
+        used, text, remarks = given, None, {}
         questions: list[str] = []
         if used is None:
-            used, questions, remarks = propose(table, bench)
+            used, questions, remarks = propose(table, bench, units)
             text = map_text(used, table, remarks)
+        account = account_of(table, used, remarks, questions)
         if questions:
             _write_map(path, text, args.force)
+            say(printable(str(account)))
             more = f" (and {len(questions) - 1} more)" if len(questions) > 1 else ""
             raise InputError(
                 f"{source}: unsure of {questions[0]}{more}: fill in {path} and call again with "
                 f"--map {path}"
             )
-        read.append((source, bag, path, table, text, *convert(table, used)))
+        read.append((source, bag, path, table, text, account, *convert(table, used)))
     entries = []
-    for source, bag, path, table, text, signals, how, start_ns in read:
+    for source, bag, path, table, text, account, signals, how, start_ns in read:
         map_file = args.map_file or str(path)
         _write_map(path, text, args.force)
         provenance = {"source": Path(source).name, "sha256": table.sha256, "how": how}
@@ -92,6 +110,7 @@ def run(args: SimpleNamespace) -> int:
         record = Record(bag, start_ns, {signal.name: signal for signal in signals})
         print_findings([Finding("warning", source, note) for note in table.notes])
         print_findings(f for f in check_record(record) if f.severity != "info")
+        say(f"{account}")
         shown = {
             s.name: {"unit": s.unit, "samples": len(s), "min": float(s.values.min()),
                      "max": float(s.values.max())}
@@ -100,6 +119,7 @@ def run(args: SimpleNamespace) -> int:
         entries.append({
             "source": source, "sha256": table.sha256, "format": table.format, "bag": str(bag),
             "map": map_file, "signals": shown, "how": how, "notes": list(table.notes),
+            "account": account.to_json(),
         })  # fmt: skip
     if args.json:
         write_json(args.json, {"imported": entries})

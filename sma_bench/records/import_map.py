@@ -17,12 +17,14 @@ import numpy as np
 from sma_bench.border import printable, read_yaml
 from sma_bench.errors import InputError
 from sma_bench.records import contract
+from sma_bench.records.cells import Column
 from sma_bench.records.record import FloatArray, Signal
-from sma_bench.records.table_cells import Column, Unit, parse_unit
-from sma_bench.records.tables import TableFile
+from sma_bench.records.tables import Account, TableFile
+from sma_bench.records.units import Unit, in_si, parse_unit
 
 ASK = "ask"
-FORMS = ("rms", "duty", "mean")
+ROWS = "row number"  # the clock of a table without one; its unit is the period, "0.1 s"
+_FORMS = {"voltage": ("rms", "duty", "mean"), "current": ("rms", "mean", "peak")}
 REST, NONE = "rest", "none"
 POSITIONS = ("elongation", "deflection")
 _OF_UNIT = {"V": "voltage", "A": "current", "K": "temperature", "m": "length", "N": "force"}
@@ -40,7 +42,8 @@ class Entry:
         clock: the column of its time.
         scale, offset: before and after the unit; the offset is in SI. sign: 1 or -1.
         reference: "rest" (the median before the first drive is 0), "none", or a number in SI.
-        form: of a voltage: "rms" (or direct), "duty" or "mean" of a switched supply.
+        form: of a voltage: "rms" (or direct), "duty" or "mean" of a switched supply; of a current:
+            "rms" (or direct), "mean" or "peak" of what is switched.
     """
 
     signal: str
@@ -75,7 +78,8 @@ def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> s
         f"# Map of {name} ({table.format}), for sma-bench import --map; `ask` is to be filled in.",
         "# SI value = sign * (scale * column in its unit + offset) - reference",
         "# reference: rest (0 before the first drive), none, or a number; form of a voltage: rms",
-        "# (or direct), duty or mean of the switched supply.",
+        "# (or direct), duty or mean of the switched supply; of a current: rms, mean or peak.",
+        f"# A table without a clock has one called {ROWS!r}, whose unit is the period: 0.1 s.",
         "time:",
     ]
     for column, unit in made.clocks.items():
@@ -92,7 +96,7 @@ def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> s
         lines += [f"  - signal: {_yaml(entry.signal)}", f"    {_comment(remark).strip()}"]
         for option in fields(Entry)[1:]:
             value = getattr(entry, option.name)
-            if option.name == "form" and not entry.signal.endswith("voltage"):
+            if option.name == "form" and not entry.signal.endswith((*_FORMS, ASK)):
                 continue
             lines.append(f"    {option.name}: {_yaml(value)}")
     lines.append("ignored:")
@@ -129,14 +133,19 @@ def read_map(path: str | Path) -> ImportMap:
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: signals: expected a list with one or more")
     for column, unit in clocks.items():
-        _require_unit(unit, "time", f"{path}: time: {column}")
+        if tick_of(column, unit) is None:
+            expected = "a period such as 0.1 s" if column == ROWS else "a unit of time"
+            raise InputError(
+                f"{path}: time: {column}: unit is {printable(unit)!r}, expected {expected}"
+            )
     entries = tuple(_read_entry(row, f"{path}: signals: {k + 1}") for k, row in enumerate(rows))
     numbers = {key: _read_number(document.get(key), f"{path}: {key}")
                for key in ("supply_voltage", "lever")}  # fmt: skip
     for entry in entries:
         if entry.clock not in clocks:
             raise InputError(f"{path}: {entry.signal}: clock {entry.clock!r} is not under time")
-        if entry.form != "rms" and numbers["supply_voltage"] is None:
+        switched = entry.form != "rms" and entry.signal.endswith("voltage")
+        if switched and numbers["supply_voltage"] is None:
             raise InputError(f"{path}: supply_voltage is missing, {entry.signal} is a {entry.form}")
     return ImportMap(clocks, entries, numbers["supply_voltage"], numbers["lever"])
 
@@ -169,137 +178,221 @@ def _read_entry(row: Any, where: str) -> Entry:
         )
     if entry.sign not in (1, -1) or isinstance(entry.sign, bool):
         raise InputError(f"{where}: sign is {entry.sign!r}, expected 1 or -1")
-    if entry.form not in FORMS:
-        raise InputError(f"{where}: form is {entry.form!r}, expected one of {', '.join(FORMS)}")
+    forms = _FORMS.get(entry.signal.rpartition(".")[2], ("rms",))
+    if entry.form not in forms:
+        raise InputError(f"{where}: form is {entry.form!r}, expected one of {', '.join(forms)}")
     is_number = isinstance(entry.reference, (int, float)) and np.isfinite(entry.reference)
     if entry.reference not in (REST, NONE) and not is_number:
         found = printable(str(entry.reference))[:40]
         raise InputError(f"{where}: reference is {found!r}, expected rest, none or a number")
     wanted = "ratio" if entry.form == "duty" else _OF_UNIT[unit]
-    _require_unit(entry.unit, wanted, where)
+    known = parse_unit(entry.unit)
+    if known is None or known.quantity not in (wanted, "angle" if wanted == "length" else wanted):
+        shown = printable(entry.unit)
+        raise InputError(f"{where}: unit is {shown!r}, expected a unit of {wanted}")
     return entry
-
-
-def _require_unit(text: str, quantity: str, where: str) -> None:
-    unit = parse_unit(text)
-    fits = unit is not None and (
-        unit.quantity == quantity or (unit.quantity == "angle" and quantity == "length")
-    )
-    if not fits:
-        raise InputError(f"{where}: unit is {printable(text)!r}, expected a unit of {quantity}")
 
 
 # --- applying it ----------------------------------------------------------------------------------
 
 
+def tick_of(column: str, text: str) -> Unit | None:
+    """The unit of a clock: one of time, or of rows the period between them."""
+    if column != ROWS:
+        known = parse_unit(text)
+    else:
+        number, _, unit = text.strip().partition(" ")
+        known = parse_unit(unit)
+        try:
+            known = known and Unit(known.quantity, known.factor * float(number))
+        except ValueError:
+            return None
+    return known if known and known.quantity == "time" and known.factor > 0.0 else None
+
+
 def convert(table: TableFile, made: ImportMap) -> tuple[list[Signal], list[str], int]:
     """Signals in SI from a table by its map, a sentence on each, and the epoch time of 0 in ns.
 
-    Clocks keep their offsets to each other; the first sample of all is at 0.
+    Clocks keep their offsets to each other; the first sample of all is at 0. Rows that share a
+    stamp are spread over it, all signals of the clock alike.
 
     Raises:
-        InputError: a column that the file does not have, a clock that goes back, a duty that is
-            none, or no value at all.
+        InputError: a column that the file does not have, a clock that goes back or stands still, a
+            duty that is none, or no value at all.
     """
     columns = {column.name: column for column in table.columns}
     for name in (*made.clocks, *(entry.column for entry in made.entries)):
-        if name not in columns:
+        if name not in columns and name != ROWS:
             have = ", ".join(list(columns)[:12])
             raise InputError(f"{table.path}: no column {name!r}, it has {have}")
     raw = [_samples(table, made, columns, entry) for entry in made.entries]
-    first = min(float(time[0]) for time, _ in raw)
-    drive = _drive_start(made, raw)
+    starts = [columns[e.clock].start if e.clock in columns else None for e in made.entries]
+    dated = [start for start in starts if start is not None]
+    if len(dated) == len(starts):  # moments count from their own first one
+        raw = [(time + start - min(dated), values, said)
+               for (time, values, said), start in zip(raw, dated, strict=True)]  # fmt: skip
+    first = min(float(time[0]) for time, _, _ in raw)
+
+    # When the first voltage or current sets in; inf where none does.
+    drive = np.inf
+    for entry, (time, values, _) in zip(made.entries, raw, strict=True):
+        if entry.signal.endswith((".voltage", ".current")):
+            driven = np.abs(values) > _DRIVEN * np.abs(values).max()
+            if driven.any():
+                drive = min(drive, float(time[int(np.argmax(driven))]))
+
     signals, sentences = [], []
-    for entry, (time, values) in zip(made.entries, raw, strict=True):
-        values, said = _referred(entry, time, values, drive)
-        signals.append(Signal(entry.signal, contract.unit_of(entry.signal) or "", time - first,
-                              values))  # fmt: skip
-        sentences.append(_sentence(entry, made, said))
-    start = next((columns[n].start for n in made.clocks if columns[n].start is not None), None)
-    return signals, sentences, 0 if start is None else round(start * 1e9)
+    for entry, (time, values, spread) in zip(made.entries, raw, strict=True):
+        zero, said = 0.0, ""
+        if entry.reference == REST:
+            before = values[time <= drive] if np.isfinite(drive) else values[:1]
+            zero = float(np.median(before)) if len(before) else float(values[0])
+            said = f", zero at rest ({zero:.6g})"
+        elif entry.reference != NONE:
+            zero = float(entry.reference)
+            said = f", zero at {zero:.6g}"
+        if entry.form != "rms" and entry.signal.endswith("current"):
+            values = _effective_current(table, made, entry, time, values, raw)
+        unit = contract.unit_of(entry.signal) or ""
+        signals.append(Signal(entry.signal, unit, time - first, values - zero))
+        sentences.append(_sentence(entry, made, said) + spread)
+    if dated:
+        return signals, sentences, round(min(dated) * 1e9)
+    # Seconds since 1970, as PlotJuggler writes them.
+    return signals, sentences, round(first * 1e9) if 1e9 < first < 4e9 else 0
 
 
 def _samples(
     table: TableFile, made: ImportMap, columns: Mapping[str, Column], entry: Entry
-) -> tuple[FloatArray, FloatArray]:
-    """Times in s and values in SI of one entry, without what is missing; the sign is in them."""
-    clock, column = columns[entry.clock], columns[entry.column]
+) -> tuple[FloatArray, FloatArray, str]:
+    """Times in s and values in SI of one entry, without what is missing; the sign is in them. And
+    what was done to its stamps."""
+    column = columns[entry.column]
+    clock = columns.get(entry.clock)
+    ticked = np.arange(float(len(column.values))) if clock is None else clock.values
     where = f"{table.path}: {entry.column}"
-    if len(clock.values) != len(column.values):
+    if len(ticked) != len(column.values):
         raise InputError(
-            f"{where}: {len(column.values)} rows, its clock {entry.clock!r} has {len(clock.values)}"
+            f"{where}: {len(column.values)} rows, its clock {entry.clock!r} has {len(ticked)}"
         )
-    ticks = parse_unit(made.clocks[entry.clock])
+    ticks = tick_of(entry.clock, made.clocks[entry.clock])
     unit = parse_unit(entry.unit)
     assert ticks and unit
-    kept = np.isfinite(clock.values) & np.isfinite(column.values)
-    time = in_si(clock.values[kept], ticks)
-    values = in_si(entry.scale * column.values[kept], unit) + entry.offset
-    if not len(time):
+    timed = np.isfinite(ticked)
+    time = in_si(ticked[timed], ticks)
+    values = in_si(entry.scale * column.values[timed], unit) + entry.offset
+    kept = np.isfinite(values)
+    if not kept.any():
         raise InputError(f"{where}: no values, expected a column of numbers")
-    steps = np.diff(time)
+    steps = np.diff(time[kept])
     if np.any(steps < 0):
         row = int(np.argmax(steps < 0)) + 1
+        back = time[kept][row - 1 : row + 1]
         raise InputError(
-            f"{where}: its time goes back from {time[row - 1]:.9g} to {time[row]:.9g} s in row "
+            f"{where}: its time goes back from {back[0]:.9g} to {back[1]:.9g} s in row "
             f"{row + 1} of the numbers, expected one run"
         )
-    fresh = np.concatenate([[True], steps > 0])
-    time, values = time[fresh], values[fresh]
-    if entry.form in ("duty", "mean"):
-        values = _equivalent(entry, values, made.supply_voltage, where)
+    said = ""
+    if np.all(steps > 0.0):
+        time = time[kept]
+    elif kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0):
+        # Columns with few gaps share the stamps of all rows, so that none lags behind another.
+        time, said = spread_stamps(time, where)
+        time = time[kept]
+    else:
+        time, said = spread_stamps(time[kept], where)
+    values = values[kept]
+    if entry.signal.endswith("voltage") and entry.form in ("duty", "mean"):
+        # The direct voltage of the same heat: heat goes with duty * supply^2.
+        if not isinstance(made.supply_voltage, float):
+            raise InputError(f"{where}: a {entry.form} needs supply_voltage in the map")
+        duty = values / made.supply_voltage if entry.form == "mean" else values
+        low, high = float(duty.min()), float(duty.max())
+        if low < -DUTY_SLACK or high > 1.0 + DUTY_SLACK:
+            raise InputError(f"{where}: duty of {low:.4g} to {high:.4g}, expected 0 to 1")
+        values = np.sqrt(np.clip(duty, 0.0, 1.0)) * made.supply_voltage
     if unit.quantity == "angle":
         if not isinstance(made.lever, float):
             raise InputError(f"{where}: an angle needs lever (load.lever, m/rad) in the map")
         values = values * made.lever
-    return time, values * float(entry.sign)
+    return time, values * float(entry.sign), said
 
 
-def in_si(values: FloatArray, unit: Unit) -> FloatArray:
-    return values * unit.factor + unit.offset
+def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
+    """(n,) s that increase, of stamps (n,) coarser than the rows, and a remark: a line through all
+    where rows came evenly, else even steps within each stamp.
+
+    Raises:
+        InputError: all rows have one stamp.
+    """
+    stamps, first, count = np.unique(time, return_index=True, return_counts=True)
+    if len(stamps) < 2:
+        raise InputError(f"{where}: all {len(time)} rows are at one time, expected a running clock")
+    step = float(np.diff(stamps).min())
+    said = (
+        f"; {len(time) - len(stamps)} of {len(time)} rows repeat the stamp before: spread evenly "
+        f"over its {step:.4g} s"
+    )
+    if np.median(count) > 1.0 and len(stamps) > 2:
+        period = float(stamps[-1] - stamps[1]) / float(first[-1] - first[1])
+        even = period * np.arange(len(time))
+        even += float(np.max(time - even))
+        if np.max(even - time) < step + 0.5 * period:
+            return even, f"{said}, {1.0 / period:.4g} Hz"
+    gaps = np.minimum(np.append(np.diff(stamps), step), step)
+    within = np.arange(len(time)) - np.repeat(first, count)
+    return time + within * np.repeat(gaps / count, count), said
 
 
-def _equivalent(entry: Entry, values: FloatArray, supply: Any, where: str) -> FloatArray:
-    """The direct voltage of the same heat: heat goes with duty * supply^2."""
-    if not isinstance(supply, float):
-        raise InputError(f"{where}: a {entry.form} needs supply_voltage in the map")
-    duty = values / supply if entry.form == "mean" else values
-    low, high = float(duty.min()), float(duty.max())
-    if low < -DUTY_SLACK or high > 1.0 + DUTY_SLACK:
-        raise InputError(f"{where}: duty of {low:.4g} to {high:.4g}, expected 0 to 1")
-    return np.sqrt(np.clip(duty, 0.0, 1.0)) * supply
+def _effective_current(
+    table: TableFile, made: ImportMap, entry: Entry, time: FloatArray, values: FloatArray,
+    raw: Sequence[tuple[FloatArray, FloatArray, str]],
+) -> FloatArray:
+    """The current of the same heat, of the mean or the peak of a switched one: with the share of
+    time that its voltage is on."""
+    channel = entry.signal.rpartition(".")[0]
+    for other, (stamps, volts, _) in zip(made.entries, raw, strict=True):
+        if other.signal == f"{channel}.voltage" and other.form in ("duty", "mean"):
+            root = np.interp(time, stamps, volts) / float(made.supply_voltage or 1.0)  # of the duty
+            share = np.where(root > 0.02, root, 1.0)  # below it nothing flows
+            return values / share if entry.form == "mean" else values * np.clip(root, 0.0, 1.0)
+    raise InputError(
+        f"{table.path}: {entry.column}: the {entry.form} of a switched current needs the duty of "
+        f"{channel} in the table"
+    )
 
 
-def _drive_start(made: ImportMap, raw: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """When the first voltage or current sets in; inf where none does."""
-    starts = [np.inf]
-    for entry, (time, values) in zip(made.entries, raw, strict=True):
-        if entry.signal.endswith((".voltage", ".current")):
-            driven = np.abs(values) > _DRIVEN * np.abs(values).max()
-            if driven.any():
-                starts.append(float(time[int(np.argmax(driven))]))
-    return min(starts)
-
-
-def _referred(
-    entry: Entry, time: FloatArray, values: FloatArray, drive: float
-) -> tuple[FloatArray, str]:
-    """Values over their reference, and which one it was."""
-    if entry.reference == NONE:
-        return values, ""
-    if entry.reference == REST:
-        before = values[time <= drive] if np.isfinite(drive) else values[:1]
-        zero = float(np.median(before)) if len(before) else float(values[0])
-        return values - zero, f", zero at rest ({zero:.6g})"
-    zero = float(entry.reference)
-    return values - zero, f", zero at {zero:.6g}"
+def account_of(
+    table: TableFile, made: ImportMap, remarks: Mapping[str, str] | None = None,
+    asked: Sequence[str] = (),
+) -> Account:
+    """What became of the rows and columns of a table."""
+    columns = {column.name: column for column in table.columns}
+    used = {name: "clock" for name in made.clocks if name in columns}
+    kept = [np.zeros(max(len(t.lines), 1), dtype=bool) for t in table.tables]
+    for entry in made.entries:
+        if (column := columns.get(entry.column)) is not None:
+            used[column.name] = entry.signal
+            clock = columns.get(entry.clock)
+            finite = np.isfinite(column.values)
+            kept[column.table] |= finite if clock is None else finite & np.isfinite(clock.values)
+    reasons = remarks or {}
+    rest = {c.name: reasons.get(c.name, "not in the map") for c in table.columns
+            if c.name not in used}  # fmt: skip
+    outside = (*table.outside, *(note for t in table.tables for note in t.left_out))
+    return Account(
+        sum(t.rows for t in table.tables), int(sum(k.sum() for k in kept)), used,
+        {**rest, **table.ignored}, tuple(asked), outside,
+    )  # fmt: skip
 
 
 def _sentence(entry: Entry, made: ImportMap, reference: str) -> str:
     how = f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
     if entry.form == "duty":
         how += f" as sqrt(duty) x {made.supply_voltage:g} V, the direct voltage of the same heat"
-    if entry.form == "mean":
+    if entry.signal.endswith("current") and entry.form != "rms":
+        how += f", the {entry.form} of a switched current, as that of the same heat"
+    elif entry.form == "mean":
         how += f" as sqrt(mean x {made.supply_voltage:g} V), the direct voltage of the same heat"
     if entry.sign == -1:
         how += ", counted the other way"

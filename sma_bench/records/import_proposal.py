@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.records.cells import Column
 from sma_bench.records.import_map import (
     ASK,
     DUTY_SLACK,
@@ -16,41 +17,22 @@ from sma_bench.records.import_map import (
     NONE,
     POSITIONS,
     REST,
+    ROWS,
     Entry,
     ImportMap,
     convert,
-    in_si,
 )
 from sma_bench.records.record import FloatArray, Signal
-from sma_bench.records.table_cells import Column, parse_unit
 from sma_bench.records.tables import TableFile
+from sma_bench.records.units import fits, in_si, parse_unit, plain_title, title_meanings
 
 _CLEAR = 3.0  # times as far one way as the other
 _LONGEST_TIME = 30 * 86_400.0
 # (lowest, highest) that a bench's reading in SI may be; the length is that of a movement.
-_BELIEVABLE = {"voltage": (-60.0, 60.0), "current": (-30.0, 30.0), "temperature": (200.0, 900.0),
+_BELIEVABLE = {"voltage": (-60.0, 60.0), "current": (-30.0, 30.0), "temperature": (230.0, 900.0),
                "force": (-5e3, 5e3), "length": (-1.0, 1.0), "duty": (-DUTY_SLACK, 1.0 + DUTY_SLACK),
                "angle": (-100.0, 100.0), "ambient": (230.0, 330.0)}  # fmt: skip
 _UNIT_OF = {"duty": "ratio", "ambient": "temperature"}  # quantity of its unit, where it differs
-
-# What a title means: parts of words, whole words, in this order (English, German, French).
-_MEANINGS: tuple[tuple[str, tuple[str, ...], frozenset[str]], ...] = (
-    ("skip", ("setpoint", "soll", "target", "desired", "reference", "index"),
-     frozenset({"sample", "samples", "nr", "no", "row", "step", "cycle", "zyklus"})),
-    ("time", ("timestamp", "zeit", "elapsed"), frozenset({"t", "time", "temps", "clock"})),
-    ("supply", ("supply", "versorg", "psu", "battery", "akku"), frozenset({"vcc"})),
-    ("duty", ("duty", "pwm", "tastverh", "tastgrad"), frozenset({"dc"})),
-    ("ambient", ("room", "raum", "ambient", "umgebung", "environment"), frozenset({"air"})),
-    ("temperature", ("temp", "thermo"), frozenset()),
-    ("current", ("current", "strom", "courant", "amps"), frozenset({"i"})),
-    ("voltage", ("volt", "spannung"), frozenset({"u", "v"})),
-    ("force", ("force", "kraft"), frozenset({"f", "load", "loadcell"})),
-    ("angle", ("angle", "winkel", "theta", "rotation"), frozenset({"encoder"})),
-    ("length", ("positi", "displac", "elong", "extens", "stroke", "weg", "auslenk", "slider",
-                "deflect", "durchbieg", "laser", "contraction"),
-     frozenset({"x", "y", "z", "pos", "disp", "tip", "hub"})),
-)  # fmt: skip
-
 
 @dataclass(frozen=True)
 class BenchHints:
@@ -104,73 +86,132 @@ def bench_of(named: Mapping[str, Any], where: str) -> BenchHints:
     )
 
 
-def propose(table: TableFile, bench: BenchHints) -> tuple[ImportMap, list[str], dict[str, str]]:
+def propose(
+    table: TableFile, bench: BenchHints, units: Mapping[str, str] | None = None
+) -> tuple[ImportMap, list[str], dict[str, str]]:
     """A map of a table, what is unsure about it, and remarks by column.
 
+    Args:
+        table: as read; bench: what is known of the rig.
+        units: of columns by name, before what their titles say.
+
     Raises:
-        InputError: no column can be time.
+        InputError: a unit for a column that is not there.
     """
+    if units:
+        names = [column.name for column in table.columns]
+        if wrong := next((name for name in units if name not in names), None):
+            raise InputError(f"{table.path}: no column {wrong!r}, it has {', '.join(names[:12])}")
+        tables = tuple(replace(t, columns=tuple(
+            replace(c, unit=units.get(c.name, c.unit), fields=0 if c.name in units else c.fields)
+            for c in t.columns)) for t in table.tables)  # fmt: skip
+        table = replace(table, tables=tables)
     proposal = _Proposal(table, bench)
-    meanings = {column.name: _meaning(column) for column in table.columns}
+    meanings = {column.name: _meaning(proposal, column) for column in table.columns}
     clocks = [column for column in table.columns if meanings[column.name] == "time"]
-    if not clocks:
-        titles = ", ".join(column.name for column in table.columns[:12])
-        raise InputError(
-            f"{table.path}: no time column among {titles}: its title should say time, or its unit s"
-        )
+    running = [c for c in clocks if _is_running(c)]
+    for column in clocks:
+        if column not in running:
+            proposal.remarks[column.name] = "no clock: it stands still or goes back"
     entries: list[Entry] = []
-    ignored = [c.name for c in table.columns if meanings[c.name] in (None, "skip", "supply")]
+    used: dict[str, Column] = {}
+    unused = [c.name for c in table.columns if meanings[c.name] in _UNUSED]
     for column in table.columns:
         meaning = meanings[column.name]
-        if meaning in (None, "skip", "supply", "time"):
+        if meaning in _UNUSED or meaning == "time":
             continue
-        clock = _clock_of(column, clocks)
-        entry = None if clock is None else _entry(proposal, column, str(meaning), clock.name)
-        if entry is None or column.name in ignored:
-            ignored.append(column.name)
-        else:
-            entries.append(entry)
+        if not np.isfinite(column.values).any():
+            proposal.remarks[column.name] = "empty"
+            unused.append(column.name)
+            continue
+        ticks = _clock_of(proposal, column, running or clocks)
+        if ticks is not None and ticks != ASK:
+            used[ticks.name] = ticks  # type: ignore[union-attr]
+        elif ticks is None and clocks and any(c.table != column.table for c in clocks):
+            proposal.remarks[column.name] = "no clock in its table"
+            unused.append(column.name)
+            continue
+        name = ROWS if ticks is None else ticks if isinstance(ticks, str) else ticks.name
+        entries.append(_entry(proposal, column, str(meaning), name))
     entries, doubled = _without_doubles(proposal, entries)
     supply = _supply(proposal, meanings, entries)
     lever = bench.lever if _has_angle(table, entries) else None
     if _has_angle(table, entries) and lever is None:
         lever = ASK  # type: ignore[assignment]
         proposal.ask("lever", "m of movement for a radian? load.lever of --params says it")
-    used = {entry.clock for entry in entries}
-    units = {c.name: _unit(proposal, c, "time") for c in clocks if c.name in used}
-    unknown = [name for name in ignored if meanings[name] is None]
-    made = ImportMap(units, tuple(entries), supply, lever, (*ignored, *doubled))
-    _ask_for_missing(proposal, made, unknown)
+    named = {entry.clock for entry in entries}
+    ticking = {name: _tick_unit(proposal, column) for name, column in used.items() if name in named}
+    if ROWS in named:
+        ticking[ROWS] = ASK
+        titles = ", ".join(column.name for column in table.columns[:12])
+        proposal.ask(ROWS, f"no time column among {titles}; which period, such as 0.1 s?")
+    if len({column.start is None for column in used.values()}) > 1:
+        proposal.ask("time", "one clock has dates, another has none: which is before which?")
+    spare = [c.name for c in clocks if c.name not in ticking]
+    for name in spare:
+        proposal.remarks.setdefault(name, "a clock that no signal uses")
+    made = ImportMap(ticking, tuple(entries), supply, lever, (*unused, *spare, *doubled))
+    _ask_for_missing(proposal, made, [n for n in unused if meanings[n] is None])
     if not proposal.questions:
         made = _signed(proposal, made)
     return made, proposal.questions, proposal.remarks
 
 
-def _meaning(column: Column) -> str | None:
-    """What a column is by its title, and by its unit where the title says nothing."""
+# Meanings that make no signal, and why.
+_UNUSED: dict[str | None, str] = {
+    None: "its title and unit say nothing of a bench", "counter": "a counter",
+    "setpoint": "a set value, not a reading", "supply": "of the supply, not of a wire",
+    "heat flow": "heat flow is no signal of a bench", "strain": "strain is no elongation",
+    "stress": "stress is no force", "power": "power is not used",
+    "resistance": "resistance is not used: voltage and current are",
+}  # fmt: skip
+_WIRE = frozenset({"wire", "draht", "fil", "filo", "hilo", "sma", "niti", "muscle"})
+
+
+def _meaning(proposal: _Proposal, column: Column) -> str | None:
+    """What a column is, by its title and its unit; where they contradict, it is asked later."""
+    if column.fields:
+        return "time"
     unit = parse_unit(column.unit)
-    named = _word_meaning(column.title) or _word_meaning(column.name)
-    if unit is None or named in ("skip", "supply"):
-        return named
-    by_unit = {"ratio": "duty", "stress": None, "power": None, "resistance": None}
-    meant = by_unit.get(unit.quantity, unit.quantity)
-    if named and _UNIT_OF.get(named, named) == unit.quantity:
-        return named
-    return meant if named is None or meant != "duty" else named
+    meant = title_meanings(column.title) or title_meanings(column.name)
+    named: str | None = meant[0] if meant else None
+    if unit is not None and named not in ("counter", "setpoint"):
+        fitting = [m for m in meant if fits(m, unit.quantity)]
+        if fitting:
+            named = fitting[0]
+        elif named is None or len(column.title) == 1 or named in ("ambient", "supply"):
+            by_unit = unit.quantity if unit.quantity in _SIGNALS else None
+            words = set(re.findall(r"[^\W\d_]+", plain_title(column.title)))
+            channel = any(c.lower() in column.name.lower() for c in proposal.bench.channels)
+            if by_unit not in (None, "time") and named is None and not (words & _WIRE or channel):
+                proposal.ask(column.name, f"its title says nothing known: is it a {by_unit}?")
+            named = by_unit
+    if named == "temperature" and unit is None and not column.unit and len(column.title) < 4 and (
+        _is_running(column) and np.ptp(np.diff(column.values)) < 0.01 * abs(np.diff(column.values)[0])
+    ):
+        proposal.ask(column.name, "a temperature or a time?")
+    if named in _UNUSED:
+        proposal.remarks[column.name] = _UNUSED[named]
+    return named
 
 
-def _word_meaning(title: str) -> str | None:
-    lower = title.lower()
-    words = set(re.findall(r"[^\W\d_]+", lower))
-    for meaning, parts, whole in _MEANINGS:
-        if words & whole or any(part in word for part in parts for word in words):
-            return meaning
-    return None
+_SIGNALS = frozenset({"time", "voltage", "current", "temperature", "length", "force", "angle"})
 
 
-def _clock_of(column: Column, clocks: Sequence[Column]) -> Column | None:
-    """The time column of as many rows whose place in the file is nearest."""
-    fitting = [c for c in clocks if len(c.values) == len(column.values)]
+def _is_running(column: Column) -> bool:
+    """Whether a column goes on and never back."""
+    values = column.values[np.isfinite(column.values)]
+    return len(values) > 1 and bool(np.all(np.diff(values) >= 0.0)) and values[-1] > values[0]
+
+
+def _clock_of(
+    proposal: _Proposal, column: Column, clocks: Sequence[Column]
+) -> Column | str | None:
+    """The clock of a column, None where its table has none: the only one, the nearest by path, the
+    finest of several that agree, the nearest to the left in a table that begins with one; else
+    "ask"."""
+    fitting = [c for c in clocks if c.table == column.table and
+               len(c.values) == len(column.values)]  # fmt: skip
 
     def nearness(clock: Column) -> int:
         pairs = zip(re.split(r"[./]", clock.name), re.split(r"[./]", column.name), strict=False)
@@ -181,13 +222,70 @@ def _clock_of(column: Column, clocks: Sequence[Column]) -> Column | None:
             shared += 1
         return shared + 100 * (clock.group == column.group)
 
-    return max(fitting, key=nearness, default=None)
+    if len(fitting) > 1 and len({c.group for c in fitting}) > 1:
+        best = max(map(nearness, fitting))
+        fitting = [c for c in fitting if nearness(c) == best]
+    if len(fitting) < 2:
+        return fitting[0] if fitting else None
+    finest = max(fitting, key=lambda c: (c.unit != "", len(np.unique(c.values)), c.start or 0.0))
+    agreeing = [c for c in fitting if _agree(finest, c)]
+    for other in agreeing:
+        if other is not finest:
+            proposal.remarks[other.name] = f"the same clock as {finest.name}, coarser or without unit"
+    if len(agreeing) == len(fitting):
+        return finest
+    # A clock a column: each speaks for the columns to its right.
+    order = list(proposal.table.tables[column.table].columns)
+    places = [order.index(c) for c in fitting]
+    alike = {re.sub(r"[\d\s(]+\)?", "", c.title.lower()) for c in fitting}
+    if places[0] == 0 and all(b - a > 1 for a, b in zip(places, places[1:], strict=False)) and (
+        len(alike) == 1 or len(fitting) * 2 == len(order)
+    ):
+        return [c for c, k in zip(fitting, places, strict=True) if k < order.index(column)][-1]
+    names = " or ".join(repr(c.name) for c in fitting)
+    proposal.ask(column.name, f"which clock, {names}? they disagree")
+    return ASK
 
 
-def _entry(proposal: _Proposal, column: Column, meaning: str, clock: str) -> Entry | None:
+def _agree(one: Column, other: Column) -> bool:
+    """Whether two clocks count the same time, each in its unit; of one without unit, any."""
+    first, second = (parse_unit(c.unit) for c in (one, other))
+    both = np.isfinite(one.values) & np.isfinite(other.values)
+    if not both.any() or np.isfinite(one.values).sum() != np.isfinite(other.values).sum():
+        return False
+    a, b = one.values[both] - one.values[both][0], other.values[both] - other.values[both][0]
+    if first is None or second is None or not a[-1] or not b[-1]:
+        a, b = a / (a[-1] or 1.0), b / (b[-1] or 1.0)
+    else:
+        a, b = a * first.factor, b * second.factor
+    coarse = [float(np.diff(np.unique(v)).min()) if len(np.unique(v)) > 1 else 0.0 for v in (a, b)]
+    return bool(np.max(np.abs(a - b)) <= 1.01 * max(coarse) + 1e-3 * abs(a[-1]))
+
+
+def _tick_unit(proposal: _Proposal, column: Column) -> str:
+    """The unit of a clock; asked where nothing states it."""
+    values = column.values[np.isfinite(column.values)]
+    span = f"{values.min():.6g} to {values.max():.6g}"
+    known = parse_unit(column.unit)
+    if column.fields == 2:
+        proposal.ask(column.name, "which unit: s where the clock shows mm:ss, min where hh:mm?")
+        return ASK
+    if known is not None and known.quantity == "time":
+        if float(np.ptp(values)) * known.factor < _LONGEST_TIME:
+            return column.unit
+        proposal.ask(column.name, f"{span} in {column.unit!r} is beyond belief; which unit?")
+        return ASK
+    for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if not column.unit and 1e9 * scale < values.min() and values.max() < 4e9 * scale:
+            proposal.remarks[column.name] = f"no unit is given; {span} is {unit} since 1970"
+            return unit
+    said = f"unit {column.unit!r} is none of time" if column.unit else "no unit is given"
+    proposal.ask(column.name, f"{said}, values are {span}; which unit?")
+    return ASK
+
+
+def _entry(proposal: _Proposal, column: Column, meaning: str, clock: str) -> Entry:
     bench, quantity = proposal.bench, _UNIT_OF.get(meaning, meaning)
-    if not np.isfinite(column.values).any():
-        return None
     unit = _unit(proposal, column, meaning)
     if quantity in ("length", "angle"):
         signal = "deflection" if bench.is_beam else "elongation"
@@ -201,8 +299,8 @@ def _entry(proposal: _Proposal, column: Column, meaning: str, clock: str) -> Ent
     entry = Entry(signal, column.name, unit, clock)
     if meaning == "duty":
         return replace(entry, form="duty")
-    if meaning == "voltage":
-        return replace(entry, form=_form(proposal, column))
+    if meaning in ("voltage", "current"):
+        return replace(entry, form=_form(proposal, column, meaning))
     return replace(entry, reference=REST) if signal in POSITIONS else entry
 
 
@@ -218,15 +316,17 @@ def _channel(proposal: _Proposal, column: Column) -> str:
     return ASK
 
 
-def _form(proposal: _Proposal, column: Column) -> str:
-    """Whether volts are effective ones: on a switched supply a meter may show their mean."""
-    said = f"{column.name} {column.title} {column.unit}".lower()
-    if any(word in said for word in ("rms", "eff", "trms")):
-        return "rms"
-    if any(word in said for word in ("mean", "average", "mittel")):
-        return "mean"
+def _form(proposal: _Proposal, column: Column, meaning: str) -> str:
+    """Whether volts or amperes are effective ones: of a switched supply a meter may show their
+    mean, and an oscilloscope the peak of a current."""
+    said = plain_title(f"{column.name} {column.title} {column.unit}")
+    for form, words in (("rms", ("rms", "eff")), ("mean", ("mean", "average", "mittel", "avg",
+                        "moyen", "medi")), ("peak", ("peak", "spitze"))):  # fmt: skip
+        if any(word in said for word in words) and (form != "peak" or meaning == "current"):
+            return form
     if proposal.bench.drive == "duty":
-        proposal.ask(column.name, "bench.drive is duty: are these volts rms or mean?")
+        what, peak = ("volts", "") if meaning == "voltage" else ("amperes", " or peak")
+        proposal.ask(column.name, f"bench.drive is duty: are these {what} rms or mean{peak}?")
         return ASK
     return "rms"
 
@@ -235,6 +335,8 @@ def _unit(proposal: _Proposal, column: Column, meaning: str) -> str:
     """The column's own unit where its values are believable in it, a guess where one is sure."""
     quantity = _UNIT_OF.get(meaning, meaning)
     known = parse_unit(column.unit)
+    if known is not None and {known.quantity, quantity} == {"angle", "length"}:
+        quantity = known.quantity
     finite = column.values[np.isfinite(column.values)]
     span = f"{finite.min():.6g} to {finite.max():.6g}" if len(finite) else "nothing"
     if known is not None and known.quantity == quantity:
@@ -262,8 +364,6 @@ def _is_believable(proposal: _Proposal, meaning: str, values: FloatArray) -> boo
     if not len(values):
         return True
     low, high = float(values.min()), float(values.max())
-    if meaning == "time":
-        return high - low < _LONGEST_TIME
     least, most = _BELIEVABLE[meaning]
     if meaning == "length":
         length = proposal.bench.wire_length
@@ -277,11 +377,8 @@ def _guess(proposal: _Proposal, meaning: str, values: FloatArray) -> str | None:
         return None
     low, high = float(values.min()), float(values.max())
     largest = max(abs(low), abs(high))
-    if meaning == "time":
-        broken = bool(np.any(values != np.rint(values)))
-        return "s" if broken and high - low < 1e5 else None
     if meaning == "duty":
-        return "1" if 0.005 < largest <= 1.0 else "%" if 1.0 < largest <= 100.0 else None
+        return "1" if 0.005 < largest <= 1.0 else None
     if meaning in ("temperature", "ambient"):
         rest = float(np.median(values[: max(3, len(values) // 100)]))
         return "degC" if 10.0 <= rest <= 45.0 else "K" if 283.0 <= rest <= 318.0 else None

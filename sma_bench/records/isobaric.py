@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,16 +14,10 @@ from numpy.typing import NDArray
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records.text_table import (
-    FloatArray,
-    TextTable,
-    find_column,
-    is_driven,
-    plain_unit,
-    read_lines,
-    read_text_table,
-    to_si,
-)
+from sma_bench.records.record import FloatArray
+from sma_bench.records.roles import Sheet
+from sma_bench.records.tables import Account, read_lines, read_table_file
+from sma_bench.records.units import in_si, number_with_unit, parse_unit
 
 SMALLEST_RANGE = 5.0  # K
 SMALLEST_SPIKE = 3.0  # K
@@ -197,8 +192,6 @@ STRONGEST = 1.5e9
 CONSTANCY = 0.05
 RELATIVE: Literal["relative"] = "relative"
 _UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
-_TEMPERATURE = ("specimen temp", "temperature", "temp")
-_STRAIN = ("strain", "extension", "elongation", "crosshead")
 _NOTES = ("source", "unit", "readme")
 
 
@@ -208,12 +201,13 @@ class IsobaricRecord(Drawn):
 
     Attributes:
         path: the file.
-        name: of the test, unique among files of different folders: folder and stem.
+        name: of the test, unique among files of different folders: folder and stem, and its sheet.
         stress: median stress over the cycles, Pa.
         strain_unit: "1", or "relative" where the gauge length is unknown: the extension over its
             own full range, so that strains can be compared within the test only.
         cycles: heating and cooling branches in order.
         findings: what the reader noticed or assumed.
+        account: what became of the file's rows and columns.
     """
 
     path: Path
@@ -222,31 +216,34 @@ class IsobaricRecord(Drawn):
     strain_unit: Literal["1", "relative"]
     cycles: tuple[Cycle, ...]
     findings: tuple[Finding, ...] = ()
+    account: Account | None = None
 
     def __repr__(self) -> str:
         shown = f"{self.stress / 1e6:.4g} MPa, {len(self.cycles)} cycles"
         return f"<IsobaricRecord {self.path}: {shown}>"
 
 
-def is_isobaric(path: Path) -> bool:
-    """Whether a file is a table of temperature, strain and stress of which temperature changes."""
-    try:
-        table = read_text_table(path)
-    except InputError:
-        return False
-    if not table.titles:
-        temperature = table.values[:, 0]
-        return table.values.shape[1] == 3 and float(np.ptp(temperature)) > SMALLEST_RANGE
-    if is_driven(table):
-        return False
-    found = find_column(table, _TEMPERATURE, ("temperature",))
-    others = (find_column(table, ("stress",), ("stress",)),
-              find_column(table, _STRAIN, ("strain", "length")))
+def is_isobaric(sheet: Sheet) -> bool:
+    """Whether a table has a temperature that changes, strain or extension, and a load; or two or
+    three columns without titles whose first one changes as a temperature does."""
+    columns = sheet.table.columns
+    if not any(column.title for column in columns):
+        first = columns[0].values if columns else np.zeros(1)
+        few = len(columns) == 3 or (len(columns) == 2 and _load_beside(sheet) is not None)
+        return few and float(np.ptp(first)) > SMALLEST_RANGE
+    temperature = sheet.find("temperature")
     return (
-        found is not None
-        and all(others)
-        and float(np.ptp(table.values[:, found[0].index])) > SMALLEST_RANGE
+        temperature is not None and not sheet.is_driven()
+        and sheet.find("strain", "length") is not None
+        and (sheet.find("stress") is not None or _load_beside(sheet) is not None)
+        and float(np.ptp(temperature[0].values)) > SMALLEST_RANGE
     )
+
+
+def _load_beside(sheet: Sheet) -> float | None:
+    """A stress that is stated, in a line above the table or by the name of its sheet."""
+    stated = sheet.noted("stress")
+    return stated if stated is not None else number_with_unit(sheet.table.name, "stress")
 
 
 def read_isobaric(
@@ -255,8 +252,8 @@ def read_isobaric(
     """Read an isobaric test.
 
     Two forms are known: three columns without header (temperature in degC, strain, stress in MPa;
-    units from a note such as "Data Source.txt" beside the file), and a load frame's table with
-    titles and units (extension or strain, stress, chamber temperature).
+    units from a note such as "Data Source.txt" beside the file), and a table with titles and units
+    (extension or strain, temperature, stress, or the stress stated above it).
 
     Args:
         path: the file.
@@ -266,138 +263,145 @@ def read_isobaric(
     Raises:
         InputError: no such file, not such a table, a malformed line (named), or no thermal cycle.
     """
-    path = Path(path)
     if gauge_length is not None and not 0.0 < gauge_length < np.inf:
         raise InputError(f"gauge length is {gauge_length} m, expected > 0")
-    table = read_text_table(path)
-    if len(table.values) < FEWEST_ROWS:
-        raise InputError(
-            f"{path}: {len(table.values)} rows of numbers, expected {FEWEST_ROWS} or more"
-        )
+    file = read_table_file(path)
+    given = {} if gauge_length is None else {"gauge_length": gauge_length}
+    return isobaric_of(Sheet(file, file.tables[0], given), strain_unit)
+
+
+def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
+    """The test in a table; raises as `read_isobaric`."""
+    path, table = sheet.path, sheet.table
     findings: list[Finding] = []
-    if table.titles:
-        temperature, strain, stress, is_relative = _titled(table, gauge_length, findings)
+    if len(table.lines) < FEWEST_ROWS:
+        raise InputError(
+            f"{path}: {len(table.lines)} rows of numbers, expected {FEWEST_ROWS} or more"
+        )
+    gauge = sheet.noted("gauge_length")
+    is_relative = False
+    if any(column.title for column in table.columns):
+        found = {"temperature": sheet.find("temperature"), "stress": sheet.find("stress"),
+                 "strain or extension": sheet.find("strain", "length")}  # fmt: skip
+        level = _load_beside(sheet)
+        for what, column in found.items():
+            if column is None and not (what == "stress" and level is not None):
+                titles = ", ".join(c.name for c in table.columns)
+                raise InputError(f"{path}: no column of {what} with a known unit among {titles}")
+        temperature, strain = (sheet.values(found[k], findings)  # type: ignore[arg-type]
+                               for k in ("temperature", "strain or extension"))  # fmt: skip
+        stress = (sheet.values(found["stress"], findings) if found["stress"]
+                  else np.full(len(strain), level))  # fmt: skip
+        used = {pair[0].name: role for role, pair in found.items() if pair}
+        name = found["strain or extension"][0].name  # type: ignore[index]
+        if np.ptp(strain) == 0.0:
+            raise InputError(f"{path}: {name} is constant throughout")
+        if found["strain or extension"][1] == "length":  # type: ignore[index]
+            is_relative = gauge is None
+            if gauge is None:
+                text = (
+                    f"{path}: {name} without a gauge length; strain is given relative to the "
+                    f"largest change, {np.ptp(strain) * 1e3:.4g} mm"
+                )
+                numbers = {"extension_range": float(np.ptp(strain))}
+                findings.append(Finding("warning", "strain", text, numbers))
+            else:
+                strain = strain / gauge
     else:
-        temperature, strain, stress = _untitled(table, strain_unit, findings)
-        is_relative = False
-    _check_temperature(table, temperature)
+        temperature, strain, stress = _untitled(sheet, strain_unit, findings)
+        used = dict(zip((c.name for c in table.columns), ("temperature", "strain", "stress"),
+                        strict=False))  # fmt: skip
+    wrong = np.flatnonzero((temperature <= 0.0) | (temperature > 1500.0))
+    if len(wrong):
+        raise InputError(
+            f"{path}: line {table.lines[wrong[0]]}: temperature {temperature[wrong[0]]:.6g} K, "
+            "expected 0 to 1500 K"
+        )
     held = _held(path, stress, findings)
     temperature, strain, stress = temperature[held], strain[held], stress[held]
     if is_relative:
         strain = (strain - strain.min()) / np.ptp(strain)
     good, spikes = without_spikes(temperature)
-    findings.extend(_about_spikes(path, spikes, temperature))
+    if len(spikes):
+        text = (
+            f"{path}: {len(spikes)} of {len(temperature)} temperatures jump away by up to "
+            f"{np.abs(spikes).max():.1f} K and back; left out"
+        )
+        findings.append(Finding("info", "temperature", text, {"count": float(len(spikes))}))
     settled = without_noise(temperature[good], str(path), findings)
     cycles, remarks = find_cycles(settled, strain[good], stress[good], str(path))
     findings.extend(remarks)
-    level = float(np.median(stress))
-    if level > STRONGEST:
-        findings.append(_too_strong(path, level))
+    median = float(np.median(stress))
+    if median > STRONGEST:
+        text = (
+            f"{path}: stress {median / 1e6:.0f} MPa is more than any NiTi endures "
+            f"({STRONGEST / 1e6:.0f} MPa): the area or the unit of force behind it is wrong"
+        )
+        findings.append(Finding("warning", "stress", text, {"stress": median}))
+    several = len(sheet.file.tables) > 1
     return IsobaricRecord(
-        path=path,
-        name=f"{path.parent.name}/{path.stem}",
-        stress=level,
-        strain_unit=RELATIVE if is_relative else "1",
-        cycles=cycles,
-        findings=tuple(findings),
+        path, f"{path.parent.name}/{path.stem}" + f"/{table.name}" * several, median,
+        RELATIVE if is_relative else "1", cycles, tuple(findings),
+        sheet.account(used, int(np.sum(good))),
     )
 
 
 def _untitled(
-    table: TextTable, strain_unit: str | None, findings: list[Finding]
+    sheet: Sheet, strain_unit: str | None, findings: list[Finding]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    if table.values.shape[1] != 3:
+    path, columns = sheet.path, sheet.table.columns
+    stated = _load_beside(sheet)
+    if len(columns) != 3 and not (len(columns) == 2 and stated is not None):
         raise InputError(
-            f"{table.path}: {table.values.shape[1]} columns without titles, expected 3: "
-            "temperature, strain, stress"
+            f"{path}: {len(columns)} columns without titles, expected 3: temperature, strain, "
+            "stress; of two the stress can be stated: stress=200 MPa, or a first line "
+            "'Stress: 200 MPa'"
         )
-    noted = _noted_units(table.path)
-    unit = strain_unit or noted.get("strain") or _inferred_unit(table, findings)
-    if np.ptp(table.values[:, 1]) == 0.0:
-        raise InputError(f"{table.path}: strain is {table.values[0, 1]:g} throughout")
-    try:
-        temperature = to_si(table.values[:, 0], "temperature", noted.get("temperature", "C"))
-        strain = to_si(table.values[:, 1], "strain", unit)
-        stress = to_si(table.values[:, 2], "stress", noted.get("stress", "MPa"))
-    except InputError as error:
-        raise InputError(f"{table.path}: {error}") from None
-    span = float(np.ptp(strain))
-    if span > LARGEST_SPAN:
-        text = (
-            f"{table.path}: strain spans {span:.3g} in the unit {unit!r}, more than the "
-            f"{LARGEST_SPAN:g} that NiTi recovers; is the unit percent?"
-        )
-        findings.append(Finding("warning", "strain unit", text, {"span": span}))
-    return temperature, strain, stress
-
-
-def _titled(
-    table: TextTable, gauge_length: float | None, findings: list[Finding]
-) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-    temperature = find_column(table, _TEMPERATURE, ("temperature",))
-    stress = find_column(table, ("stress",), ("stress",))
-    strain = find_column(table, _STRAIN, ("strain", "length"))
-    found = {"temperature": temperature, "stress": stress, "strain or extension": strain}
-    for what, column in found.items():
-        if column is None:
-            raise InputError(
-                f"{table.path}: no column of {what} with a known unit among "
-                f"{', '.join(table.titles)}"
-            )
-    assert temperature and stress and strain
-    for used in (temperature, stress, strain):
-        findings += used[0].remark(table.path)
-    kelvin, pascal, other = (
-        to_si(table.values[:, column.index], kind, column.unit)
-        for column, kind in (temperature, stress, strain)
-    )
-    if np.ptp(other) == 0.0:
-        raise InputError(f"{table.path}: {strain[0].name} is constant throughout")
-    if strain[1] == "strain":
-        return kelvin, other, pascal, False
-    if gauge_length is not None:
-        return kelvin, other / gauge_length, pascal, False
-    text = (
-        f"{table.path}: {strain[0].name} without a gauge length; strain is given relative to the "
-        f"largest change, {np.ptp(other) * 1e3:.4g} mm"
-    )
-    findings.append(Finding("warning", "strain", text, {"extension_range": float(np.ptp(other))}))
-    return kelvin, other, pascal, True
-
-
-def _noted_units(path: Path) -> dict[str, str]:
-    """Units in a note beside the file: lines such as "Strain = %"."""
-    units: dict[str, str] = {}
+    # Units in a note beside the file: lines such as "Strain = %".
+    noted: dict[str, str] = {}
     for note in sorted(path.parent.glob("*.txt")) + sorted(path.parent.glob("*.md")):
         named = any(word in note.stem.lower() for word in _NOTES)
         if note == path or not named or note.stat().st_size > 100_000:
             continue
         for line in read_lines(note):
-            match = _UNIT_LINE.match(line)
-            if match:
-                units.setdefault(match[1].lower(), plain_unit(match[2]))
-    return units
-
-
-def _inferred_unit(table: TextTable, findings: list[Finding]) -> str:
-    span = float(np.ptp(table.values[:, 1]))
-    unit = "%" if span > LARGEST_SPAN else "mm/mm"
-    text = (
-        f"{table.path}: no unit of strain is given; its span of {span:.4g} is taken as {unit} "
-        f"because {span:.3g} mm/mm {'is more' if unit == '%' else 'is no more'} than NiTi recovers"
-    )
-    findings.append(Finding("warning", "strain unit", text, {"span": span}))
-    return unit
-
-
-def _check_temperature(table: TextTable, temperature: FloatArray) -> None:
-    wrong = np.flatnonzero((temperature <= 0.0) | (temperature > 1500.0))
-    if len(wrong):
-        i = int(wrong[0])
-        raise InputError(
-            f"{table.path}: line {table.lines[i]}: temperature {temperature[i]:.6g} K, "
-            "expected 0 to 1500 K"
+            if match := _UNIT_LINE.match(line):
+                noted.setdefault(match[1].lower(), match[2].strip())
+    values = []
+    for column in columns:
+        missing = np.flatnonzero(~np.isfinite(column.values))
+        if len(missing):
+            line = sheet.table.lines[missing[0]]
+            raise InputError(f"{path}: line {line} is without a finite number in {column.name}")
+        values.append(column.values)
+    if np.ptp(values[1]) == 0.0:
+        raise InputError(f"{path}: strain is {values[1][0]:g} throughout")
+    span = float(np.ptp(values[1]))
+    unit = strain_unit or noted.get("strain")
+    if unit is None:
+        unit = "%" if span > LARGEST_SPAN else "mm/mm"
+        text = (
+            f"{path}: no unit of strain is given; its span of {span:.4g} is taken as {unit} because "
+            f"{span:.3g} mm/mm {'is more' if unit == '%' else 'is no more'} than NiTi recovers"
         )
+        findings.append(Finding("warning", "strain unit", text, {"span": span}))
+    si = []
+    units = (("temperature", "temperature", noted.get("temperature", "degC")),
+             ("strain", "ratio", unit), ("stress", "stress", noted.get("stress", "MPa")))  # fmt: skip
+    for (what, quantity, text), column_values in zip(units, values, strict=False):
+        known = parse_unit(text)
+        if known is None or known.quantity != quantity:
+            raise InputError(f"{path}: unit of {what} is {text!r}, expected one of {quantity}")
+        si.append(in_si(column_values, known))
+    if len(si) == 2:
+        si.append(np.full(len(si[0]), stated))
+    span = float(np.ptp(si[1]))
+    if span > LARGEST_SPAN:
+        text = (
+            f"{path}: strain spans {span:.3g} in the unit {unit!r}, more than the {LARGEST_SPAN:g} "
+            "that NiTi recovers; is the unit percent?"
+        )
+        findings.append(Finding("warning", "strain unit", text, {"span": span}))
+    return si[0], si[1], si[2]
 
 
 def _held(path: Path, stress: FloatArray, findings: list[Finding]) -> slice:
@@ -418,21 +422,3 @@ def _held(path: Path, stress: FloatArray, findings: list[Finding]) -> slice:
         )
         findings.append(Finding("warning", "stress", text, {"share": share}))
     return held
-
-
-def _about_spikes(path: Path, spikes: FloatArray, temperature: FloatArray) -> list[Finding]:
-    if not len(spikes):
-        return []
-    text = (
-        f"{path}: {len(spikes)} of {len(temperature)} temperatures jump away by up to "
-        f"{np.abs(spikes).max():.1f} K and back; left out"
-    )
-    return [Finding("info", "temperature", text, {"count": float(len(spikes))})]
-
-
-def _too_strong(path: Path, level: float) -> Finding:
-    text = (
-        f"{path}: stress {level / 1e6:.0f} MPa is more than any NiTi endures "
-        f"({STRONGEST / 1e6:.0f} MPa): the area or the unit of force behind it is wrong"
-    )
-    return Finding("warning", "stress", text, {"stress": level})

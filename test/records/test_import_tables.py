@@ -20,14 +20,14 @@ from sma_bench.border import MEGABYTE, Budget
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import read_parameter_names
-from sma_bench.records import describe, open_record, read_record, tables
+from sma_bench.records import arrays_in_files, describe, open_record, read_record
 from sma_bench.records.check import check_response
 from sma_bench.records.import_map import convert, read_map
 from sma_bench.records.import_proposal import BenchHints, bench_of, propose
 from sma_bench.records.isobaric import read_isobaric
-from sma_bench.records.table_cells import parse_unit, split_title
 from sma_bench.records.tables import read_table_file
 from sma_bench.records.tensile import read_tensile
+from sma_bench.records.units import parse_unit, split_title
 
 h5py = pytest.importorskip("h5py")
 openpyxl = pytest.importorskip("openpyxl")
@@ -409,7 +409,7 @@ def test_a_matlab_file_of_countless_tiny_elements_is_refused_within_its_time(
     budget = Budget(64 * MEGABYTE, 0.1)
     tracemalloc.start()
     with pytest.raises(border.OverBudget, match="takes more than 0.1 s to read"):
-        tables._measure_matlab(many.read_bytes(), budget)
+        arrays_in_files._measure_matlab(many.read_bytes(), budget)
     assert tracemalloc.get_traced_memory()[1] < 40 * MEGABYTE
     tracemalloc.stop()
 
@@ -442,15 +442,6 @@ def test_texts_of_a_spreadsheet_without_end_take_no_longer_than_its_budget(tmp_p
         read_table_file(bomb)
 
 
-def test_more_numbers_than_an_instrument_writes_are_not_made_text(tmp_path):
-    path = tmp_path / "long.h5"
-    with h5py.File(path, "w") as file:
-        for name in ("t", "u"):
-            file.create_dataset(name, data=np.zeros(600_000), compression="gzip")
-    with pytest.raises(InputError, match="1200000 numbers, more than any instrument"):
-        open_record(path)
-
-
 def test_moments_beyond_all_measure_and_names_that_are_no_text_are_one_line(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -470,7 +461,7 @@ def test_moments_beyond_all_measure_and_names_that_are_no_text_are_one_line(tmp_
     [
         ("time [s],duty [%],x [mm]\n0,0,1\n1,1,2\n0.5,1,2\n", "goes back"),
         ("time [s],duty [%],x [mm]\n0,0,1\n1,bad,2\n2,1,2\n", "line 3"),
-        ("a,b\n1,2\n3,4\n", "no time column"),
+        ("a,b\n1,2\n3,4\n", "no position"),
         ("nothing\n", "no columns"),
     ],
 )

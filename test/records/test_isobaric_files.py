@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from sma_bench.errors import InputError
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.parameters import Parameters
-from sma_bench.records.isobaric import find_cycles, is_isobaric, read_isobaric, without_spikes
-from sma_bench.records.tensile import is_tensile, read_tensile
-from sma_bench.records.text_table import read_text_table
+from sma_bench.records import open_record
+from sma_bench.records.isobaric import IsobaricRecord, find_cycles, read_isobaric, without_spikes
+from sma_bench.records.tables import read_table_file
+from sma_bench.records.tensile import TensileRecord, read_tensile
 
 
 def loop(points: int = 60, step: float = 0.03) -> np.ndarray:
@@ -78,7 +79,7 @@ def test_malformed_line_is_named(tmp_path: Path, bad: str, line: int) -> None:
     lines = path.read_text().splitlines()
     lines.insert(line - 1, bad)
     path.write_text("\n".join(lines))
-    with pytest.raises(InputError, match=rf"100 MPa.txt: line {line} is"):
+    with pytest.raises(InputError, match=rf"100 MPa.txt: line {line}"):
         read_isobaric(path)
 
 
@@ -92,8 +93,8 @@ def test_temperature_below_absolute_zero_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "no table of numbers"),
-        ("just words\nand more\n", "no table of numbers"),
+        ("", "no columns of numbers"),
+        ("just words\nand more\n", "no columns of numbers"),
         ("1\t2\t3\n" * 5, "5 rows of numbers, expected 20"),
         ("20.0\t0.01\t100.0\n" * 50, "strain is 0.01 throughout"),
         ("20.0\t0.01\n" * 50, "2 columns without titles"),
@@ -200,26 +201,26 @@ def test_any_bytes_are_read_or_refused_in_one_line(tmp_path: Path, content: byte
     path = tmp_path / "any.txt"
     path.write_bytes(content)
     try:
-        table = read_text_table(path)
+        table = read_table_file(path)
     except InputError as error:
         assert "\n" not in str(error)
     else:
-        assert np.isfinite(table.values).all()
-        assert len(table.lines) == len(table.values)
+        assert all(len(t.lines) == len(c.values) for t in table.tables for c in t.columns)
 
 
 def test_decimal_commas_are_understood(tmp_path: Path) -> None:
     path = tmp_path / "german.csv"
     path.write_text("Dehnung (%);Spannung (MPa)\n0,5;10,25\n0,6;11,5\n", encoding="latin-1")
-    table = read_text_table(path)
-    np.testing.assert_allclose(table.values, [[0.5, 10.25], [0.6, 11.5]])
-    assert table.titles == ("Dehnung (%)", "Spannung (MPa)")
+    strain, stress = read_table_file(path).columns
+    np.testing.assert_allclose([strain.values, stress.values], [[0.5, 0.6], [10.25, 11.5]])
+    assert (strain.name, stress.name) == ("Dehnung (%)", "Spannung (MPa)")
 
 
 def test_line_of_units_below_the_titles_joins_them(tmp_path: Path) -> None:
     path = tmp_path / "t.txt"
     path.write_text("Strain\tStress\n%\tMPa\n" + "1.0\t10.0\n2.0\t20.0\n")
-    assert read_text_table(path).titles == ("Strain (%)", "Stress (MPa)")
+    found = [(column.title, column.unit) for column in read_table_file(path).columns]
+    assert found == [("Strain", "%"), ("Stress", "MPa")]
 
 
 def tensile(folder: Path, header: str, columns: np.ndarray, above: str = "") -> Path:
@@ -265,8 +266,10 @@ def test_files_are_told_apart_by_their_content(tmp_path: Path) -> None:
     heat = write(tmp_path, loop())
     words = tmp_path / "words.txt"
     words.write_text("no numbers here\n")
-    assert [is_isobaric(p) for p in (pull, heat, words)] == [False, True, False]
-    assert [is_tensile(p) for p in (pull, heat, words)] == [True, False, False]
+    assert isinstance(open_record(pull), TensileRecord)
+    assert isinstance(open_record(heat), IsobaricRecord)
+    with pytest.raises(InputError, match="neither a bag"):
+        open_record(words)
 
 
 def test_tensile_file_with_wrong_unit_is_named(tmp_path: Path) -> None:
@@ -291,7 +294,6 @@ def test_all_isobaric_sets_are_read(measured_data: Path) -> None:
 
 def test_seven_cycles_of_the_load_frame_are_found(measured_data: Path) -> None:
     path = measured_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
-    assert is_isobaric(path)
     record = read_isobaric(path)
     assert len(record.cycles) == 7
     assert all(len(c.branches) == 2 for c in record.cycles)
