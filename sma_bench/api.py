@@ -23,7 +23,7 @@ from sma_bench.parameters.yaml_file import flatten, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
 from sma_bench.protocols import Protocol, load_protocol, parse_protocol, protocol_names
-from sma_bench.records import Record, Signal, open_record
+from sma_bench.records import Record, Signal, open_record, open_records
 from sma_bench.records.arrays import (
     frame_from_record,
     is_frame,
@@ -307,7 +307,12 @@ def _named(given: Any, kind: str) -> dict[str, Any]:
 
 
 def _records(given: Any) -> list[AnyRecord]:
-    return [load(source) for source in given] if isinstance(given, list | tuple) else [load(given)]
+    """Records of sources; of a workbook those of all its sheets."""
+    records: list[AnyRecord] = []
+    for source in given if isinstance(given, list | tuple) else [given]:
+        is_path = isinstance(source, str | Path)
+        records += open_records(source) if is_path else [load(source)]
+    return records
 
 
 def _bags(records: Sequence[AnyRecord]) -> list[Record]:

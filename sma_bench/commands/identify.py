@@ -49,6 +49,7 @@ def experiments() -> tuple[str, ...]:
     dest="phases",
     multiple=True,
 )
+@options.stated_option
 @options.option("--namespace NAME", "where two benches are in one bag: the one to take")
 @options.output(
     "--out identified.yaml", options.FILE, "write a ROS 2 parameter file that nodes load"
@@ -59,6 +60,7 @@ def experiments() -> tuple[str, ...]:
 def run(args: SimpleNamespace) -> int:
     """Identify, print a table, write the files that were asked for; 3 where the model does not
     fit the records."""
+    from sma_bench.records.roles import parse_stated
     from sma_bench.tasks.work import identify_files, write_identified
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
@@ -70,6 +72,7 @@ def run(args: SimpleNamespace) -> int:
             args.namespace,
             report,
             dict(map(phase_of, args.phases)),
+            parse_stated(args.stated),
         )
     if args.json:
         write_json(args.json, result.to_json())
@@ -113,3 +116,5 @@ def print_result(result: "Identification", asked: Invocation) -> None:
     for experiment in result.experiments:
         say(f"\n{experiment.name} {experiment.title} ({experiment.source})")
         print_findings(experiment.findings)
+    for line in result.accounts:
+        say(line)

@@ -48,6 +48,7 @@ _TABLES = {
     "info two_benches --namespace /left --json info.json",
 )
 @options.argument("record", "RECORD", "bag, storage file or instrument file")
+@options.stated_option
 @options.option("--namespace NAME", "look only at the topics below this namespace")
 @options.json_option("what is shown")
 def run(args: SimpleNamespace) -> int:
@@ -56,12 +57,26 @@ def run(args: SimpleNamespace) -> int:
     Raises:
         InputError: no record, or one of another robot.
     """
-    from sma_bench.records import describe, open_record
+    from sma_bench.records import describe, open_records
+    from sma_bench.records.roles import parse_stated
 
     with progress("reading"):
-        description = describe(open_record(args.record, args.namespace))
+        records = open_records(args.record, args.namespace, parse_stated(args.stated))
+        found = [describe(record) for record in records]
     if args.json:
-        write_json(args.json, description)
+        rest = {"sheets": found[1:]} if len(found) > 1 else {}
+        write_json(args.json, {**found[0], **rest})
+    for description in found:
+        _show(description)
+    if found[0]["kind"] == "bag" and not found[0]["signals"] + found[0]["markers"]:
+        raise InputError(
+            f"{args.record}: nothing of a bench in it, expected topics of docs/topics.md, e.g. "
+            "<channel>/power, joint_states"
+        )
+    return 0
+
+
+def _show(description: dict[str, Any]) -> None:
     say(f"{printable(description['path'])}: {_first_line(description)}")
     for name, columns in _TABLES.items():
         if rows := description.get(name):
@@ -77,12 +92,7 @@ def run(args: SimpleNamespace) -> int:
     print_findings(findings)
     if not findings:
         say("no findings")
-    if description["kind"] == "bag" and not description["signals"] + markers:
-        raise InputError(
-            f"{args.record}: nothing of a bench in it, expected topics of docs/topics.md, e.g. "
-            "<channel>/power, joint_states"
-        )
-    return 0
+    say(description["account"])
 
 
 def _first_line(found: dict[str, Any]) -> str:
@@ -100,10 +110,10 @@ def _first_line(found: dict[str, Any]) -> str:
         return f"isobaric test at {found['stress'] / 1e6:.1f} MPa{unit}"
     kelvin = found["temperature"]
     where = "temperature unknown" if kelvin is None else f"at {kelvin:.2f} K"
-    return (
-        f"tensile test {where}, {found['samples']} samples, to {found['largest_strain']:.4f} "
-        f"strain and {found['largest_stress'] / 1e6:.1f} MPa"
-    )
+    strain, stress = found["largest_strain"], found["largest_stress"]
+    far = f"{strain * 1e3:.4g} mm" if found["is_extension"] else f"{strain:.4f} strain"
+    hard = f"{stress:.1f} N" if found["is_force"] else f"{stress / 1e6:.1f} MPa"
+    return f"tensile test {where}, {found['samples']} samples, to {far} and {hard}"
 
 
 def _cell(value: Any, form: str) -> str:

@@ -298,6 +298,16 @@ def named_value(text: str) -> tuple[str, Any]:
         raise InputError(f"--set {text}: {value!r} is not a value") from None
 
 
+def stated_option(function: Decorated) -> Decorated:
+    """--state, for what an instrument's file does not hold."""
+    return option(
+        "--state WHAT=VALUE",
+        "what an instrument's file does not hold, with its unit: 'stress=200 MPa', 'mass=12 mg', "
+        "gauge_length, area, diameter, temperature (repeatable)",
+        dest="stated", multiple=True,
+    )(function)
+
+
 def json_option(what: str) -> Decorator:
     """Add --json [FILE]; `what` it holds."""
     return output(

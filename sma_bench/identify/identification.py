@@ -38,7 +38,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import BY_NAME, TRANSITIONS
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
-from sma_bench.records.check import check_record
+from sma_bench.records.check import account_line, check_record
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.record import has_samples, samples
@@ -203,6 +203,7 @@ def identify(
         improved, estimates, tuple(run.experiments), tuple(run.notes),
         _fit(run, bags, drives, improved), Correlation(tuple(names), matrix),
         tuple(dict.fromkeys(_line(f, own) for f, own in warned)),
+        accounts=tuple(filter(None, map(account_line, records))),
     )
 
 

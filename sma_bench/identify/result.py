@@ -85,7 +85,7 @@ class Identification(Reported):
     the model with these parameters fits every signal that they were identified from; `warnings`:
     everything a careful reader should know before using the numbers; `correlation` of their errors;
     `notes` what could not be identified and why, and what the reader of the records remarked;
-    `path` of the result file.
+    `path` of the result file; `accounts` what became of each record's rows and columns.
     """
 
     writer = ("collected_report", "write_identification_report")
@@ -99,6 +99,7 @@ class Identification(Reported):
     correlation: Correlation = field(default_factory=lambda: Correlation((), np.empty((0, 0))))
     warnings: tuple[str, ...] = ()
     path: str = "identification"
+    accounts: tuple[str, ...] = ()
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from, "" of none."""

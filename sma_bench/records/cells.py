@@ -75,7 +75,8 @@ class Words(list[str]):
     """Cells that blanks part, and the line they stand in."""
 
     def __init__(self, line: str) -> None:
-        super().__init__(line.replace('"', " ").split())
+        super().__init__(re.sub(r"(?<=\d) (?=[AaPp]\.?[Mm]\b)", "_", line.replace('"', " ")).split())
+        self[:] = [re.sub(r"(?<=\d)_(?=[AaPp]\.?[Mm])", " ", cell) for cell in self]
         self.line = line
 
 
@@ -115,7 +116,8 @@ def decoded_lines(content: bytes) -> list[str]:
         degrees = len(re.findall(r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|[µ](?=[msVAeN])|[²³]",
                                  text))  # fmt: skip
         letters = len(re.findall(r"(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])", text))
-        return 3 * degrees + letters
+        thousands = len(re.findall("(?<=[0-9])\u00a0(?=[0-9]{3})", text))
+        return 3 * (degrees + thousands) + letters
 
     found = max(("cp1252", "latin-1", "cp850", "mac_roman"), key=score)
     return content.decode(found, errors="replace").splitlines()

@@ -368,6 +368,8 @@ def describe(record: AnyRecord) -> dict[str, Any]:
             "samples": len(record.strain),
             "largest_strain": float(record.strain.max()),
             "largest_stress": float(record.stress.max()),
+            "is_extension": record.is_extension,
+            "is_force": record.is_force,
         }
     else:
         about |= {
@@ -382,7 +384,25 @@ def describe(record: AnyRecord) -> dict[str, Any]:
             "signals": [_describe_signal(signal) for signal in record.signals.values()],
             "markers": [{"time": time, "text": text} for time, text in record.markers],
         }
-    return about | {"findings": [finding.to_json() for finding in found]}
+    return about | {
+        "findings": [finding.to_json() for finding in found], "account": account_line(record),
+    }
+
+
+def account_line(record: AnyRecord) -> str:
+    """What became of the rows and columns of a file, or of the messages and topics of a bag."""
+    if not isinstance(record, Record):
+        return f"{record.path.name}: {record.account}" if record.account else ""
+    used = {n: ", ".join(t.signals) for n, t in record.topics.items() if t.signals}
+    rest = ", ".join(f"{n} ({t.type}, none of the bench's)" for n, t in record.topics.items()
+                     if not t.signals)  # fmt: skip
+    read = sum(topic.count for topic in record.topics.values())
+    taken = sum(record.topics[name].count for name in used)
+    shown = ", ".join(f"{name} ({signals})" for name, signals in used.items()) or "none"
+    return (
+        f"{record.path.name}: {read} messages read, {taken} used; topics used: {shown}; ignored: "
+        f"{rest or 'none'}"
+    )
 
 
 def _describe_signal(signal: Signal) -> dict[str, Any]:

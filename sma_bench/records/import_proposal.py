@@ -253,11 +253,13 @@ def _agree(one: Column, other: Column) -> bool:
     both = np.isfinite(one.values) & np.isfinite(other.values)
     if not both.any() or np.isfinite(one.values).sum() != np.isfinite(other.values).sum():
         return False
-    a, b = one.values[both] - one.values[both][0], other.values[both] - other.values[both][0]
-    if first is None or second is None or not a[-1] or not b[-1]:
-        a, b = a / (a[-1] or 1.0), b / (b[-1] or 1.0)
+    a, b = one.values[both], other.values[both]
+    if first is None or second is None:
+        a, b = (a - a[0]) / (np.ptp(a) or 1.0), (b - b[0]) / (np.ptp(b) or 1.0)
     else:
         a, b = a * first.factor, b * second.factor
+        if one.fields or other.fields:  # a moment of the day, the other from its start
+            a, b = a - a[0], b - b[0]
     coarse = [float(np.diff(np.unique(v)).min()) if len(np.unique(v)) > 1 else 0.0 for v in (a, b)]
     return bool(np.max(np.abs(a - b)) <= 1.01 * max(coarse) + 1e-3 * abs(a[-1]))
 
@@ -453,6 +455,14 @@ def _signed(proposal: _Proposal, made: ImportMap) -> ImportMap:
     drives = [s for n, s in signals.items() if n.endswith((".voltage", ".current"))]
     entries = []
     for entry in made.entries:
+        channel, _, kind = entry.signal.rpartition(".")
+        if kind == "current" and f"{channel}.voltage" in signals:
+            amps, volts = signals[entry.signal], signals[f"{channel}.voltage"]
+            power = amps.values * np.interp(amps.time, volts.time, volts.values)
+            if float(np.sum(power)) < 0.0:
+                proposal.ask(entry.column, "against the voltage, as a battery counts a discharge: "
+                             "sign -1, or is the wire fed back (1)?")  # fmt: skip
+                entry = replace(entry, sign=ASK)
         if entry.signal == "force" and float(np.median(signals["force"].values)) < 0.0:
             entry = replace(entry, sign=-1)
             proposal.remarks[entry.column] = "mostly negative: counted as compression"

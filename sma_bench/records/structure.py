@@ -132,6 +132,11 @@ def _headings(
             else:  # titles over two lines
                 titles = [f"{a} {b}".strip() for a, b in zip(
                     titles, [*below, *[""] * len(titles)], strict=False)]  # fmt: skip
+        elif len(heads) > 2 and _is_units(heads[-2][1]):  # titles, units, and the titles again
+            below = _title_cells(heads[-2][1], width, separator, heads[-2])
+            if _title_cells(heads[-3][1], width, separator, heads[-3]) == titles:
+                units = [u.strip("()[]{} ") for u in below[: len(titles)]]
+                units += [""] * (len(titles) - len(units))
         count = len(titles)
         if 0 < width - count <= 1 and _begins_with_index(body):
             titles, units = ["", *titles], ["", *units]
@@ -168,8 +173,8 @@ def _title_cells(
     return texts
 
 
-def _is_units(cells: Sequence[str]) -> bool:
-    bare = [cell.strip("()[]{} ") for cell in cells if cell.strip("()[]{} ")]
+def _is_units(cells: Sequence[Any]) -> bool:
+    bare = [str(c).strip("()[]{} ") for c in cells if c is not None and str(c).strip("()[]{} ")]
     return bool(bare) and all(parse_unit(b) or b == "-" for b in bare)
 
 
@@ -193,7 +198,16 @@ def _table(
     width = Counter(len(cells) for _, cells in body).most_common(1)[0][0]
     if separator == "":
         width = max(len(cells) for _, cells in body)
+    while width > 2 and all(len(c) < width or c[width - 1] in (None, "") for _, c in body) and not any(
+        len(_title_cells(cells, width, separator, (line, cells))) == width
+        for line, cells in heads[-3:]
+    ):
+        width -= 1  # separators at the ends of lines
+    body = [(n, c[:width] if all(x in (None, "") for x in c[width:]) else c) for n, c in body]
     titles, units, above, count = _headings(heads, body, width, separator)
+    if separator is None and count == width - 1:
+        body, width = _joined_moments(body, width)
+        titles, units, above, count = _headings(heads, body, width, separator)
     # A file cut within its last line, rows without their last cells, and damaged ones.
     if len(body) > 1 and len(body[-1][1]) < width and len(body[-2][1]) >= width:
         left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
@@ -287,6 +301,15 @@ def _table(
         tuple(run.marks), np.array([line for line, _ in body], dtype=np.int64), rows,
         tuple(left_out), ignored, tuple(notes),
     )  # fmt: skip
+
+
+def _joined_moments(body: list[Row], width: int) -> tuple[list[Row], int]:
+    """Rows whose date and clock, which a blank parts, are one cell."""
+    for k in range(width - 1):
+        pairs = [(moment_of(c[k]), moment_of(c[k + 1])) for _, c in body[:50] if len(c) == width]
+        if pairs and all(a and a.seconds is None and b and b.days is None for a, b in pairs):
+            return [(n, [*c[:k], f"{c[k]} {c[k + 1]}", *c[k + 2 :]]) for n, c in body], width - 1
+    return body, width
 
 
 def _is_float(cell: Any) -> bool:

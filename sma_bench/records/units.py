@@ -138,12 +138,12 @@ _WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...], frozenset[str]], ...] = (
     (("ambient",), ("room", "raum", "ambient", "umgebung", "environment", "ambiant"),
      frozenset({"air", "luft", "amb", "aria"})),
     (("strain",), ("strain", "dehnung", "deformaz", "deformac", "deformat"),
-     frozenset({"eps", "epsilon"})),
+     frozenset({"eps", "epsilon", "ε"})),
     (("temperature",), ("temperat", "thermo", "pt100"), frozenset({"temp", "ts", "tr", "rtd"})),
     (("resistance",), ("resistan", "widerstand", "resistenz"), frozenset()),
     (("power",), ("leistung", "puissance", "potenza", "potencia"), frozenset({"power"})),
     (("voltage", "stress"), ("spannung", " tension"), frozenset()),
-    (("stress",), ("stress", "contrainte", "esfuerzo", "sforzo"), frozenset({"sigma"})),
+    (("stress",), ("stress", "contrainte", "esfuerzo", "sforzo"), frozenset({"sigma", "σ"})),
     (("current",), ("current", "strom", "courant", "corriente", "corrente", "amps", "ampere"),
      frozenset({"i"})),
     (("voltage",), ("volt", "tensione"), frozenset({"u", "v"})),
@@ -186,6 +186,8 @@ def plain_title(title: str) -> str:
 def title_meanings(title: str) -> tuple[str, ...]:
     """What a title without its unit may mean; () where it says nothing known."""
     last = re.split(r"[/.](?=\D)", title.strip())[-1].strip() or title.strip()
+    if last != title.strip() and {"ambient", "room"} & set(re.findall(r"[a-z]+", title.lower())):
+        last = title.strip()
     for text in dict.fromkeys((last, title.strip())):
         plain = plain_title(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text))
         words = re.findall(r"[^\W\d_]+", plain)
@@ -224,13 +226,13 @@ def split_title(title: str) -> tuple[str, str]:
         if parse_unit(match[1]):
             rest = f"{text[: match.start()]} {text[match.end() :]}"
             return " ".join(rest.replace("( )", "").split()).rstrip(" ,_/"), match[1].strip()
-    for mark in ("/", ",", "_", " in ", " "):
-        name, cut, unit = text.rpartition(mark)
+    for mark in (" / ", "/", ",", "_", " in ", " "):
+        name, cut, unit = text.partition(mark) if mark == " / " else text.rpartition(mark)
         known = parse_unit(unit.strip()) if cut and name.strip() else None
         if known is None or name.count("(") != name.count(")"):
             continue
         meant = title_meanings(name.strip())
-        sure = mark in "/," or any(fits(m, known.quantity) for m in meant)
+        sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
         if sure or (not meant and unit.strip().lower() not in _NO_UNIT_WORDS and mark != " "):
             return name.strip(), unit.strip()
     if found and not _DESCRIPTIONS.match(found[-1][1].strip()) and not text.startswith(("(", "[")):

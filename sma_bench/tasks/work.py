@@ -9,7 +9,7 @@ from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameter import EFFECT_NAMES
 from sma_bench.parameters.table import BY_NAME
 from sma_bench.progress import Report, by_name, in_turn, part, silent
-from sma_bench.records import open_record, read_record
+from sma_bench.records import open_records, read_record
 from sma_bench.records.tensile import Phase
 
 if TYPE_CHECKING:  # who wants the one need not load the other
@@ -37,7 +37,7 @@ _PLAN = {
 def identify_files(
     paths: Sequence[str], parameters: Parameters, experiments: Sequence[str] | None = None,
     namespace: str | None = None, report: Report = silent,
-    phases: Mapping[str, Phase] | None = None,
+    phases: Mapping[str, Phase] | None = None, stated: Mapping[str, float] | None = None,
 ) -> "Identification":
     """Identify from bags and instrument files (`identify/`).
 
@@ -47,6 +47,7 @@ def identify_files(
         namespace: where two benches are in one bag, the one to take.
         report: called with how far it is.
         phases: of tensile tests, by file name or pattern of names.
+        stated: what instruments' files do not hold (`records.open.open_records`).
 
     Raises:
         InputError: a record that cannot be read, or nothing that can be identified.
@@ -55,8 +56,9 @@ def identify_files(
 
     reading = part(report, 0.0, _READING)
     records = [
-        open_record(path, namespace)
+        record
         for path in in_turn(paths, reading, lambda path: f"reading {path}")
+        for record in open_records(path, namespace, stated)
     ]
     return identify(records, parameters, experiments, part(report, _READING, 1.0), phases)
 
