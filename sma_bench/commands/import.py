@@ -85,7 +85,8 @@ def run(args: SimpleNamespace) -> int:
     # Everything is read before anything is written, but for a map that is to be filled in.
     read = []
     for (source, _, table), bag, path in zip(runs, bags, maps, strict=True):
-        used, text, remarks = given, None, {}
+        used, text = given, None
+        remarks: dict[str, str] = {}
         questions: list[str] = []
         if used is None:
             used, questions, remarks = propose(table, bench, units)

@@ -75,8 +75,8 @@ class Words(list[str]):
     """Cells that blanks part, and the line they stand in."""
 
     def __init__(self, line: str) -> None:
-        super().__init__(re.sub(r"(?<=\d) (?=[AaPp]\.?[Mm]\b)", "_", line.replace('"', " ")).split())
-        self[:] = [re.sub(r"(?<=\d)_(?=[AaPp]\.?[Mm])", " ", cell) for cell in self]
+        whole = re.sub(r"(?<=\d) (?=[AaPp]\.?[Mm]\b)", "\u00a0", line.replace('"', " "))
+        super().__init__(c.replace("\u00a0", " ") for c in re.split(r"[ \t]+", whole.strip()) if c)
         self.line = line
 
 

@@ -12,7 +12,14 @@ from sma_bench.records import contract
 from sma_bench.records.dsc import DscRecord
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
-from sma_bench.records.record import Record, Signal, first_order_lag, has_samples, samples
+from sma_bench.records.record import (
+    FloatArray,
+    Record,
+    Signal,
+    first_order_lag,
+    has_samples,
+    samples,
+)
 from sma_bench.records.tensile import TensileRecord
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
@@ -21,6 +28,7 @@ _LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2  # shares of the samples
 _CLOCK_TOLERANCE, _DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
 # s; a step of a protocol is longer, a delay that grows at once shrinks with every message.
 _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
+_IRREGULAR = 0.1  # of a period that steps differ from whole ones
 _FLAT_SAMPLES = 20
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
@@ -110,6 +118,9 @@ def _rate(record: Record) -> Iterator[Finding]:
             )
             numbers = {"gaps": float(gaps.sum()), "longest": float(steps[longest])}
             yield Finding("warning", signal.name, text, numbers)
+        # An irregular clock has no period that samples could be missing at.
+        if np.median(np.abs(steps / period - np.rint(steps / period))) > _IRREGULAR:
+            continue
         lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
         fraction = lost / (lost + len(signal))
         if fraction > _LOSS_TOLD:
@@ -193,6 +204,8 @@ def _saturation(record: Record) -> Iterator[Finding]:
                 yield Finding("warning", signal.name, text, {"value": float(values[0])})
             continue
         for extreme, word in ((float(values.max()), "highest"), (float(values.min()), "lowest")):
+            if extreme == values[0] and signal.name in _MECHANICS:
+                continue  # at rest, where it began
             if clipped := _clipped_samples(record, signal, extreme):
                 text = (
                     f"{clipped} samples are clipped at the {word} value {extreme:.6g} {signal.unit}"
@@ -222,10 +235,17 @@ def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
             clipped = len(inside) > 1 and np.ptp(inside) > 0.05 * np.ptp(voltage.values)
         else:
             before = np.abs(values[max(0, start - _ENTRY_SAMPLES) : start] - extreme)
-            fast = _ENTRY_FRACTION * np.ptp(values)
+            # A reading of few digits stays flat by itself, and enters by its own step.
+            fast = max(_ENTRY_FRACTION * np.ptp(values), 2.0 * _resolution(values))
             clipped = len(before) == _ENTRY_SAMPLES and before.max() > fast
         total += (stop - start) * bool(clipped)
     return total
+
+
+def _resolution(values: FloatArray) -> float:
+    """The step of a reading of few digits; 0 where it has none."""
+    levels = np.unique(values)
+    return float(np.diff(levels).min()) if 1 < len(levels) < 0.2 * len(values) else 0.0
 
 
 # --- Do command and response belong together?

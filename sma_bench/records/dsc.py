@@ -9,7 +9,7 @@ are cut where the measured rate changes its kind.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -19,11 +19,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records.cells import Table
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
-from sma_bench.records.tables import Account, TableFile, read_table_file
+from sma_bench.records.tables import Account, read_table_file
 from sma_bench.records.units import parse_unit, plain_title, split_title
 
 SegmentKind = Literal["heating", "cooling", "isothermal"]
@@ -219,8 +218,6 @@ def dsc_of(sheet: Sheet) -> DscRecord:
 
 def _with_signals(sheet: Sheet) -> Sheet:
     """Universal Analysis' table with the titles of its lines Sig1, Sig2, ..."""
-    from dataclasses import replace
-
     signals = {int(m[1]): " ".join(cells[1:]) for cells in sheet.table.above
                for m in [_SIGNAL.match(cells[0])] if m}  # fmt: skip
     if sorted(signals) != list(range(1, len(sheet.table.columns) + 1)):
@@ -284,8 +281,8 @@ def _pyris(sheet: Sheet, header: dict[str, str], above: Sequence[str]) -> DscRec
     mass = sheet.noted("mass") if "mass" in sheet.given else None
     if mass is None:
         text = header["Sample Weight"]
-        number, _, unit = text.partition(" ")
-        mass = float(number) * 1e-6 if re.fullmatch(r"\d*\.?\d+", number) else 0.0
+        weight, _, unit = text.partition(" ")
+        mass = float(weight) * 1e-6 if re.fullmatch(r"\d*\.?\d+", weight) else 0.0
         if unit.strip() != "mg" or not 0.0 < mass < 1.0:
             raise InputError(f"{path}: Sample Weight is {text!r}, expected a positive number of mg")
     steps: dict[int, float] = {}
@@ -297,11 +294,12 @@ def _pyris(sheet: Sheet, header: dict[str, str], above: Sequence[str]) -> DscRec
     marks = [(0, text) for text in above if _TITLE.match(text)]
     marks += [(k, text) for k, text in table.marks if _TITLE.match(text)]
     if len(table.columns) != 6:
-        raise InputError(f"{path}: {len(table.columns)} columns of numbers, expected 6 numbers a row")
+        raise InputError(f"{path}: {len(table.columns)} columns, expected 6 numbers a row")
     values = np.column_stack([column.values for column in table.columns])
     wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(wrong):
-        raise InputError(f"{path}: line {table.lines[wrong[0]]} is not complete, expected 6 numbers")
+        line = table.lines[wrong[0]]
+        raise InputError(f"{path}: line {line} is not complete, expected 6 numbers")
     segments = []
     ends = [k for k, _ in marks[1:]] + [len(values)]
     for (first, title), last in zip(marks, ends, strict=True):
@@ -318,8 +316,9 @@ def _pyris(sheet: Sheet, header: dict[str, str], above: Sequence[str]) -> DscRec
         if np.isnan(rate):
             duration = time[-1] - time[0]
             rate = float((program[-1] - program[0]) / duration) if duration > 0 else 0.0
-        segments.append(_segment(number, rate, time, rows[:, 1] * 1e-3,
-                                 rows[:, 4] + CELSIUS_ZERO, rows[:, 2] * 1e-3, program))  # fmt: skip
+        flow, baseline = rows[:, 1] * 1e-3, rows[:, 2] * 1e-3
+        temperature = rows[:, 4] + CELSIUS_ZERO
+        segments.append(_segment(number, rate, time, flow, temperature, baseline, program))
     findings = [Finding("warning", path.name, text) for text in table.left_out]
     announced = header.get("Total Points in Run", "")
     if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(values):

@@ -338,10 +338,10 @@ def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
         even = period * np.arange(len(time))
         even += float(np.max(time - even))
         if np.max(even - time) < step + 0.5 * period:
-            return even, f"{said}, {1.0 / period:.4g} Hz"
+            return np.asarray(even), f"{said}, {1.0 / period:.4g} Hz"
     gaps = np.minimum(np.append(np.diff(stamps), step), step)
     within = np.arange(len(time)) - np.repeat(first, count)
-    return time + within * np.repeat(gaps / count, count), said
+    return np.asarray(time + within * np.repeat(gaps / count, count)), said
 
 
 def _effective_current(

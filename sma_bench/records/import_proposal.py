@@ -125,8 +125,8 @@ def propose(
             unused.append(column.name)
             continue
         ticks = _clock_of(proposal, column, running or clocks)
-        if ticks is not None and ticks != ASK:
-            used[ticks.name] = ticks  # type: ignore[union-attr]
+        if isinstance(ticks, Column):
+            used[ticks.name] = ticks
         elif ticks is None and clocks and any(c.table != column.table for c in clocks):
             proposal.remarks[column.name] = "no clock in its table"
             unused.append(column.name)
@@ -186,10 +186,12 @@ def _meaning(proposal: _Proposal, column: Column) -> str | None:
             if by_unit not in (None, "time") and named is None and not (words & _WIRE or channel):
                 proposal.ask(column.name, f"its title says nothing known: is it a {by_unit}?")
             named = by_unit
-    if named == "temperature" and unit is None and not column.unit and len(column.title) < 4 and (
-        _is_running(column) and np.ptp(np.diff(column.values)) < 0.01 * abs(np.diff(column.values)[0])
-    ):
-        proposal.ask(column.name, "a temperature or a time?")
+    if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?\d+", column.title.strip()):
+        proposal.ask(column.name, "of the wire or of the room (ambient.temperature)?")
+    if named == "temperature" and not column.unit and len(column.title) < 4 and _is_running(column):
+        steps = np.diff(column.values)
+        if np.ptp(steps) < 0.01 * abs(steps[0]):
+            proposal.ask(column.name, "a temperature or a time?")
     if named in _UNUSED:
         proposal.remarks[column.name] = _UNUSED[named]
     return named
@@ -231,7 +233,7 @@ def _clock_of(
     agreeing = [c for c in fitting if _agree(finest, c)]
     for other in agreeing:
         if other is not finest:
-            proposal.remarks[other.name] = f"the same clock as {finest.name}, coarser or without unit"
+            proposal.remarks[other.name] = f"the same clock as {finest.name}, no better"
     if len(agreeing) == len(fitting):
         return finest
     # A clock a column: each speaks for the columns to its right.

@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -380,13 +379,15 @@ def _untitled(
     if unit is None:
         unit = "%" if span > LARGEST_SPAN else "mm/mm"
         text = (
-            f"{path}: no unit of strain is given; its span of {span:.4g} is taken as {unit} because "
-            f"{span:.3g} mm/mm {'is more' if unit == '%' else 'is no more'} than NiTi recovers"
+            f"{path}: no unit of strain is given; its span of {span:.4g} is taken as {unit}: as "
+            f"mm/mm it {'is more' if unit == '%' else 'is no more'} than NiTi recovers"
         )
         findings.append(Finding("warning", "strain unit", text, {"span": span}))
     si = []
-    units = (("temperature", "temperature", noted.get("temperature", "degC")),
-             ("strain", "ratio", unit), ("stress", "stress", noted.get("stress", "MPa")))  # fmt: skip
+    units = (
+        ("temperature", "temperature", noted.get("temperature", "degC")),
+        ("strain", "ratio", unit), ("stress", "stress", noted.get("stress", "MPa")),
+    )
     for (what, quantity, text), column_values in zip(units, values, strict=False):
         known = parse_unit(text)
         if known is None or known.quantity != quantity:

@@ -12,6 +12,8 @@ from sma_bench.findings import Finding
 from sma_bench.records.cells import Column, Table
 from sma_bench.records.tables import Account, TableFile
 from sma_bench.records.units import (
+    ROLES,
+    STATED,
     FloatArray,
     in_si,
     number_with_unit,
@@ -21,29 +23,6 @@ from sma_bench.records.units import (
 )
 
 _LARGEST_STRAIN = 0.5  # as a ratio: NiTi breaks before
-# Role -> quantities of its unit, words that make a column the better or the worse one.
-_ROLES: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
-    "time": (("time",), (), ()),
-    "temperature": (("temperature",), ("specimen", "sample", "probe", "ts"),
-                    ("program", "reference", "furnace", "ofen", "set", "tr")),
-    "heat flow": (("specific power", "power"), ("unsubtracted",), ("derivative", "ddsc")),
-    "strain": (("ratio",), ("extensometer",), ("true", "rate", "set")),
-    "stress": (("stress",), ("engineering",), ("true", "set")),
-    "force": (("force",), ("standard",), ("set", "preload")),
-    "length": (("length",), ("extensometer", "standard", "gauge", "gage", "feindehn"),
-               ("crosshead", "travers", "absolut", "posi", "machine", "width", "breite")),
-}  # fmt: skip
-# Numbers that a file may state above its table: quantity, and words of the line (without accents).
-STATED = {
-    "stress": ("stress", ("stress", "spannung", "contrainte", "esfuerzo", "sforzo", "load")),
-    "mass": ("mass", ("mass", "weight", "size", "einwaage", "masse", "masa", "peso")),
-    "gauge_length": ("length", ("gauge length", "gage length", "messlange", "einspannlange",
-                                "anfangslange", "longueur", "longitud", "lunghezza", "l0")),
-    "area": ("area", ("cross-section", "cross section", "querschnitt", "area", "section",
-                      "seccion", "sezione")),
-    "diameter": ("length", ("diameter", "durchmesser", "diametre", "diametro")),
-    "temperature": ("temperature", ("temperature", "temperatur", "temperatura")),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -62,14 +41,15 @@ class Sheet:
     def find(self, *roles: str) -> "tuple[Column, str] | None":
         """The best column of the first of these roles that the table has, and its role."""
         for role in roles:
-            quantities, better, worse = _ROLES[role]
+            quantities, better, worse = (ROLES[role][k] for k in ("units", "better", "worse"))
             found: list[tuple[int, Column]] = []
             for column in self.table.columns:
                 unit, meant = parse_unit(column.unit), title_meanings(column.title)
                 if "setpoint" in meant and role != "temperature":
                     continue
-                named = role in meant or (role == "temperature" and meant in (
-                    ("setpoint",), ("ambient",)) and "temp" in plain_title(column.title))  # fmt: skip
+                named = role in meant
+                if role == "temperature" and meant in (("setpoint",), ("ambient",)):
+                    named = "temp" in plain_title(column.title)
                 fits = unit is not None and unit.quantity in quantities
                 if role == "heat flow":
                     named = fits and (named or not meant)
@@ -94,8 +74,8 @@ class Sheet:
         column, role = found
         missing = np.flatnonzero(~np.isfinite(column.values))
         if len(missing):
-            line = self.table.lines[missing[0]]
-            raise InputError(f"{self.path}: line {line} is without a finite number in {column.name}")
+            where = f"{self.path}: line {self.table.lines[missing[0]]}"
+            raise InputError(f"{where} is without a finite number in {column.name}")
         unit = parse_unit(column.unit)
         if unit is None:
             largest = float(np.abs(column.values).max(initial=0.0))
@@ -119,7 +99,7 @@ class Sheet:
         """A number of STATED in SI units: given, or in a line above the table."""
         if name in self.given:
             return self.given[name]
-        quantity, words = STATED[name]
+        quantity, words = STATED[name]["quantity"], STATED[name]["words"]
         for cells in self.table.above:
             text = " ".join(cells).lstrip("#% ")
             plain = plain_title(text)
@@ -138,12 +118,10 @@ class Sheet:
 
     def account(self, used: Mapping[str, str], rows: int) -> Account:
         """What became of the table's rows and columns."""
-        names = {c.name for c in self.table.columns}
-        rest = {n: "not needed" for n in names - set(used)}
-        order = [c.name for c in self.table.columns if c.name in rest]
+        rest = {c.name: "not needed" for c in self.table.columns if c.name not in used}
         outside = (*self.table.left_out, *self.file.outside)
-        return Account(self.table.rows, rows, dict(used),
-                       {**{n: rest[n] for n in order}, **self.table.ignored}, (), outside)  # fmt: skip
+        return Account(self.table.rows, rows, dict(used), {**rest, **self.table.ignored}, (),
+                       outside, self.table.name if len(self.file.tables) > 1 else "")  # fmt: skip
 
     def is_driven(self) -> bool:
         """Whether a title speaks of a duty, voltage or current: a bench's record."""
@@ -167,9 +145,10 @@ def parse_stated(texts: Iterable[str]) -> dict[str, float]:
         name, _, rest = text.partition("=")
         name = name.strip().replace("-", "_")
         if name not in STATED:
-            raise InputError(f"{text!r}: expected one of {', '.join(STATED)} and =, e.g. mass=12 mg")
-        value = number_with_unit(rest, STATED[name][0])
+            raise InputError(f"{text!r}: expected one of {', '.join(STATED)}, e.g. mass=12 mg")
+        value = number_with_unit(rest, STATED[name]["quantity"])
         if value is None or not 0.0 < value < np.inf:
-            raise InputError(f"{text!r}: expected a number with a unit of {STATED[name][0]}")
+            quantity = STATED[name]["quantity"]
+            raise InputError(f"{text!r}: expected a number with a unit of {quantity}")
         found[name] = value
     return found

@@ -1,4 +1,4 @@
-"""Rows of cells to tables: notes, titles, units, blocks of numbers, and what is left out of them."""
+"""Rows of cells to tables: notes, titles, units, blocks of numbers, and what is left out."""
 
 import re
 from collections import Counter
@@ -19,7 +19,6 @@ from sma_bench.records.units import (
     numbers_of,
     parse_unit,
     split_title,
-    title_meanings,
 )
 
 _FEWEST = 3  # rows of a table beside a larger one
@@ -150,13 +149,14 @@ def _title_cells(
     """Cells of a title row: without the sign of a comment; of words parted by blanks those that
     two blanks part, where they are as many as the rows have cells, or but for an index."""
     if separator is None and len(cells) > 1:
-        wide = [t for t in re.split(r"\s{2,}|\t", getattr(row[1], "line", "").strip()) if t not in _MARKS]
+        whole = str(getattr(row[1], "line", "")).strip()
+        wide = [t for t in re.split(r"\s{2,}|\t", whole) if t not in _MARKS]
         if len(wide) in (width, width - 1) and len(wide) > 1:
             return wide
     texts = ["" if c is None else " ".join(str(c).split()) for c in cells]
     lead = _COMMENT.match(texts[0]) if texts else None
     if lead and (lead.end() < len(texts[0]) or (len(texts) == width + 1 and separator != "")):
-        texts[0] = texts[0][lead.end() :]
+        texts[0] = texts[0][lead.end() :].strip('" ')
         if not texts[0]:
             texts = texts[1:]
     if separator is None:
@@ -187,7 +187,7 @@ def _begins_with_index(body: Sequence[Row]) -> bool:
         numbers = [float(cell) for cell in first]
     except (TypeError, ValueError):
         return False
-    return len(numbers) > 1 and all(b - a == 1.0 for a, b in zip(numbers, numbers[1:], strict=False))
+    return len(numbers) > 1 and bool(np.all(np.diff(numbers) == 1.0))
 
 
 def _table(
@@ -198,9 +198,10 @@ def _table(
     width = Counter(len(cells) for _, cells in body).most_common(1)[0][0]
     if separator == "":
         width = max(len(cells) for _, cells in body)
-    while width > 2 and all(len(c) < width or c[width - 1] in (None, "") for _, c in body) and not any(
-        len(_title_cells(cells, width, separator, (line, cells))) == width
-        for line, cells in heads[-3:]
+    widest = max((len(_title_cells(cells, width, separator, (line, cells)))
+                  for line, cells in heads[-3:]), default=0)  # fmt: skip
+    while width > max(widest, 2) and all(
+        len(c) < width or c[width - 1] in (None, "") for _, c in body
     ):
         width -= 1  # separators at the ends of lines
     body = [(n, c[:width] if all(x in (None, "") for x in c[width:]) else c) for n, c in body]
@@ -286,7 +287,7 @@ def _table(
         values, own, bad = numbers_of(cells, decimal, unit)
         if bad >= 0:
             raise InputError(_no_number(body[bad][0], label, cells[bad]))
-        if k == 0 and not titles[k] and count and len(values) > 1 and np.all(np.diff(values) == 1.0):
+        if k == 0 and not titles[0] and count and _begins_with_index(body):
             ignored[label] = "row number"
             continue
         columns.append(Column(label, title, unit or own, values, name))
@@ -334,7 +335,7 @@ def _decimal(label: str, shown: set[str], everywhere: set[str], cells: Sequence[
     own = {sign for sign in shown if len(sign) == 1}
     open_ = {sign[1] for sign in shown if len(sign) == 2}
     if len(own) == 2:
-        first, second = (next((str(c) for c in cells if decimal_signs([c]) == {s}), s) for s in ",.")
+        first, second = (next(str(c) for c in cells if decimal_signs([c]) == {s}) for s in ",.")
         raise InputError(f"{label}: {first!r} and {second!r} have different decimal signs")
     if own:
         return own.pop()

@@ -72,12 +72,16 @@ class Account:
     ignored: dict[str, str]
     asked: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    sheet: str = ""
 
     def __str__(self) -> str:
         used = ", ".join(f"{name} ({what})" for name, what in self.used.items()) or "none"
         ignored = ", ".join(f"{name} ({reason})" for name, reason in self.ignored.items()) or "none"
-        said = (f"{self.rows} rows read, {self.rows_used} used; columns used: {used}; ignored: "
-                f"{ignored}; asked about: {', '.join(self.asked) or 'none'}")  # fmt: skip
+        where = f"sheet {self.sheet}: " if self.sheet else ""
+        said = (
+            f"{where}{self.rows} rows read, {self.rows_used} used; columns used: {used}; "
+            f"ignored: {ignored}; asked about: {', '.join(self.asked) or 'none'}"
+        )
         more = f" and {len(self.left_out) - 8} more" if len(self.left_out) > 8 else ""
         rest = f"; outside the table: {', '.join(self.left_out[:8])}{more}" * bool(self.left_out)
         return printable(said + rest)

@@ -10,9 +10,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from sma_bench.border import printable
@@ -22,45 +24,14 @@ FloatArray = NDArray[np.float64]
 
 # --- Units ----------------------------------------------------------------------------------------
 
-# As written (lower case, without blanks and brackets) -> as pint calls it. pint knows prefixes and
-# some thousand units; this is what loggers write and it does not know, or takes for another one.
-_SPELLINGS = {
-    "c": "degC", "°c": "degC", "ºc": "degC", "℃": "degC", "degc": "degC", "deg.c": "degC",
-    "gradc": "degC", "celsius": "degC", "degreesc": "degC", "°f": "degF", "degf": "degF",
-    "f": "degF", "ºf": "degF", "k": "kelvin", "°k": "kelvin", "degk": "kelvin",
-    "v_rms": "volt", "vrms": "volt", "v(rms)": "volt", "v_eff": "volt", "veff": "volt",
-    "volts": "volt", "v": "volt", "mvrms": "millivolt", "mv_rms": "millivolt",
-    "amp": "ampere", "amps": "ampere", "a": "ampere", "a_rms": "ampere", "arms": "ampere",
-    "sec": "second", "secs": "second", "s": "second", "msec": "millisecond", "ms": "millisecond",
-    "sek": "second", "sekunden": "second", "secondes": "second", "segundos": "second",
-    "secondi": "second", "minuten": "minute", "minutos": "minute", "minuti": "minute",
-    "stunden": "hour", "heures": "hour", "usec": "microsecond", "h": "hour", "hr": "hour",
-    "hrs": "hour", "min": "minute", "mins": "minute", "d": "day",
-    "%": "percent", "pct": "percent", "percent": "percent", "prozent": "percent",
-    "-": "dimensionless", "1": "dimensionless", "0..1": "dimensionless", "0-1": "dimensionless",
-    "mm/mm": "dimensionless", "m/m": "dimensionless", "in/in": "dimensionless",
-    "ratio": "dimensionless", "n/mm2": "megapascal", "n/mm^2": "megapascal",
-    "n/mm²": "megapascal", "ksi": "kilopsi", "gf": "gram_force", "kgf": "kilogram_force",
-    "kp": "kilogram_force", "cn": "centinewton", "n": "newton", "dan": "dekanewton",
-    "in": "inch", "mil": "thou", "mm": "millimeter", "cm": "centimeter", "m": "meter",
-    "um": "micrometer", "mm2": "millimeter**2", "mm^2": "millimeter**2", "mm²": "millimeter**2",
-    "m²": "meter**2", "g": "gram", "mg": "milligram", "w/g": "watt/gram", "mw/mg": "watt/gram",
-    "mw/g": "milliwatt/gram", "w/kg": "watt/kilogram",
-}  # fmt: skip
-_CASED = {"mN": "millinewton", "mV": "millivolt", "mA": "milliampere", "MPa": "megapascal",
-          "GPa": "gigapascal", "kN": "kilonewton", "mW": "milliwatt", "MN": "meganewton",
-          "MV": "megavolt", "MW": "megawatt"}  # fmt: skip
-_DEGREE = 0.017453292519943295
-_ANGLES = {"rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3, "deg": _DEGREE, "°": _DEGREE,
-           "grad": _DEGREE, "degree": _DEGREE, "degrees": _DEGREE, "rev": 6.283185307179586,
-           "turn": 6.283185307179586}  # fmt: skip
-_MICROSTRAIN = frozenset({"microstrain", "ustrain", "ue", "uε", "um/m"})
-_SI = {
-    "time": "second", "length": "meter", "voltage": "volt", "current": "ampere",
-    "temperature": "kelvin", "force": "newton", "stress": "pascal", "power": "watt",
-    "ratio": "dimensionless", "resistance": "ohm", "specific power": "watt/kilogram",
-    "mass": "kilogram", "area": "meter**2",
-}  # fmt: skip
+_KNOWN: dict[str, Any] = yaml.load(  # noqa: S506
+    (Path(__file__).parent / "words.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader
+)
+_SPELLINGS = {text: name for name, texts in _KNOWN["units"].items() for text in texts}
+MISSING = frozenset(_KNOWN["missing"])
+ROLES: dict[str, Any] = _KNOWN["roles"]
+STATED: dict[str, Any] = _KNOWN["stated"]
+_MONTHS = {name: k for k, names in enumerate(_KNOWN["months"], 1) for name in names}
 # pint evaluates what it is given: 9**9**9 would never end.
 _HARMLESS = re.compile(r"[A-Za-zµμΩ][A-Za-zµμΩ_]{0,24}(?:[*/][A-Za-zµμΩ_]{1,12}(?:\^?[23])?)?\Z")
 
@@ -95,18 +66,18 @@ def parse_unit(text: str) -> Unit | None:
     lower = plain.lower().replace("µ", "u").replace("μ", "u")
     if not plain or len(plain) > 30:
         return None
-    if lower in _ANGLES:
-        return Unit("angle", _ANGLES[lower])
-    if lower in _MICROSTRAIN:
+    if lower in _KNOWN["angles"]:
+        return Unit("angle", _KNOWN["angles"][lower])
+    if lower in _KNOWN["microstrain"]:
         return Unit("ratio", 1e-6)
-    name = _CASED.get(plain) or _SPELLINGS.get(lower)
+    name = _KNOWN["cased"].get(plain) or _SPELLINGS.get(lower)
     if name is None and not _HARMLESS.match(plain):
         return None
     for word in (name,) if name else (plain, lower):
         registry = _registry()
         try:
             unit = registry.Unit(word)
-            for quantity, base in _SI.items():
+            for quantity, base in _KNOWN["si"].items():
                 if unit.dimensionality == registry.Unit(base).dimensionality:
                     zero = float(registry.Quantity(0.0, unit).to(base).magnitude)
                     one = float(registry.Quantity(1.0, unit).to(base).magnitude)
@@ -122,48 +93,6 @@ def in_si(values: FloatArray, unit: Unit) -> FloatArray:
 
 # --- Titles ---------------------------------------------------------------------------------------
 
-# What a title may mean: parts of words and whole words, without accents (English, German, French,
-# Spanish, Italian), the most telling first. Two meanings: the unit decides.
-_WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...], frozenset[str]], ...] = (
-    (("setpoint",), ("setpoint", "soll", "target", "desired", "consigne", "programm"),
-     frozenset({"program", "reference", "setvalue"})),
-    (("heat flow",), ("heat flow", "heatflow", "warmestrom", "waermestrom", "flux de chaleur",
-                      "flux thermique", "flusso di calore", "flusso termico", "flujo de calor"),
-     frozenset({"dsc", "q", "hf"})),
-    (("time",), ("timestamp", "zeit", "elapsed", "datum", "datetime"),
-     frozenset({"time", "times", "temps", "tempo", "tiempo", "clock", "date", "fecha", "hora",
-                "ora", "heure", "sekunden"})),
-    (("duty",), ("duty", "pwm", "tastverh", "tastgrad", "rapport cyclique", "ciclo de trabajo",
-                 "ciclo di lavoro", "duty cycle", "einschaltdauer"), frozenset({"dc"})),
-    (("ambient",), ("room", "raum", "ambient", "umgebung", "environment", "ambiant"),
-     frozenset({"air", "luft", "amb", "aria"})),
-    (("strain",), ("strain", "dehnung", "deformaz", "deformac", "deformat"),
-     frozenset({"eps", "epsilon", "ε"})),
-    (("temperature",), ("temperat", "thermo", "pt100"), frozenset({"temp", "ts", "tr", "rtd"})),
-    (("resistance",), ("resistan", "widerstand", "resistenz"), frozenset()),
-    (("power",), ("leistung", "puissance", "potenza", "potencia"), frozenset({"power"})),
-    (("voltage", "stress"), ("spannung", " tension"), frozenset()),
-    (("stress",), ("stress", "contrainte", "esfuerzo", "sforzo"), frozenset({"sigma", "σ"})),
-    (("current",), ("current", "strom", "courant", "corriente", "corrente", "amps", "ampere"),
-     frozenset({"i"})),
-    (("voltage",), ("volt", "tensione"), frozenset({"u", "v"})),
-    (("supply",), ("supply", "versorg", "battery", "akku", "alimenta", "netzteil"),
-     frozenset({"vcc", "psu"})),
-    (("force",), ("force", "kraft", "fuerza", "forza", "loadcell"),
-     frozenset({"f", "load", "last", "charge", "carico", "carga", "effort"})),
-    (("angle",), ("angle", "winkel", "theta", "rotation", "angolo", "angulo"),
-     frozenset({"encoder"})),
-    (("length",), ("posi", "displac", "deplac", "spostament", "desplaz", "elong", "extens",
-                   "estens", "allong", "allung", "alarg", "verlanger", "stroke", "course", "weg",
-                   "auslenk", "slider", "deflect", "durchbieg", "laser", "contraction", "crosshead",
-                   "travers", "travel", "lvdt", "hub", "recorrid", "corsa"),
-     frozenset({"x", "y", "z", "pos", "disp", "tip"})),
-)  # fmt: skip
-_COUNTERS = frozenset({
-    "index", "sample", "samples", "nr", "no", "row", "step", "cycle", "zyklus", "ciclo", "point",
-    "punkt", "segment", "scan", "count", "counter", "id", "n", "indice", "number", "record",
-    "messpunkt", "block",
-})  # fmt: skip
 # Of brackets that hold no unit: what they say is part of the title.
 _DESCRIPTIONS = re.compile(
     r"(?:wire|draht|fil|filo|hilo|room|ambient|avg|mean|rms|raw|absolute?|relative?|measured|filtered|"
@@ -171,10 +100,6 @@ _DESCRIPTIONS = re.compile(
     re.IGNORECASE,
 )
 _LONE_T = re.compile(r"[tT](?:[cCsSrR]?\d*|[\s_]?(?:[a-zA-Z]{1,9})?\d*)\Z")
-# What an unbracketed last word must not be taken for: names of channels, prepositions.
-_NO_UNIT_WORDS = frozenset({"in", "a", "b", "c", "d", "f", "g", "h", "k", "m", "n", "s", "v", "1",
-                            "-", "min", "rad", "d", "p", "t", "o", "l", "day", "degree"})  # fmt: skip
-
 
 def plain_title(title: str) -> str:
     """A title in lower case without accents."""
@@ -193,12 +118,14 @@ def title_meanings(title: str) -> tuple[str, ...]:
         words = re.findall(r"[^\W\d_]+", plain)
         if text == "t" or words in (["t", "rel"], ["t", "abs"]):
             return ("time",)
-        if text == "#" or (words and set(words) <= _COUNTERS):
+        if text == "#" or (words and set(words) <= set(_KNOWN["counters"])):
             return ("counter",)
         joined = " ".join(["", *words])
-        for meanings, parts, whole in _WORDS:
-            if set(words) & whole or any(part in joined for part in parts):
-                return meanings
+        for row in _KNOWN["titles"]:
+            if set(words) & set(row.get("words", ())) or any(
+                part in joined for part in row.get("parts", ())
+            ):
+                return tuple(row["means"])
         if _LONE_T.match(text):
             room = {"amb", "room", "air", "env", "raum", "inf"} & set(words)
             return ("ambient",) if room else ("temperature",)
@@ -207,12 +134,7 @@ def title_meanings(title: str) -> tuple[str, ...]:
 
 def fits(meaning: str, quantity: str) -> bool:
     """Whether a column of that meaning may be measured in units of that quantity."""
-    allowed = {
-        "duty": ("ratio",), "ambient": ("temperature",), "strain": ("ratio",),
-        "supply": ("voltage", "current"), "heat flow": ("power", "specific power"),
-        "length": ("length", "angle"), "angle": ("angle", "length"), "setpoint": (quantity,), "counter": (quantity,),
-    }  # fmt: skip
-    return quantity in allowed.get(meaning, (meaning,))
+    return meaning in ("setpoint", "counter") or quantity in _KNOWN["fits"].get(meaning, [meaning])
 
 
 @lru_cache(maxsize=4096)
@@ -233,7 +155,7 @@ def split_title(title: str) -> tuple[str, str]:
             continue
         meant = title_meanings(name.strip())
         sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
-        if sure or (not meant and unit.strip().lower() not in _NO_UNIT_WORDS and mark != " "):
+        if sure or (not meant and unit.strip().lower() not in _KNOWN["no_units"] and mark != " "):
             return name.strip(), unit.strip()
     if found and not _DESCRIPTIONS.match(found[-1][1].strip()) and not text.startswith(("(", "[")):
         return text[: found[-1].start()].rstrip(" ,_/"), found[-1][1].strip()
@@ -242,7 +164,8 @@ def split_title(title: str) -> tuple[str, str]:
 
 def number_with_unit(text: str, quantity: str) -> float | None:
     """The value in SI of the first number in a text with a unit of that quantity behind it."""
-    for found in re.finditer(r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*([^\s\d,;:=]{1,12}\d?)", text):
+    number = r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*([^\s\d,;:=]{1,12}\d?)"
+    for found in re.finditer(number, text):
         unit = parse_unit(found[2].strip(".\"'"))
         if unit is not None and unit.quantity == quantity:
             return float(found[1].replace(",", ".")) * unit.factor + unit.offset
@@ -251,11 +174,6 @@ def number_with_unit(text: str, quantity: str) -> float | None:
 
 # --- Numbers --------------------------------------------------------------------------------------
 
-MISSING = frozenset({
-    "", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "inf", "-inf", "+inf", "ol",
-    "ovl", "overload", "open", "err", "error", "#value!", "#num!", "#div/0!", "#ref!", "1.#qnan",
-    "-1.#ind", "1.#inf", "-1.#inf", "infinity", "-infinity", "missing", "nil", "<na>",
-})  # fmt: skip
 _NUMBER = re.compile(
     r"(?P<sign>[+\-−–]?)\s?(?P<body>\d{1,3}(?:(?P<t>[ \u00a0\u202f'’.,])\d{3})(?:(?P=t)\d{3})*+"
     r"(?:[.,]\d*+)?|\d++(?:[.,]\d*+)?+|[.,]\d++)(?P<power>[eEdD][+\-−]?\d{1,3})?"
@@ -361,10 +279,6 @@ def numbers_of(cells: Sequence[Any], decimal: str, title_unit: str) -> tuple[Flo
 
 # --- Moments --------------------------------------------------------------------------------------
 
-_MONTHS = {name: k for k, names in enumerate((
-    ("jan", "ene", "gen"), ("feb", "fev"), ("mar",), ("apr", "avr", "abr"), ("may", "mai", "mag"),
-    ("jun", "giu"), ("jul", "lug"), ("aug", "aou", "ago"), ("sep", "set"), ("oct", "okt", "ott"),
-    ("nov",), ("dec", "dez", "dic")), 1) for name in names}  # fmt: skip
 _YMD = re.compile(r"(\d{4})([-/.])(\d{1,2})\2(\d{1,2})(?=[T\s]|\Z)")
 _DMY = re.compile(r"(\d{1,2})([-/.])(\d{1,2})\2(\d{4}|\d{2})(?=,?\s|\Z)")
 _DNY = re.compile(r"(\d{1,2})[-. ]+([^\W\d_]{3,10})\.?[-, ]+(\d{4})(?=,?\s|\Z)")
@@ -378,7 +292,7 @@ _CLOCK = re.compile(
 @dataclass(frozen=True)
 class Moment:
     """A cell's time: `days` since 1970 (None without a date), `seconds` of the day (None without a
-    clock), `fields` of its clock, and what a reader must know of it (`us`: month may come first)."""
+    clock), `fields` of its clock; `slashed`: numbers of a date whose month may come first."""
 
     days: float | None
     seconds: float | None
@@ -420,8 +334,8 @@ def moment_of(cell: Any) -> Moment | None:
                     day = _dated(year, second, first, (first, second, year))
             else:
                 name, number = (found[2], found[1]) if order == "dny" else (found[1], found[2])
-                month = _MONTHS.get(plain_title(name)[:3])
-                day = _dated(int(found[3]), month, int(number)) if month else None
+                month = _MONTHS.get(plain_title(name)[:3], 0)
+                day = _dated(int(found[3]), month, int(number))
             if day is None:
                 return None
             rest = rest[found.end() :].lstrip("T, ").strip()
@@ -431,9 +345,9 @@ def moment_of(cell: Any) -> Moment | None:
     clock = _CLOCK.match(rest)
     if clock is None:
         return None
-    first, second, third, broken, half, zone = clock.groups()
+    _, _, third, broken, half, zone = clock.groups()
     fields = 3 if third else 2
-    hours, minutes, seconds = (int(first), int(second), int(third or 0))
+    hours, minutes, seconds = (int(clock[1]), int(clock[2]), int(third or 0))
     if fields == 2 and (day is not None or half):
         fields = 3  # 09:59 AM, 2026-03-10 10:00
     if minutes > 59 or seconds > 59 or (half and not 1 <= hours <= 12):
@@ -486,8 +400,10 @@ def moments_of(
             american = True
         if len(set(slashed)) == 1 or sorted_us == sorted_eu:
             a, b, year = slashed[0]
-            month, day = (a, b) if american else (b, a)
-            remark = f"{a:02d}/{b:02d}/{year} is taken as {year}-{month:02d}-{day:02d}"
+            order_of = (a, b) if american else (b, a)
+            remark = "{:02d}/{:02d}/{} is taken as {}-{:02d}-{:02d}".format(
+                a, b, year, year, *order_of
+            )
     seconds = np.full(len(cells), np.nan)
     absolute = True
     for k, (moment, day) in enumerate(zip(found, beside, strict=True)):

@@ -40,6 +40,7 @@ _SAME_SLOPE = 0.8
 _SHORTEST_RISE = 0.0008
 _SHORTEST_AFTER = 0.003
 _UNLOADED = (0.9, 0.5)
+_REVERSAL = 0.03  # of the range of strain
 _PARTS = 5
 _NOISE_OF_PARTS = 4.0 * 1.25 * _PARTS  # the median of their slopes, in standard errors of the whole
 
@@ -82,7 +83,10 @@ def read_curve(record: TensileRecord) -> TensileReading:
     Raises:
         InputError: no elastic part can be found.
     """
-    top = int(np.argmax(record.stress))
+    # The first loading ends at the first reversal: inner loops and repeats come after it.
+    back = np.maximum.accumulate(record.strain) - record.strain > _REVERSAL * np.ptp(record.strain)
+    last = int(np.argmax(back)) if back.any() else len(back)
+    top = int(np.argmax(record.stress[:last]))
     # Means over narrow intervals of strain.
     strain, stress = record.strain[: top + 1], record.stress[: top + 1]
     width = float(np.ptp(strain)) / _GRID
