@@ -22,7 +22,7 @@ _LOOK_AT = 400  # rows, for the separator
 _SEPARATORS = ("\t", ";", "|", ",", None)  # None: blanks
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Column:
     """One column of a file.
 

@@ -186,7 +186,7 @@ def _meaning(proposal: _Proposal, column: Column) -> str | None:
             if by_unit not in (None, "time") and named is None and not (words & _WIRE or channel):
                 proposal.ask(column.name, f"its title says nothing known: is it a {by_unit}?")
             named = by_unit
-    if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?\d+", column.title.strip()):
+    if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?0*([2-9]|1\d)", column.title):
         proposal.ask(column.name, "of the wire or of the room (ambient.temperature)?")
     if named == "temperature" and not column.unit and len(column.title) < 4 and _is_running(column):
         steps = np.diff(column.values)
@@ -460,8 +460,7 @@ def _signed(proposal: _Proposal, made: ImportMap) -> ImportMap:
         channel, _, kind = entry.signal.rpartition(".")
         if kind == "current" and f"{channel}.voltage" in signals:
             amps, volts = signals[entry.signal], signals[f"{channel}.voltage"]
-            power = amps.values * np.interp(amps.time, volts.time, volts.values)
-            if float(np.sum(power)) < 0.0:
+            if float(np.sum(amps.values)) * float(np.sum(volts.values)) < 0.0:
                 proposal.ask(entry.column, "against the voltage, as a battery counts a discharge: "
                              "sign -1, or is the wire fed back (1)?")  # fmt: skip
                 entry = replace(entry, sign=ASK)

@@ -223,13 +223,17 @@ class IsobaricRecord(Drawn):
 
 
 def is_isobaric(sheet: Sheet) -> bool:
-    """Whether a table has a temperature that changes, strain or extension, and a load; or two or
-    three columns without titles whose first one changes as a temperature does."""
+    """Whether a table has a temperature that changes, strain or extension, and a load; or without
+    titles a first column that goes up and down, a second one, and a third that is held."""
     columns = sheet.table.columns
     if not any(column.title for column in columns):
-        first = columns[0].values if columns else np.zeros(1)
-        few = len(columns) == 3 or (len(columns) == 2 and _load_beside(sheet) is not None)
-        return few and float(np.ptp(first)) > SMALLEST_RANGE
+        if len(columns) != 3 and not (len(columns) == 2 and _load_beside(sheet) is not None):
+            return False
+        first, last = columns[0].values, columns[-1].values
+        turns = bool(np.any(np.diff(first) > 0.0) and np.any(np.diff(first) < 0.0))
+        level = abs(float(np.median(last)))
+        held = len(columns) == 2 or np.mean(np.abs(np.abs(last) - level) < 0.2 * level) > 0.5
+        return turns and bool(held) and float(np.ptp(first)) > SMALLEST_RANGE
     temperature = sheet.find("temperature")
     return (
         temperature is not None and not sheet.is_driven()

@@ -65,7 +65,7 @@ def open_record(
     names the others; raises as `open_records`."""
     first, *others = open_records(path, namespace, stated)
     if others:
-        names = ", ".join(getattr(record, "name", str(record.path)) for record in others)
+        names = ", ".join(getattr(record, "account").sheet for record in others)  # noqa: B009
         text = f"{path}: {len(others)} more records in its sheets ({names}), not read here"
         warning = Finding("warning", "sheets", text)
         first = replace(first, findings=(*first.findings, warning))

@@ -210,7 +210,7 @@ def _table(
         body, width = _joined_moments(body, width)
         titles, units, above, count = _headings(heads, body, width, separator)
     # A file cut within its last line, rows without their last cells, and damaged ones.
-    if len(body) > 1 and len(body[-1][1]) < width and len(body[-2][1]) >= width:
+    if separator != "" and len(body) > 1 and len(body[-1][1]) < width and len(body[-2][1]) >= width:
         left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
         body.pop()
     sparse = separator and count >= width
@@ -218,7 +218,9 @@ def _table(
     for line, cells in short:
         if separator == "" or (sparse and len(cells) < width and len(short) > _SHORT * len(body)):
             continue
-        if any(c not in (None, "") for c in cells[width:]) or len(cells) < width:
+        if len(cells) > width and {cell_kind(c) for c in cells[width:]} <= {"t", ""}:
+            left_out.append(f"line {line}: {_text(cells[width:])!r} beside the table is left out")
+        elif any(c not in (None, "") for c in cells[width:]) or len(cells) < width:
             raise InputError(
                 f"line {line} is {_text(cells)[:60]!r}, expected {width} numbers"
             )
@@ -341,13 +343,15 @@ def _decimal(label: str, shown: set[str], everywhere: set[str], cells: Sequence[
         return own.pop()
     if not open_ or open_ == {"."} and everywhere <= {"."}:
         return "."
-    example = next(str(c) for c in cells if decimal_signs([c]))
     if open_ == {","} and len(everywhere) == 1:
         return next(iter(everywhere))
-    if open_ == {","} and not everywhere and any(
-        not is_missing(c) and not decimal_signs([c]) and c not in ("0", 0) for c in cells
+    # 980 beside 1,069: thousands.
+    bare = [str(c) for c in cells if not is_missing(c) and not decimal_signs([c])]
+    if len(open_) == 1 and not everywhere & open_ and any(b.strip("-0") for b in bare) and all(
+        len(b.lstrip("-")) < 4 for b in bare
     ):
-        return "."  # 980 beside 1,069: thousands
+        return "." if open_ == {","} else ","
+    example = next(str(c) for c in cells if decimal_signs([c]))
     raise InputError(
         f"{label}: {example!r} may have a decimal or a thousand sign, and no other cell tells; "
         "write it without thousand signs, or with other than three decimals"
