@@ -40,7 +40,7 @@ _SAME_SLOPE = 0.8
 _SHORTEST_RISE = 0.0008
 _SHORTEST_AFTER = 0.003
 _UNLOADED = (0.9, 0.5)
-_REVERSAL = 0.03  # of the range of strain
+_REVERSAL = 0.03  # of the ranges of strain and stress, which both fall
 _PARTS = 5
 _NOISE_OF_PARTS = 4.0 * 1.25 * _PARTS  # the median of their slopes, in standard errors of the whole
 
@@ -84,7 +84,9 @@ def read_curve(record: TensileRecord) -> TensileReading:
         InputError: no elastic part can be found.
     """
     # The first loading ends at the first reversal: inner loops and repeats come after it.
-    back = np.maximum.accumulate(record.strain) - record.strain > _REVERSAL * np.ptp(record.strain)
+    fallen = [np.maximum.accumulate(v) - v > _REVERSAL * np.ptp(v)
+              for v in (record.strain, record.stress)]  # fmt: skip
+    back = fallen[0] & fallen[1]
     last = int(np.argmax(back)) if back.any() else len(back)
     top = int(np.argmax(record.stress[:last]))
     # Means over narrow intervals of strain.
