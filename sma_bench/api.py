@@ -19,7 +19,7 @@ from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.node_tables import node_groups
 from sma_bench.parameters.table import BY_NAME
-from sma_bench.parameters.yaml_file import flatten, split_names
+from sma_bench.parameters.yaml_file import flatten, read_parameter_names, split_names
 from sma_bench.physics import Simulation
 from sma_bench.physics.effects import effect_values
 from sma_bench.protocols import Protocol, load_protocol, parse_protocol, protocol_names
@@ -33,6 +33,7 @@ from sma_bench.records.arrays import (
 )
 from sma_bench.records.bag_writer import write_record
 from sma_bench.records.dsc import DscRecord
+from sma_bench.records.import_proposal import BenchHints, bench_of, record_of_table
 from sma_bench.records.isobaric import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay, overlay
@@ -69,7 +70,10 @@ __all__ = [
 _READ = (Record, DscRecord, IsobaricRecord, TensileRecord)
 
 
-def load(source: Any, namespace: str | None = None) -> AnyRecord:
+def load(
+    source: Any, namespace: str | None = None, *, units: Mapping[str, str] | None = None,
+    params: str | Path | None = None,
+) -> AnyRecord:
     """One record: named signals, each with its unit and its own clock (`records/`).
 
     Args:
@@ -78,6 +82,8 @@ def load(source: Any, namespace: str | None = None) -> AnyRecord:
             the shared clock `time` (n,) s, or to pairs (time, values); a pandas DataFrame with
             such columns; a simulation, which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
+        units, params: of a logger's table, which is read as `sma-bench import` reads it: units of
+            columns by name, where their titles do not tell; the rig's parameter file.
 
     Returns:
         `Record`, whose `record["wire.voltage"]` has `time` (n,) s and `values` (n,); of an
@@ -94,8 +100,11 @@ def load(source: Any, namespace: str | None = None) -> AnyRecord:
         return record_from_frame(source)
     if isinstance(source, Mapping):
         return record_from_arrays(source)
-    if isinstance(source, str | Path):
+    if isinstance(source, str | Path) and units is None and params is None:
         return open_record(source, namespace)
+    if isinstance(source, str | Path):
+        bench = bench_of(read_parameter_names(params), str(params)) if params else BenchHints()
+        return record_of_table(source, bench, units or {})
     raise InputError(
         f"load: {type(source).__name__} given, expected a path, a mapping of arrays, a DataFrame, "
         "a simulation or a record"

@@ -37,6 +37,11 @@ MAP_SUFFIX = ".map.yaml"
     dest="units",
     multiple=True,
 )
+@options.option(
+    "--together",
+    "the files are one run, the position in one and the duty in another: one bag, one clock",
+    is_flag=True,
+)
 @options.output(
     "--out BAG",
     options.OWN,
@@ -54,7 +59,7 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.records.import_map import account_of, convert, map_text, read_map
     from sma_bench.records.import_proposal import BenchHints, bench_of, propose
     from sma_bench.records.record import Record
-    from sma_bench.records.tables import read_table_file, runs_of
+    from sma_bench.records.tables import read_table_file, runs_of, together
 
     given = read_map(args.map_file) if args.map_file else None
     bench = BenchHints()
@@ -68,7 +73,11 @@ def run(args: SimpleNamespace) -> int:
         units[column] = unit
     # Each file, and each sheet that is a run of its own, with its bag and its map.
     out = Path(args.out)
-    runs = [(file, *run) for file in args.files for run in runs_of(read_table_file(Path(file)))]
+    tables = [read_table_file(Path(file)) for file in args.files]
+    if args.together:
+        runs = [(args.files[0], "", together(tables))]
+    else:
+        runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in runs_of(t)]
     stems = [re.sub(r"[^\w.-]+", "_", f"{Path(file).stem} {sheet}".strip()).strip(".") or "run"
              for file, sheet, _ in runs]  # fmt: skip
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records.contract import COLDEST_BENCH, unit_of
+from sma_bench.records.contract import unit_of
 from sma_bench.records.record import FloatArray, Record, Signal
 
 TIME = "time"
@@ -20,6 +20,10 @@ _NAMES = (
     "<channel>.voltage, .current, .temperature, ambient.temperature, front.range, back.range, "
     "deflection, elongation, force or voltage_command"
 )
+
+
+_COLDEST_FRAME = 253.0  # K; what never gets warmer is no bench of SMA wires
+_FARTHEST = 1.0  # m that one moves
 
 
 def is_frame(thing: object) -> bool:
@@ -71,11 +75,13 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
             k = int(backward[0]) if backward.size else 0
             around = ", ".join(f"{t:g}" for t in seconds[k : k + 2])
             raise InputError(f"{where}: {name}: times {around} s, expected finite and increasing")
-        if unit == "K" and len(numbers) and numbers.max() < COLDEST_BENCH:
-            raise InputError(
-                f"{where}: {name} is {numbers.min():.4g} to {numbers.max():.4g}, expected kelvin; "
-                "of Celsius add 273.15"
-            )
+        span = f"{where}: {name}"
+        if len(numbers):
+            span += f" is {numbers.min():.4g} to {numbers.max():.4g}"
+        if unit == "K" and len(numbers) and numbers.max() < _COLDEST_FRAME:
+            raise InputError(f"{span}, expected kelvin; of Celsius add 273.15")
+        if unit == "m" and len(numbers) and numbers.ndim == 1 and np.ptp(numbers) > _FARTHEST:
+            raise InputError(f"{span}, expected m; of mm divide by 1000")
         if len(numbers):
             signals[name] = Signal(name, unit, seconds, numbers)
         else:

@@ -30,6 +30,7 @@ _CLOCK_TOLERANCE, _DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
 _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 _IRREGULAR = 0.1  # of a period that steps differ from whole ones
 _FLAT_SAMPLES = 20
+_FEWEST_TICKS, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
 # Kind of signal, between what its lowest and its highest value lie in SI units, and what is the
@@ -129,15 +130,29 @@ def _rate(record: Record) -> Iterator[Finding]:
             yield Finding(severity, signal.name, text, {"fraction": fraction})
 
 
+def receive_delays(record: Record) -> dict[str, FloatArray]:
+    """Receive time minus stamp (n,) s by signal; none where the recorder's clock was a simulated
+    one, whose ticks come again and again and tell how busy the computer was."""
+    delays = {
+        name: signal.received - signal.time
+        for name, signal in record.signals.items()
+        if signal.received is not None and len(signal.received) == len(signal) > 0
+    }
+    ticks = [
+        float(np.mean(np.diff(record[name].time + delay) < 1e-9))
+        for name, delay in delays.items() if len(delay) >= _FEWEST_TICKS
+    ]
+    return {} if max(ticks, default=0.0) > _TICKS else delays
+
+
 def _clocks(record: Record) -> Iterator[Finding]:
     """Topics whose receive times minus stamps differ from the others', or drift against them."""
     delays: dict[str, tuple[float, float]] = {}  # median, growth from first to last tenth
-    for signal in record.signals.values():
-        if signal.received is not None and signal.name not in _EVENTS and len(signal):
-            delay = signal.received - signal.time
+    for name, delay in receive_delays(record).items():
+        if name not in _EVENTS:
             tenth = max(1, len(delay) // 10)
             growth = float(np.median(delay[-tenth:]) - np.median(delay[:tenth]))
-            delays[signal.topic or signal.name] = float(np.median(delay)), growth
+            delays[record[name].topic or name] = float(np.median(delay)), growth
     if not delays:
         return
     common, common_drift = (float(np.median(c)) for c in zip(*delays.values(), strict=True))

@@ -4,11 +4,13 @@ wherever these leave room."""
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.findings import Finding
 from sma_bench.records.cells import Column
 from sma_bench.records.import_map import (
     ASK,
@@ -20,10 +22,11 @@ from sma_bench.records.import_map import (
     ROWS,
     Entry,
     ImportMap,
+    account_of,
     convert,
 )
-from sma_bench.records.record import FloatArray, Signal
-from sma_bench.records.tables import TableFile
+from sma_bench.records.record import FloatArray, Record, Signal
+from sma_bench.records.tables import TableFile, read_table_file
 from sma_bench.records.units import fits, in_si, parse_unit, plain_title, title_meanings
 
 _CLEAR = 3.0  # times as far one way as the other
@@ -155,6 +158,21 @@ def propose(
     if not proposal.questions:
         made = _signed(proposal, made)
     return made, proposal.questions, proposal.remarks
+
+
+def record_of_table(path: str | Path, bench: BenchHints, units: Mapping[str, str]) -> Record:
+    """The record of a logger's table, without a map in between.
+
+    Raises:
+        InputError: as `read_table_file`, or where the table leaves a question.
+    """
+    table = read_table_file(path)
+    made, questions, remarks = propose(table, bench, units)
+    if questions:
+        raise InputError(f"{path}: unsure of {questions[0]}; units= or params= may tell")
+    signals, _, start_ns = convert(table, made)
+    account = Finding("info", "account", str(account_of(table, made, remarks)))
+    return Record(Path(path), start_ns, {s.name: s for s in signals}, findings=(account,))
 
 
 # Meanings that make no signal, and why.

@@ -6,7 +6,7 @@ Cells are taken as they are written and understood here, once for all: no librar
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
@@ -156,6 +156,21 @@ def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
         alone = replace(file, tables=(replace(table, columns=own),), outside=outside)
         runs.append((table.name or str(place + 1), alone))
     return runs
+
+
+def together(files: Sequence[TableFile]) -> TableFile:
+    """Files that are one run as one, the columns of each under its stem; numbers on their clocks
+    count from one zero."""
+    tables: list[Table] = []
+    for file in files:
+        for table in file.tables:
+            named = tuple(replace(c, name=f"{file.path.stem}: {c.name}", group=file.path.stem,
+                                  table=len(tables)) for c in table.columns)  # fmt: skip
+            ignored = {f"{file.path.stem}: {n}": reason for n, reason in table.ignored.items()}
+            tables.append(replace(table, columns=named, ignored=ignored))
+    digest = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
+    outside = tuple(f"{file.path.name}: {line}" for file in files for line in file.outside)
+    return TableFile(files[0].path, files[0].format, digest, tuple(tables), outside)
 
 
 def read_lines(path: Path) -> list[str]:

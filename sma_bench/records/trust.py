@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sma_bench.findings import Finding
-from sma_bench.records.check import check_record
+from sma_bench.records.check import check_record, receive_delays
 from sma_bench.records.record import Record, Signal
 
 _CLOCK_TOLERANCE, _DRIFT_TOLERANCE = 0.1, 0.05  # s
@@ -35,11 +35,7 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
                 f"by {scatter:.2g}: the statement is not used"
             )
             found.append(Finding("warning", name, text, {"stated": stated, "scatter": scatter}))
-    delays = {
-        name: signal.received - signal.time
-        for name, signal in record.signals.items()
-        if signal.received is not None and len(signal)
-    }
+    delays = receive_delays(record)
     drive = next((n for n in delays if n.endswith(".voltage")), None)
     for name, delay in delays.items() if drive else ():
         off = float(np.median(delay) - np.median(delays[str(drive)]))

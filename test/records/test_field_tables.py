@@ -109,6 +109,29 @@ def test_a_unit_that_is_stated_answers_the_question():
         proposed(name, "rigv", units={"clock": "ms"})
 
 
+def test_a_notebook_reads_a_table_as_the_command_does():
+    path, rig = FIELD / "r10_time_fractional_ms_no_unit.csv", FIELD / "rigv.yaml"
+    assert load(path, units={"time": "ms"}, params=rig).duration == pytest.approx(19.5)
+    with pytest.raises(InputError, match="'time': no unit"):
+        load(path, params=rig)
+    time = np.arange(100.0)
+    for name, low, high, said in (("wire.temperature", 150, 250, "expected kelvin"),
+                                  ("elongation", 12, 20, "of mm")):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            load({"time": time, name: np.linspace(low, high, 100)})
+
+
+def test_files_that_are_one_run_become_one_bag(tmp_path):
+    time = np.arange(0, 20, 0.5)
+    for name, title, values in (("moved", "Position (mm)", 12.0 + 0.3 * (time > 5)),
+                                ("driven", "Voltage (V)", 3.0 * (time > 5))):  # fmt: skip
+        rows = "\n".join(f"{t},{v}" for t, v in zip(time, values, strict=True))
+        (tmp_path / f"{name}.csv").write_text(f"Time (s),{title}\n{rows}\n")
+    files = [str(tmp_path / "moved.csv"), str(tmp_path / "driven.csv")]
+    assert main(["import", *files, "--together", "--out", str(tmp_path / "bag")]) == 0
+    assert set(read_record(tmp_path / "bag").signals) == {"elongation", "wire.voltage"}
+
+
 def test_rows_without_a_clock_take_the_period_of_the_map(tmp_path):
     words = ["import", str(FIELD / "18_no_time.csv"), "--params", str(FIELD / "drig.yaml")]
     asked, out = tmp_path / "bag.map.yaml", tmp_path / "bag"
@@ -140,7 +163,7 @@ def test_decimal_commas_in_a_comma_separated_table_are_refused():
 def test_every_export_of_one_dsc_run_gives_its_temperatures(name):
     found = identify([load(FIELD / name)], Parameters.defaults()).estimates
     for symbol, kelvin in (("austenite_start", 318.15), ("austenite_finish", 335.15),
-                           ("martensite_start", 311.15), ("martensite_finish", 293.15)):  # fmt: skip
+                           ("martensite_start", 311.15), ("martensite_finish", 293.15)):
         assert found[f"wire.{symbol}_temperature"].value == pytest.approx(kelvin, abs=0.1)
 
 
