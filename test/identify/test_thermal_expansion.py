@@ -11,6 +11,7 @@ from sma_bench.identify.estimate import fit_linear
 from sma_bench.identify.instruments.thermal_expansion import (
     check_size,
     identify_thermal_expansion,
+    steady_windows,
 )
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
@@ -136,6 +137,10 @@ def test_ramp_without_plateaus_is_refused() -> None:
     )
     with pytest.raises(InputError, match="never holds still"):
         identify_thermal_expansion(ramp)
+
+
+def test_a_lone_reading_holds_still_for_no_time():
+    assert steady_windows(np.array([1.0]), np.array([300.0])).shape == (0, 2)
 
 
 def test_readings_that_no_bench_has_are_one_line():
