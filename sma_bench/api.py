@@ -82,8 +82,9 @@ def load(
             the shared clock `time` (n,) s, or to pairs (time, values); a pandas DataFrame with
             such columns; a simulation, which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
-        units, params: of a logger's table, which is read as `sma-bench import` reads it: units of
-            columns by name, where their titles do not tell; the rig's parameter file.
+        units: of a logger's table, by column where titles do not tell; it is then read as
+            `sma-bench import` reads it.
+        params: the rig's parameter file for such a table.
 
     Returns:
         `Record`, whose `record["wire.voltage"]` has `time` (n,) s and `values` (n,); of an

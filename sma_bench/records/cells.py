@@ -67,6 +67,14 @@ class Table:
     ignored: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
+    @property
+    def unused_lines(self) -> tuple[str, ...]:
+        """What is left out, and the lines of text between the rows."""
+        if not self.marks:
+            return self.left_out
+        first = f"the first {self.marks[0][1][:40]!r}"
+        return (*self.left_out, f"{len(self.marks)} lines of text between the rows, {first}")
+
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
 

@@ -379,7 +379,7 @@ def account_of(
     reasons = remarks or {}
     rest = {c.name: reasons.get(c.name, "not in the map") for c in table.columns
             if c.name not in used}  # fmt: skip
-    outside = (*table.outside, *(note for t in table.tables for note in t.left_out))
+    outside = (*table.outside, *(note for t in table.tables for note in t.unused_lines))
     return Account(
         sum(t.rows for t in table.tables), int(sum(k.sum() for k in kept)), used,
         {**rest, **table.ignored}, tuple(asked), outside,

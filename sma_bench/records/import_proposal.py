@@ -25,7 +25,7 @@ from sma_bench.records.import_map import (
     account_of,
     convert,
 )
-from sma_bench.records.record import FloatArray, Record, Signal
+from sma_bench.records.record import Record, Signal
 from sma_bench.records.tables import TableFile, read_table_file
 from sma_bench.records.units import fits, in_si, parse_unit, plain_title, title_meanings
 
@@ -36,6 +36,11 @@ _BELIEVABLE = {"voltage": (-60.0, 60.0), "current": (-30.0, 30.0), "temperature"
                "force": (-5e3, 5e3), "length": (-1.0, 1.0), "duty": (-DUTY_SLACK, 1.0 + DUTY_SLACK),
                "angle": (-100.0, 100.0), "ambient": (230.0, 330.0)}  # fmt: skip
 _UNIT_OF = {"duty": "ratio", "ambient": "temperature"}  # quantity of its unit, where it differs
+# Unit of values without one, where their largest lies between these: no bench's do in another.
+_GUESSES = {"duty": ("1", 0.005, 1.0), "voltage": ("V", 0.3, 60.0), "current": ("A", 0.02, 20.0)}
+_FORM_WORDS = {"rms": ("rms", "eff"), "peak": ("peak", "spitze"),
+               "mean": ("mean", "average", "mittel", "avg", "moyen", "medi")}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class BenchHints:
@@ -102,9 +107,9 @@ def propose(
         InputError: a unit for a column that is not there.
     """
     if units:
-        names = [column.name for column in table.columns]
-        if wrong := next((name for name in units if name not in names), None):
-            raise InputError(f"{table.path}: no column {wrong!r}, it has {', '.join(names[:12])}")
+        held = [column.name for column in table.columns]
+        if wrong := next((name for name in units if name not in held), None):
+            raise InputError(f"{table.path}: no column {wrong!r}, it has {', '.join(held[:12])}")
         tables = tuple(replace(t, columns=tuple(
             replace(c, unit=units.get(c.name, c.unit), fields=0 if c.name in units else c.fields)
             for c in t.columns)) for t in table.tables)  # fmt: skip
@@ -136,12 +141,42 @@ def propose(
             continue
         name = ROWS if ticks is None else ticks if isinstance(ticks, str) else ticks.name
         entries.append(_entry(proposal, column, str(meaning), name))
-    entries, doubled = _without_doubles(proposal, entries)
-    supply = _supply(proposal, meanings, entries)
-    lever = bench.lever if _has_angle(table, entries) else None
-    if _has_angle(table, entries) and lever is None:
-        lever = ASK  # type: ignore[assignment]
-        proposal.ask("lever", "m of movement for a radian? load.lever of --params says it")
+
+    # One column a signal; that there are two is asked.
+    first: dict[str, Entry] = {}
+    doubled: list[str] = []
+    for entry in entries:
+        other = first.setdefault(entry.signal, entry)
+        if other is not entry and entry.signal.partition(".")[0] != ASK:
+            doubled.append(entry.column)
+            proposal.ask(
+                entry.column, f"{other.column!r} could be {entry.signal} as well; which one?"
+            )
+    entries = [entry for entry in entries if entry.column not in doubled]
+
+    # What a switched supply gives, and how an angle moves the wire.
+    supply: float | str | None = None
+    lever: float | str | None = None
+    if any(e.form == "duty" or (e.form == "mean" and "voltage" in e.signal) for e in entries):
+        supply = bench.supply_voltage
+        for column in table.columns:
+            unit = parse_unit(column.unit or "V")
+            if supply is None and meanings[column.name] == "supply" and unit and (
+                unit.quantity == "voltage"
+            ):
+                supply = float(np.nanmedian(in_si(column.values, unit)))
+                proposal.remarks["supply_voltage"] = f"median of {column.name}"
+        if supply is None:
+            supply = ASK
+            text = "volts of the switched supply? bench.supply_voltage says it"
+            proposal.ask("supply_voltage", text)
+    turned = [parse_unit(entry.unit) for entry in entries if entry.signal in POSITIONS]
+    if any(unit is not None and unit.quantity == "angle" for unit in turned):
+        lever = bench.lever if bench.lever is not None else ASK
+        if lever == ASK:
+            proposal.ask("lever", "m of movement for a radian? load.lever of --params says it")
+
+    # The units of the clocks in use.
     named = {entry.clock for entry in entries}
     ticking = {name: _tick_unit(proposal, column) for name, column in used.items() if name in named}
     if ROWS in named:
@@ -154,7 +189,16 @@ def propose(
     for name in spare:
         proposal.remarks.setdefault(name, "a clock that no signal uses")
     made = ImportMap(ticking, tuple(entries), supply, lever, (*unused, *spare, *doubled))
-    _ask_for_missing(proposal, made, [n for n in unused if meanings[n] is None])
+
+    # What is missing. A clamped wire moves nothing, and shows its heat and its resistance.
+    names = {entry.signal.rpartition(".")[2] for entry in entries}
+    unknown = [name for name in unused if meanings[name] is None]
+    rest = ", ".join(map(repr, unknown[:8])) or "no others"
+    clamped = "temperature" in names or {"voltage", "current"} <= names
+    if not names & {*POSITIONS, "force"} and (unknown or not clamped):
+        proposal.ask("signals", f"no position or force recognised; the other columns: {rest}")
+    if not names & {"voltage", "current"} and not {"elongation", "force"} <= names:
+        proposal.ask("signals", f"no voltage, duty or current recognised; others: {rest}")
     if not proposal.questions:
         made = _signed(proposal, made)
     return made, proposal.questions, proposal.remarks
@@ -307,166 +351,84 @@ def _tick_unit(proposal: _Proposal, column: Column) -> str:
 
 
 def _entry(proposal: _Proposal, column: Column, meaning: str, clock: str) -> Entry:
-    bench, quantity = proposal.bench, _UNIT_OF.get(meaning, meaning)
+    """The signal that a column is: its name, unit, form and reference."""
+    bench = proposal.bench
     unit = _unit(proposal, column, meaning)
-    if quantity in ("length", "angle"):
+    if meaning in ("length", "angle"):
         signal = "deflection" if bench.is_beam else "elongation"
-    elif meaning == "ambient":
-        signal = "ambient.temperature"
-    elif meaning == "force":
-        signal = "force"
-    else:
-        channel = _channel(proposal, column)
-        signal = f"{channel}.{'voltage' if meaning == 'duty' else meaning}"
-    entry = Entry(signal, column.name, unit, clock)
-    if meaning == "duty":
-        return replace(entry, form="duty")
-    if meaning in ("voltage", "current"):
-        return replace(entry, form=_form(proposal, column, meaning))
-    return replace(entry, reference=REST) if signal in POSITIONS else entry
-
-
-def _channel(proposal: _Proposal, column: Column) -> str:
-    channels = proposal.bench.channels
-    if len(channels) == 1:
-        return channels[0]
+        return Entry(signal, column.name, unit, clock, reference=REST)
+    if meaning in ("ambient", "force"):
+        signal = "force" if meaning == "force" else "ambient.temperature"
+        return Entry(signal, column.name, unit, clock)
     plain = re.sub(r"\W+", "_", column.name.lower())
-    named = [channel for channel in channels if channel.lower() in plain]
-    if len(named) == 1:
-        return named[0]
-    proposal.ask(column.name, f"which channel: {', '.join(channels)}?")
-    return ASK
-
-
-def _form(proposal: _Proposal, column: Column, meaning: str) -> str:
-    """Whether volts or amperes are effective ones: of a switched supply a meter may show their
-    mean, and an oscilloscope the peak of a current."""
+    channels = [c for c in bench.channels if len(bench.channels) == 1 or c.lower() in plain]
+    if len(channels) != 1:
+        proposal.ask(column.name, f"which channel: {', '.join(bench.channels)}?")
+    channel = channels[0] if len(channels) == 1 else ASK
+    entry = Entry(f"{channel}.{'voltage' if meaning == 'duty' else meaning}", column.name, unit,
+                  clock, form="duty" if meaning == "duty" else "rms")  # fmt: skip
+    if meaning not in ("voltage", "current"):
+        return entry
+    # Whether volts or amperes are effective ones: of a switched supply a meter may show their mean,
+    # and an oscilloscope the peak of a current.
     said = plain_title(f"{column.name} {column.title} {column.unit}")
-    for form, words in (("rms", ("rms", "eff")), ("mean", ("mean", "average", "mittel", "avg",
-                        "moyen", "medi")), ("peak", ("peak", "spitze"))):  # fmt: skip
+    for form, words in _FORM_WORDS.items():
         if any(word in said for word in words) and (form != "peak" or meaning == "current"):
-            return form
-    if proposal.bench.drive == "duty":
+            return replace(entry, form=form)
+    if bench.drive == "duty":
         what, peak = ("volts", "") if meaning == "voltage" else ("amperes", " or peak")
         proposal.ask(column.name, f"bench.drive is duty: are these {what} rms or mean{peak}?")
-        return ASK
-    return "rms"
+        return replace(entry, form=ASK)
+    return entry
 
 
 def _unit(proposal: _Proposal, column: Column, meaning: str) -> str:
     """The column's own unit where its values are believable in it, a guess where one is sure."""
-    quantity = _UNIT_OF.get(meaning, meaning)
+    quantity, bench = _UNIT_OF.get(meaning, meaning), proposal.bench
     known = parse_unit(column.unit)
     if known is not None and {known.quantity, quantity} == {"angle", "length"}:
         quantity = known.quantity
-    finite = column.values[np.isfinite(column.values)]
-    span = f"{finite.min():.6g} to {finite.max():.6g}" if len(finite) else "nothing"
-    if known is not None and known.quantity == quantity:
-        if _is_believable(proposal, meaning, in_si(finite, known)):
-            return column.unit
-        guess = _guess(proposal, meaning, finite)
-        hint = f", or in {guess}" if guess else ""
-        proposal.ask(column.name, f"{span} in {column.unit!r} is beyond belief{hint}; which unit?")
-        return ASK
-    if column.unit and known is not None:
+    if column.unit and known is not None and known.quantity != quantity:
         proposal.ask(
             column.name, f"{column.unit!r} is a unit of {known.quantity}, the title says {meaning}"
         )
         return ASK
-    guess = _guess(proposal, meaning, finite)
+    finite = column.values[np.isfinite(column.values)]
+    low, high = float(finite.min()), float(finite.max())
+    span = f"{low:.6g} to {high:.6g}"
+
+    # The one unit in which values without any make sense; None where it is open.
+    guess = None
+    if meaning in ("temperature", "ambient"):
+        rest = float(np.median(finite[: max(3, len(finite) // 100)]))
+        guess = "degC" if 10.0 <= rest <= 45.0 else "K" if 283.0 <= rest <= 318.0 else None
+    elif meaning == "length" and bench.wire_length:
+        fitting = [unit for unit, factor in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
+                   if 0.003 < (high - low) * factor / bench.wire_length < 0.12]  # fmt: skip
+        guess = fitting[0] if len(fitting) == 1 else None
+    elif meaning in _GUESSES:
+        unit, least, most = _GUESSES[meaning]
+        guess = unit if least <= max(abs(low), abs(high)) <= most else None
+
+    if known is not None:
+        least, most = _BELIEVABLE[meaning]
+        si = in_si(np.array([low, high]), known)
+        if meaning == "length":  # of a movement
+            is_wire = bench.wire_length and not bench.is_beam
+            believed = si[1] - si[0] < (0.2 * (bench.wire_length or 0.0) if is_wire else most)
+        else:
+            believed = least <= si[0] and si[1] <= most
+        if believed:
+            return column.unit
+        hint = f", or in {guess}" if guess else ""
+        proposal.ask(column.name, f"{span} in {column.unit!r} is beyond belief{hint}; which unit?")
+        return ASK
     if column.unit or guess is None:
         said = f"unit {column.unit!r} is not known" if column.unit else "no unit is given"
         proposal.ask(column.name, f"{said}, values are {span}; which unit?")
         return ASK
     proposal.remarks[column.name] = f"no unit is given; {span} is taken as {guess!r}"
     return guess
-
-
-def _is_believable(proposal: _Proposal, meaning: str, values: FloatArray) -> bool:
-    if not len(values):
-        return True
-    low, high = float(values.min()), float(values.max())
-    least, most = _BELIEVABLE[meaning]
-    if meaning == "length":
-        length = proposal.bench.wire_length
-        return high - low < (0.2 * length if length and not proposal.bench.is_beam else most)
-    return least <= low and high <= most
-
-
-def _guess(proposal: _Proposal, meaning: str, values: FloatArray) -> str | None:
-    """The one unit in which values without any make sense; None where it is open."""
-    if not len(values):
-        return None
-    low, high = float(values.min()), float(values.max())
-    largest = max(abs(low), abs(high))
-    if meaning == "duty":
-        return "1" if 0.005 < largest <= 1.0 else None
-    if meaning in ("temperature", "ambient"):
-        rest = float(np.median(values[: max(3, len(values) // 100)]))
-        return "degC" if 10.0 <= rest <= 45.0 else "K" if 283.0 <= rest <= 318.0 else None
-    if meaning == "voltage":
-        return "V" if 0.3 <= largest <= 60.0 else None
-    if meaning == "current":
-        return "A" if 0.02 <= largest <= 20.0 else None
-    length = proposal.bench.wire_length
-    if meaning == "length" and length:
-        strains = {unit: (high - low) * factor / length for unit, factor in _LENGTHS.items()}
-        fitting = [unit for unit, strain in strains.items() if 0.003 < strain < 0.12]
-        return fitting[0] if len(fitting) == 1 else None
-    return None
-
-
-_LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
-
-
-def _without_doubles(
-    proposal: _Proposal, entries: list[Entry]
-) -> tuple[list[Entry], list[str]]:
-    """One column a signal; that there are two is asked."""
-    first: dict[str, Entry] = {}
-    doubled: list[str] = []
-    for entry in entries:
-        other = first.setdefault(entry.signal, entry)
-        if other is not entry and entry.signal.partition(".")[0] != ASK:
-            doubled.append(entry.column)
-            proposal.ask(
-                entry.column, f"{other.column!r} could be {entry.signal} as well; which one?"
-            )
-    return [entry for entry in entries if entry.column not in doubled], doubled
-
-
-def _supply(
-    proposal: _Proposal, meanings: Mapping[str, str | None], entries: list[Entry]
-) -> float | str | None:
-    if not any(entry.form in ("duty", "mean") for entry in entries):
-        return None
-    if proposal.bench.supply_voltage is not None:
-        return proposal.bench.supply_voltage
-    for column in proposal.table.columns:
-        unit = parse_unit(column.unit or "V")
-        if meanings[column.name] == "supply" and unit and unit.quantity == "voltage":
-            volts = float(np.nanmedian(in_si(column.values, unit)))
-            proposal.remarks["supply_voltage"] = f"median of {column.name}"
-            return volts
-    proposal.ask("supply_voltage", "volts of the switched supply? bench.supply_voltage says it")
-    return ASK
-
-
-def _has_angle(table: TableFile, entries: Sequence[Entry]) -> bool:
-    units = [parse_unit(entry.unit) for entry in entries if entry.signal in POSITIONS]
-    return any(unit is not None and unit.quantity == "angle" for unit in units)
-
-
-def _ask_for_missing(proposal: _Proposal, made: ImportMap, unknown: list[str]) -> None:
-    names = {entry.signal.rpartition(".")[2] for entry in made.entries}
-    moves, drives = bool(names & {*POSITIONS, "force"}), bool(names & {"voltage", "current"})
-    rest = ", ".join(map(repr, unknown[:8])) or "no others"
-    # A clamped wire moves nothing, and shows its heat and its resistance.
-    clamped = "temperature" in names or {"voltage", "current"} <= names
-    if not moves and (unknown or not clamped):
-        proposal.ask("signals", f"no position or force recognised; the other columns: {rest}")
-    if not drives and not {"elongation", "force"} <= names:
-        proposal.ask("signals", f"no voltage, duty or current recognised; others: {rest}")
 
 
 def _signed(proposal: _Proposal, made: ImportMap) -> ImportMap:

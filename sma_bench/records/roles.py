@@ -119,7 +119,7 @@ class Sheet:
     def account(self, used: Mapping[str, str], rows: int) -> Account:
         """What became of the table's rows and columns."""
         rest = {c.name: "not needed" for c in self.table.columns if c.name not in used}
-        outside = (*self.table.left_out, *self.file.outside)
+        outside = (*self.table.unused_lines, *self.file.outside)
         return Account(self.table.rows, rows, dict(used), {**rest, **self.table.ignored}, (),
                        outside, self.table.name if len(self.file.tables) > 1 else "")  # fmt: skip
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
@@ -12,7 +12,6 @@ from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.parameters import Parameters
 from sma_bench.records import open_record
 from sma_bench.records.isobaric import IsobaricRecord, find_cycles, read_isobaric, without_spikes
-from sma_bench.records.tables import read_table_file
 from sma_bench.records.tensile import TensileRecord, read_tensile
 
 
@@ -191,36 +190,6 @@ def test_branches_run_their_way_and_cover_what_they_say(turns: list[float], nois
             rises = b.temperature[-1] > b.temperature[0]
             assert rises == (b.direction == "heating")
             assert np.all(np.diff(b.strain) > 0.0)
-
-
-@settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(content=st.binary(max_size=400))
-def test_any_bytes_are_read_or_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "any.txt"
-    path.write_bytes(content)
-    try:
-        table = read_table_file(path)
-    except InputError as error:
-        assert "\n" not in str(error)
-    else:
-        assert all(len(t.lines) == len(c.values) for t in table.tables for c in t.columns)
-
-
-def test_decimal_commas_are_understood(tmp_path: Path) -> None:
-    path = tmp_path / "german.csv"
-    path.write_text("Dehnung (%);Spannung (MPa)\n0,5;10,25\n0,6;11,5\n", encoding="latin-1")
-    strain, stress = read_table_file(path).columns
-    np.testing.assert_allclose([strain.values, stress.values], [[0.5, 0.6], [10.25, 11.5]])
-    assert (strain.name, stress.name) == ("Dehnung (%)", "Spannung (MPa)")
-
-
-def test_line_of_units_below_the_titles_joins_them(tmp_path: Path) -> None:
-    path = tmp_path / "t.txt"
-    path.write_text("Strain\tStress\n%\tMPa\n" + "1.0\t10.0\n2.0\t20.0\n")
-    found = [(column.title, column.unit) for column in read_table_file(path).columns]
-    assert found == [("Strain", "%"), ("Stress", "MPa")]
 
 
 def tensile(folder: Path, header: str, columns: np.ndarray, above: str = "") -> Path:
