@@ -64,6 +64,8 @@ LONGEST = (
 RERUN = {
     "test/nodes/test_controllers.py::test_triangle_of_deflections_is_tracked_on_the_simulator":
         "one run of twenty beside others stalls for seconds between two commands; cause not known",
+    "test/nodes/test_bridge_faults.py::test_outputs_go_to_zero_in_time_and_the_cause_is_told":
+        "beside other work the self-test at enabling may get its answer late, and refuses",
     "test/nodes/test_dashboard.py::test_it_finds_signals_limits_protocol_nodes_and_the_diagnosis":
         "failed once at nine times the load that the processors can take; cause not known",
     "test/reliability/test_campaigns.py::test_killed_recorders_lose_a_second_at_most":

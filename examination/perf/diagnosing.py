@@ -167,7 +167,7 @@ def long_record(lab: Parameters, protocol: str, length: float) -> Record:
             signals[name] = Signal(name, unit, time_, values[:, k] + noise)
     reading = bench.deflection_reading + rng.normal(0.0, _DEFLECTION_NOISE, time_.size)
     signals["deflection"] = Signal("deflection", "m", time_, reading)
-    return Record("synthetic", 0, signals)
+    return Record(Path("synthetic"), 0, signals)
 
 
 if __name__ == "__main__":

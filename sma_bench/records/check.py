@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from math import inf
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -426,16 +427,17 @@ def describe(record: AnyRecord) -> dict[str, Any]:
 
 def account_line(record: AnyRecord) -> str:
     """What became of the rows and columns of a file, or of the messages and topics of a bag."""
+    name = Path(record.path).name
     if not isinstance(record, Record):
-        return f"{record.path.name}: {record.account}" if record.account else ""
+        return f"{name}: {record.account}" if record.account else ""
     used = {n: ", ".join(t.signals) for n, t in record.topics.items() if t.signals}
     rest = ", ".join(f"{n} ({t.type}, none of the bench's)" for n, t in record.topics.items()
                      if not t.signals)  # fmt: skip
     read = sum(topic.count for topic in record.topics.values())
-    taken = sum(record.topics[name].count for name in used)
-    shown = ", ".join(f"{name} ({signals})" for name, signals in used.items()) or "none"
+    taken = sum(record.topics[topic].count for topic in used)
+    shown = ", ".join(f"{topic} ({signals})" for topic, signals in used.items()) or "none"
     return (
-        f"{record.path.name}: {read} messages read, {taken} used; topics used: {shown}; ignored: "
+        f"{name}: {read} messages read, {taken} used; topics used: {shown}; ignored: "
         f"{rest or 'none'}"
     )
 

@@ -5,6 +5,8 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
+from sma_bench.identify.thermal.ramps import Window
+from sma_bench.identify.thermal.specific_heat import slope_of_rates
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 
@@ -124,3 +126,10 @@ def test_ramps_alone_give_specific_heat_and_coefficient_together(ramp):
 def test_ramp_that_does_not_warm_the_wire_is_an_error(ramp):
     with pytest.raises(InputError, match="temperature rises by .* expected 10 times"):
         found_cp(ramp(top=0.2))
+
+
+def test_ramps_shorter_than_the_filter_are_one_line():
+    time = np.arange(4) * 0.01
+    window = Window(time, np.ones(4), time, np.full(4, 300.0))
+    with pytest.raises(InputError, match="longer than the filter"):
+        slope_of_rates([window], [300.0], 2.7, 0.1, 1e-4)
