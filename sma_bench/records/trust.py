@@ -10,7 +10,8 @@ from sma_bench.findings import Finding
 from sma_bench.records.check import check_record, receive_delays
 from sma_bench.records.record import Record, Signal
 
-_CLOCK_TOLERANCE, _DRIFT_TOLERANCE = 0.1, 0.05  # s
+# s. A camera's picture takes up to a second on its way, with a right stamp: no reason to move it.
+_CLOCK_TOLERANCE, _DRIFT_TOLERANCE = 1.0, 0.05
 _FEWEST, _NEAR, _SHARE = 50, 0.05, 0.98
 _BELIEVED = 0.1  # of the scatter, least of a stated deviation
 _TURNS, _BRIEF = 20, 2.5  # jumps; samples that the briefer of two levels is held
@@ -19,8 +20,9 @@ _SUSPECT = {"value", "drift", "turns"}  # of the numbers of a finding
 
 def mended(record: Record) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
-    constant time off the drive's are moved onto it, by when the recorder got the messages, and
-    deviations far below a reading's own scatter, which no sensor can state, are left out."""
+    constant time, over a second, off the drive's are moved onto it, by when the recorder got the
+    messages, and deviations far below a reading's own scatter, which no sensor can state, are left
+    out."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():

@@ -50,6 +50,14 @@ def test_a_clock_of_another_time_is_moved_back_by_when_messages_came(off):
     assert not mended(record)[1]
 
 
+def test_a_picture_that_takes_its_time_keeps_its_right_stamp():
+    record = record_of(staircase())
+    own = record["wire.temperature"]
+    late = {"wire.temperature": replace(own, received=own.time + 0.4)}
+    sound, found = mended(replace(record, signals=record.signals | late))
+    assert not found and sound["wire.temperature"].time is own.time
+
+
 def test_a_diagnosis_mends_the_clock_says_so_and_names_no_lag():
     found = sma_bench.diagnose(late_clock(record_of(staircase()), 37.0), LAB)
     assert found.cause == ()
