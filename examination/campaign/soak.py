@@ -66,9 +66,8 @@ def _run(
     talker.nodes.start("recorder", {"output": str(folder / "bag"), **simulated})
     talker.until("the simulator's clock", lambda: clock)
     talker.until("the experiment is idle", lambda: states)
-    answer = talker.call(Trigger, "experiment/start")
-    if not answer.success:
-        raise RuntimeError(answer.message)
+    # It refuses until it has found whoever listens to its commands.
+    talker.until("the experiment starts", lambda: talker.call(Trigger, "experiment/start").success)
     begin = clock[-1]
     hours, held = [], {node: [] for node in NODES}
     due = time.monotonic()

@@ -58,8 +58,8 @@ def test_the_terminals_of_the_readme_record_a_bench(tmp_path, capsys, ros_domain
             )
         recorder, experiment = running[1], tmp_path / "experiment.log"
         until(tmp_path / "recorder.log", "wire/temperature")
-        assert main([*call, "--set", f"protocol={protocol}", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["answer"] == "short: 3 s"
+        answer = accepted([*call, "--set", f"protocol={protocol}", "--json"], capsys)
+        assert json.loads(answer)["answer"] == "short: 3 s"
         assert main(call) == 2
         assert "already running short" in capsys.readouterr().err
         until(experiment, "done: short")
@@ -83,6 +83,16 @@ def test_a_node_that_does_not_run_is_one_line(capsys, ros_domain, monkeypatch):
     error = capsys.readouterr().err
     assert "/bench/experiment/start: no such service found within 1 s" in error
     assert error.count("\n") == 1
+
+
+def accepted(call, capsys):
+    """What it prints; on a busy machine the nodes find one another in their own time."""
+    end = time.monotonic() + PATIENCE
+    while status := main(call):
+        error = capsys.readouterr().err
+        assert status == 2 and re.search("nothing listens|was never received", error), error
+        assert time.monotonic() < end, error
+    return capsys.readouterr().out
 
 
 def until(log, words):

@@ -137,8 +137,13 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
     # Stated: a default would make way.
     stated = {"wire__austenite_finish_temperature": 353.61}
     bench.start("experiment", protocol_root=str(tmp_path), **stated)
-    answer = bench.trigger("experiment/start")
-    assert not answer.success and "no feedback: wire/power was never received" in answer.message
+
+    def refused_for_want_of_feedback():
+        """Once it has found the test, which listens to its commands."""
+        answer = bench.trigger("experiment/start")
+        return not answer.success and "no feedback: wire/power was never" in answer.message
+
+    bench.until(refused_for_want_of_feedback)
     result = bench.set_parameter("experiment", "protocol", "stairs")
     assert not result.successful and "not one of" in result.reason
     hot = protocol({"name": "hot", "steps": [{"kind": "hold", "level": 12.0, "duration": 1.0}]})
