@@ -25,38 +25,35 @@ SHORT = {
     ],
 }
 
+WAITS = {
+    "name": "waits",
+    "steps": [
+        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 5.0,
+         "until": {"temperature_above": 320.0}},
+        {"kind": "rest", "name": "cool", "duration": 1.0},
+    ],
+}  # fmt: skip
+
 
 class Bench:
     """A run's outputs, and a wire that gets what is commanded or else what the test wants."""
 
-    def __init__(self, protocol=LONG, parameters=PARAMETERS, loop=None, require_recorder=False):
-        self.parameters = parameters
-        self.celsius, self.ampere, self.deaf, self.frozen = 25.0, None, False, False
+    def __init__(self, protocol=LONG, require_recorder=False):
+        self.celsius, self.ampere = 25.0, None
+        self.deaf = self.frozen = False
         self.tells = True
         self.sent, self.marks, self.states, self.shown = [], [], [], []
+        self.send, self.mark = self.sent.append, self.marks.append
+        self.enter, self.show = self.states.append, self.shown.append
         self.around = Surroundings()
-        self.now = 100.0
-        self.stamp = 0.0
-        channels = parameters["bench.channels"]
-        self.guard = Guard(channels, ("power", "temperature"), 0.5)
+        self.now, self.stamp = 100.0, 0.0
+        self.guard = Guard(("wire",), ("power", "temperature"), 0.5)
         self.beside = Beside(require_recorder)
-        self.run = Run(self, loop or OpenLoop(), self.guard, self.beside, len(channels))
-        self.plan = lambda: parse_protocol(protocol, parameters)
+        self.run = Run(self, OpenLoop(), self.guard, self.beside, 1)
+        self.plan = lambda: parse_protocol(protocol, PARAMETERS)
 
     def surroundings(self):
         return self.around
-
-    def send(self, voltage):
-        self.sent.append(voltage)
-
-    def mark(self, step):
-        self.marks.append(step)
-
-    def enter(self, state):
-        self.states.append(state)
-
-    def show(self, progress):
-        self.shown.append(progress)
 
     @property
     def state(self):
@@ -66,14 +63,13 @@ class Bench:
         """The readings of one moment."""
         if not self.frozen:
             self.stamp = self.now
-        for k, channel in enumerate(self.parameters["bench.channels"]):
-            volt = 0.0 if self.deaf or not self.sent else self.sent[-1][k]
-            ampere = volt / RESISTANCE if self.ampere is None else self.ampere
-            self.guard.power(channel, volt, ampere, self.stamp, self.now, LIMITS)
-            self.guard.temperature(channel, self.celsius + 273.15, self.stamp, self.now, LIMITS)
-            if self.tells:
-                kelvin = self.celsius + 273.15
-                self.run.heard("temperature", channel, kelvin, self.stamp, self.now)
+        volt = 0.0 if self.deaf or not self.sent else self.sent[-1][0]
+        ampere = volt / RESISTANCE if self.ampere is None else self.ampere
+        kelvin = self.celsius + 273.15
+        self.guard.power("wire", volt, ampere, self.stamp, self.now, LIMITS)
+        self.guard.temperature("wire", kelvin, self.stamp, self.now, LIMITS)
+        if self.tells:
+            self.run.heard("temperature", "wire", kelvin, self.stamp, self.now)
 
     def spend(self, seconds):
         for _ in range(round(seconds / PERIOD)):
@@ -85,16 +81,6 @@ class Bench:
     def start(self):
         self.read()
         return self.run.start(self.now, self.plan)
-
-
-@pytest.fixture
-def bench():
-    """One that drives the wire with 3 V."""
-    bench = Bench()
-    assert bench.start() == (True, "long: 1000 s")
-    bench.spend(0.5)
-    assert bench.state == "running: long" and bench.sent[-1] == [3.0]
-    return bench
 
 
 def assert_cold(bench, reason):
@@ -123,59 +109,45 @@ def test_steps_are_marked_and_sent_after_a_lead_in_and_0_v_ends_it():
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
-        ({"celsius": 160.0}, "over-temperature: wire at 160.0 degC"),
-        ({"ampere": 3.5}, "over-current: wire at 3.50 A, limit 3 A"),
         ({"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25 V"),
         ({"frozen": True}, "stale feedback: nothing new from wire/"),
         ({"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
     ],
 )
-def test_what_is_wrong_with_the_readings_aborts(bench, wrong, reason):
+def test_what_is_wrong_with_the_readings_aborts(wrong, reason):
+    """What else is wrong, and that an abort is latched: test/nodes/test_experiment.py."""
+    bench = Bench()
+    assert bench.start() == (True, "long: 1000 s")
+    bench.spend(0.5)
+    assert bench.state == "running: long" and bench.sent[-1] == [3.0]
     vars(bench).update(wrong)
     bench.spend(2.0)
     assert_cold(bench, reason)
 
 
-def test_a_stop_and_an_abort_are_latched_and_a_running_protocol_neither_started_nor_reset(bench):
-    assert bench.run.reset() == (False, "running: stop first")
-    assert bench.start() == (False, "already running long")
-    assert bench.run.stop() == (True, "aborted: stopped on request")
-    assert_cold(bench, "stopped on request")
-    started, why = bench.start()
-    assert not started and why.startswith("aborted: stopped on request") and "reset first" in why
-    assert bench.run.reset() == (True, "idle")
-    bench.guard.recorder("bag: cannot be written: No space left on device")
-    assert bench.start()[0] is False
-    assert bench.run.reset()[0] and bench.start()[0]  # without it
-    bench.spend(0.5)
-    bench.run.close()
-    assert bench.sent[-1] == [0.0] and bench.state == "aborted: the node was ended"
-
-
-def test_without_feedback_or_listeners_or_time_there_is_no_start():
-    bench = Bench()
+def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
+    bench = Bench(WAITS)
+    bench.tells = False
     refused = bench.run.start(bench.now, bench.plan)
     assert refused == (False, "no feedback: wire/power was never received")
-    bench.read()
+    assert bench.start() == (False, "warm waits for temperature, which nobody publishes")
     for around, why in (
         (Surroundings(commands_heard=False), "nothing listens to voltage_command"),
         (Surroundings(has_time=False), "use_sim_time is set, but there is no /clock"),
     ):
         bench.around = around
         assert bench.start() == (False, why)
-
-
-def test_a_protocol_that_cannot_be_read_any_more_is_the_answer_or_ends_the_autostart():
-    bench = Bench()
+    bench.around = Surroundings()
 
     def missing():
         raise InputError("p.yaml: no such file")
 
-    bench.read()
     assert bench.run.start(bench.now, missing) == (False, "p.yaml: no such file")
+    bench.spend(0.5)
     late = Run(bench, OpenLoop(), bench.guard, bench.beside, 1, autostart=True)
     late.watch(bench.now, missing)
     assert bench.state == "aborted: not started: p.yaml: no such file"
+    assert not any(map(any, bench.sent))
 
 
 def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothing_records():
@@ -196,31 +168,21 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
         recorder_says("recording", {"/a": 1})
         bench.spend(1.0)
     assert_cold(bench, "not started: the recorder does not hear /b, /c yet")
-    bench.run.reset()
-    recorder_says("recording", {"/a": 1, "/b": 0, "/c": 9})
-    assert bench.start()[0]
+
+    def start():
+        bench.run.reset()
+        recorder_says("recording", {"/a": 1, "/b": 0, "/c": 9})
+        assert bench.start()[0]
+
+    start()
     bench.spend(9.0)
     assert bench.state == "running: long"
     bench.spend(2.0)
     assert_cold(bench, "the recorder has been silent for 10 s")
-    bench.run.reset()
-    recorder_says("recording", {"/a": 1, "/b": 0, "/c": 9})
-    assert bench.start()[0]
+    start()
     recorder_says("closed", {"/a": 1})
     bench.spend(0.1)
     assert_cold(bench, "the recorder does not record: closed")
-
-
-# --- Steps that end when something happens.
-
-WAITS = {
-    "name": "waits",
-    "steps": [
-        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 5.0,
-         "until": {"temperature_above": 320.0}},
-        {"kind": "rest", "name": "cool", "duration": 1.0},
-    ],
-}  # fmt: skip
 
 
 def test_a_step_ends_when_the_wire_is_warm_or_with_its_limit_and_the_next_has_its_whole_time():
@@ -241,14 +203,6 @@ def test_a_step_ends_when_the_wire_is_warm_or_with_its_limit_and_the_next_has_it
     assert bench.sent[-1] == [2.0]
     bench.spend(0.3)
     assert bench.sent[-1] == [0.0] and bench.marks[-1] == "waits/cool"
-
-
-def test_what_a_step_waits_for_must_be_measured_before_anything_is_driven():
-    bench = Bench(WAITS)
-    bench.tells = False
-    assert bench.start() == (False, "warm waits for temperature, which nobody publishes")
-    bench.spend(0.5)
-    assert not any(map(any, bench.sent))
 
 
 @pytest.mark.parametrize("kelvin", [None, math.nan])

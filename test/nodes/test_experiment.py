@@ -20,6 +20,7 @@ SHORT = {
     ],
 }
 LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
+HOT = {"name": "hot", "steps": [{"kind": "hold", "level": 12.0, "duration": 1.0}]}
 
 
 @pytest.fixture
@@ -34,12 +35,25 @@ def protocol(tmp_path):
 
 @pytest.fixture
 def running(bench, protocol):
-    """A fake bench and an experiment that drives it with 3 V."""
+    """A fake bench, an experiment that drives it with 3 V, and how to start another one."""
     fake = FakeBench(bench)
-    node = bench.start("experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=1.5)
-    bench.until(lambda: fake.state == "running: long")
-    bench.until(lambda: fake.commands and fake.commands[-1].data[0] == 3.0)
-    return fake, node
+
+    def start():
+        node = bench.start(
+            "experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=1.5
+        )
+        bench.until(lambda: "running: long" in node.output and fake.volts == [3.0])
+        return node
+
+    return fake, start(), start
+
+
+def assert_ends_cold(bench, fake, node, number):
+    """A signal ends it cleanly, with 0 V as its last word."""
+    assert fake.volts == [3.0] and node.end(number) == 0
+    bench.until(lambda: fake.last(1) == [[0.0]])
+    bench.until(lambda: fake.state == "aborted: the node was ended")
+    assert "Traceback" not in node.output
 
 
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
@@ -61,18 +75,9 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert node.end() == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-def test_a_signal_ends_the_node_cleanly_with_zero_volts_as_its_last_word(bench, running, number):
-    fake, node = running
-    assert node.end(number) == 0
-    bench.until(lambda: fake.last(1) == [[0.0]])
-    bench.until(lambda: fake.state == "aborted: the node was ended")
-    assert "Traceback" not in node.output
-
-
 def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, running):
     """The rules themselves are those of test/live; here, that each topic and service is heard."""
-    fake, _ = running
+    fake, node, start_another = running
     recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
     bench.until(recorder.get_subscription_count)
     recorder.publish(String(data="not what a recorder says"))
@@ -88,7 +93,7 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
 
     def start():
         bench.until(lambda: bench.trigger("experiment/start").success)
-        bench.until(lambda: fake.commands[-1].data[0] == 3.0)
+        bench.until(lambda: fake.volts == [3.0])
 
     fake.celsius = 160.0
     aborts("over-temperature: wire at 160.0 degC")
@@ -96,8 +101,8 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     fake.ampere = 3.5
     aborts("over-current: wire at 3.50 A, limit 3 A")
     start()
-    assert not bench.trigger("experiment/reset").success
-    assert not bench.trigger("experiment/start").success
+    assert bench.trigger("experiment/reset").message == "running: stop first"
+    assert bench.trigger("experiment/start").message == "already running long"
     assert bench.trigger("experiment/stop").success
     aborts("stopped on request")
     bridge = bench.node.create_publisher(String, "serial_bridge/state", LATCHED)
@@ -115,19 +120,15 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     aborts("recording failed: bag: cannot be written")
     start()  # without it
 
-
-def test_a_second_of_a_name_is_refused_and_the_first_goes_on(bench, running):
-    fake, node = running
     second = bench.start("experiment")
     bench.until(lambda: second.process.poll() is not None)
     assert second.process.returncode == 2
     said = "/bench/experiment is there already in ROS domain"
     assert said in second.output and f"process {node.process.pid}" in second.output
     fake.until_sent(3.0, count=20)
-    # Elsewhere it may; and whoever was killed holds nothing.
-    node.end(signal.SIGKILL)
-    third = bench.start("experiment")
-    bench.until(lambda: "idle" in third.output)
+    node.end(signal.SIGKILL)  # whoever was killed holds no name
+    recorder.publish(String(data=""))
+    assert_ends_cold(bench, fake, start_another(), signal.SIGTERM)
 
 
 def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(
@@ -144,32 +145,30 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
         return not answer.success and "no feedback: wire/power was never" in answer.message
 
     bench.until(refused_for_want_of_feedback)
-    result = bench.set_parameter("experiment", "protocol", "stairs")
-    assert not result.successful and "not one of" in result.reason
-    hot = protocol({"name": "hot", "steps": [{"kind": "hold", "level": 12.0, "duration": 1.0}]})
-    result = bench.set_parameter("experiment", "protocol", hot)
-    assert not result.successful and "level is 12 V, expected 0 to 10 V" in result.reason
-    result = bench.set_parameter("experiment", "wire.austenite_start_temperature", 400.0)
-    assert not result.successful and "must lie below" in result.reason
     pipe, link, huge = (tmp_path / f"{name}.yaml" for name in ("pipe", "link", "huge"))
     os.mkfifo(pipe)
     link.symlink_to("/dev/zero")
     huge.write_bytes(b"#" * (1 << 20) + b"\n")
-    for path, reason in (
-        (pipe, "expected a regular file"), (link, "lies outside protocol_root"),
-        (huge, "larger than 1048576 bytes"), ("/etc/passwd", "lies outside protocol_root"),
-        (f"{tmp_path}/../x.yaml", "lies outside protocol_root"),
-    ):  # fmt: skip
-        result = bench.set_parameter("experiment", "protocol", str(path))
+    for name, value, reason in (
+        ("protocol", "stairs", "not one of"),
+        ("protocol", protocol(HOT), "level is 12 V, expected 0 to 10 V"),
+        ("protocol", str(pipe), "expected a regular file"),
+        ("protocol", str(link), "lies outside protocol_root"),
+        ("protocol", str(huge), "larger than 1048576 bytes"),
+        ("protocol", f"{tmp_path}/../x.yaml", "lies outside protocol_root"),
+        ("wire.austenite_start_temperature", 400.0, "must lie below"),
+    ):
+        result = bench.set_parameter("experiment", name, value)
         assert not result.successful and reason in result.reason
     assert bench.trigger("experiment/stop").success
 
 
 def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, running):
-    fake, _ = running
+    fake, node, _ = running
+    heat_transfer, limit = "wire.heat_transfer_coefficient", "bench.maximum_temperature"
     for name, value in (
-        ("bench.maximum_temperature", 700.0), ("bench.maximum_current", 3.5),
-        ("bench.temperature_tolerance", 400.0), ("wire.heat_transfer_coefficient", 200.0),
+        (limit, 700.0), ("bench.maximum_current", 3.5), ("bench.temperature_tolerance", 400.0),
+        (heat_transfer, 200.0),
     ):  # fmt: skip
         result = bench.set_parameter("experiment", name, value)
         assert result.reason == f"{name} cannot change while the node runs"
@@ -177,5 +176,9 @@ def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, r
     assert not bench.set_parameter("experiment", "use_sim_time", True).successful
     fake.until_sent(3.0, count=20)
     bench.trigger("experiment/stop")
-    assert not bench.set_parameter("experiment", "bench.maximum_temperature", 700.0).successful
-    assert bench.set_parameter("experiment", "wire.heat_transfer_coefficient", 200.0).successful
+    assert not bench.set_parameter("experiment", limit, 700.0).successful
+    assert bench.set_parameter("experiment", heat_transfer, 200.0).successful
+    bench.trigger("experiment/reset")
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: fake.volts == [3.0])
+    assert_ends_cold(bench, fake, node, signal.SIGINT)
