@@ -4,7 +4,6 @@ Independent of sma_bench.physics on purpose: the numbers come from the parameter
 integrated by scipy, histories (largest austenite, plastic stretch) are followed sample by sample.
 """
 
-from collections.abc import Callable
 from math import exp
 
 import numpy as np
@@ -65,16 +64,18 @@ class Heat:
 
     def rate(self, t: float, y: np.ndarray, volt: np.ndarray) -> np.ndarray:
         wire, silicone = np.split(y, 2)
-        air = self.ambient + (
-            self.effect("ambient_drift.rate") + self.effect("ambient_drift.bend") * t
-        ) * t
+        air = (
+            self.ambient
+            + (self.effect("ambient_drift.rate") + self.effect("ambient_drift.bend") * t) * t
+        )
         slope = self.effect("phase_dependent_resistance.temperature_coefficient")
         ohm = self.p["wire.resistance"] * (1 + slope * (wire - self.ambient))
         heating = ohm * (volt / (ohm + self.effect("supply_drop.resistance"))) ** 2
         capacity = self.effect("matrix_thermal_mass.heat_capacity")
         surface = silicone if capacity else wire
-        loss = self.loss * (1 + self.effect("temperature_dependent_convection.rise")
-                            * (surface - air))
+        loss = self.loss * (
+            1 + self.effect("temperature_dependent_convection.rise") * (surface - air)
+        )
         exchanged = self.pair.sum(axis=1) * surface - self.pair @ surface
         if not capacity:
             d_wire = (heating - loss * (wire - air) - exchanged) / self.capacity
@@ -89,25 +90,23 @@ class Heat:
         y = np.full(2 * voltage.shape[1], self.ambient)
         rows = [y]
         for k in range(len(time) - 1):
-            solution = solve_ivp(self.rate, (time[k], time[k + 1]), y, method="LSODA",
-                                 args=(voltage[k],), rtol=1e-10, atol=1e-9)
+            solution = solve_ivp(
+                self.rate,
+                (time[k], time[k + 1]),
+                y,
+                method="LSODA",
+                args=(voltage[k],),
+                rtol=1e-10,
+                atol=1e-9,
+            )
             y = solution.y[:, -1]
             rows.append(y)
         return np.array(rows)[:, : voltage.shape[1]]
 
 
-def creep(elapsed: np.ndarray, force: float, rigid: float, relaxing: float, tau: float):
-    """Extension under a force that sets in at 0: spring `rigid` beside a Maxwell element."""
-    at_once, at_last = force / (rigid + relaxing), force / rigid
-    retardation = tau * (rigid + relaxing) / rigid
-    return at_last + (at_once - at_last) * np.exp(-elapsed / retardation)
-
-
 def lagged_heating(elapsed: np.ndarray, rise: float, tau: float, lag: float) -> np.ndarray:
     """What a first-order sensor reads of rise [1 - exp(-t/tau)]."""
-    return rise * (
-        1 - (tau * np.exp(-elapsed / tau) - lag * np.exp(-elapsed / lag)) / (tau - lag)
-    )
+    return rise * (1 - (tau * np.exp(-elapsed / tau) - lag * np.exp(-elapsed / lag)) / (tau - lag))
 
 
 def done(cycles: float, scale: float) -> float:
@@ -126,11 +125,3 @@ def forces_of_passive_wires(
         path.append((modulus * (reach - stretch), stretch))
     force, stretched = np.array(path).T
     return force, stretched
-
-
-def steady(function: Callable[[float], float], low: float, high: float) -> float:
-    """Root of a rising function, by halving."""
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if function(middle) > 0 else (middle, high)
-    return 0.5 * (low + high)
