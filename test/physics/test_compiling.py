@@ -63,27 +63,3 @@ def test_a_change_of_the_physics_compiles_it_anew(fresh):
     with (folder / "columns.py").open("a") as source:
         source.write("# changed\n")
     assert run(ready, fresh).communicate()[0] == "False\n"
-
-
-NUMBERS = """
-import numpy as np
-from sma_bench.parameters import Parameters
-from sma_bench.physics import simulate
-
-time = 0.05 * np.arange(400)
-found = simulate(Parameters.of_paper(), time, 8.0 * np.abs(np.sin(0.3 * time)))
-print(np.ptp(found.martensite_fraction))
-for name in ("temperature", "martensite_fraction", "stress"):
-    print(*np.ravel(getattr(found, name)))
-"""
-
-
-def test_plain_python_and_machine_code_give_the_same_numbers():
-    rows = []
-    for switched_off in ("0", "1"):
-        said = run(NUMBERS, {**os.environ, "NUMBA_DISABLE_JIT": switched_off}).communicate()[0]
-        rows.append([list(map(float, line.split())) for line in said.splitlines()])
-    fast, slow = rows
-    assert fast[0][0] > 0.3  # the wire transforms
-    for each, other in zip(fast, slow, strict=True):
-        assert each == pytest.approx(other, rel=1e-9, abs=1e-12)

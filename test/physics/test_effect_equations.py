@@ -363,6 +363,7 @@ def test_a_spot_beyond_the_wire_mixes_radiances_from_the_first_sample(composite_
     time, voltage = pulses(0.05)
     warm = initial_state(rig, temperature=325.0)
     run = simulate(rig, time, voltage, initial=warm)
+    assert np.all(run.temperature[0] == 325.0)
     air = AMBIENT + 0.02 * time[:, np.newaxis]
     radiance = 0.7 * run.temperature**4.5 + 0.3 * air**4.5
     assert run.temperature_reading == pytest.approx(radiance ** (1 / 4.5), rel=1e-12)
