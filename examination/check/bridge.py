@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 from uno.emulated_bench import emulated_bench
 from uno.emulated_uno import START_UP, missing_tools
 
-from examination.perf.timing import processor_of
+from examination.perf.measuring import processor_of
 from examination.pieces import options_of
 from sma_bench.hardware.serial_messages import Splitter, Telemetry, decode
 from sma_bench.parameters import Parameters

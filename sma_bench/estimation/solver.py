@@ -7,9 +7,8 @@ noise of every sensor is estimated anew from what the model itself leaves, so th
 structure it leaves only as far as noise cannot be that. The evidence is Laplace's: the fit, less
 what its freedom was worth.
 
-scipy.optimize.least_squares ends at the same place after several times as many simulations
-(`./bench perf solver`): it cannot keep the derivatives of what hardly moves, nor stop at a fraction
-of a nat.
+scipy.optimize.least_squares ended at the same place after two to eight times as many simulations:
+it cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat.
 """
 
 from collections.abc import Sequence
