@@ -35,43 +35,33 @@ def temperature(k):
 
 
 def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, tmp_path):
-    reliable = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
+    burst = 2000
+    reliable = bench.node.create_publisher(Temperature, "wire/temperature", burst)
     hasty = bench.node.create_publisher(BatteryState, "wire/power", BEST_EFFORT)
     other = bench.node.create_publisher(Temperature, "/elsewhere/wire/temperature", 10)
     chatter = bench.node.create_publisher(String, "chatter", 10)
-    node, counts = recording(
-        bench, tmp_path / "bag", "/bench/wire/temperature", "/bench/wire/power"
-    )
-    bench.until(lambda: reliable.get_subscription_count() and hasty.get_subscription_count())
-    for k in range(200):
-        reliable.publish(temperature(k))
-        other.publish(temperature(k))
-        chatter.publish(String(data="x"))
     power = BatteryState(voltage=2.0)
     power.header.stamp.sec = 1000
-    hasty.publish(power)
-    bench.until(lambda: counts() == {"/bench/wire/temperature": 200, "/bench/wire/power": 1})
-    assert node.end(signal.SIGTERM) == 0
-    record = read_record(tmp_path / "bag")
-    assert record["wire.temperature"].values == pytest.approx([293.15 + k for k in range(200)])
-    assert record["wire.voltage"].values == pytest.approx([2.0])
-    assert not [f for f in record.findings if f.severity != "info"]
-
-
-def test_what_was_sent_before_the_end_is_written_though_it_still_waits(bench, tmp_path):
-    burst = 2000
-    publisher = bench.node.create_publisher(Temperature, "wire/temperature", burst)
-    node, _ = recording(bench, tmp_path / "bag", "/bench/wire/temperature")
-    bench.until(publisher.get_subscription_count)
+    topics = "/bench/wire/temperature", "/bench/wire/power"
+    node, counts = recording(bench, tmp_path / "bag", *topics)
+    bench.until(lambda: reliable.get_subscription_count() and hasty.get_subscription_count())
     # Another clock would stamp them with a time that never begins.
     assert not bench.set_parameter("recorder", "use_sim_time", True).successful
+    other.publish(temperature(0))
+    chatter.publish(String(data="x"))
+    hasty.publish(power)
+    bench.until(lambda: counts() == dict(zip(topics, (0, 1), strict=True)))
+    # What was sent before the end is written though it still waits.
     node.process.send_signal(signal.SIGSTOP)
     for k in range(burst):
-        publisher.publish(temperature(k))
+        reliable.publish(temperature(k))
     node.process.send_signal(signal.SIGCONT)
     # Where a buffer has no room for all of them, the rest comes again.
-    assert node.end(signal.SIGINT) == 0
-    assert len(read_record(tmp_path / "bag")["wire.temperature"]) == burst
+    assert node.end(signal.SIGTERM) == 0
+    record = read_record(tmp_path / "bag")
+    assert record["wire.temperature"].values == pytest.approx([293.15 + k for k in range(burst)])
+    assert record["wire.voltage"].values == pytest.approx([2.0])
+    assert not [f for f in record.findings if f.severity != "info"]
 
 
 def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_path):
@@ -81,8 +71,8 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
         resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 
     states, diagnostics = bench.hear("recorder/state", "/diagnostics")
-    options = {"preexec_fn": small_disk}
-    node = bench.start("recorder", options=options, output=tmp_path / "bag")
+    small = {"preexec_fn": small_disk}
+    node = bench.start("recorder", options=small, output=tmp_path / "bag")
     bench.until(lambda: publisher.get_subscription_count() and diagnostics)  # it is heard
     published = 0
     while node.process.poll() is None:
@@ -101,20 +91,14 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     assert len(read_record(tmp_path / "bag")["voltage_command"].time) > 100
 
 
-def test_an_output_that_exists_or_cannot_be_written_is_refused(bench, tmp_path):
-    outputs = {tmp_path: ": exists already", "/proc/bag": "/proc/bag"}
-    nodes = [
-        bench.start("recorder", output=output, remap={"__node": f"recorder_{k}"})
-        for k, output in enumerate(outputs)
-    ]
-    for node, said in zip(nodes, outputs.values(), strict=True):
-        assert node.process.wait(30) == 2
-        assert said in node.output and "Traceback" not in node.output
-
-
 def test_start_stop_and_split_give_a_bag_each_and_a_killed_recorder_leaves_a_readable_one(
     bench, tmp_path
 ):
+    outputs = {tmp_path: ": exists already", "/proc/bag": "/proc/bag"}
+    refused = [
+        bench.start("recorder", output=output, remap={"__node": f"recorder_{k}"})
+        for k, output in enumerate(outputs)
+    ]
     publisher = bench.node.create_publisher(Temperature, "wire/temperature", 1000)
     topic = "/bench/wire/temperature"
     node, counts = recording(bench, tmp_path / "bag", topic)
@@ -140,3 +124,6 @@ def test_start_stop_and_split_give_a_bag_each_and_a_killed_recorder_leaves_a_rea
     node.end(signal.SIGKILL)
     for name, count in (("bag", 3), ("bag_2", 4), ("bag_3", 100)):
         assert len(read_record(tmp_path / name)["wire.temperature"]) == count
+    for node, said in zip(refused, outputs.values(), strict=True):
+        assert node.process.wait(30) == 2
+        assert said in node.output and "Traceback" not in node.output
