@@ -151,17 +151,6 @@ def test_an_error_is_a_line_that_can_be_read_whatever_names_are_in_it(capsys):
     assert len(capsys.readouterr().err) < LONGEST_LINE + 30
 
 
-@pytest.mark.parametrize(
-    "command", ["diagnose {} --params lab.yaml", "simulate --input {} --out a"]
-)
-def test_a_table_where_a_bag_is_expected_names_the_import(command, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "run.csv").write_text("time,voltage\n0,1\n1,2\n")
-    (tmp_path / "lab.yaml").write_text(WIRE_FILE.format(2.7))
-    line = refuse(capsys, *command.format("run.csv").split())
-    assert "sma-bench import run.csv --out run" in line
-
-
 def test_parameters_of_another_rig_say_which_rig_either_is(tmp_path, capsys):
     bag = constant_bag(tmp_path / "bag")
     four = ["--set", "bench.channels=[a, b]", "--set", "bench.channel_sides=[front, back]"]

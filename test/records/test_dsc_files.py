@@ -1,4 +1,4 @@
-"""The Pyris export of a calorimeter, in SI units and with line numbers in its errors."""
+"""A calorimeter's exports, Pyris, Universal Analysis and TRIOS, in SI units, good and bad."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
+from sma_bench.identify.instruments.transition_temperatures import identify_heating_rates
 from sma_bench.records import DscRecord, open_record, read_dsc
 
-SMALL = """Filename:\tC:\\run.dcd
+PYRIS = """Filename:\tC:\\run.dcd
 Sample ID:\tNiTi wire
 Sample Weight:\t10.000 mg
 Total Points in Run:\t5
@@ -34,20 +35,81 @@ Filename:\tC:\\calibration.dcc
 \tTEMPERATURE CALIBRATION INPUTS:
 Indium\t156.600\t158.150\tUsed
 """
+MASS = 10.2  # mg
+HEADER = f"""CLOSED
+Version\t2.0
+Instrument\tDSC Q2000 V24.11 Build 124
+Module\tDSC Standard Cell RC
+Sample\tNiTi wire
+Size\t{MASS:.4f}\tmg
+Exotherm\tDOWN
+Nsig\t4
+Sig1\tTime (min)
+Sig2\tTemperature (°C)
+Sig3\tHeat Flow (mW)
+Sig4\tHeat Capacity (mJ/°C)
+OrgMethod\t1: Equilibrate at 0.00 °C
+OrgMethod\t2: Ramp 5.00 °C/min to 180.00 °C
+OrgMethod\t3: Isothermal for 3.00 min
+OrgMethod\t4: Ramp 5.00 °C/min to 0.00 °C
+StartOfData
+"""
+TRIOS_STEP = "[step]\nRamp 5.00 °C/min to {} °C\nTime\tTemperature\tHeat Flow (Normalized)\n"
+ONSETS = {"austenite_start": 70.0, "austenite_finish": 95.0} | {
+    "martensite_start": 80.0,
+    "martensite_finish": 50.0,
+}
+
+
+def peak(t, start, finish):
+    """Rounded trapezoid in W/g whose tangents meet the base at start and finish; degC."""
+    sharp = np.interp(t, np.linspace(start, finish, 4), [0.0, 0.3, 0.3, 0.0])
+    return np.convolve(np.pad(sharp, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
+
+
+def scans():
+    """Rows of time min, degC, W/g (endothermic up): heating, holding and cooling at 5 K/min."""
+    up, hold = np.arange(0.0, 180.0, 0.1), np.full(150, 180.0)
+    heated, cooled = 0.05 + peak(up, 70.0, 95.0), -0.05 - peak(up, 50.0, 80.0)[::-1]
+    t = np.concatenate([up, hold, up[::-1]])
+    flow = np.concatenate([heated, np.zeros(len(hold)), cooled])
+    return np.column_stack([np.arange(len(t)) * 0.02, t, flow])
+
+
+def universal(sign=1.0):
+    direction = "DOWN" if sign > 0.0 else "UP"
+    rows = (f"{a:.6f}\t{b:.5f}\t{sign * MASS * c:.6f}\t0.0\n" for a, b, c in scans())
+    return HEADER.replace("DOWN", direction) + "".join(rows)
+
+
+def trios():
+    rows = [f"{a:.2f}\t{b:.2f}\t{c:.4f}\n" for a, b, c in scans()]
+    text = f"Filename\tx\n[Procedure]\nSample Name\tNiTi\nSample Mass\t{MASS} mg\n"
+    text += "[Configuration]\nInstrument Type\tDSC2500\nExotherm Direction\tDown\n"
+    for end, own in (("180.00", rows[:1800]), ("0.00", rows[-1800:])):
+        text += f"{TRIOS_STEP.format(end)}min\t°C\tW/g\n{''.join(own)}\n"
+    return text
+
+
+def titled():
+    """A plain table with titles and no mass."""
+    return "Time (min),Temperature (C),Heat Flow (W/g)\n" + "".join(
+        f"{a:.6f},{b:.5f},{c:.6f}\n" for a, b, c in scans()
+    )
 
 
 @pytest.fixture
 def write(tmp_path):
-    def write(text):
+    def write(text, encoding="latin-1"):
         path = tmp_path / "run.txt"
-        path.write_bytes(text.encode("latin-1"))
+        path.write_bytes(text.encode(encoding))
         return path
 
     return write
 
 
-def test_units_are_si(write):
-    run = read_dsc(write(SMALL))
+def test_units_are_si_and_the_sign_follows_the_run(write):
+    run = read_dsc(write(PYRIS))
     assert run.mass == pytest.approx(10e-6)
     assert run.header["Filename"] == "C:\\run.dcd" and run.sample == "NiTi wire"
     assert [s.kind for s in run.segments] == ["isothermal", "cooling", "heating"]
@@ -60,68 +122,91 @@ def test_units_are_si(write):
     assert heating.program_temperature == pytest.approx([343.15, 363.15])
     assert run.specific_heat_flow(heating) == pytest.approx([1900, 2000])
     assert run.endothermic_up is True and run.findings == ()
-
-
-def test_sign_convention_follows_the_run(write):
-    swapped = SMALL.replace("\t20.0\t", "\t-20.0\t").replace("\t21.0\t", "\t-21.0\t")
-    assert read_dsc(write(swapped)).endothermic_up is False
-    only_hold = SMALL[: SMALL.index("2) DSC")].replace("Run:\t5", "Run:\t1")
-    assert read_dsc(write(only_hold)).endothermic_up is None
-
-
-def test_rate_comes_from_the_program_where_the_method_is_missing(write):
-    text = SMALL.replace("2)\tCool", "Cool").replace("3)\tHeat", "Heat")
-    run = read_dsc(write(text))
+    # Where the method is missing, the program gives the rates.
+    run = read_dsc(write(PYRIS.replace("2)\tCool", "Cool").replace("3)\tHeat", "Heat")))
     assert [s.rate for s in run.segments] == pytest.approx([0, -10 / 60, 20 / 60])
+    swapped = PYRIS.replace("\t20.0\t", "\t-20.0\t").replace("\t21.0\t", "\t-21.0\t")
+    assert read_dsc(write(swapped)).endothermic_up is False
+    only_hold = PYRIS[: PYRIS.index("2) DSC")].replace("Run:\t5", "Run:\t1")
+    assert read_dsc(write(only_hold)).endothermic_up is None
+    windows = write(PYRIS.replace("\n", "\r\n"), "utf-16")
+    assert len(read_dsc(windows).segments) == 3 and isinstance(open_record(windows), DscRecord)
+
+
+SCAN = PYRIS[PYRIS.index("2) DSC") : PYRIS.index("3) DSC")]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "text"),
+    ("text", "old", "new", "said"),
     [
-        ("\t4.0\t1.0\t90.0", "\t4.0\t90.0", "line 18"),
-        ("\t4.0\t", "\tfour\t", "line 18"),
-        ("\t4.0\t", "\tnan\t", "line 18"),
-        ("\t2.000000", "\t0.500000", "time runs backward in segment 2"),
-        ("10.000 mg", "-1 mg", "Sample Weight is '-1 mg'"),
-        ("10.000 mg", "10 g", "Sample Weight is '10 g'"),
-        ("Sample Weight", "Weight", "no 'Sample Weight' line"),
-        (") DSC", ") DTA", "no columns of temperature and heat flow"),
-        (SMALL[SMALL.index("2) DSC") : SMALL.index("3) DSC")], "2) DSC Isothermal\n", "no data"),
+        (PYRIS, "\t4.0\t1.0\t90.0", "\t4.0\t90.0", "line 18"),
+        (PYRIS, "\t4.0\t", "\tfour\t", "line 18"),
+        (PYRIS, "\t4.0\t", "\tnan\t", "line 18"),
+        (PYRIS, "\t2.000000", "\t0.500000", "time runs backward in segment 2"),
+        (PYRIS, "10.000 mg", "-1 mg", "Sample Weight is '-1 mg'"),
+        (PYRIS, "10.000 mg", "10 g", "Sample Weight is '10 g'"),
+        (PYRIS, "Sample Weight", "Weight", "no 'Sample Weight' line"),
+        (PYRIS, ") DSC", ") DTA", "no columns of temperature and heat flow"),
+        (PYRIS, SCAN, "2) DSC Isothermal\n", "no data"),
+        (universal(), "0.460000\t2.3", "0.460000\tabc", "line 41"),
+        (universal(), "Size\t", "Sise\t", "no sample mass"),
+        (universal(), "mg\nExo", "stone\nExo", "sample mass is 64"),
+        (universal(), "Heat Flow (mW)", "Heat Flow (cal)", "min, degC, mW"),
+        (universal(), "Sig1\t", "Sag1\t", "no Sig1, Sig2"),
     ],
+    ids=lambda text: None,
 )
-def test_malformed_files_are_refused_with_the_line(write, old, new, text):
-    with pytest.raises(InputError, match=text) as error:
-        read_dsc(write(SMALL.replace(old, new)))
+def test_malformed_files_are_refused_with_the_line(write, text, old, new, said):
+    assert old in text
+    with pytest.raises(InputError, match=said) as error:
+        read_dsc(write(text.replace(old, new), "utf-8"))
     assert "\n" not in str(error.value)
 
 
 def test_file_cut_inside_a_row_is_read_up_to_there(write):
-    cut = SMALL[: SMALL.index("\t90.0\t88.0")]
-    run = read_dsc(write(cut))
+    run = read_dsc(write(PYRIS[: PYRIS.index("\t90.0\t88.0")]))
     assert len(run.segments[2].time) == 1
     cut_short, announced = (finding.text for finding in run.findings)
     assert "line 21" in cut_short and "cut short" in cut_short
     assert announced == "4 points, the header announces 5; the file may be cut short"
 
 
-def test_windows_line_ends_and_utf16_are_read_too(tmp_path):
-    path = tmp_path / "run.txt"
-    path.write_bytes(SMALL.replace("\n", "\r\n").encode("utf-16"))
-    assert len(read_dsc(path).segments) == 3
-    assert isinstance(open_record(path), DscRecord)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
+def test_universal_analysis_is_cut_into_its_steps(write, encoding):
+    # Rows of negative time separate steps and are no data.
+    text = universal().replace("\n10.000000\t", "\n-2\t-2\t-2\t-2\n10.000000\t")
+    record = read_dsc(write(text, encoding))
+    assert [s.kind for s in record.segments] == ["heating", "isothermal", "cooling"]
+    assert record.mass == pytest.approx(MASS * 1e-6)
+    rates = [record.segments[k].rate for k in (0, 2)]
+    assert rates == pytest.approx([5.0 / 60.0, -5.0 / 60.0])
+    assert record.endothermic_up is True
+    assert "Q2000" in record.instrument and record.sample == "NiTi wire"
+    peak_flow = record.specific_heat_flow(record.segments[0]).max()
+    assert peak_flow == pytest.approx(350.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("text", [universal(), universal(-1.0), trios(), titled()], ids=range(4))
+def test_onsets_come_back_from_every_program(write, text):
+    record = open_record(write(text, "utf-8"))
+    assert (text == titled()) == any("no sample mass" in f.text for f in record.findings)
+    estimates = identify_heating_rates(record).estimates
+    for name, celsius in ONSETS.items():
+        found = estimates[f"wire.{name}_temperature"].value
+        assert found == pytest.approx(celsius + 273.15, abs=0.5), name
 
 
 @settings(max_examples=150, deadline=None)
-@given(data=st.data())
-def test_any_mutilation_ends_in_a_record_or_one_line(tmp_path_factory, data):
-    lines = SMALL.split("\n")
+@given(data=st.data(), text=st.sampled_from([PYRIS, universal()[:2000]]))
+def test_any_mutilation_ends_in_a_record_or_one_line(tmp_path_factory, data, text):
+    lines = text.split("\n")
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(lines) - 1))
         lines[at : at + data.draw(st.integers(0, 3))] = data.draw(
             st.lists(st.text(st.characters(max_codepoint=255), max_size=30), max_size=2)
         )
     path = tmp_path_factory.mktemp("dsc") / "run.txt"
-    path.write_bytes("\n".join(lines).encode("latin-1"))
+    path.write_bytes("\n".join(lines).encode("latin-1") + data.draw(st.binary(max_size=20)))
     try:
         run = read_dsc(path)
     except InputError as error:
@@ -130,7 +215,7 @@ def test_any_mutilation_ends_in_a_record_or_one_line(tmp_path_factory, data):
         assert isinstance(run, DscRecord) and run.mass > 0
 
 
-def test_real_file_has_its_eight_segments(measured_data):
+def test_real_file_has_its_eight_segments_and_counts_heat_into_the_sample_positive(measured_data):
     run = read_dsc(measured_data / "sma_react/input/preprocessor_samples/DSC.txt")
     assert run.mass == pytest.approx(60.2e-6)
     assert run.findings == ()
@@ -142,13 +227,8 @@ def test_real_file_has_its_eight_segments(measured_data):
         if segment.rate:
             slope = np.polyfit(segment.time[60:], segment.program_temperature[60:], 1)[0]
             assert slope == pytest.approx(segment.rate, rel=1e-3)
-
-
-def test_real_file_counts_heat_into_the_sample_positive(measured_data):
-    """Martensite takes heat to become austenite: the peak on heating points up."""
-    run = read_dsc(measured_data / "sma_react/input/preprocessor_samples/DSC.txt")
+    # Martensite takes heat to become austenite: the peak on heating points up.
     assert run.endothermic_up is True
     heating = run.segments[3]
-    flow = run.specific_heat_flow(heating)[60:]
-    peak = int(np.argmax(flow))
-    assert heating.temperature[60 + peak] == pytest.approx(273.15 + 64.5, abs=0.5)
+    highest = int(np.argmax(run.specific_heat_flow(heating)[60:]))
+    assert heating.temperature[60 + highest] == pytest.approx(273.15 + 64.5, abs=0.5)

@@ -1,6 +1,5 @@
 """Tables as other people's loggers and instruments write them: right, asked, or refused."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,142 +10,152 @@ from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.records import open_records, read_record
-from sma_bench.records.import_map import account_of, convert
-from sma_bench.records.import_proposal import BenchHints, bench_of, propose
+from sma_bench.records.import_map import account_of
+from sma_bench.records.import_proposal import BenchHints, propose
 from sma_bench.records.tables import read_table_file, runs_of
 
 FIELD = Path(__file__).parents[1] / "data" / "field"
 EXAMPLES = Path(__file__).parents[2] / "examples"
-CELSIUS = 273.15
-MOVED = {"wire.voltage": (0, 3.25, 40, 19.5), "elongation": (-7.962e-3, 0, 40, 19.5)}
-HEATED = {"wire.voltage": (0, 1.2, 400, 39.9), "wire.current": (0, 0.6, 400, 39.9)}
+KINDS = (".csv", ".txt", ".dat", ".xlsx", ".h5", ".mat")
 
-# File, rig, signals as (lowest, highest, samples, last time in s).
-READ = {
-    "01_T_columns_lost.csv": ("drig", {
-        "wire.temperature": (24.0 + CELSIUS, 89.88 + CELSIUS, 160, 39.75),
-        "ambient.temperature": (24.0 + CELSIUS, 24.0 + CELSIUS, 160, 39.75)}),
-    "03_date_and_time_columns.csv": ("drig", {"elongation": (-8e-3, 0, 600, 59.9)}),
-    "03b_date_and_time_thermal.csv": ("", {"wire.voltage": (0, 1.2, 40, 39.0)}),
-    "04_whole_seconds.csv": ("drig", {"elongation": (-8e-3, 0, 600, 59.9)}),
-    "12_index_column.csv": ("", HEATED),
-    "12c_words_shift.txt": ("", HEATED),
-    "13_one_step.csv": ("", {"wire.voltage": (0, 1, 1200, 59.95)}),
-    "14_am_pm.csv": ("", HEATED),
-    "19_quantised.csv": ("drig", {"wire.temperature": (300.65, 312.4, 3000, 35.145)}),
-    "r01_quoted_decimal_commas.csv": ("rigv", MOVED),
-    "r01b_quoted_decimal_commas_all.csv": ("rigv", MOVED),
-    "r02_thousands_quoted.csv": ("rigv", {
-        "elongation": (-1.5924e-3, 0, 40, 19.5), "force": (5.08, 11.449, 40, 19.5)}),
-    "r03_time_per_series.csv": ("rigv", {"elongation": (-7.89e-3, 0, 25, 19.5)}),
-    "r05_second_resolution.csv": ("rigv", {"wire.voltage": (0, 3.25, 400, 39.9)}),
-    "r06_us_12h_clock.csv": ("rigv", MOVED),
-    "r06b_german_dates.csv": ("rigv", MOVED),
-    "r12_excel_elapsed.xlsx": ("rigv", MOVED),
-    "r12e_excel_text_commas.xlsx": ("rigv", MOVED),
-    "r60_quoted_title_with_comma.csv": ("rigv", MOVED),
-    "r71_units_in_cells.csv": ("rigv", MOVED),
-    "r72_si_prefix_in_cells.csv": ("rigv", {**MOVED, "wire.current": (0, 0.4643, 40, 19.5)}),
-    "r96_mat_units_cell.mat": ("rigv", MOVED),
-    "r99c_plotjuggler_export.csv": ("rigv", {
-        "wire.temperature": (21.85 + CELSIUS, 88.9966 + CELSIUS, 40, 19.513)}),
-}  # fmt: skip
-# What is asked: a word of the question, and of what.
-ASKED = {
-    "12d_unnamed_row_number.txt": ("", "'Time'", "which unit"),
-    "18_no_time.csv": ("drig", "'row number'", "period"),
-    "r10_time_fractional_ms_no_unit.csv": ("rigv", "'time'", "which unit"),
-    "r10b_time_minutes_no_unit.csv": ("rigv", "'time'", "which unit"),
-    "r20_duty_mean_current.csv": ("rigd", "'current [A]'", "mean or peak"),
-    "r95c_hdf5_compound.h5": ("rigv", "'log/time'", "which unit"),
+# Signals: name, lowest, highest, samples, last time in s.
+VOLTS = ("wire.voltage", 0, 3.25, 40, 19.5)
+MOVED = [VOLTS, ("elongation", -7.962e-3, 0, 40, 19.5)]
+SHORTENED = [("elongation", -8e-3, 0, 600, 59.9)]
+HEATED = [("wire.voltage", 0, 1.2, 400, 39.9), ("wire.current", 0, 0.6, 400, 39.9)]
+WARM = [
+    ("wire.temperature", 297.15, 363.03, 160, 39.75),
+    ("ambient.temperature", 297.15, 297.15, 160, 39.75),
+]
+PULLED = [("elongation", -1.5924e-3, 0, 40, 19.5), ("force", 5.08, 11.449, 40, 19.5)]
+# File, rig, signals, and where it matters the start in s since 1970.
+READ = [
+    ("01_T_columns_lost.csv", "drig", WARM, None),
+    ("03_date_and_time_columns.csv", "drig", SHORTENED, None),
+    ("03b_date_and_time_thermal.csv", "", [("wire.voltage", 0, 1.2, 40, 39.0)], 1709287200),
+    ("04_whole_seconds.csv", "drig", SHORTENED, None),
+    ("12_index_column.csv", "", HEATED, None),
+    ("12c_words_shift.txt", "", HEATED, None),
+    ("13_one_step.csv", "", [("wire.voltage", 0, 1, 1200, 59.95)], None),
+    ("14_am_pm.csv", "", HEATED, None),
+    ("19_quantised.csv", "drig", [("wire.temperature", 300.65, 312.4, 3000, 35.145)], None),
+    ("r01_quoted_decimal_commas.csv", "rigv", MOVED, None),
+    ("r01b_quoted_decimal_commas_all.csv", "rigv", MOVED, None),
+    ("r02_thousands_quoted.csv", "rigv", PULLED, None),
+    ("r03_time_per_series.csv", "rigv", [("elongation", -7.89e-3, 0, 25, 19.5)], None),
+    ("r05_second_resolution.csv", "rigv", [("wire.voltage", 0, 3.25, 400, 39.9)], None),
+    ("r06_us_12h_clock.csv", "rigv", MOVED, 1773143990),
+    ("r06b_german_dates.csv", "rigv", MOVED, 1773133200),
+    ("r12_excel_elapsed.xlsx", "rigv", MOVED, None),
+    ("r12e_excel_text_commas.xlsx", "rigv", MOVED, None),
+    ("r60_quoted_title_with_comma.csv", "rigv", MOVED, None),
+    ("r71_units_in_cells.csv", "rigv", MOVED, None),
+    ("r72_si_prefix_in_cells.csv", "rigv", [*MOVED, ("wire.current", 0, 0.4643, 40, 19.5)], None),
+    ("r96_mat_units_cell.mat", "rigv", MOVED, None),
+    (
+        "r99c_plotjuggler_export.csv",
+        "rigv",
+        [("wire.temperature", 295.0, 362.1466, 40, 19.513)],
+        1773136800,
+    ),
+]
+# File, rig, of what is asked, a word of the question.
+ASKED = [
+    ("12d_unnamed_row_number.txt", "", "'Time'", "which unit"),
+    ("18_no_time.csv", "drig", "'row number'", "period"),
+    ("r10_time_fractional_ms_no_unit.csv", "rigv", "'time'", "which unit"),
+    ("r10b_time_minutes_no_unit.csv", "rigv", "'time'", "which unit"),
+    ("r20_duty_mean_current.csv", "rigd", "'current .A.'", "mean or peak"),
+    ("r95c_hdf5_compound.h5", "rigv", "'log/time'", "which unit"),
+]
+DSC = {
+    "austenite_start_temperature": 318.15,
+    "austenite_finish_temperature": 335.15,
+    "martensite_start_temperature": 311.15,
+    "martensite_finish_temperature": 293.15,
+}
+PULL = {"austenite_modulus": 55e9}
+INSTRUMENTS = {
+    "07_loop_with_dwell.csv": {"austenite_modulus": 50e9},
+    "08_testxpert_extensometer.txt": PULL,
+    "08b_testxpert_absolute_1200.txt": PULL,
+    "09_unit_inside_title.csv": PULL,
+    "17_mts_blocks.dat": PULL,
+    "10_ta_dos_degree.txt": DSC,
+    "11_netzsch.txt": DSC,
+    "11e_mw_per_mg.csv": DSC,
+    "11g_slash_units.csv": DSC,
 }
 
 
-def proposed(name, rig, **more):
-    path = FIELD / f"{rig}.yaml"
-    bench = bench_of(read_parameter_names(path), str(path)) if rig else BenchHints()
-    table = read_table_file(FIELD / name)
-    return table, *propose(table, bench, **more)
+def loaded(name, rig, units=None):
+    return load(FIELD / name, units=units or {}, params=FIELD / f"{rig}.yaml" if rig else None)
 
 
-@pytest.mark.parametrize("name", READ)
-def test_what_tells_its_meaning_is_read(name):
-    rig, expected = READ[name]
-    table, made, questions, _ = proposed(name, rig)
-    assert not questions
-    signals = {signal.name: signal for signal in convert(table, made)[0]}
-    for signal, (low, high, samples, last) in expected.items():
-        found = signals[signal]
+@pytest.mark.parametrize(("name", "rig", "expected", "start"), READ)
+def test_what_tells_its_meaning_is_read(name, rig, expected, start):
+    record = loaded(name, rig)
+    assert start is None or record.start_ns == start * 1_000_000_000
+    for signal, low, high, samples, last in expected:
+        found = record[signal]
         assert (len(found), found.time[-1]) == (samples, pytest.approx(last, abs=0.002))
         assert np.all(np.diff(found.time) > 0)
         assert found.values.min() == pytest.approx(low, abs=2e-5)
         assert found.values.max() == pytest.approx(high, abs=2e-3 if high > 100 else 1e-4)
 
 
-@pytest.mark.parametrize("name", ASKED)
-def test_what_does_not_is_asked(name):
-    rig, where, word = ASKED[name]
-    questions = proposed(name, rig)[2]
-    assert any(question.startswith(where) and word in question for question in questions)
-
-
-def test_dates_are_those_of_the_file():
-    for name, rig, start in (("03b_date_and_time_thermal.csv", "", 1709287200),
-                             ("r06_us_12h_clock.csv", "rigv", 1773143990),
-                             ("r06b_german_dates.csv", "rigv", 1773133200),
-                             ("r99c_plotjuggler_export.csv", "rigv", 1773136800)):  # fmt: skip
-        table, made, _, _ = proposed(name, rig)
-        assert convert(table, made)[2] == start * 1_000_000_000
+@pytest.mark.parametrize(("name", "rig", "where", "word"), ASKED)
+def test_what_does_not_is_asked(name, rig, where, word):
+    with pytest.raises(InputError, match=f"unsure of {where}.*{word}"):
+        loaded(name, rig, {"Position": "mm"} if name.startswith("12d") else None)
 
 
 def test_a_unit_that_is_stated_answers_the_question():
     name = "r10_time_fractional_ms_no_unit.csv"
-    table, made, questions, _ = proposed(name, "rigv", units={"time": "ms"})
-    assert not questions and convert(table, made)[0][0].time[-1] == pytest.approx(19.5)
+    assert loaded(name, "rigv", {"time": "ms"}).duration == pytest.approx(19.5)
     with pytest.raises(InputError, match="no column 'clock'"):
-        proposed(name, "rigv", units={"clock": "ms"})
-
-
-def test_a_notebook_reads_a_table_as_the_command_does():
-    path, rig = FIELD / "r10_time_fractional_ms_no_unit.csv", FIELD / "rigv.yaml"
-    assert load(path, units={"time": "ms"}, params=rig).duration == pytest.approx(19.5)
-    with pytest.raises(InputError, match="'time': no unit"):
-        load(path, params=rig)
+        loaded(name, "rigv", {"clock": "ms"})
     time = np.arange(100.0)
-    for name, low, high, said in (("wire.temperature", 150, 250, "expected kelvin"),
-                                  ("elongation", 12, 20, "of mm")):  # fmt: skip
+    for quantity, low, high, said in (
+        ("wire.temperature", 150, 250, "expected kelvin"),
+        ("elongation", 12, 20, "of mm"),
+    ):
         with pytest.raises(InputError, match=said):
-            load({"time": time, name: np.linspace(low, high, 100)})
+            load({"time": time, quantity: np.linspace(low, high, 100)})
 
 
 def test_files_that_are_one_run_become_one_bag(tmp_path):
     time = np.arange(0, 20, 0.5)
-    for name, title, values in (("moved", "Position (mm)", 12.0 + 0.3 * (time > 5)),
-                                ("driven", "Voltage (V)", 3.0 * (time > 5))):  # fmt: skip
+    columns = {"Position (mm)": 12.0 + 0.3 * (time > 5), "Voltage (V)": 3.0 * (time > 5)}
+    files = [str(tmp_path / f"{k}.csv") for k in range(2)]
+    for file, (title, values) in zip(files, columns.items(), strict=True):
         rows = "\n".join(f"{t},{v}" for t, v in zip(time, values, strict=True))
-        (tmp_path / f"{name}.csv").write_text(f"Time (s),{title}\n{rows}\n")
-    files = [str(tmp_path / "moved.csv"), str(tmp_path / "driven.csv")]
+        Path(file).write_text(f"Time (s),{title}\n{rows}\n")
     assert main(["import", *files, "--together", "--out", str(tmp_path / "bag")]) == 0
     assert set(read_record(tmp_path / "bag").signals) == {"elongation", "wire.voltage"}
 
 
-def test_rows_without_a_clock_take_the_period_of_the_map(tmp_path):
-    words = ["import", str(FIELD / "18_no_time.csv"), "--params", str(FIELD / "drig.yaml")]
+@pytest.mark.parametrize(
+    ("name", "rig", "question", "answer"),
+    [
+        ("18_no_time.csv", "drig", '"row number": "ask"', '"row number": "0.5 s"'),
+        ("r20_duty_mean_current.csv", "rigd", 'form: "ask"', 'form: "mean"'),
+    ],
+)
+def test_what_was_asked_is_answered_in_the_map(name, rig, question, answer, tmp_path):
+    words = ["import", str(FIELD / name), "--params", str(FIELD / f"{rig}.yaml")]
     asked, out = tmp_path / "bag.map.yaml", tmp_path / "bag"
     assert main([*words, "--out", str(out)]) == 2
-    asked.write_text(asked.read_text().replace('"row number": "ask"', '"row number": "0.5 s"'))
+    assert asked.read_text().count(question) == 1
+    asked.write_text(asked.read_text().replace(question, answer))
     assert main([*words, "--map", str(asked), "--out", str(out)]) == 0
-    assert read_record(out)["wire.temperature"].time[-1] == pytest.approx(199.5)
-
-
-def test_amperes_of_a_switched_supply_become_those_of_the_same_heat():
-    table, made, questions, _ = proposed("r20_duty_mean_current.csv", "rigd")
-    assert len(questions) == 1
-    entries = tuple(replace(e, form="mean") if e.form == "ask" else e for e in made.entries)
-    signals = {s.name: s for s in convert(table, replace(made, entries=entries))[0]}
-    volts, amps = signals["wire.voltage"].values, signals["wire.current"].values
+    record = read_record(out)
+    if name.startswith("18"):
+        assert record["wire.temperature"].time[-1] == pytest.approx(199.5)
+        return
+    # Amperes of a switched supply became those of the same heat.
+    volts, amps = record["wire.voltage"].values, record["wire.current"].values
     on = volts > 0.9 * volts.max()
     assert np.median(volts[on] / amps[on]) == pytest.approx(7.0, rel=0.01)
 
@@ -154,28 +163,19 @@ def test_amperes_of_a_switched_supply_become_those_of_the_same_heat():
 def test_decimal_commas_in_a_comma_separated_table_are_refused():
     for name in ("r69_unquoted_decimal_commas.csv", "r69b_unquoted_decimal_commas_int_time.csv"):
         with pytest.raises(InputError, match="3 titles, [56] cells a row .*decimal commas"):
-            read_table_file(FIELD / name)
+            loaded(name, "rigv")
 
 
-@pytest.mark.parametrize("name", [
-    "10_ta_dos_degree.txt", "11_netzsch.txt", "11e_mw_per_mg.csv", "11g_slash_units.csv"
-])  # fmt: skip
-def test_every_export_of_one_dsc_run_gives_its_temperatures(name):
-    found = identify([load(FIELD / name)], Parameters.defaults()).estimates
-    for symbol, kelvin in (("austenite_start", 318.15), ("austenite_finish", 335.15),
-                           ("martensite_start", 311.15), ("martensite_finish", 293.15)):
-        assert found[f"wire.{symbol}_temperature"].value == pytest.approx(kelvin, abs=0.1)
-
-
-@pytest.mark.parametrize(("name", "pascal"), [
-    ("07_loop_with_dwell.csv", 50e9), ("08_testxpert_extensometer.txt", 55e9),
-    ("08b_testxpert_absolute_1200.txt", 55e9), ("09_unit_inside_title.csv", 55e9),
-    ("17_mts_blocks.dat", 55e9),
-])  # fmt: skip
-def test_every_testing_machine_gives_the_modulus(name, pascal):
-    given = read_parameters(FIELD / "rig60.yaml")
-    result = identify([load(FIELD / name)], given, phases={"*": "austenite"})
-    assert result.estimates["wire.austenite_modulus"].value == pytest.approx(pascal, rel=0.016)
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_every_export_of_an_instrument_gives_what_it_measured(name):
+    true = INSTRUMENTS[name]
+    is_dsc = true is DSC
+    given = Parameters.defaults() if is_dsc else read_parameters(FIELD / "rig60.yaml")
+    phases = None if is_dsc else {"*": "austenite"}
+    found = identify([load(FIELD / name)], given, phases=phases).estimates
+    for number, value in true.items():
+        error = 0.1 if is_dsc else 0.016 * value
+        assert found[f"wire.{number}"].value == pytest.approx(value, abs=error)
 
 
 def test_loads_in_sheets_are_a_record_each():
@@ -185,7 +185,7 @@ def test_loads_in_sheets_are_a_record_each():
     assert "100MPa" in first.findings[-1].text and "200MPa" in first.findings[-1].text
 
 
-def test_what_a_file_does_not_hold_is_stated(tmp_path):
+def test_what_a_file_does_not_hold_is_stated_and_extension_is_no_strain(tmp_path, capsys):
     bare = FIELD / "16_two_columns.txt"
     with pytest.raises(InputError, match="stress=200 MPa"):
         load(bare)
@@ -195,9 +195,7 @@ def test_what_a_file_does_not_hold_is_stated(tmp_path):
     assert given.stress == load(lined).stress == 200e6
     assert main(["info", str(bare), "--state", "stress=200 MPa"]) == 0
     assert main(["info", str(bare), "--state", "stress=200"]) == 2
-
-
-def test_extension_is_no_strain_and_force_no_stress(capsys):
+    capsys.readouterr()
     assert main(["info", str(FIELD / "15_info_extension.csv")]) == 0
     line = capsys.readouterr().out.splitlines()[0]
     assert "1.2 mm" in line and "89.5 N" in line
@@ -210,10 +208,10 @@ def test_quantised_and_irregular_readings_raise_no_alarm(tmp_path, capsys):
     assert "clipped" not in said and "missing" not in said
 
 
-@pytest.mark.parametrize("path", sorted(
-    p for p in [*FIELD.iterdir(), *EXAMPLES.rglob("*.csv"), *EXAMPLES.rglob("*.txt")]
-    if p.suffix in (".csv", ".txt", ".dat", ".xlsx", ".h5", ".mat") and "69" not in p.name
-), ids=lambda p: p.name)  # fmt: skip
+TABLES = [p for folder in (FIELD, EXAMPLES) for p in sorted(folder.rglob("*")) if p.suffix in KINDS]
+
+
+@pytest.mark.parametrize("path", [p for p in TABLES if "69" not in p.name], ids=lambda p: p.name)
 def test_every_row_and_column_is_accounted_for(path):
     """Of every table of the repository, as a logger's; and as an instrument's where it is one."""
     for _, table in runs_of(read_table_file(path)):
