@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 
 import pytest
 from planted import FEW, believed, few_effects, planted_record
@@ -49,54 +50,48 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
     assert len(list(tmp_path.glob("unfinished_record_?_*"))) == 2
 
 
-def test_the_node_waits_for_confirmation_stops_at_0_v_and_goes_on_after_kill_9(bench, tmp_path):
+def test_the_node_waits_for_confirmation_goes_on_after_kill_9_and_stops_at_0_v(bench, tmp_path):
     write_parameters(tmp_path / "lab.yaml", believed())
     told, runs, results, power = bench.hear(
         "investigation/state", "experiment/state", "investigation/result", "front_1/power"
     )
 
-    def is_now(state):
-        return bench.until(lambda: told and told[-1].data.startswith(state))
+    def begun():
+        """A node that was asked to start, waited for confirmation and has it run."""
+        told.clear()
+        node = bench.start("investigation", tmp_path / "lab.yaml", use_sim_time=True,
+                           folder=tmp_path / "gap", output_root=tmp_path)  # fmt: skip
+        bench.until(lambda: told and told[-1].data == "idle")
+        refused = bench.trigger("investigation/confirm")
+        assert not refused.success and refused.message == "nothing to confirm: idle"
+        assert bench.trigger("investigation/start").success
+        bench.until(lambda: told[-1].data.startswith("waiting for confirmation: "))
+        offer = json.loads(results[-1].data)["next"]
+        assert told[-1].data.endswith(offer["protocol"]) and 0.0 < offer["volts"] < 10.0
+        assert runs[-1].data == "idle" and power[-1].voltage < 0.1
+        assert bench.trigger("investigation/confirm").success
+        bench.until(lambda: power[-1].voltage > 0.5)
+        assert not bench.trigger("investigation/start").success
+        return node
 
-    def investigation():
-        return bench.start("investigation", tmp_path / "lab.yaml", use_sim_time=True,
-                           folder=tmp_path / "gap", output_root=tmp_path)
+    def stopped(reason):
+        bench.until(lambda: runs[-1].data.startswith(f"aborted: {reason}"))
+        bench.until(lambda: power[-1].voltage < 0.1)
 
-    bench.start("simulator", tmp_path / "lab.yaml", speed=15.0, **RATES)
+    bench.start("simulator", tmp_path / "lab.yaml", speed=8.0, **RATES)
     bench.start("experiment", tmp_path / "lab.yaml", use_sim_time=True, require_recorder=True,
-                protocol="composite_triangle", protocol_root=tmp_path)
-    node = investigation()
-    refused = bench.trigger("investigation/confirm")
-    assert not refused.success and refused.message == "nothing to confirm: idle"
-    bench.trigger("investigation/start")
-    is_now("waiting for confirmation: ")
-    (offer,) = [json.loads(m.data)["next"] for m in results]
-    assert told[-1].data.endswith(offer["protocol"]) and 0.0 < offer["volts"] < 10.0
-    assert not runs or runs[-1].data == "idle"
-    assert bench.trigger("investigation/confirm").success
-    bench.until(lambda: power and power[-1].voltage > 1.0)
-    assert not bench.trigger("investigation/start").success
-    assert bench.trigger("investigation/stop").success
-    is_now("stopped")
-    bench.until(lambda: power[-1].voltage < 0.1)
-    bench.until(lambda: runs[-1].data == "aborted: stopped on request")
-    bench.trigger("experiment/reset")
-    bench.trigger("investigation/start")
-    is_now("waiting for confirmation: ")
-    bench.trigger("investigation/confirm")
-    bench.until(lambda: power[-1].voltage > 1.0)
-    node.process.kill()
-    node.process.wait(10.0)
-    bench.until(lambda: runs[-1].data.startswith("aborted: the recorder"))
-    bench.until(lambda: power[-1].voltage < 0.1)
+                protocol="composite_triangle", protocol_root=tmp_path)  # fmt: skip
+    bench.until(lambda: runs and power)
+    killed = begun()
+    killed.end(signal.SIGKILL)
+    stopped("the recorder")
     assert not (tmp_path / "gap" / "record_1").exists()
-    told.clear()
-    again = investigation()
-    is_now("idle")
-    bench.know("investigation/start")
-    assert bench.trigger("investigation/start").success
-    is_now("waiting for confirmation: ")
-    assert again.end() == 0 and "Traceback" not in again.output
+    bench.trigger("experiment/reset")
+    node = begun()
+    assert bench.trigger("investigation/stop").success
+    bench.until(lambda: told[-1].data.startswith("stopped"))
+    stopped("stopped on request")
+    assert node.end() == 0 and "Traceback" not in node.output
 
 
 def test_the_work_of_the_node_needs_no_ros(tmp_path):
