@@ -8,8 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
 
 from examination.bags import in_sqlite3
 from sma_bench.cli import COMMANDS, LONGEST_LINE, main
@@ -18,8 +16,6 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records import Signal, open_record, read_record
 from sma_bench.records.bag_writer import write_record
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
-Float64 = TYPES.types["std_msgs/msg/Float64"]
 WIRE_FILE = "/**:\n  ros__parameters:\n    wire:\n      resistance: {}\n"
 
 
@@ -157,17 +153,6 @@ def test_parameters_of_another_rig_say_which_rig_either_is(tmp_path, capsys):
     line = refuse(capsys, "simulate", "--input", bag, *four, "--out", tmp_path / "again")
     assert "2 channels (a, b)" in line and "1 channel (wire)" in line
     assert "config/wire_rig.yaml" in line
-
-
-def test_a_bag_of_another_robot_is_shown_and_exit_code_2(tmp_path, capsys):
-    bag = tmp_path / "bag"
-    with Writer(bag, version=9) as writer:
-        kind = Float64.__msgtype__
-        topic = writer.add_connection("/arm/load", kind, typestore=TYPES)
-        writer.write(topic, 1, TYPES.serialize_cdr(Float64(1.0), kind))
-    assert main(["info", str(bag)]) == 2
-    shown = capsys.readouterr()
-    assert "/arm/load" in shown.out and "nothing of a bench in it" in shown.err
 
 
 def test_a_simulation_says_where_the_bench_would_switch_off_and_its_plateau_is_no_clipping(

@@ -10,7 +10,6 @@ from sma_bench.errors import InputError
 from sma_bench.identify.estimate import fit_linear
 from sma_bench.records import Record, Signal, check_record, read_record
 from sma_bench.records.check import check_response
-from sma_bench.records.record import first_order_lag
 
 CLOCK = np.arange(2000) * 0.01
 TRIANGLE = 3 * np.abs((CLOCK / 10) % 2 - 1)
@@ -44,31 +43,16 @@ def received(made, name, times, topic=""):
     return replace(made, signals={**made.signals, name: signal})
 
 
-def test_an_orderly_record_has_no_warnings():
-    noise = np.random.default_rng(0).normal(size=len(CLOCK)) * 1e-3
-    orderly = record(
-        wire_voltage=TRIANGLE + noise,
-        wire_current=TRIANGLE / 2.7 + noise,
-        wire_temperature=settling(),
-        deflection=1e-2 * TRIANGLE + noise * 1e-3,
-    )
-    assert found(orderly) == {} and found(orderly, "error") == {}
-
-
 @pytest.mark.parametrize(
     "name", ["wire/staircase", "wire/ramp", "composite/triangle", "composite/step"]
 )
-def test_good_foreign_records_have_no_warnings(shared_data, name):
+def test_good_foreign_records_have_no_warnings_and_their_losses_are_told(shared_data, name):
     foreign = read_record(shared_data / "foreign" / name)
-    assert found(foreign) == {} and found(foreign, "error") == {}
-
-
-def test_five_percent_of_losses_are_told_and_no_gap_is_seen(shared_data):
-    wire = read_record(shared_data / "foreign/wire/staircase")
-    losses = {f.subject: f.numbers["fraction"] for f in check_record(wire) if f.numbers}
-    assert losses == pytest.approx(
-        {"wire.voltage": 0.05, "wire.current": 0.05, "wire.temperature": 0.05}, abs=0.005
-    )
+    assert found(foreign) == found(foreign, "error") == {}
+    losses = {f.subject: f.numbers["fraction"] for f in check_record(foreign) if f.numbers}
+    if name == "wire/staircase":
+        names = ("wire.voltage", "wire.current", "wire.temperature")
+        assert losses == pytest.approx(dict.fromkeys(names, 0.05), abs=0.005)
 
 
 GAP = (CLOCK < 5) | (CLOCK > 8)
@@ -127,16 +111,20 @@ def test_what_is_wrong_is_said_with_its_numbers(case):
 
 
 PLATEAU = np.where(CLOCK < 10, 2.0, 0.0)
+NOISE = np.random.default_rng(1).standard_normal(len(CLOCK))
 RIGHT = {
     "a settled temperature": record(wire_voltage=TRIANGLE, wire_temperature=settling()),
     "a plateau": record(wire_voltage=PLATEAU, wire_current=PLATEAU / 2),
     "a sensor while nothing happens": record(wire_voltage=TRIANGLE * 0, wire_temperature=FLAT),
     "a clamp": record(wire_voltage=TRIANGLE, elongation=0.0 * CLOCK, force=5.0 * TRIANGLE),
-    "noise alone": record(
-        wire_voltage=TRIANGLE,
-        wire_temperature=296.0 + 0.1 * np.random.default_rng(1).standard_normal(len(CLOCK)),
-    ),
+    "noise alone": record(wire_voltage=TRIANGLE, wire_temperature=296.0 + 0.1 * NOISE),
     "a bench at rest": record(wire_voltage=0.0 * TRIANGLE, wire_temperature=settling()),
+    "all of a wire, with noise": record(
+        wire_voltage=TRIANGLE + 1e-3 * NOISE,
+        wire_current=TRIANGLE / 2.7 + 1e-3 * NOISE,
+        wire_temperature=settling(),
+        deflection=1e-2 * TRIANGLE + 1e-6 * NOISE,
+    ),
 }
 
 
@@ -205,11 +193,13 @@ def test_readings_beyond_all_measure_leave_the_terminal_alone(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("start", [0.0, 2.5])
-def test_a_first_order_lag_keeps_a_share_of_what_was_before(start):
-    course = np.random.default_rng(1).normal(size=50)
-    expected, before = [], start
-    for coming in course:
-        before = 0.8 * before + 0.2 * coming
-        expected.append(before)
-    assert first_order_lag(course, 0.8, start) == pytest.approx(expected, rel=1e-12)
+def test_readings_beyond_all_measure_leave_the_terminal_alone(capfd):
+    """LAPACK writes past Python when it is given an infinity."""
+    time = np.linspace(0.0, 19.9, 500)
+    volts, kelvin = np.where(time > 5.0, 1e200, 0.0), 296.0 + 20.0 * (time > 5.0)
+    odd = record(wire_voltage=(time, volts), wire_temperature=(time, kelvin))
+    assert list(check_response(odd)) == []
+    design = np.column_stack([np.ones(4), np.array([0.0, 1.0, 2.0, np.inf])])
+    with pytest.raises(InputError, match="no straight line"):
+        fit_linear(design, np.ones(4), 1e-6 * np.eye(4))
+    assert capfd.readouterr() == ("", "")

@@ -1,6 +1,4 @@
-"""Bags of other programs become named signals in SI units."""
-
-import json
+"""Bags of other programs become named signals in SI units, on one clock."""
 
 import numpy as np
 import pytest
@@ -11,6 +9,10 @@ from sma_bench.errors import InputError
 from sma_bench.records import read_record
 
 FOREIGN = ("wire/staircase", "wire/ramp", "composite/triangle", "composite/step")
+STORAGES = [("mcap", mode) for mode in CompressionMode] + [
+    ("sqlite3", mode) for mode in CompressionMode if mode is not CompressionMode.STORAGE
+]
+MILLIVOLTS = np.arange(200) * 1e-3
 
 
 def said(record, subject):
@@ -18,10 +20,15 @@ def said(record, subject):
     return [(f.severity, f.numbers) for f in record.findings if f.subject == subject]
 
 
+def warnings(record):
+    return " ".join(f.text for f in record.findings if f.severity == "warning")
+
+
 @pytest.mark.parametrize("name", FOREIGN)
 def test_every_message_of_a_foreign_bag_is_the_one_rosbags_decodes(shared_data, messages, name):
     bag = shared_data / "foreign" / name
     record = read_record(bag)
+    assert min(signal.time[0] for signal in record.signals.values()) == 0
     fields = {"temperature": "temperature", "power": "voltage", "joint_states": "position"}
     expected: dict[str, list[tuple[int, float]]] = {}
     with Reader(bag) as reader:
@@ -38,109 +45,67 @@ def test_every_message_of_a_foreign_bag_is_the_one_rosbags_decodes(shared_data, 
         # The first of several messages with one stamp counts.
         by_stamp = dict(reversed(rows))
         stamps = sorted(by_stamp)
-        np.testing.assert_allclose(
-            signal.time, (np.array(stamps) - record.start_ns) / 1e9, rtol=0, atol=1e-9
-        )
+        times = (np.array(stamps) - record.start_ns) / 1e9
+        np.testing.assert_allclose(signal.time, times, rtol=0, atol=1e-9)
+        assert (np.diff(signal.time) > 0).all()
         zero = 273.15 if name.endswith("temperature") else 0.0
         values = np.array([by_stamp[stamp] for stamp in stamps]) + zero
         np.testing.assert_array_equal(signal.values, values)
 
 
-def test_foreign_wire_bag_shows_the_resistance_it_was_made_with(shared_data):
-    truth = json.loads((shared_data / "foreign/wire/truth.json").read_text())
-    record = read_record(shared_data / "foreign/wire/staircase")
-    assert record.channels == ("wire",)
-    slope, offset = np.polyfit(record["wire.current"].values, record["wire.voltage"].values, 1)
-    assert slope == pytest.approx(truth["R"], rel=0.005)
-    assert -offset / slope == pytest.approx(truth["I0"], abs=1e-3)
-
-
-def test_signals_have_strictly_increasing_times_from_zero(shared_data):
-    record = read_record(shared_data / "foreign/composite/step")
-    assert min(signal.time[0] for signal in record.signals.values()) == 0
-    assert all((np.diff(signal.time) > 0).all() for signal in record.signals.values())
-    assert record.duration == pytest.approx(119.98, abs=0.01)
-
-
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@pytest.mark.parametrize("mode", list(CompressionMode))
+@pytest.mark.parametrize(("storage", "mode"), STORAGES)
 def test_storages_and_compressions_give_the_same_signals(tmp_path, write_bag, ramp, storage, mode):
-    if storage == "sqlite3" and mode is CompressionMode.STORAGE:
-        pytest.skip("sqlite3 has no compression of its own")
     bag = write_bag(tmp_path / "bag", ramp, storage, mode, chunk=150 if storage == "mcap" else None)
+    clock = np.arange(200) / 100
     for path in (bag, next(p for p in bag.iterdir() if p.name != "metadata.yaml")):
         record = read_record(path)
         assert record.findings == ()
-        np.testing.assert_allclose(record["wire.voltage"].values, np.arange(200) * 1e-3, atol=1e-8)
-        np.testing.assert_allclose(
-            record["wire.temperature"].values, 293.15 + np.arange(200) / 10, atol=1e-9
-        )
-        np.testing.assert_allclose(record["wire.current"].time, np.arange(200) / 100, atol=1e-9)
-        received = record["wire.temperature"].received
-        np.testing.assert_allclose(received, np.arange(200) / 100 + 0.003, atol=1e-9)
+        warm = record["wire.temperature"]
+        np.testing.assert_allclose(record["wire.voltage"].values, MILLIVOLTS, atol=1e-8)
+        np.testing.assert_allclose(warm.values, 293.15 + np.arange(200) / 10, atol=1e-9)
+        np.testing.assert_allclose(record["wire.current"].time, clock, atol=1e-9)
+        np.testing.assert_allclose(warm.received, clock + 0.003, atol=1e-9)
         assert record.topics["/bench/wire/power"].count == 200
-
-
-def split_in_two(bag, other):
-    """Move the storage file of `other` into `bag` as its second file."""
-    second = next(other.glob("*.mcap"))
-    second.rename(bag / "second.mcap")
-    metadata = bag / "metadata.yaml"
-    first = next(p.name for p in bag.glob("*.mcap") if p.name != "second.mcap")
-    text = metadata.read_text()
-    listed = f"  relative_file_paths:\n  - {first}\n"
-    assert listed in text
-    text = text.replace(listed, listed + "  - second.mcap\n")
-    metadata.write_text(text.replace("message_count: 100\n", "message_count: 200\n"))
 
 
 @pytest.fixture
 def split_bag(tmp_path, write_bag, ramp):
+    """A bag of two files, bag.mcap and second.mcap."""
     bag = write_bag(tmp_path / "bag", ramp[:200])
-    split_in_two(bag, write_bag(tmp_path / "other", ramp[200:]))
+    next(write_bag(tmp_path / "other", ramp[200:]).glob("*.mcap")).rename(bag / "second.mcap")
+    metadata, listed = bag / "metadata.yaml", "  relative_file_paths:\n  - bag.mcap\n"
+    text = metadata.read_text().replace("message_count: 100\n", "message_count: 200\n")
+    assert listed in text
+    metadata.write_text(text.replace(listed, listed + "  - second.mcap\n"))
     return bag
 
 
-def test_split_bag_is_read_whole(split_bag):
+def test_a_split_bag_is_read_whole_with_and_without_its_metadata(split_bag):
     record = read_record(split_bag)
     assert record.findings == ()
-    np.testing.assert_allclose(record["wire.voltage"].values, np.arange(200) * 1e-3, atol=1e-8)
-
-
-def test_numbered_files_without_metadata_are_one_bag(split_bag):
-    whole = read_record(split_bag)
-    (split_bag / "metadata.yaml").unlink()
-    first = next(p for p in split_bag.glob("*.mcap") if p.name != "second.mcap")
-    first.rename(split_bag / "run_2.mcap")
-    (split_bag / "second.mcap").rename(split_bag / "run_10.mcap")
-    record = read_record(split_bag)
-    assert [f.severity for f in record.findings] == ["info"]  # and nothing of disorder
-    for name, signal in whole.signals.items():
-        np.testing.assert_array_equal(record[name].values, signal.values)
-
-
-def test_a_folder_of_several_bags_is_refused(split_bag):
+    np.testing.assert_allclose(record["wire.voltage"].values, MILLIVOLTS, atol=1e-8)
     (split_bag / "metadata.yaml").unlink()
     with pytest.raises(InputError, match="bag.mcap, second.mcap") as refused:
-        read_record(split_bag)
+        read_record(split_bag)  # two bags, for all that is known
     assert str(split_bag) in str(refused.value) and "\n" not in str(refused.value)
+    (split_bag / "bag.mcap").rename(split_bag / "run_2.mcap")
+    (split_bag / "second.mcap").rename(split_bag / "run_10.mcap")
+    numbered = read_record(split_bag)
+    assert [f.severity for f in numbered.findings] == ["info"]  # and nothing of disorder
+    for name, signal in record.signals.items():
+        np.testing.assert_array_equal(numbered[name].values, signal.values)
 
 
-def test_missing_file_of_a_split_bag_is_reported_and_the_other_read(split_bag):
-    (split_bag / "second.mcap").unlink()
+def test_a_file_that_is_missing_or_not_listed_is_said_and_the_others_read(split_bag):
+    (split_bag / "second.mcap").rename(split_bag / "zz.mcap")
+    record = read_record(split_bag)
+    assert len(record["wire.voltage"]) == 200
+    assert said(record, "zz.mcap") == said(record, "second.mcap") == [("warning", {})]
+    (split_bag / "zz.mcap").unlink()
     record = read_record(split_bag)
     assert len(record["wire.voltage"]) == 100
-    assert said(record, "second.mcap") == [("warning", {})]
     lost = ("warning", {"missing": 100, "announced": 200})
     assert said(record, "/bench/wire/power") == said(record, "/bench/wire/temperature") == [lost]
-
-
-def test_storage_file_not_listed_in_the_metadata_is_read_too(tmp_path, write_bag, ramp):
-    bag = write_bag(tmp_path / "bag", ramp[:200])
-    next(write_bag(tmp_path / "other", ramp[200:]).glob("*.mcap")).rename(bag / "zz.mcap")
-    record = read_record(bag)
-    assert len(record["wire.voltage"]) == 200
-    assert said(record, "zz.mcap") == [("warning", {})]
 
 
 def test_two_topics_for_one_meaning_are_an_error_that_names_both(tmp_path, write_bag, messages):
@@ -150,79 +115,65 @@ def test_two_topics_for_one_meaning_are_an_error_that_names_both(tmp_path, write
     with pytest.raises(InputError, match="both /a/wire/power and /b/wire/power"):
         read_record(bag)
     assert read_record(bag, namespace="b")["wire.voltage"].topic == "/b/wire/power"
-
-
-def test_a_declared_topic_without_messages_is_no_candidate(tmp_path, write_bag, messages):
-    content = [("/b/wire/power", messages.power(messages.start, 1.0), messages.start)]
+    # One that is declared and has no messages is no candidate.
     declare = [("/a/wire/power", "sensor_msgs/msg/BatteryState")]
-    bag = write_bag(tmp_path / "bag", content, declare=declare)
-    record = read_record(bag)
+    record = read_record(write_bag(tmp_path / "declared", content[1:], declare=declare))
     assert record["wire.voltage"].topic == "/b/wire/power"
     assert said(record, "/a/wire/power") == [("info", {})]
 
 
-def test_what_a_twin_predicts_is_not_taken_for_measured(tmp_path, write_bag, messages):
-    measured, predicted = messages.range(messages.start, 0.1), messages.range(messages.start, 0.2)
-    content = [
-        ("/bench/front/range", measured, messages.start),
-        ("/bench/twin/front/range", predicted, messages.start),
-        ("/bench/twin/residual/back/range", predicted, messages.start),
-    ]
+@pytest.mark.parametrize("namespace", ["", "/bench", "/lab/rig_b/bench"])
+def test_topics_are_found_under_any_namespace_and_no_twins(
+    tmp_path, write_bag, messages, namespace
+):
+    measured, predicted = (messages.range(messages.start, d) for d in (0.1, 0.2))
+    content = [(f"{namespace}/front/range", measured, messages.start)]
+    for topic in ("front/range", "residual/back/range"):
+        content.append((f"{namespace}/twin/{topic}", predicted, messages.start))
     record = read_record(write_bag(tmp_path / "bag", content))
-    assert [float(v) for v in record["front.range"].values] == pytest.approx([0.1])
+    assert record["front.range"].values == pytest.approx([0.1])
     assert "back.range" not in record.signals
 
 
-@pytest.mark.parametrize("namespace", ["", "/bench", "/lab/rig_b/bench"])
-def test_topics_are_found_under_any_namespace(tmp_path, write_bag, messages, namespace):
-    content = [(f"{namespace}/front/range", messages.range(messages.start, 0.1), messages.start)]
-    record = read_record(write_bag(tmp_path / "bag", content))
-    assert record["front.range"].values == pytest.approx([0.1])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_other_traffic_is_listed_but_not_decoded(tmp_path, write_bag, messages, ramp, storage):
+    start = messages.start
+    shape = {"height": 1, "width": 2, "encoding": "mono16", "is_bigendian": 0, "step": 4}
+    image = messages.ros(
+        "sensor_msgs/msg/Image",
+        header=messages.header(start),
+        data=np.zeros(4, dtype=np.uint8),
+        **shape,
+    )
+    number = messages.ros("std_msgs/msg/Float32", data=20.0)
+    foreign = {"/chatter": messages.text("hello"), "/computer/temperature": number}
+    foreign |= {"/bench/thermal_image": image}
+    content = [*ramp, *((topic, message, start) for topic, message in foreign.items())]
+    content.append(("/bench/ambient/temperature", messages.temperature(start, 23.0), start))
+    record = read_record(write_bag(tmp_path / "bag", content, storage))
+    for topic, message in foreign.items():
+        listed = record.topics[topic]
+        assert (listed.type, listed.count, listed.signals) == (message.__msgtype__, 1, ())
+    assert record.markers == () and len(record["wire.temperature"]) == 200
+    # The ambient is no channel.
+    assert record.channels == ("wire",)
+    assert record["ambient.temperature"].values == pytest.approx([296.15])
 
 
 def test_wrong_type_on_the_only_topic_for_a_meaning_is_an_error(tmp_path, write_bag, messages):
     number = messages.ros("std_msgs/msg/Float32", data=20.0)
     bag = write_bag(tmp_path / "bag", [("/bench/wire/temperature", number, messages.start)])
-    with pytest.raises(
-        InputError,
-        match="/bench/wire/temperature has type std_msgs/msg/Float32, expected "
-        "sensor_msgs/msg/Temperature",
-    ):
+    said = "/wire/temperature has type std_msgs/msg/Float32, expected sensor_msgs/msg/Temperature"
+    with pytest.raises(InputError, match=said):
         read_record(bag)
 
 
-def test_wrong_type_elsewhere_is_other_traffic(tmp_path, write_bag, messages, ramp):
-    number = messages.ros("std_msgs/msg/Float32", data=20.0)
-    content = [*ramp, ("/computer/temperature", number, messages.start)]
-    record = read_record(write_bag(tmp_path / "bag", content))
-    assert len(record["wire.temperature"]) == 200
-    assert record.topics["/computer/temperature"].signals == ()
-
-
-def test_unknown_topics_are_listed_but_not_decoded(tmp_path, write_bag, messages, ramp):
-    for storage in ("mcap", "sqlite3"):
-        content = [*ramp, ("/chatter", messages.text("hello"), messages.start)]
-        record = read_record(write_bag(tmp_path / storage, content, storage))
-        chatter = record.topics["/chatter"]
-        assert (chatter.type, chatter.count, chatter.signals) == ("std_msgs/msg/String", 1, ())
-        assert record.markers == ()
-
-
-def test_bag_without_contract_topics_lists_what_it_has(tmp_path, write_bag, messages):
-    bag = write_bag(tmp_path / "bag", [("/chatter", messages.text("hello"), messages.start)])
-    record = read_record(bag)
-    assert record.signals == {} and record.duration == 0
-    assert said(record, "record") == [("error", {})] and "/chatter" in str(record.findings)
-    with pytest.raises(InputError, match="wire.voltage"):
-        record["wire.voltage"]
-
-
 def test_what_is_nan_throughout_is_absent_and_said_so(tmp_path, write_bag, messages):
-    content = []
-    for k in range(10):
-        stamp = messages.start + k
-        voltage = 1.0 if k % 2 else float("nan")
-        content.append(("/bench/wire/power", messages.power(stamp, voltage), stamp))
+    stamps = [messages.start + k for k in range(10)]
+    volts = [float("nan"), 1.0] * 5
+    content = [
+        ("/bench/wire/power", messages.power(t, v), t) for t, v in zip(stamps, volts, strict=True)
+    ]
     record = read_record(write_bag(tmp_path / "bag", content))
     assert record.get("wire.current") is None
     assert len(record["wire.voltage"]) == 5
@@ -267,47 +218,77 @@ def test_invalid_ranges_are_kept_and_flagged(tmp_path, write_bag, messages):
     ]
     record = read_record(write_bag(tmp_path / "bag", content))
     assert record["back.range"].values == pytest.approx([0.1, np.inf, -np.inf, 0.3])
-    flagged = [numbers for severity, numbers in said(record, "/bench/back/range")
-               if severity == "warning"]  # fmt: skip
+    flagged = [n for severity, n in said(record, "/bench/back/range") if severity == "warning"]
     assert flagged == [{"count": 1}] * 3  # too close, too far, outside what it says it measures
 
 
-def test_images_are_counted_not_decoded(tmp_path, write_bag, messages, ramp):
-    image = messages.ros(
-        "sensor_msgs/msg/Image",
-        header=messages.header(messages.start),
-        height=1,
-        width=2,
-        encoding="mono16",
-        is_bigendian=0,
-        step=4,
-        data=np.zeros(4, dtype=np.uint8),
-    )
-    content = [*ramp, ("/bench/thermal_image", image, messages.start)]
-    record = read_record(write_bag(tmp_path / "bag", content, "sqlite3"))
-    assert record.topics["/bench/thermal_image"].count == 1
-    assert record.topics["/bench/thermal_image"].signals == ()
-
-
-def test_channels_leave_out_the_ambient(tmp_path, write_bag, messages, ramp):
-    ambient = messages.temperature(messages.start, 23.0)
-    content = [*ramp, ("/bench/ambient/temperature", ambient, messages.start)]
-    record = read_record(write_bag(tmp_path / "bag", content))
-    assert record.channels == ("wire",)
-    assert record["ambient.temperature"].values == pytest.approx([296.15])
-
-
+@pytest.mark.parametrize(
+    ("variances", "std"), [((0.25, 0.25, 1.0, 0.0), [0.5, 0.5, 1.0, 0.0]), ((0.0,) * 4, None)]
+)
 def test_variance_of_a_camera_comes_with_its_readings_and_none_is_none(
-    tmp_path, write_bag, messages
+    tmp_path, write_bag, messages, variances, std
 ):
     stamps = [messages.start + k * 10**8 for k in range(4)]
-    for name, variances in (("stated", (0.25, 0.25, 1.0, 0.0)), ("silent", (0.0,) * 4)):
-        content = [
-            ("/b/wire/temperature", messages.temperature(t, 30.0, variance=v), t)
-            for t, v in zip(stamps, variances, strict=True)
-        ]
-        signal = read_record(write_bag(tmp_path / name, content))["wire.temperature"]
-        if name == "stated":
-            assert signal.std.tolist() == [0.5, 0.5, 1.0, 0.0]
-        else:
-            assert signal.std is None
+    content = [
+        ("/b/wire/temperature", messages.temperature(t, 30.0, variance=v), t)
+        for t, v in zip(stamps, variances, strict=True)
+    ]
+    signal = read_record(write_bag(tmp_path / "bag", content))["wire.temperature"]
+    assert (None if signal.std is None else signal.std.tolist()) == std
+
+
+# --- Which clock the times come from, and what is done about disorder.
+
+
+def test_unsorted_messages_are_sorted_and_duplicates_dropped_and_both_said(
+    tmp_path, write_bag, messages
+):
+    rows = [(0, 1.0), (2, 3.0), (1, 2.0), (2, 99.0)]
+    content = [
+        ("/x/wire/temperature", messages.temperature(messages.start + s * 10**9, v), at)
+        for at, (s, v) in enumerate(rows, messages.start)
+    ]
+    record = read_record(write_bag(tmp_path / "bag", content))
+    assert (record["wire.temperature"].values - 273.15).tolist() == pytest.approx([1, 2, 3])
+    assert record["wire.temperature"].time.tolist() == [0.0, 1.0, 2.0]
+    numbers = {key: n for f in record.findings for key, n in f.numbers.items()}
+    assert numbers == {"backward": 1, "duplicates": 1}
+
+
+def test_without_stamps_the_receive_time_counts_and_a_single_one_is_left_out(
+    tmp_path, write_bag, messages, ramp
+):
+    bare, at = messages.temperature(0, 20.0), messages.start
+    content = [("/x/wire/temperature", bare, at + k * 10**9) for k in range(3)]
+    record = read_record(write_bag(tmp_path / "bare", content))
+    assert record["wire.temperature"].time.tolist() == [0.0, 1.0, 2.0]
+    assert "never set" in warnings(record)
+    # Markers and commands have no header.
+    at += 500_000_000
+    others = [
+        ("/bench/wire/temperature", bare, at),
+        ("/bench/experiment/marker", messages.text("ramp up"), at),
+        ("/bench/voltage_command", messages.command([1.5]), at),
+    ]
+    record = read_record(write_bag(tmp_path / "bag", [*ramp, *others]))
+    assert len(record["wire.temperature"]) == 200 and record.start_ns == messages.start
+    assert "1 of 201 messages have no header.stamp and are left out" in warnings(record)
+    assert record.markers == ((0.5, "ramp up"),)
+    assert record["voltage_command"].time.tolist() == [0.5]
+    assert record["voltage_command"].values.tolist() == [[1.5]]
+
+
+def test_headerless_topics_follow_the_stamps_of_a_faster_simulated_clock(
+    tmp_path, write_bag, messages
+):
+    # Ten simulated seconds in one second of the wall's clock.
+    walls = [messages.start + k * 1_000_000 for k in range(1000)]
+    content = [
+        ("/bench/wire/temperature", messages.temperature(k * 10_000_000, 20.0), wall)
+        for k, wall in enumerate(walls)
+    ]
+    content.insert(701, ("/bench/voltage_command", messages.command([1.0]), walls[700]))
+    record = read_record(write_bag(tmp_path / "bag", content))
+    assert record.start_ns == 0
+    assert record["voltage_command"].time == pytest.approx([7.0], abs=0.011)
+    assert "moved onto their clock" in warnings(record)
