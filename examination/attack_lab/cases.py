@@ -1,7 +1,7 @@
 """What may be wrong with a lab's records, one attack a row."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 
 from examination.attack_lab import instruments
-from examination.attack_lab.instruments import LOADS, Alloy, Beam, named
-from examination.attack_lab.rig import Bench, bare_bench, paper_bench
+from examination.attack_lab.beam import Beam, bend
+from examination.attack_lab.instruments import LOADS, ZERO, Alloy, named
+from examination.attack_lab.rig import Bench, Wire, bare_bench, paper_bench
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
+
+PHASES = ("martensite", "austenite")
+TEMPERATURES = ("a_s", "a_f", "m_s", "m_f")
+OF_LOADS = (*TEMPERATURES, "c_a", "c_m", "eps_l")
 
 
 @dataclass(frozen=True)
@@ -37,28 +42,38 @@ class Attack:
 # --- E1 to E3: a staircase and ramps of one wire, near Table I and bare in air by turns.
 
 
+def _both(bench: Bench, random) -> Sequence[Record]:
+    return bench.staircase(random), bench.ramps(random)
+
+
 def clean_bag(
-    random, seed: int, change: Callable[[Bench], Bench] = lambda b: b,
-    records: Callable[[Bench, Any], Sequence[Record]] = lambda b, r: (b.staircase(r), b.ramps(r)),
-) -> Case:  # fmt: skip
+    random, seed: int, change: Callable[[Bench], Bench] = lambda b: b, records=_both
+) -> Case:
     """`change` what the bench is, or `records` how it is recorded."""
-    told = paper_bench(random) if seed % 2 == 0 else bare_bench(random)
-    bench = change(told)
+    believed = paper_bench(random) if seed % 2 == 0 else bare_bench(random)
+    bench = change(believed)
     made = records(bench, random)
-    return Case(made, told.parameters() if bench.known == told.known else bench.parameters(),
-                bench.truth())
-
-
-def _bench(change: Callable[[Bench], Bench]):
-    return partial(clean_bag, change=change)
-
-
-def _wire(**own):
-    return _bench(lambda b: b.but(wire=own))
+    stated = believed if bench.known == believed.known else bench
+    return Case(made, stated.parameters(), bench.truth())
 
 
 def _sensors(**own):
-    return _bench(lambda b: b.but(sensors=own))
+    """Numbers of the sensors, or functions of the bench that give them."""
+    return _bench(sensors=own)
+
+
+def _wire(**own):
+    return _bench(wire=own)
+
+
+def _bench(wire: Mapping = {}, sensors: Mapping = {}, known: Mapping = {}, **own):  # noqa: B006
+    def change(b: Bench) -> Bench:
+        def of(numbers):
+            return {n: x(b) if callable(x) else x for n, x in numbers.items()}
+
+        return b.but(of(wire), of(sensors), known=dict(b.known) | of(known), **of(own))
+
+    return partial(clean_bag, change=change)
 
 
 def _records(records: Callable[[Bench, Any], Sequence[Record]]):
@@ -66,7 +81,7 @@ def _records(records: Callable[[Bench, Any], Sequence[Record]]):
 
 
 def _each(change: Callable[[Record], Record]):
-    return _records(lambda b, r: [change(b.staircase(r)), change(b.ramps(r))])
+    return _records(lambda b, r: [change(record) for record in _both(b, r)])
 
 
 def _with(record: Record, **signals) -> Record:
@@ -76,11 +91,16 @@ def _with(record: Record, **signals) -> Record:
 
 def _read(name: str, of: Callable[[np.ndarray, np.ndarray], np.ndarray]):
     """The readings of one signal changed, in both records."""
+
     def change(record: Record) -> Record:
         s = record.signals[f"wire.{name}"]
         return _with(record, **{name: replace(s, values=of(s.time, s.values.copy()))})
 
     return _each(change)
+
+
+def _hum(size: float, hertz: float):
+    return lambda time, values: values + size * np.sin(2 * np.pi * hertz * time)
 
 
 def _stuck(time, values):
@@ -96,8 +116,11 @@ def _spikes(time, values):
 
 def _swapped(record: Record) -> Record:
     a, b = record.signals["wire.voltage"], record.signals["wire.current"]
-    return _with(record, voltage=replace(a, time=b.time, values=b.values),
-                 current=replace(b, time=a.time, values=a.values))
+    volts, amperes = (
+        replace(a, time=b.time, values=b.values),
+        replace(b, time=a.time, values=a.values),
+    )
+    return _with(record, voltage=volts, current=amperes)
 
 
 def _jump(seconds: float, at: float = 0.5):
@@ -110,288 +133,294 @@ def _jump(seconds: float, at: float = 0.5):
 
 
 def _fast(record: Record) -> Record:
-    return replace(record, signals={n: replace(s, time=1.02 * s.time)
-                                    for n, s in record.signals.items()})
+    faster = {n: replace(s, time=1.02 * s.time) for n, s in record.signals.items()}
+    return replace(record, signals=faster)
 
 
-def _spliced(first: Record, second: Record) -> Record:
-    """The first half of one record and the second half of another."""
-    signals = {}
-    for name, a in first.signals.items():
-        b, half = second.signals[name], 0.5 * float(a.time[-1])
-        early, late = a.time <= half, b.time > half
-        signals[name] = replace(a, time=np.concatenate([a.time[early], b.time[late]]),
-                                values=np.concatenate([a.values[early], b.values[late]]))
-    return replace(first, signals=signals)
+def _two_wires(b: Bench, random) -> Sequence[Record]:
+    """The first half of one staircase and the second half of another."""
+    first, second, signals = b.staircase(random), b.staircase(random, _other(b)), {}
+    for name, one in first.signals.items():
+        two, half = second.signals[name], 0.5 * float(one.time[-1])
+        early, late = one.time <= half, two.time > half
+        time = np.concatenate([one.time[early], two.time[late]])
+        values = np.concatenate([one.values[early], two.values[late]])
+        signals[name] = replace(one, time=time, values=values)
+    return replace(first, signals=signals), b.ramps(random)
 
 
-def _crossed(one: Record, other: Record) -> list[Record]:
-    return [_with(a, temperature=b.signals["wire.temperature"])
-            for a, b in ((one, other), (other, one))]
+def _crossed(b: Bench, random) -> Sequence[Record]:
+    one, other = _both(b, random)
+    temperatures = other.signals["wire.temperature"], one.signals["wire.temperature"]
+    return [_with(r, temperature=t) for r, t in zip((one, other), temperatures, strict=True)]
 
 
-def _other(b: Bench):
-    w = b.wire
-    return replace(w, resistance=1.12 * w.resistance, loss=0.8 * w.loss,
-                   specific_heat=1.1 * w.specific_heat)
+def _other(b: Bench) -> Wire:
+    ohm, loss, heat = 1.12 * b.wire.resistance, 0.8 * b.wire.loss, 1.1 * b.wire.specific_heat
+    return replace(b.wire, resistance=ohm, loss=loss, specific_heat=heat)
 
 
-def _windy(b: Bench):
+def _windy(b: Bench) -> Wire:
     return replace(b.wire, loss=1.2 * b.wire.loss)
 
 
-def _rise(b: Bench) -> float:
-    return b.top**2 / (b.wire.resistance * b.wire.loss * b.wire.area)
+def _heavy_sheath(b: Bench) -> tuple[float, float]:
+    return 2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area
 
 
-WIRES = (
-    ("camera gain +5 %", _sensors(camera_gain=1.05)),
-    ("camera gain -2 %", _sensors(camera_gain=0.98)),
-    ("camera zero +2 K", _sensors(camera_zero=2.0)),
-    ("emissivity off by 5 %", _sensors(emissivity=0.95)),
-    ("emissivity off by -4 %", _sensors(emissivity=1.04)),
-    ("spot half filled", _sensors(emissivity=0.52)),
-    ("current gain 1.5 %", _sensors(ampere_gain=1.015)),
-    ("current gain -3 %", _sensors(ampere_gain=0.97)),
-    ("voltage gain 1 %", _sensors(volt_gain=1.01)),
-    ("voltage zero +20 mV", _sensors(volt_offset=0.02)),
-    ("current zero +80 mA", _sensors(ampere_offset=0.08)),
-    ("lead of 0.1 ohm", _wire(lead=0.1)),
-    ("room drifts 1.5 K", _wire(room_drift=1.5)),
-    ("room drifts 1.5 K, recorded", _bench(
-        lambda b: b.but(wire={"room_drift": 1.5}, sensors={"thermometer": True}))),
-    ("camera drifts 3 K", _sensors(drift=3.0)),
-    ("air flow +20 % from one staircase to the next", _records(
-        lambda b, r: (b.staircase(r), b.staircase(r, _windy(b)), b.ramps(r)))),
-    ("air flow +20 % half-way", _bench(lambda b: b.but(
-        wire={"wind": (0.5 * b.dwell * (2 * b.levels - 1), 0.2)}))),
-    ("air flow +20 % at the ramps", _records(
-        lambda b, r: (b.staircase(r), b.ramps(r, _windy(b))))),
-    ("slow triangles", _bench(lambda b: replace(b, ramp_top=1.3 * b.ramp_top, rise=25.0))),
-    ("camera lags 1 s", _sensors(camera_lag=1.0)),
-    ("camera lags 0.1 s", _sensors(camera_lag=0.1)),
-    ("camera late by 50 ms", _sensors(camera_late=0.05)),
-    ("camera saturates", _bench(lambda b: b.but(
-        sensors={"camera_top": b.wire.room + 0.6 * _rise(b)}))),
-    ("voltmeter saturates", _bench(lambda b: b.but(sensors={"volt_top": 0.8 * b.top}))),
-    ("current sensor saturates", _bench(lambda b: b.but(
-        sensors={"ampere_top": 0.75 * b.top / b.wire.resistance}))),
-    ("slow sampling: 2 Hz", _sensors(rate=2.0, camera_rate=2.0)),
-    ("hum aliased to 0.3 Hz in the current", _read(
-        "current", lambda t, x: x + 0.1 * np.sin(2 * np.pi * 0.3 * t))),
-    ("hum aliased to 0.05 Hz in the camera", _read(
-        "temperature", lambda t, x: x + 1.0 * np.sin(2 * np.pi * 0.05 * t))),
-    ("camera stuck for a quarter", _read("temperature", _stuck)),
-    ("current sensor stuck for a quarter", _read("current", _stuck)),
-    ("voltmeter stuck for a quarter", _read("voltage", _stuck)),
-    ("camera spikes", _read("temperature", _spikes)),
-    ("voltage and current swapped", _each(_swapped)),
-    ("wrong mass: 8 % too large", _bench(lambda b: replace(
-        b, known={**b.known, "wire.mass": 1.08 * b.wire.mass}))),
-    ("wrong diameter: 5 % too large, and its area", _bench(lambda b: replace(b, known={
-        **b.known, "wire.diameter": 1.05 * b.known.get("wire.diameter", 0.3e-3),
-        "wire.surface_area": 1.05 * b.wire.area}))),
-    ("another wire in the ramps", _records(lambda b, r: (
-        b.staircase(r), b.ramps(r, _other(b))))),
-    ("two wires in one staircase", _records(lambda b, r: (
-        _spliced(b.staircase(r), b.staircase(r, _other(b))), b.ramps(r)))),
-    ("clock of the camera jumps 0.5 s", _jump(0.5)),
-    ("clock of the camera jumps 30 s", _jump(30.0, 0.3)),
-    ("all clocks 2 % fast", _each(_fast)),
-    ("resistance rises 6 % with heat", _bench(lambda b: b.but(
-        wire={"hot_resistance": 0.06, "change": (b.wire.room, b.wire.room + 1.5 * _rise(b))}))),
-    ("loss rises 15 % with heat", _bench(lambda b: b.but(
-        wire={"loss_growth": 0.15 / _rise(b)}))),
-    ("a sheath that follows slowly", _bench(lambda b: b.but(wire={
-        "sheath": (2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area)}))),
-    ("latent heat in the ramps", _bench(lambda b: replace(b, ramp_top=2.2 * b.ramp_top).but(
-        wire={"latent": 12e3, "change": (332.0, 352.0)}))),
-    ("staircase too short to settle", _bench(lambda b: replace(b, dwell=max(2.1, b.wire.tau)))),
-    ("stored runs swapped", _records(lambda b, r: _crossed(b.staircase(r), b.ramps(r)))),
-)
+_ALLOY_CHANGES = {"latent": 12e3, "change": (332.0, 352.0)}
+_R_CHANGES = {
+    "hot_resistance": 0.06,
+    "change": lambda b: (b.wire.room, b.wire.room + 1.5 * b.warming),
+}
+_WIDER = {
+    "wire.diameter": lambda b: 1.05 * b.known.get("wire.diameter", 0.3e-3),
+    "wire.surface_area": lambda b: 1.05 * b.wire.area,
+}
+WIRES = {
+    "camera gain +5 %": _sensors(camera={"gain": 1.05}),
+    "camera gain -2 %": _sensors(camera={"gain": 0.98}),
+    "camera zero +2 K": _sensors(camera={"offset": 2.0}),
+    "emissivity off by 5 %": _sensors(emissivity=0.95),
+    "emissivity off by -4 %": _sensors(emissivity=1.04),
+    "spot half filled": _sensors(emissivity=0.52),
+    "current gain 1.5 %": _sensors(amperes={"gain": 1.015}),
+    "current gain -3 %": _sensors(amperes={"gain": 0.97}),
+    "voltage gain 1 %": _sensors(volts={"gain": 1.01}),
+    "voltage zero +20 mV": _sensors(volts={"offset": 0.02}),
+    "current zero +80 mA": _sensors(amperes={"offset": 0.08}),
+    "lead of 0.1 ohm": _wire(lead=0.1),
+    "room drifts 1.5 K": _wire(room_drift=1.5),
+    "room drifts 1.5 K, recorded": _bench({"room_drift": 1.5}, {"thermometer": True}),
+    "camera drifts 3 K": _sensors(drift=3.0),
+    "air flow +20 % from one staircase to the next": _records(
+        lambda b, r: (b.staircase(r), b.staircase(r, _windy(b)), b.ramps(r))
+    ),
+    "air flow +20 % half-way": _wire(wind=lambda b: (0.5 * b.dwell * (2 * b.levels - 1), 0.2)),
+    "air flow +20 % at the ramps": _records(lambda b, r: (b.staircase(r), b.ramps(r, _windy(b)))),
+    "slow triangles": _bench(ramp_top=lambda b: 1.3 * b.ramp_top, rise=25.0),
+    "camera lags 1 s": _sensors(camera_lag=1.0),
+    "camera lags 0.1 s": _sensors(camera_lag=0.1),
+    "camera late by 50 ms": _sensors(camera_late=0.05),
+    "camera saturates": _sensors(camera=lambda b: {"top": b.wire.room + 0.6 * b.warming - ZERO}),
+    "voltmeter saturates": _sensors(volts=lambda b: {"top": 0.8 * b.top}),
+    "current sensor saturates": _sensors(
+        amperes=lambda b: {"top": 0.75 * b.top / b.wire.resistance}
+    ),
+    "slow sampling: 2 Hz": _sensors(rate=2.0, camera_rate=2.0),
+    "hum aliased to 0.3 Hz in the current": _read("current", _hum(0.1, 0.3)),
+    "hum aliased to 0.05 Hz in the camera": _read("temperature", _hum(1.0, 0.05)),
+    "camera stuck for a quarter": _read("temperature", _stuck),
+    "current sensor stuck for a quarter": _read("current", _stuck),
+    "voltmeter stuck for a quarter": _read("voltage", _stuck),
+    "camera spikes": _read("temperature", _spikes),
+    "voltage and current swapped": _each(_swapped),
+    "wrong mass: 8 % too large": _bench(known={"wire.mass": lambda b: 1.08 * b.wire.mass}),
+    "wrong diameter: 5 % too large, and its area": _bench(known=_WIDER),
+    "another wire in the ramps": _records(lambda b, r: (b.staircase(r), b.ramps(r, _other(b)))),
+    "two wires in one staircase": _records(_two_wires),
+    "clock of the camera jumps 0.5 s": _jump(0.5),
+    "clock of the camera jumps 30 s": _jump(30.0, 0.3),
+    "all clocks 2 % fast": _each(_fast),
+    "resistance rises 6 % with heat": _bench(_R_CHANGES),
+    "loss rises 15 % with heat": _wire(loss_growth=lambda b: 0.15 / b.warming),
+    "a sheath that follows slowly": _wire(sheath=_heavy_sheath),
+    "latent heat in the ramps": _bench(_ALLOY_CHANGES, ramp_top=lambda b: 2.2 * b.ramp_top),
+    "staircase too short to settle": _bench(dwell=lambda b: max(2.1, b.wire.tau)),
+    "stored runs swapped": _records(_crossed),
+}
 
 
 # --- E5 to E8: an alloy in a calorimeter, a load frame, a tensile machine, between clamps.
 
 
-OF_LOADS = ("a_s", "a_f", "m_s", "m_f", "c_a", "c_m", "eps_l")
-PHASES = ("martensite", "austenite")
-
-
 def _unknown_alloy() -> Parameters:
     """A lab that has bought a wire "of 70 degrees"."""
-    return Parameters.of_paper().replace(
-        named(a_s=340.0, a_f=355.0, m_s=330.0, m_f=315.0, eps_l=0.043),
-        named(a_s=15.0, a_f=15.0, m_s=15.0, m_f=15.0, c_a=2e6, c_m=2e6, eps_l=0.01, e_a=15e9,
-              e_m=8e9, theta=0.1e6),
-    )
+    errors = dict.fromkeys(TEMPERATURES, 15.0)
+    errors |= {"c_a": 2e6, "c_m": 2e6, "eps_l": 0.01, "e_a": 15e9, "e_m": 8e9, "theta": 0.1e6}
+    guess = named(a_s=340.0, a_f=355.0, m_s=330.0, m_f=315.0, eps_l=0.043)
+    return Parameters.of_paper().replace(guess, named(**errors))
 
 
 def _lab(alloy: Alloy) -> Parameters:
     """A load frame's lab has tested its moduli."""
-    return _unknown_alloy().replace(
-        alloy.truth("e_a", "e_m", "theta"),
-        named(e_a=0.04 * alloy.e_a, e_m=0.04 * alloy.e_m, theta=0.2 * abs(alloy.theta)),
-    )
+    errors = named(e_a=0.04 * alloy.e_a, e_m=0.04 * alloy.e_m, theta=0.2 * abs(alloy.theta))
+    return _unknown_alloy().replace(alloy.truth("e_a", "e_m", "theta"), errors)
 
 
 def dsc(random, seed: int, **own) -> Case:
     alloy = Alloy.drawn(random)
-    return Case([instruments.dsc(alloy, random, **own)], _unknown_alloy(),
-                alloy.truth("a_s", "a_f", "m_s", "m_f"))
+    return Case(
+        [instruments.dsc(alloy, random, **own)], _unknown_alloy(), alloy.truth(*TEMPERATURES)
+    )
 
 
-def frame(random, seed: int, one=None, other: bool = False, experiments=None, calorimeter=None,
-          **own) -> Case:
+def frame(
+    random, seed: int, one=None, other=False, experiments=None, calorimeter=None, **own
+) -> Case:
     """`one`: what is wrong with the third load only; `other`: that is another alloy; with the
     `calorimeter` whose faults are given."""
     alloy = Alloy.drawn(random)
-    strange = replace(alloy, a_s=alloy.a_s + 8, a_f=alloy.a_f + 8, m_s=alloy.m_s + 8,
-                      m_f=alloy.m_f + 8, eps_l=0.8 * alloy.eps_l)
-    tests: list[Any] = [
-        instruments.isobaric(strange if other and k == 2 else alloy, load, random,
-                             **{**own, **(one if one and k == 2 else {})})
-        for k, load in enumerate(LOADS)
-    ]
+    warmer = {name: getattr(alloy, name) + 8 for name in TEMPERATURES}
+    strange = replace(alloy, **warmer, eps_l=0.8 * alloy.eps_l)
+    tests: list[Any] = []
+    for k, load in enumerate(LOADS):
+        faults = own | (one or {}) if k == 2 else own
+        which = strange if other and k == 2 else alloy
+        tests.append(instruments.isobaric(which, load, random, **faults))
     if calorimeter:
         tests.insert(0, instruments.dsc(alloy, random, **calorimeter))
     return Case(tests, _lab(alloy), alloy.truth(*OF_LOADS), experiments)
 
 
 def machine(random, seed: int, cold=None, hot=None, **own) -> Case:
-    alloy = Alloy.drawn(random)
-    tests = [instruments.tensile(alloy, phase, k, random, **{**own, **(special or {})})
-             for phase, special in zip(PHASES, (cold, hot), strict=True) for k in range(2)]
+    alloy, special = Alloy.drawn(random), (own | (cold or {}), own | (hot or {}))
+    tests = [
+        instruments.tensile(alloy, phase, k, random, **faults)
+        for phase, faults in zip(PHASES, special, strict=True)
+        for k in range(2)
+    ]
     return Case(tests, _unknown_alloy(), alloy.truth("e_m", "e_a"))
 
 
 def clamps(random, seed: int, known=None, **own) -> Case:
     alloy = Alloy.drawn(random)
-    parameters = _lab(alloy).replace({
-        "wire.length": 0.2, "wire.mass": 6450.0 * 0.2 * math.pi / 4.0 * 0.3e-3**2,
-        "wire.surface_area": math.pi * 0.3e-3 * 0.2, **alloy.truth("a_s", "a_f", "m_s", "m_f"),
-        **(known or {}),
-    })
-    return Case([instruments.clamped(alloy, random, **own)], parameters, alloy.truth("theta"))
+    mass, area = 6450.0 * 0.2 * math.pi / 4.0 * 0.3e-3**2, math.pi * 0.3e-3 * 0.2
+    sizes = {"wire.length": 0.2, "wire.mass": mass, "wire.surface_area": area}
+    stated = sizes | alloy.truth(*TEMPERATURES) | (known or {})
+    records = [instruments.clamped(alloy, random, **own)]
+    return Case(records, _lab(alloy).replace(stated), alloy.truth("theta"))
 
 
 def clean_tables(random, seed: int) -> Case:
     """All instruments of one alloy."""
     alloy = Alloy.drawn(random)
     tests = [instruments.tensile(alloy, phase, k, random) for phase in PHASES for k in range(2)]
-    records = [instruments.dsc(alloy, random),
-               *(instruments.isobaric(alloy, load, random) for load in LOADS), *tests,
-               instruments.clamped(alloy, random)]
+    dsc_test = instruments.dsc(alloy, random)
+    held = [instruments.isobaric(alloy, load, random) for load in LOADS]
+    records = [dsc_test, *held, *tests, instruments.clamped(alloy, random)]
     return Case(records, _unknown_alloy(), alloy.truth(*OF_LOADS, "e_m", "e_a", "theta"))
 
 
 def beam(random, seed: int, **own) -> Case:
     """E10: whole-model fits, a minute each."""
     one = Beam(Alloy.drawn(random), random.uniform(0.8, 1.0), random.uniform(4e9, 5e9))
-    alloy, told = one.alloy, 1.0 + 0.02 * random.standard_normal(4)
-    truth = {
-        "wire.resistance": one.resistance, "wire.heat_transfer_coefficient": one.heat_loss / 2e-4,
-        "wire.specific_heat": one.capacity / 0.091e-3,
-        **alloy.truth(*OF_LOADS, "e_m", "e_a", "theta"),
-        "composite.deflection_per_strain": one.alpha,
-        "composite.stress_per_deflection_front": one.beta,
-        "composite.stress_per_deflection_back": one.beta,
-        "environment.ambient_temperature": one.room,
-    }  # fmt: skip
-    factors = {
-        "wire.resistance": told[0], "wire.heat_transfer_coefficient": told[1],
-        "wire.specific_heat": told[2], "composite.deflection_per_strain": told[3],
-        "composite.stress_per_deflection_front": 1.03, "composite.stress_per_deflection_back": 0.97,
-    }  # fmt: skip
-    believed = Parameters.of_paper().replace({
-        "bench.channels": ("front_1", "back_1"), "bench.channel_sides": ("front", "back"),
-        "wire.surface_area": 2e-4, **truth, **{n: truth[n] * f for n, f in factors.items()},
-        **named(a_s=alloy.a_s + 0.5, a_f=alloy.a_f - 0.5, m_f=alloy.m_f + 0.5),
-    }, {
-        "wire.resistance": 0.06, "wire.heat_transfer_coefficient": 4.0, "wire.specific_heat": 12.0,
-        "composite.deflection_per_strain": 0.03, "composite.stress_per_deflection_front": 2e8,
-        "composite.stress_per_deflection_back": 2e8, "wire.surface_area": 2e-6, "wire.mass": 4e-7,
-        **named(a_s=0.7, a_f=0.7, m_s=0.7, m_f=0.7, c_a=4e5, c_m=4e5, e_a=1.5e9, e_m=0.6e9,
-                eps_l=1e-3, theta=3e4),
-    })  # fmt: skip
-    return Case([instruments.bend(one, random, **own)], believed, truth, ("E10",))
+    alloy, off = one.alloy, 1.0 + 0.02 * random.standard_normal(4)
+    # The truth, what the lab believes of it, and how sure it is.
+    rows = {
+        "wire.resistance": (one.resistance, off[0], 0.06),
+        "wire.heat_transfer_coefficient": (one.heat_loss / 2e-4, off[1], 4.0),
+        "wire.specific_heat": (one.capacity / 0.091e-3, off[2], 12.0),
+        "composite.deflection_per_strain": (one.alpha, off[3], 0.03),
+        "composite.stress_per_deflection_front": (one.beta, 1.03, 2e8),
+        "composite.stress_per_deflection_back": (one.beta, 0.97, 2e8),
+    }
+    truth = {name: true for name, (true, _, _) in rows.items()}
+    truth |= alloy.truth() | {"environment.ambient_temperature": one.room}
+    errors = {"c_a": 4e5, "c_m": 4e5, "e_a": 1.5e9, "e_m": 0.6e9, "eps_l": 1e-3, "theta": 3e4}
+    errors |= dict.fromkeys(TEMPERATURES, 0.7)
+    rig = {
+        "bench.channels": ("front_1", "back_1"),
+        "bench.channel_sides": ("front", "back"),
+        "wire.surface_area": 2e-4,
+    }
+    factors = {name: true * factor for name, (true, factor, _) in rows.items()}
+    near = named(a_s=alloy.a_s + 0.5, a_f=alloy.a_f - 0.5, m_f=alloy.m_f + 0.5)
+    stds = {name: std for name, (_, _, std) in rows.items()} | named(**errors)
+    stds |= {"wire.surface_area": 2e-6, "wire.mass": 4e-7}
+    believed = Parameters.of_paper().replace(rig | truth | factors | near, stds)
+    return Case([bend(one, random, **own)], believed, truth, ("E10",))
 
 
-def _attack(experiment: str, name: str, make: Callable[..., Case], **own) -> Attack:
-    return Attack(experiment, name, partial(make, **own))
-
-
+_HOT = {"known": named(a_s=365.0, a_f=380.0), "above": 312.0}
+_PHASES_SWAPPED = {"cold": {"said": "austenite"}, "hot": {"said": "martensite"}}
+CALORIMETER = {
+    "thermometer 1 K high": {"zero": 1.0},
+    "sample lags 8 s": {"lag": 8.0},
+    "20 K/min, a lag of 5 s": {"rate": 20.0, "lag": 5.0},
+    "baseline bowed": {"bow": 250e-6},
+    "baseline jumps in the peak": {"step": 60e-6},
+    "signal saturates": {"top": 95e-6},
+    "an R-phase step": {"peaks": 0.4},
+    "endothermic down": {"turned": True},
+    "spikes": {"spikes": 12},
+    "noise ten times": {"noise": 3e-6},
+    "thermometer 1 % off": {"scale": 1.01},
+    "the sample trains 3 K a cycle": {"drift": 3.0},
+}
+LOAD_FRAME = {
+    "thermocouple 2 K high": {"zero": 2.0},
+    "thermocouple lags by 2 K": {"lag": 2.0},
+    "gauge length 2 % off": {"gauge": 1.02},
+    "section 4 % off": {"area": 1.04},
+    "creep": {"creep": 1.5e-3},
+    "a slip of the grips": {"slip": 4e-3},
+    "an R-phase step": {"tail": 0.35},
+    "an R-phase step of 8 %": {"tail": 0.08},
+    "strain stuck for a while": {"one": {"stuck": True}},
+    "strain and stress swapped in one file": {"one": {"swapped": True}},
+    "another wire at one load": {"other": True},
+    "one load misnoted by 30 %": {"one": {"area": 1.3}},
+    "friction of 8 MPa": {"friction": 8e6},
+    "turned round early": {"span": (285.0, 352.0)},
+    "training of 2 K a cycle": {"cycles": 3, "drift": 2.0},
+    "extensometer ends": {"top": 0.035},
+}
+TENSILE_MACHINE = {
+    "soft grips": {"compliance": 2.5e-11},
+    "gauge length 2 % off": {"gauge": 1.02},
+    "section 4 % off": {"area": 1.04},
+    "load cell saturates": {"force_top": 300e6},
+    "a slip in the rise": {"slip": 2e-3},
+    "long toe": {"toe": 0.008},
+    "phases swapped": _PHASES_SWAPPED,
+    "yields in the last rise": {"cold": {"yielding": 250e6}},
+    "stopped on the plateau": {"cold": {"end": 0.035}},
+    "few points": {"points": 60},
+}
+CLAMPS = {
+    "camera 4 % low": {"camera": 0.96},
+    "spot half filled": {"camera": 0.5},
+    "force's sign turned": {"turned": True},
+    "load cell 2 % off": {"force_gain": 1.02},
+    "load cell drifts 0.3 N": {"force_drift": 0.3},
+    "clamps give way": {"clamps": 8e-6},
+    "slack": {"preload": 2e6},
+    "A_s stated 25 K too high, transforms": _HOT,
+    "creep": {"creep": 0.02e6},
+    "wrong diameter: 6 % too large": {"known": {"wire.diameter": 0.318e-3}},
+    "force stuck": {"stuck": True},
+    "force late by 5 s": {"late": 5.0},
+}
 # All loops of a load frame fitted together.
-loops = partial(frame, experiments=("E9",))
+LOOPS = (
+    "thermocouple 2 K high",
+    "thermocouple lags by 2 K",
+    "section 4 % off",
+    "gauge length 2 % off",
+    "creep",
+    "an R-phase step of 8 %",
+    "another wire at one load",
+    "friction of 8 MPa",
+)
+BEAM = {
+    "current gain 1.5 %": {"gains": {"current": 1.015}},
+    "camera 5 % high": {"gains": {"temperature": 1.05}},
+    "range sensor 2 % high": {"gains": {"deflection": 1.02}},
+    "temperatures of two channels swapped": {"swapped": True},
+    "range sensor stuck": {"stuck": "deflection"},
+    "range sensor clips": {"clip": 0.012},
+    "residual deflection of 1.5 mm": {"residual": 1.5e-3},
+    "range sensor late by 1 s": {"late": 1.0},
+}
+_loops = partial(frame, experiments=("E9",))
 ATTACKS = (
-    *(Attack("E1 to E3", name, make) for name, make in WIRES),
-    _attack("E5", "thermometer 1 K high", dsc, zero=1.0),
-    _attack("E5", "sample lags 8 s", dsc, lag=8.0),
-    _attack("E5", "20 K/min, a lag of 5 s", dsc, rate=20.0, lag=5.0),
-    _attack("E5", "baseline bowed", dsc, bow=250e-6),
-    _attack("E5", "baseline jumps in the peak", dsc, step=60e-6),
-    _attack("E5", "signal saturates", dsc, top=95e-6),
-    _attack("E5", "an R-phase step", dsc, peaks=0.4),
-    _attack("E5", "endothermic down", dsc, turned=True),
-    _attack("E5", "spikes", dsc, spikes=12),
-    _attack("E5", "noise ten times", dsc, noise=3e-6),
-    _attack("E5", "thermometer 1 % off", dsc, scale=1.01),
-    _attack("E5", "the sample trains 3 K a cycle", dsc, drift=3.0),
-    _attack("E6", "thermocouple 2 K high", frame, zero=2.0),
-    _attack("E6", "thermocouple lags by 2 K", frame, lag=2.0),
-    _attack("E6", "gauge length 2 % off", frame, gauge=1.02),
-    _attack("E6", "section 4 % off", frame, area=1.04),
-    _attack("E6", "creep", frame, creep=1.5e-3),
-    _attack("E6", "a slip of the grips", frame, slip=4e-3),
-    _attack("E6", "an R-phase step", frame, tail=0.35),
-    _attack("E6", "an R-phase step of 8 %", frame, tail=0.08),
-    _attack("E6", "strain stuck for a while", frame, one={"stuck": True}),
-    _attack("E6", "strain and stress swapped in one file", frame, one={"swapped": True}),
-    _attack("E6", "another wire at one load", frame, other=True),
-    _attack("E6", "one load misnoted by 30 %", frame, one={"area": 1.3}),
-    _attack("E6", "friction of 8 MPa", frame, friction=8e6),
-    _attack("E6", "turned round early", frame, span=(285.0, 352.0)),
-    _attack("E6", "training of 2 K a cycle", frame, cycles=3, drift=2.0),
-    _attack("E6", "extensometer ends", frame, top=0.035),
-    _attack("E5, E6", "calorimeter 6 K off", frame, calorimeter={"zero": 6.0}),
-    _attack("E7", "soft grips", machine, compliance=2.5e-11),
-    _attack("E7", "gauge length 2 % off", machine, gauge=1.02),
-    _attack("E7", "section 4 % off", machine, area=1.04),
-    _attack("E7", "load cell saturates", machine, force_top=300e6),
-    _attack("E7", "a slip in the rise", machine, slip=2e-3),
-    _attack("E7", "long toe", machine, toe=0.008),
-    _attack("E7", "phases swapped", machine, cold={"said": "austenite"},
-            hot={"said": "martensite"}),
-    _attack("E7", "yields in the last rise", machine, cold={"yielding": 250e6}),
-    _attack("E7", "stopped on the plateau", machine, cold={"end": 0.035}),
-    _attack("E7", "few points", machine, points=60),
-    _attack("E8", "camera 4 % low", clamps, camera=0.96),
-    _attack("E8", "spot half filled", clamps, camera=0.5),
-    _attack("E8", "force's sign turned", clamps, turned=True),
-    _attack("E8", "load cell 2 % off", clamps, force_gain=1.02),
-    _attack("E8", "load cell drifts 0.3 N", clamps, force_drift=0.3),
-    _attack("E8", "clamps give way", clamps, clamps=8e-6),
-    _attack("E8", "slack", clamps, preload=2e6),
-    _attack("E8", "A_s stated 25 K too high, transforms", clamps,
-            known=named(a_s=365.0, a_f=380.0), above=312.0),
-    _attack("E8", "creep", clamps, creep=0.02e6),
-    _attack("E8", "wrong diameter: 6 % too large", clamps, known={"wire.diameter": 0.318e-3}),
-    _attack("E8", "force stuck", clamps, stuck=True),
-    _attack("E8", "force late by 5 s", clamps, late=5.0),
-    _attack("E9", "thermocouple 2 K high", loops, zero=2.0),
-    _attack("E9", "thermocouple lags by 2 K", loops, lag=2.0),
-    _attack("E9", "section 4 % off", loops, area=1.04),
-    _attack("E9", "gauge length 2 % off", loops, gauge=1.02),
-    _attack("E9", "creep", loops, creep=1.5e-3),
-    _attack("E9", "an R-phase step of 8 %", loops, tail=0.08),
-    _attack("E9", "another wire at one load", loops, other=True),
-    _attack("E9", "friction of 8 MPa", loops, friction=8e6),
-    _attack("E10", "current gain 1.5 %", beam, gains={"current": 1.015}),
-    _attack("E10", "camera 5 % high", beam, gains={"temperature": 1.05}),
-    _attack("E10", "range sensor 2 % high", beam, gains={"deflection": 1.02}),
-    _attack("E10", "temperatures of two channels swapped", beam, swapped=True),
-    _attack("E10", "range sensor stuck", beam, stuck="deflection"),
-    _attack("E10", "range sensor clips", beam, clip=0.012),
-    _attack("E10", "residual deflection of 1.5 mm", beam, residual=1.5e-3),
-    _attack("E10", "range sensor late by 1 s", beam, late=1.0),
+    *(Attack("E1 to E3", name, make) for name, make in WIRES.items()),
+    *(Attack("E5", name, partial(dsc, **own)) for name, own in CALORIMETER.items()),
+    *(Attack("E6", name, partial(frame, **own)) for name, own in LOAD_FRAME.items()),
+    Attack("E5, E6", "calorimeter 6 K off", partial(frame, calorimeter={"zero": 6.0})),
+    *(Attack("E7", name, partial(machine, **own)) for name, own in TENSILE_MACHINE.items()),
+    *(Attack("E8", name, partial(clamps, **own)) for name, own in CLAMPS.items()),
+    *(Attack("E9", name, partial(_loops, **LOAD_FRAME[name])) for name in LOOPS),
+    *(Attack("E10", name, partial(beam, **own)) for name, own in BEAM.items()),
 )

@@ -5,14 +5,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from examination.attack_lab.instruments import relaxed
+from examination.attack_lab.instruments import ZERO, relaxed
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
 
-ZERO = 273.15
 STEPS_PER_TAU = 30.0
 
 
@@ -74,71 +74,62 @@ class Wire:
 
 
 @dataclass(frozen=True)
+class Reading:
+    """Of volts or amperes, as a converter gives them."""
+
+    noise: float
+    step: float
+    gain: float = 1.0
+    offset: float = 0.0
+    top: float = math.inf
+
+    def of(self, values, random):
+        noisy = self.gain * values + self.offset + self.noise * random.standard_normal(len(values))
+        return np.round(np.minimum(noisy, self.top) / self.step) * self.step
+
+
+@dataclass(frozen=True)
 class Sensors:
     """What a bench's instruments do to the truth."""
 
     rate: float = 50.0  # Hz, volts and amperes
     camera_rate: float = 50.0
-    volt_gain: float = 1.0
-    volt_offset: float = 0.0
-    volt_noise: float = 0.004
-    volt_step: float = 10.0 / 1023.0
-    volt_top: float = math.inf
-    ampere_gain: float = 1.0
-    ampere_offset: float = 0.0
-    ampere_noise: float = 0.015
-    ampere_step: float = 0.026
-    ampere_top: float = math.inf
-    camera_gain: float = 1.0  # of degrees Celsius
-    camera_zero: float = 0.0
+    volts: Reading = Reading(0.004, 10.0 / 1023.0)
+    amperes: Reading = Reading(0.015, 0.026)
+    camera: Reading = Reading(0.08, 0.1)  # of degrees Celsius
     emissivity: float = 1.0  # of the excess over the room
     camera_lag: float = 0.0
     camera_late: float = 0.0
-    camera_noise: float = 0.08
-    camera_step: float = 0.1
-    camera_top: float = math.inf
     drift: float = 0.0  # K over the record
-    lost: float = 0.03
     thermometer: bool = False
 
 
 def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Record:
-    """One bag, in memory."""
+    """One bag, in memory: 3 % of the samples are lost."""
     time, volts, amperes, kelvin, room = wire.run(voltage, duration)
     clocks = []
     for rate in (sensors.rate, sensors.camera_rate):
         stamps = np.arange(0.5 / rate, duration, 1.0 / rate)
         stamps = stamps + random.uniform(-0.2, 0.2, len(stamps)) / rate
-        clocks.append(stamps[random.random(len(stamps)) >= sensors.lost])
+        clocks.append(stamps[random.random(len(stamps)) >= 0.03])
     power, camera = clocks
-
-    def reading(values, noise, step, top):
-        noisy = np.minimum(values + noise * random.standard_normal(len(values)), top)
-        return np.round(noisy / step) * step
-
     after = np.clip(np.searchsorted(time, power, side="right") - 1, 0, None)
-    v = sensors.volt_gain * volts[after] + sensors.volt_offset
-    v = reading(v, sensors.volt_noise, sensors.volt_step, sensors.volt_top)
-    i = sensors.ampere_gain * amperes[after] + sensors.ampere_offset
-    i = reading(i, sensors.ampere_noise, sensors.ampere_step, sensors.ampere_top)
-    seen = kelvin
+    v, i = sensors.volts.of(volts[after], random), sensors.amperes.of(amperes[after], random)
     if sensors.camera_lag:
-        seen = relaxed(kelvin, 1.0 - math.exp(-(time[1] - time[0]) / sensors.camera_lag))
-    t = np.interp(camera, time, seen)
-    air = np.interp(camera, time, room)
+        kelvin = relaxed(kelvin, 1.0 - math.exp(-(time[1] - time[0]) / sensors.camera_lag))
+    t, air = np.interp(camera, time, kelvin), np.interp(camera, time, room)
     t = air + sensors.emissivity * (t - air) + sensors.drift * camera / duration
-    t = sensors.camera_gain * (t - ZERO) + sensors.camera_zero
-    t = ZERO + reading(t, sensors.camera_noise, sensors.camera_step, sensors.camera_top - ZERO)
-    signals = {
-        "wire.voltage": Signal("wire.voltage", "V", power, v),
-        "wire.current": Signal("wire.current", "A", power, i),
-        "wire.temperature": Signal("wire.temperature", "K", camera + sensors.camera_late, t),
-    }
+    t = ZERO + sensors.camera.of(t - ZERO, random)
+    signals = [
+        Signal("wire.voltage", "V", power, v),
+        Signal("wire.current", "A", power, i),
+        Signal("wire.temperature", "K", camera + sensors.camera_late, t),
+    ]
     if sensors.thermometer:
         stamps = np.arange(0.0, duration, 1.0)
-        told = np.interp(stamps, time, room) + 0.05 * random.standard_normal(len(stamps))
-        signals["ambient.temperature"] = Signal("ambient.temperature", "K", stamps, told)
-    return Record(Path("attacked"), 0, signals)
+        shown = np.interp(stamps, time, room) + 0.05 * random.standard_normal(len(stamps))
+        signals.append(Signal("ambient.temperature", "K", stamps, shown))
+    return Record(Path("attacked"), 0, {s.name: s for s in signals})
 
 
 @dataclass(frozen=True)
@@ -175,6 +166,11 @@ class Bench:
 
         return read(wire or self.wire, self.sensors, voltage, 4.0 + 3 * period, random)
 
+    @property
+    def warming(self) -> float:
+        """K, at the top of the staircase."""
+        return self.top**2 / (self.wire.resistance * self.wire.loss * self.wire.area)
+
     def parameters(self) -> Parameters:
         return Parameters.of_paper().replace(dict(self.known), dict(self.unsure))
 
@@ -186,34 +182,34 @@ class Bench:
             "environment.ambient_temperature": self.wire.room,
         }
 
-    def but(self, *, wire=None, sensors=None) -> "Bench":
-        """The same with some numbers changed."""
-        return replace(self, wire=replace(self.wire, **(wire or {})),
-                       sensors=replace(self.sensors, **(sensors or {})))
+    def but(self, wire: Mapping[str, Any], sensors: Mapping[str, Any], **own: Any) -> "Bench":
+        """The same with some numbers changed; a mapping changes some of a reading."""
+        of = {
+            name: replace(getattr(self.sensors, name), **value)
+            if isinstance(value, dict)
+            else value
+            for name, value in sensors.items()
+        }
+        wires = replace(self.wire, **wire)
+        return replace(self, wire=wires, sensors=replace(self.sensors, **of), **own)
 
 
 def paper_bench(random) -> Bench:
     """A wire near Table I, whose lab has stated nothing of it but what it is made of."""
     near = 1.0 + 0.02 * random.standard_normal(3)
     wire = Wire(2.7 * near[0], 403.0 * near[1], 343.0 * near[2], room=random.uniform(293.0, 300.0))
-    return Bench(wire, Sensors(), 6.0, 17, 8.0, 2.6, 7.0, 8.0,
-                 {"wire.mass": wire.mass, "wire.surface_area": wire.area})
+    known = {"wire.mass": wire.mass, "wire.surface_area": wire.area}
+    return Bench(wire, Sensors(), 6.0, 17, 8.0, 2.6, 7.0, 8.0, known)
 
 
 def bare_bench(random) -> Bench:
     """A bare wire in still air as physics has it, whose lab knows it roughly."""
     length, diameter = 0.2, 0.3e-3
-    wire = Wire(
-        random.uniform(2.4, 3.0), random.uniform(65.0, 85.0), random.uniform(430.0, 500.0),
-        6450.0 * 0.25 * math.pi * diameter**2 * length, math.pi * diameter * length,
-        random.uniform(293.0, 300.0),
-    )
-    known = {
-        "wire.mass": wire.mass, "wire.surface_area": wire.area, "wire.diameter": diameter,
-        "wire.length": length, "wire.resistance": 2.7, "wire.heat_transfer_coefficient": 75.0,
-        "wire.specific_heat": 465.0,
-    }
-    unsure = {
-        "wire.resistance": 0.3, "wire.heat_transfer_coefficient": 15.0, "wire.specific_heat": 60.0,
-    }
+    heat = random.uniform(2.4, 3.0), random.uniform(65.0, 85.0), random.uniform(430.0, 500.0)
+    mass, area = 6450.0 * 0.25 * math.pi * diameter**2 * length, math.pi * diameter * length
+    wire = Wire(*heat, mass, area, random.uniform(293.0, 300.0))
+    known = {"wire.mass": wire.mass, "wire.surface_area": wire.area, "wire.diameter": diameter}
+    known |= {"wire.length": length, "wire.resistance": 2.7, "wire.specific_heat": 465.0}
+    unsure = {"wire.resistance": 0.3, "wire.heat_transfer_coefficient": 15.0}
+    known["wire.heat_transfer_coefficient"], unsure["wire.specific_heat"] = 75.0, 60.0
     return Bench(wire, Sensors(25.0, 25.0), 1.6, 11, 30.0, 1.1, 10.0, 15.0, known, unsure)

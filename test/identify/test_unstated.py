@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from examination.alloys.drawn import Alloy, isobaric_tests
-from examination.check.alloys import coverage, examine
+from examination.attack_lab.instruments import Alloy
+from examination.check.alloys import coverage, examine, isobaric_tests
 from sma_bench.cli import main
 from sma_bench.diagnose.diagnosis import about_unstated
 from sma_bench.estimation.unknowns import unknowns_of_records
@@ -13,12 +13,7 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.table import TRANSITIONS
 
 TRUTH = {"A_s": 356.0, "A_f": 372.0, "M_s": 352.0, "M_f": 336.0}
-OTHER = Alloy({
-    **{TRANSITIONS[n]: v for n, v in TRUTH.items()},
-    "wire.stress_influence_austenite": 7e6, "wire.stress_influence_martensite": 7e6,
-    "wire.martensite_modulus": 28e9, "wire.austenite_modulus": 60e9,
-    "wire.maximum_recoverable_strain": 0.035, "wire.thermal_expansion_factor": -0.2e6,
-})  # fmt: skip
+OTHER = Alloy(*TRUTH.values(), 7e6, 7e6, 60e9, 28e9, 0.035, -0.2e6)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +21,7 @@ def noisy(tmp_path_factory):
     """A file of another alloy than the paper's, whose cycles differ by some kelvins."""
     folder = tmp_path_factory.mktemp("other")
     random = np.random.default_rng(2)
-    (test,) = isobaric_tests(OTHER, random, folder, np.array([100e6]), between=8.0, cycles=8)
+    (test,) = isobaric_tests(OTHER, random, folder, [100e6], scatter=8.0, cycles=8)
     return test
 
 
