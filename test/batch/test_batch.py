@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
 
@@ -42,41 +41,18 @@ def sma_bench(*words):
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "sma_bench.cli", *map(str, words)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        # A shell's background job, which the tests may be, passes on that Ctrl-C is ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
-def wait_for(condition, patience=_LONG):
-    end = time.monotonic() + patience
+def wait_for(condition):
+    end = time.monotonic() + _LONG
     while not condition():
         assert time.monotonic() < end, "waited too long"
         time.sleep(0.05)
 
 
-def half_done_batch(bags, folder):
-    """A batch of many records that has done the first, in folder/out; and its processes."""
-    done = folder / "out" / "wire_2.5.yaml"
-    process = sma_bench(
-        "batch", "identify", bags / "wire_2.5", *[bags / "wire_2.9"] * (_MANY - 1),
-        "--out", done.parent, "--jobs", 2,
-    )
-    wait_for(lambda: done.exists() or process.poll() is not None)
-    below = psutil.Process(process.pid).children(recursive=True)
-    assert len(below) >= 2
-    return process, below
-
-
-def begins(process):
-    """Whether one of the processes below has begun to load what it needs."""
-    for child in psutil.Process(process.pid).children(recursive=True):
-        with suppress(psutil.Error):
-            if any("numpy" in library.path for library in child.memory_maps()):
-                return True
-    return False
-
-
-# --- the command --------------------------------------------------------------------------------
+def below(process):
+    return psutil.Process(process.pid).children(recursive=True)
 
 
 @pytest.mark.slow
@@ -84,16 +60,13 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
     bags, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    bad = tmp_path / "not_a_bag"
-    bad.write_text("nothing")
-    words = ["identify", bags / "wire_2.9", bad, bags / "wire_2.5", "--jobs", "2"]
-    words += ["--out", tmp_path / "out", "--json", tmp_path / "all.json"]
-    assert run_command(batch.run, "batch", list(map(str, words))) == 2
-    document = json.loads((tmp_path / "all.json").read_text())
-    first, failed, last = document["records"]
-    assert [Path(e["record"]).name for e in document["records"]] == [
-        "wire_2.9", "not_a_bag", "wire_2.5",
-    ]  # fmt: skip
+    (tmp_path / "not_a_bag").write_text("nothing")
+    given = [bags / "wire_2.9", tmp_path / "not_a_bag", bags / "wire_2.5"]
+    words = ["--jobs", 2, "--out", tmp_path / "out", "--json", tmp_path / "all.json"]
+    assert run_command(batch.run, "batch", list(map(str, ["identify", *given, *words]))) == 2
+    done = json.loads((tmp_path / "all.json").read_text())["records"]
+    assert [entry["record"] for entry in done] == list(map(str, given))
+    first, failed, last = done
     assert failed["result"] is None and "neither a bag" in failed["error"]
     ohm = [e["result"]["parameters"]["wire.resistance"]["value"] for e in (first, last)]
     assert ohm == pytest.approx([2.9, 2.5], rel=0.02)
@@ -104,16 +77,24 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
     out = capsys.readouterr().out
     assert out.index("wire_2.9") < out.index("not_a_bag") < out.index("wire_2.5")
     assert "2 of 3 records done" in out
+    # Files of records with one name do not meet.
+    assert _names(["/a/bag", "/b/bag", "/c/other"]) == ["bag", "bag_2", "other"]
+    assert len(set(_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
-    process, below = half_done_batch(bags, tmp_path)
+    done = tmp_path / "out" / "wire_2.5.yaml"
+    records = [bags / "wire_2.5", *[bags / "wire_2.9"] * (_MANY - 1)]
+    process = sma_bench("batch", "identify", *records, "--out", done.parent, "--jobs", 2)
+    wait_for(lambda: done.exists() or process.poll() is not None)
+    workers = below(process)
+    assert len(workers) >= 2
     os.kill(process.pid, number)
     stdout, stderr = process.communicate(timeout=_LONG)
-    assert psutil.wait_procs(below, 20.0)[1] == []
-    assert json.loads((tmp_path / "out" / "wire_2.5.json").read_text())["parameters"]
+    assert psutil.wait_procs(workers, 20.0)[1] == []
+    assert json.loads(done.with_suffix(".json").read_text())["parameters"]
     if number == signal.SIGKILL:
         return
     assert process.returncode == 130
@@ -127,34 +108,20 @@ def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, numbe
 @pytest.mark.slow
 def test_ctrl_c_while_processes_begin_is_one_line(bags):
     process = sma_bench("batch", "identify", bags / "wire_2.5", bags / "wire_2.9", "--jobs", 2)
-    wait_for(lambda: begins(process))
+
+    def begun():
+        """Whether one of the processes below has begun to load what it needs."""
+        for child in below(process):
+            with suppress(psutil.Error):
+                if any("numpy" in library.path for library in child.memory_maps()):
+                    return True
+        return False
+
+    wait_for(begun)
     os.killpg(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=_LONG)
     assert process.returncode == 130
     assert "Traceback" not in stderr and stderr.endswith("sma-bench: interrupted\n")
-
-
-def test_what_was_done_is_said_where_the_cluster_is_lost(tmp_path, capsys, monkeypatch):
-    def lost_after_one(tasks, jobs, cluster):
-        yield 1, Outcome(tasks[1].path, error="b: cannot be read")
-        raise InputError(f"dask scheduler {cluster}: lost")
-
-    monkeypatch.setattr(batch, "do_tasks", lost_after_one)
-    words = ["identify", "a", "b", "--dask", "tcp://x", "--json", str(tmp_path / "all.json")]
-    with pytest.raises(InputError, match="dask scheduler tcp://x: lost"):
-        run_command(batch.run, "batch", words)
-    assert "0 of 2 records done" in capsys.readouterr().out
-    first, second = json.loads((tmp_path / "all.json").read_text())["records"]
-    assert first["error"] == "not done: dask scheduler tcp://x: lost"
-    assert second["error"] == "b: cannot be read"
-
-
-def test_files_of_records_with_one_name_do_not_meet():
-    assert _names(["/a/bag", "/b/bag", "/c/other"]) == ["bag", "bag_2", "other"]
-    assert len(set(_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
-
-
-# --- the workers --------------------------------------------------------------------------------
 
 
 class Deadly(str):
@@ -170,8 +137,8 @@ class Deadly(str):
 
 @pytest.mark.slow
 def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
-    paths = [str(bags / "wire_2.5"), str(bags / "wire_2.5"), str(bags / "wire_2.9")]
-    kinds = [Deadly(IDENTIFY), IDENTIFY, DIAGNOSE]
+    paths = [str(bags / name) for name in ("wire_2.5", "wire_2.5", "wire_2.9")]
+    kinds = Deadly(IDENTIFY), IDENTIFY, DIAGNOSE
     tasks = [
         Task(kind, path, Parameters.of_paper()) for kind, path in zip(kinds, paths, strict=True)
     ]
@@ -181,9 +148,6 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
     assert done[2].result["verdict"] and done[2].parameters is not None
     with pytest.raises(InputError, match="jobs 0: expected 1 to"):
         list(do_tasks([], 0))
-
-
-# --- a cluster ----------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -198,7 +162,9 @@ def cluster_of(workers, folder):
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(bags, tmp_path):
+def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(
+    bags, tmp_path, capsys, monkeypatch
+):
     paths = [str(bags / "wire_2.5"), str(tmp_path / "missing"), str(bags / "wire_2.9")]
     tasks = [Task(IDENTIFY, path, Parameters.of_paper()) for path in paths]
     with cluster_of(2, tmp_path) as (address, cluster):
@@ -214,6 +180,19 @@ def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(bags, tmp_pat
     for k in (0, 2):
         assert spread[k].result["parameters"] == here[k].result["parameters"]
         assert spread[k].result["parameters"]["wire.resistance"]["n"] > 0
+
+    def lost_after_one(tasks, jobs, cluster):
+        yield 1, Outcome(tasks[1].path, error="b: cannot be read")
+        raise InputError(f"dask scheduler {cluster}: lost")
+
+    monkeypatch.setattr(batch, "do_tasks", lost_after_one)
+    words = ["identify", "a", "b", "--dask", "tcp://x", "--json", str(tmp_path / "all.json")]
+    with pytest.raises(InputError, match="dask scheduler tcp://x: lost"):
+        run_command(batch.run, "batch", words)
+    assert "0 of 2 records done" in capsys.readouterr().out
+    first, second = json.loads((tmp_path / "all.json").read_text())["records"]
+    assert first["error"] == "not done: dask scheduler tcp://x: lost"
+    assert second["error"] == "b: cannot be read"
 
 
 @pytest.mark.parametrize("address", ["nowhere", "inproc://127.0.0.1/1/1", "tcp://127.0.0.1:1"])
