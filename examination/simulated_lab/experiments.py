@@ -1,133 +1,122 @@
-"""The experiments of a simulated lab: protocol, bench, instruments, bag."""
+"""The experiments of a simulated lab: protocol, bench, instruments, bag.
+
+The instruments are the simulator node's, sampling with jitter and losing some samples.
+"""
 
 import math
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from examination.simulated_lab.drawn_bench import DrawnBench
-from examination.simulated_lab.instruments import Course, Instruments
+from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length_from_mass
+from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.physics import Boundary, Simulation, simulate
 from sma_bench.physics.bending import wire_section
-from sma_bench.protocols import Protocol, parse_protocol
+from sma_bench.protocols import parse_protocol
 from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
+from sma_bench.records.contract import CELSIUS_ZERO
 
 COMMAND_PERIOD = 0.05
 STEP = 0.0025
 LOADS = (10e6, 50e6, 100e6, 150e6, 200e6)
 PRETENSION = 0.002
 STANDOFF = 0.1
+SIDES = ("front", "back")
+JITTER, LOST = 0.2, 0.02  # of a period, of the samples
 _HEATED = 25.0
 _REST = 15.0
 _LOADED_AT, _LOADING = 14.0, 1.0  # s, when the wire is cold and at rest
+_SETTINGS = {parameter.name: parameter.default for parameter in SIMULATOR}
+# The traverse of a load frame; the simulator node has none that moves.
+_SETTINGS |= {"sensor.elongation_noise": 2e-6, "sensor.elongation_resolution": 1e-6}
+
+Array = np.ndarray
+Steps = Iterable[dict[str, Any]]
 
 
 def record_everything(bench: DrawnBench, folder: Path, seed: int) -> list[Path]:
     """Run every experiment once and write its bag; the paths."""
-    paths = []
-    for number, (name, experiment) in enumerate(EXPERIMENTS.items()):
-        path = folder / name
+    paths = [folder / name for name in EXPERIMENTS]
+    for number, (path, experiment) in enumerate(zip(paths, EXPERIMENTS.values(), strict=True)):
         write_record(path, experiment(bench.truth, 100 * seed + number))
-        paths.append(path)
     return paths
 
 
 def staircase(truth: Parameters, seed: int) -> list[Signal]:
     """E1, E2: voltage up and down in steps of 30 s."""
-    wire = one_wire(truth)
     peak = voltage_for(truth, truth["wire.austenite_finish_temperature"] + 20.0)
     step = peak / 8.0
-    steps = [
-        {"kind": "staircase", "start": 0.0, "stop": peak, "increment": step, "dwell": 30.0},
-        {"kind": "staircase", "start": peak - step, "stop": 0.0, "increment": step, "dwell": 30.0},
-    ]
-    return _electrical(wire, _protocol(wire, steps), seed, rate=20.0)
+    levels = {"kind": "staircase", "increment": step, "dwell": 30.0}
+    steps = [levels | {"start": 0.0, "stop": peak}, levels | {"start": peak - step, "stop": 0.0}]
+    wire = one_wire(truth)
+    return measured([simulate(wire, *_held(wire, steps))], 20.0, seed)
 
 
 def ramp(truth: Parameters, seed: int) -> list[Signal]:
     """E3: four ramps that stay below A_s."""
-    wire = one_wire(truth)
     peak = voltage_for(truth, truth["wire.austenite_start_temperature"] - 8.0)
-    steps = [
-        {"kind": "ramp", "start": 0.0, "stop": peak, "duration": 7.0},
-        {"kind": "rest", "duration": 12.0},
-    ]
-    return _electrical(wire, _protocol(wire, steps, repeat=4), seed, rate=100.0)
+    up = {"kind": "ramp", "start": 0.0, "stop": peak, "duration": 7.0}
+    wire = one_wire(truth)
+    return measured([simulate(wire, *_held(wire, [up, _rest(12.0)], repeat=4))], 100.0, seed)
 
 
 def isobaric(truth: Parameters, seed: int) -> list[Signal]:
     """E6: the load frame holds five loads in turn, the wire is heated and cooled under each."""
-    wire = one_wire(truth)
-    hottest = truth["wire.austenite_finish_temperature"] + 20.0
-    steps: list[dict[str, Any]] = []
+    hottest, steps = truth["wire.austenite_finish_temperature"] + 20.0, []
     for load in LOADS:
         peak = voltage_for(truth, hottest + load / truth["wire.stress_influence_austenite"])
-        steps += [
-            {"kind": "rest", "duration": _REST},
-            {"kind": "triangle", "peak": peak, "rise": _HEATED, "fall": _HEATED},
-        ]
-    steps.append({"kind": "rest", "duration": _REST})
-    protocol = _protocol(wire, steps)
-    time, voltage = _held(protocol)
-    period = _REST + 2.0 * _HEATED
-    changes = _LOADED_AT + period * np.arange(len(LOADS))
-    stress = np.interp(
-        time,
-        np.column_stack([changes, changes + _LOADING]).ravel(),
-        np.column_stack([(0.0, *LOADS[:-1]), LOADS]).ravel(),
-    )
-    parts = _under_loads(wire, time, voltage, stress)
-    force = Course(time, stress * wire_section(wire))
-    return _load_frame(wire, parts, time, voltage, seed, force=force)
+        triangle = {"kind": "triangle", "peak": peak, "rise": _HEATED, "fall": _HEATED}
+        steps += [_rest(_REST), triangle]
+    wire = one_wire(truth)
+    time, voltage = _held(wire, [*steps, _rest(_REST)])
+    changes = _LOADED_AT + (_REST + 2.0 * _HEATED) * np.arange(len(LOADS))
+    at = np.column_stack([changes, changes + _LOADING]).ravel()
+    stress = np.interp(time, at, np.column_stack([(0.0, *LOADS[:-1]), LOADS]).ravel())
+    # Simulations in a row, one for each stretch of constant stress.
+    parts: list[Simulation] = []
+    for start, stop in pairwise([0, *(np.flatnonzero(np.diff(stress)) + 1), len(time)]):
+        span = slice(max(start - 1, 0), stop)
+        begin, held = parts[-1].final if parts else None, Boundary.held_stress(float(stress[start]))
+        parts.append(simulate(wire, time[span], voltage[span], initial=begin, boundary=held))
+    moved = -wire_length_from_mass(wire) * _joined(parts, "contraction")[:, 0]
+    frame = {"force": ("N", stress * wire_section(wire)), "elongation": ("m", moved)}
+    return measured(parts, 50.0, seed, frame)
 
 
 def clamped(truth: Parameters, seed: int) -> list[Signal]:
     """E8: the wire clamped under tension, a staircase below A_s."""
-    wire = one_wire(truth)
     peak = voltage_for(truth, truth["wire.austenite_start_temperature"] - 4.0)
     levels = [0.0, *(peak * math.sqrt(share) for share in (0.25, 0.5, 0.75, 1.0, 0.5, 0.0))]
     steps = [
-        {"kind": "step", "level": level, "duration": 20.0} if level else
-        {"kind": "rest", "duration": 20.0}
+        {"kind": "step", "level": level, "duration": 20.0} if level else _rest(20.0)
         for level in levels
     ]
-    time, voltage = _held(_protocol(wire, steps))
-    length = PRETENSION * wire_length_from_mass(wire)
-    part = simulate(wire, time, voltage, boundary=Boundary.clamped(-PRETENSION))
-    held = Course(time, np.full(len(time), length))
-    return _load_frame(wire, [part], time, voltage, seed, elongation=held)
+    wire = one_wire(truth)
+    run = simulate(wire, *_held(wire, steps), boundary=Boundary.clamped(-PRETENSION))
+    still = np.full(len(run.time), PRETENSION * wire_length_from_mass(wire))
+    return measured(
+        [run], 50.0, seed, {"force": ("N", run.force[:, 0]), "elongation": ("m", still)}
+    )
 
 
 def composite_triangle(truth: Parameters, seed: int) -> list[Signal]:
     """E12: triangles, front and back by turns."""
-    peak = _bending_voltage(truth)
-    return _composite(truth, seed, [
-        step
-        for side in ("front", "back")
-        for step in (
-            {"kind": "triangle", "drive": side, "peak": peak, "rise": 15.0, "fall": 15.0},
-            {"kind": "rest", "duration": 15.0},
-        )
-    ])
+    way = {"kind": "triangle", "peak": _bending_voltage(truth), "rise": 15.0, "fall": 15.0}
+    return _composite(truth, seed, [way | {"drive": side} for side in SIDES])
 
 
 def composite_step(truth: Parameters, seed: int) -> list[Signal]:
     """E12: steps, front and back by turns, the second time not all the way."""
-    peak = _bending_voltage(truth)
-    return _composite(truth, seed, [
-        step
-        for share in (1.0, 0.88)
-        for side in ("front", "back")
-        for step in (
-            {"kind": "step", "drive": side, "level": share * peak, "duration": 12.0},
-            {"kind": "rest", "duration": 15.0},
-        )
-    ])
+    step, peak = {"kind": "step", "duration": 12.0}, _bending_voltage(truth)
+    both = [(share * peak, side) for share in (1.0, 0.88) for side in SIDES]
+    return _composite(truth, seed, [step | {"level": v, "drive": side} for v, side in both])
 
 
 EXPERIMENTS: dict[str, Callable[[Parameters, int], list[Signal]]] = {
@@ -154,105 +143,80 @@ def voltage_for(truth: Parameters, temperature: float) -> float:
 
 def _bending_voltage(truth: Parameters) -> float:
     """Enough for the whole transformation against the stiffer side."""
-    stiff = max(
-        truth["composite.stress_per_deflection_front"],
-        truth["composite.stress_per_deflection_back"],
-    )
+    stiff = max(truth[f"composite.stress_per_deflection_{side}"] for side in SIDES)
     strain = truth["wire.maximum_recoverable_strain"]
     stress = 0.5 * stiff * truth["composite.deflection_per_strain"] * strain
     shift = stress / truth["wire.stress_influence_austenite"]
     return voltage_for(truth, truth["wire.austenite_finish_temperature"] + shift + 15.0)
 
 
-def _protocol(parameters: Parameters, steps: list[dict[str, Any]], repeat: int = 1) -> Protocol:
-    document = {"steps": [{"kind": "rest", "duration": 3.0}, *steps], "repeat": repeat}
-    return parse_protocol(document, parameters)
+def _composite(truth: Parameters, seed: int, steps: Steps) -> list[Signal]:
+    run = simulate(truth, *_held(truth, [one for step in steps for one in (step, _rest(15.0))]))
+    distances = {
+        f"{side}.range": ("m", STANDOFF + sign * run.deflection)
+        for side, sign in zip(SIDES, (-1.0, 1.0), strict=True)
+    }
+    return measured([run], 50.0, seed, distances)
 
 
-def _held(protocol: Protocol) -> tuple[np.ndarray, np.ndarray]:
+def _rest(duration: float) -> dict[str, Any]:
+    return {"kind": "rest", "duration": duration}
+
+
+def _held(parameters: Parameters, steps: Steps, repeat: int = 1) -> tuple[Array, Array]:
     """Time (n,) s every 2.5 ms and the voltage (n, w) that the last command left there."""
+    protocol = parse_protocol({"steps": [_rest(3.0), *steps], "repeat": repeat}, parameters)
     time = np.arange(int(round((protocol.duration + 1.0) / STEP))) * STEP
-    commanded = np.floor(time / COMMAND_PERIOD + 1e-6) * COMMAND_PERIOD
-    return time, protocol.voltages(commanded)
+    return time, protocol.voltages(np.floor(time / COMMAND_PERIOD + 1e-6) * COMMAND_PERIOD)
 
 
-def _under_loads(
-    wire: Parameters, time: np.ndarray, voltage: np.ndarray, stress: np.ndarray
-) -> list[Simulation]:
-    """Simulations in a row, one for each stretch of constant stress [Pa]."""
-    edges = np.flatnonzero(np.diff(stress)) + 1
-    parts: list[Simulation] = []
-    for start, stop in zip([0, *edges], [*edges, len(time)], strict=True):
-        first = max(start - 1, 0)
-        parts.append(
-            simulate(
-                wire, time[first:stop], voltage[first:stop],
-                initial=parts[-1].final if parts else None,
-                boundary=Boundary.held_stress(float(stress[start])),
-            )
-        )
-    return parts
+def _joined(parts: list[Simulation], name: str) -> Array:
+    """Each part begins with the last sample of the one before."""
+    return np.concatenate([getattr(p, name)[bool(k) :] for k, p in enumerate(parts)])
 
 
-def _joined(parts: Iterable[Simulation], name: str) -> np.ndarray:
-    arrays = [getattr(part, name)[:, 0] for part in parts]
-    return np.concatenate([arrays[0], *(array[1:] for array in arrays[1:])])
+class Clocks:
+    """Instants of sampling."""
+
+    def __init__(self, seed: int, duration: float) -> None:
+        self._random, self._duration = np.random.default_rng(seed), duration
+
+    def at(self, rate: float) -> Array:
+        """(m,) s, at `rate` Hz, with jitter and losses."""
+        ticks = np.arange(int(self._duration * rate) - 1) + 0.5
+        ticks = ticks + self._random.uniform(-JITTER, JITTER, len(ticks))
+        return ticks[self._random.uniform(size=len(ticks)) > LOST] / rate
 
 
-def _electrical(wire: Parameters, protocol: Protocol, seed: int, rate: float) -> list[Signal]:
-    time, voltage = _held(protocol)
-    instruments = Instruments(seed, float(time[-1]))
-    temperature = simulate(wire, time, voltage).temperature
-    return _channels(instruments, wire, time, voltage, temperature, rate)
-
-
-def _channels(
-    instruments: Instruments, parameters: Parameters, time: np.ndarray, voltage: np.ndarray,
-    temperature: np.ndarray, rate: float,
+def measured(
+    parts: list[Simulation],
+    rate: float,
+    seed: int,
+    others: dict[str, tuple[str, Array]] = {},  # noqa: B006
 ) -> list[Signal]:
-    """Commands, power and temperature of every channel."""
+    """Commands, power and temperature of every channel, and other true courses, all as read."""
+    truth = parts[0].parameters
+    time, voltage = _joined(parts, "time"), _joined(parts, "voltage")
+    kelvin = _joined(parts, "temperature")
     sent = np.flatnonzero(np.diff(np.floor(time / COMMAND_PERIOD + 1e-6), prepend=-1.0))
     signals = [Signal("voltage_command", "V", time[sent], voltage[sent])]
-    for i, channel in enumerate(parameters["bench.channels"]):
-        clock = instruments.clock(rate)
-        volts = Course(time, voltage[:, i], held=True)
-        amperes = Course(time, voltage[:, i] / parameters["wire.resistance"], held=True)
-        kelvin = Course(time, temperature[:, i])
-        signals += [
-            instruments.read(f"{channel}.voltage", "voltage", volts, clock),
-            instruments.read(f"{channel}.current", "current", amperes, clock),
-            instruments.read(
-                f"{channel}.temperature", "temperature", kelvin, instruments.clock(0.8 * rate)
-            ),
-        ]
-    return signals
+    clocks = Clocks(seed, float(time[-1]))
 
+    def read(name: str, unit: str, clock: Array, values: Array, zero: float = 0.0) -> None:
+        own = np.random.SeedSequence([seed, len(signals) - 1])
+        sensor = Instrument.of(_SETTINGS, name.rpartition(".")[2], own)
+        signals.append(Signal(name, unit, clock, np.array(sensor.read_all(values - zero)) + zero))
 
-def _load_frame(
-    wire: Parameters, parts: list[Simulation], time: np.ndarray, voltage: np.ndarray, seed: int,
-    *, force: Course | None = None, elongation: Course | None = None,
-) -> list[Signal]:
-    instruments = Instruments(seed, float(time[-1]))
-    temperature = _joined(parts, "temperature")[:, np.newaxis]
-    signals = _channels(instruments, wire, time, voltage, temperature, rate=50.0)
-    clock = instruments.clock(50.0)
-    length = wire_length_from_mass(wire)
-    force = force or Course(time, _joined(parts, "force"))
-    elongation = elongation or Course(time, -length * _joined(parts, "contraction"))
-    return [
-        *signals,
-        instruments.read("force", "force", force, clock),
-        instruments.read("elongation", "elongation", elongation, clock),
-    ]
-
-
-def _composite(truth: Parameters, seed: int, steps: list[dict[str, Any]]) -> list[Signal]:
-    time, voltage = _held(_protocol(truth, steps))
-    instruments = Instruments(seed, float(time[-1]))
-    course = simulate(truth, time, voltage)
-    signals = _channels(instruments, truth, time, voltage, course.temperature, rate=50.0)
-    clock = instruments.clock(50.0)
-    for side, sign in (("front", -1.0), ("back", 1.0)):
-        distance = Course(time, STANDOFF + sign * course.deflection)
-        signals.append(instruments.read(f"{side}.range", "range", distance, clock))
+    for i, channel in enumerate(truth["bench.channels"]):
+        clock = clocks.at(rate)
+        volts = voltage[np.clip(np.searchsorted(time, clock, side="right") - 1, 0, None), i]
+        read(f"{channel}.voltage", "V", clock, volts)
+        read(f"{channel}.current", "A", clock, volts / truth["wire.resistance"])
+        clock = clocks.at(0.8 * rate)
+        warm = np.interp(clock, time, kelvin[:, i])
+        read(f"{channel}.temperature", "K", clock, warm, CELSIUS_ZERO)
+    if others:
+        clock = clocks.at(rate)
+        for name, (unit, values) in others.items():
+            read(name, unit, clock, np.interp(clock, time, values))
     return signals

@@ -36,10 +36,10 @@ def test_true_errors_pass_and_others_fail():
 
 @pytest.mark.slow
 def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
-    from examination.simulated_lab.instruments import Instruments
+    from examination.simulated_lab.experiments import Clocks
 
-    clock = Instruments.clock
-    monkeypatch.setattr(Instruments, "clock", lambda self, rate: clock(self, 0.2 * rate))
+    at = Clocks.at
+    monkeypatch.setattr(Clocks, "at", lambda self, rate: at(self, 0.2 * rate))
     file = tmp_path / "result.json"
     # One bench is too few for the verdict itself: all 17 inside would be too many.
     assert campaign.main(["--draws", "1", "--seed", "11", "--json", str(file)]) in (0, 1)
