@@ -14,18 +14,34 @@ import numpy as np
 
 from sma_bench.border import MEGABYTE, Budget, OverBudget, printable
 from sma_bench.errors import InputError
-from sma_bench.records.cells import LONGEST_NAME, MOST_COLUMNS, Column, Table, missing_package, why
+from sma_bench.records.sheets import missing_package, why
+from sma_bench.records.structure import LONGEST_NAME, MOST_COLUMNS, Column, Table
 from sma_bench.records.units import parse_unit, split_title
 
 _MOST_LEAVES = 10_000
 _DEEPEST = 16
-_TEXT_KEYS = {"unit": "unit", "units": "unit", "label": "title", "name": "title",
-              "long_name": "title", "title": "title"}  # fmt: skip
-_LIST_KEYS = frozenset({"names", "name", "titles", "labels", "columns", "headers", "header",
-                        "channels", "variables"})  # fmt: skip
-_SCALES = {"scale_factor": "scale", "scale": "scale", "gain": "scale", "add_offset": "offset",
-           "offset": "offset", "_fillvalue": "fill", "fillvalue": "fill", "missing_value": "fill",
-           "fill_value": "fill"}  # fmt: skip
+_TEXT_KEYS = {
+    "unit": "unit",
+    "units": "unit",
+    "label": "title",
+    "name": "title",
+    "long_name": "title",
+    "title": "title",
+}
+_LIST_KEYS = frozenset(
+    {"names", "name", "titles", "labels", "columns", "headers", "header", "channels", "variables"}
+)
+_SCALES = {
+    "scale_factor": "scale",
+    "scale": "scale",
+    "gain": "scale",
+    "add_offset": "offset",
+    "offset": "offset",
+    "_fillvalue": "fill",
+    "fillvalue": "fill",
+    "missing_value": "fill",
+    "fill_value": "fill",
+}
 
 # --- MATLAB and HDF5: named arrays in a tree ------------------------------------------------------
 
@@ -130,8 +146,11 @@ def _matlab_leaves(path: tuple[str, ...], value: Any) -> Iterator[_Leaf]:
     if hasattr(value, "_fieldnames"):
         for name in value._fieldnames:
             yield from _matlab_leaves((*path, name), getattr(value, name))
-    elif isinstance(value, np.ndarray) and value.dtype == object and value.size and all(
-        isinstance(item, str) for item in value.ravel()[:MOST_COLUMNS]
+    elif (
+        isinstance(value, np.ndarray)
+        and value.dtype == object
+        and value.size
+        and all(isinstance(item, str) for item in value.ravel()[:MOST_COLUMNS])
     ):
         yield _Leaf(path, [str(item) for item in value.ravel()[:MOST_COLUMNS]])
     elif isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size > 1:
@@ -164,8 +183,11 @@ def read_hdf5(content: bytes, budget: Budget) -> tuple[list[Table], list[str]]:
         value = item[()] if item.shape is not None else None
         if item.attrs.get("MATLAB_class") == b"char":
             value = "".join(chr(letter) for letter in np.asarray(value).ravel()[:LONGEST_NAME])
-        said = {key: item.attrs[key] for key in item.attrs
-                if key.lower() in _TEXT_KEYS or key.lower() in _SCALES}  # fmt: skip
+        said = {
+            key: item.attrs[key]
+            for key in item.attrs
+            if key.lower() in _TEXT_KEYS or key.lower() in _SCALES
+        }
         if item.dtype.names and value is not None:  # a compound table: a column each
             value = np.atleast_1d(value).ravel()
             leaves.extend(_Leaf((*path, n), value[n]) for n in item.dtype.names)
@@ -190,9 +212,7 @@ def _text(value: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def _from_leaves(
-    leaves: list[_Leaf], mark: str, budget: Budget
-) -> tuple[list[Table], list[str]]:
+def _from_leaves(leaves: list[_Leaf], mark: str, budget: Budget) -> tuple[list[Table], list[str]]:
     """Tables of all arrays of numbers, those of one length together; texts called unit, label or
     name speak for the arrays beside them, lists of texts for the columns of one."""
     said: dict[tuple[str, ...], dict[str, str]] = {}
@@ -214,13 +234,16 @@ def _from_leaves(
             elif leaf.value is None:
                 outside.append(f"{printable(label)} (an object that MATLAB alone can read)")
             continue
-        own = {_TEXT_KEYS[k.lower()]: _text(v) for k, v in leaf.said.items()
-               if k.lower() in _TEXT_KEYS}  # fmt: skip
+        own = {
+            _TEXT_KEYS[k.lower()]: _text(v) for k, v in leaf.said.items() if k.lower() in _TEXT_KEYS
+        }
         is_time = leaf.path[-1].lower() in ("time", "t", "tout")
         beside = {} if is_time else said.get(leaf.path[:-1], {})
         named = {**beside, **own}
-        if is_time and any(p[: len(leaf.path) - 1] == leaf.path[:-1] and p[-1:] == ("values",)
-                           for p in (other.path for other in leaves)):  # fmt: skip
+        if is_time and any(
+            p[: len(leaf.path) - 1] == leaf.path[:-1] and p[-1:] == ("values",)
+            for p in (other.path for other in leaves)
+        ):
             named.setdefault("unit", "s")  # of a Simulink structure with time
         title, unit = split_title(named.get("title") or leaf.path[-1])
         many = array.shape[1]
@@ -239,9 +262,11 @@ def _from_leaves(
             else:
                 units = list(texts)
         # Attributes that scale, and what stands for a missing value.
-        numbers = {_SCALES[k.lower()]: np.ravel(v) for k, v in leaf.said.items()
-                   if k.lower() in _SCALES and np.size(v) == 1
-                   and np.asarray(v).dtype.kind in "fiu"}  # fmt: skip
+        numbers = {
+            _SCALES[k.lower()]: np.ravel(v)
+            for k, v in leaf.said.items()
+            if k.lower() in _SCALES and np.size(v) == 1 and np.asarray(v).dtype.kind in "fiu"
+        }
         array = np.array(array, dtype=np.float64)
         if "fill" in numbers:
             array[array == float(numbers["fill"][0])] = np.nan
@@ -270,5 +295,3 @@ def _rows_of(value: Any) -> Any:
     if array.ndim != 2:
         return None
     return array if array.shape[0] >= array.shape[1] else array.T
-
-

@@ -1,10 +1,9 @@
 """Runs of differential scanning calorimeters: text exports of PerkinElmer, TA, Netzsch, Mettler and
-Setaram, and anybody's table of temperature and heat flow.
+Setaram, and anybody's table of time, temperature and heat flow.
 
-Pyris (PerkinElmer) writes a block a step under titles ("2) DSC Temperature Scan"), time [min],
-unsubtracted and baseline heat flow [mW], program and sample temperature [degC], gas flow. All
-others have titles with units, which TA's Universal Analysis writes as lines `Sig1 ...`; their steps
-are cut where the measured rate changes its kind.
+Titles have units, which TA's Universal Analysis writes as lines `Sig1 ...`; Pyris (PerkinElmer)
+writes a block a step under titles ("2) DSC Temperature Scan") whose columns are known. Steps of the
+others are cut where the measured rate changes its kind.
 """
 
 import re
@@ -19,20 +18,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
 from sma_bench.records.tables import Account, read_table_file
-from sma_bench.records.units import parse_unit, plain_title, split_title
+from sma_bench.records.units import WORDS, parse_unit, plain_title, split_title
 
 SegmentKind = Literal["heating", "cooling", "isothermal"]
 
-_TITLE = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
+_BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
 _STEP = re.compile(
-    r"(\d{1,9})\)\s+"
-    r"(?:Hold for .*|(?P<way>Heat|Cool) from .* at (?P<rate>[\d.]++)\s*+\S?C/min)\s*$"
+    r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at (?P<rate>[\d.]++)\s*+\S?C/min)\s*$"
 )
-_SIGNAL = re.compile(r"Sig(\d{1,9})\Z")
+_SIG = re.compile(r"Sig(\d{1,9})\Z")
 _RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
 _WINDOW = 20.0  # s over which a rate is measured
 _SHORTEST = 60.0  # s
@@ -127,109 +124,139 @@ class DscRecord(Drawn):
 
 
 def read_dsc(path: str | Path, stated: Mapping[str, float] | None = None) -> DscRecord:
-    """Read a DSC run.
-
-    Args:
-        path: of the file.
-        stated: what the file does not hold in SI units: `mass`.
+    """The DSC run in a file. `stated`: what it does not hold in SI units: `mass`.
 
     Raises:
         InputError: not such a file, no sample mass, or a line that is not what it should be.
     """
     file = read_table_file(path)
     sheets = [Sheet(file, table, stated or {}) for table in file.tables]
-    chosen = next(filter(is_dsc, sheets), None)
-    if chosen is None:
-        names = ", ".join(column.name for column in file.columns[:12])
-        raise InputError(f"{path}: no columns of temperature and heat flow among {names}")
-    return dsc_of(chosen)
+    return dsc_of(next(filter(is_dsc, sheets), sheets[0]))
 
 
 def is_dsc(sheet: Sheet) -> bool:
     """Whether a table has temperature and heat flow, or is an export that names them elsewhere."""
     texts = [text for _, text in sheet.table.marks] + [" ".join(c) for c in sheet.table.above]
-    if any(_TITLE.match(text) or text.strip() == "StartOfData" for text in texts):
-        return True
-    return sheet.find("temperature") is not None and sheet.find("heat flow") is not None
+    named = any(_BLOCK.match(text) or text.strip() == "StartOfData" for text in texts)
+    return named or sheet.has("dsc", ["time"])
 
 
 def dsc_of(sheet: Sheet) -> DscRecord:
     """The run in a table that `is_dsc`; raises as `read_dsc`."""
+    above = [" ".join(cells) for cells in sheet.table.above]
+    marks = [(0, text) for text in above] + list(sheet.table.marks)
     header: dict[str, str] = {}
-    for cells in sheet.table.above:
-        text = " ".join(cells).lstrip("# ")
+    for cells, text in zip(sheet.table.above, above, strict=True):
         parted = len(cells) > 1 and not any(":" in cell for cell in cells[:3])
-        key, colon, value = text.partition(cells[0] + " " if parted else ":")
+        key, colon, value = text.lstrip("# ").partition(f"{cells[0]} " if parted else ":")
         if parted or colon:
-            header.setdefault(cells[0].strip() if parted else key.strip(), value.strip())
-    texts = [" ".join(cells) for cells in sheet.table.above]
-    if any(map(_TITLE.match, [*texts, *(text for _, text in sheet.table.marks)])):
-        return _pyris(sheet, header, texts)
-    if "StartOfData" in texts:
-        sheet = _with_signals(sheet)
-    findings: list[Finding] = []
-    columns = {role: sheet.find(role) for role in ("time", "temperature", "heat flow")}
-    for role, found in columns.items():
-        if found is None:
-            names = ", ".join(column.name for column in sheet.table.columns)
-            raise InputError(
-                f"{sheet.path}: no column {role!r} with a unit known for it (min, degC, mW or W/g) "
-                f"among {names}"
-            )
-    time, temperature, flow = (sheet.values(f, findings) for f in columns.values() if f)
+            header.setdefault((cells[0] if parted else key).strip(), value.strip())
+    findings = [Finding("warning", sheet.path.name, text) for text in sheet.table.left_out]
+    blocks = [(row, match) for row, text in marks if (match := _BLOCK.match(text))]
+    if blocks:
+        sheet = _titled(sheet, WORDS["pyris"])
+        for column in sheet.table.columns:
+            sheet.require_complete(column)
+    elif "StartOfData" in above:
+        named = {int(m[1]): " ".join(c[1:]) for c in sheet.table.above if (m := _SIG.match(c[0]))}
+        if sorted(named) != list(range(1, len(sheet.table.columns) + 1)):
+            said = f"no Sig1, Sig2, ... lines for {len(sheet.table.columns)} columns"
+            raise InputError(f"{sheet.path}: {said}, expected their names")
+        sheet = _titled(sheet, [named[k] for k in sorted(named)])
+    columns = sheet.columns("dsc")
+    time, temperature, flow = (
+        sheet.values(columns[k]) for k in ("time", "temperature", "heat flow")
+    )
     kept = time >= 0.0  # TA's rows of negative time separate the steps of a method
     time, temperature, flow = time[kept], temperature[kept], flow[kept]
-    if np.any(np.diff(time) < 0.0):
-        line = sheet.table.lines[kept][int(np.argmax(np.diff(time) < 0.0)) + 1]
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if len(back):
+        line = sheet.table.lines[kept][back[0] + 1]
         raise InputError(f"{sheet.path}: line {line}: time runs backward")
+
     # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
-    assert columns["heat flow"] is not None
-    unit = parse_unit(columns["heat flow"][0].unit)
-    per_mass = unit is not None and unit.quantity == "specific power"
-    mass = sheet.noted("mass")
-    if mass is None and not per_mass:
-        raise InputError(f"{sheet.path}: {_NO_MASS}")
+    unit, mass = parse_unit(columns["heat flow"][0].unit), sheet.noted("mass")
+    if unit is not None and unit.quantity == "specific power":
+        if mass is None:
+            mass = 1e-6
+            text = f"{sheet.path}: no sample mass; heat flow is for a gram, so 1 mg is taken"
+            findings.append(Finding("warning", "sample mass", text))
+        flow = flow * mass
     if mass is None:
-        mass = 1e-6
-        text = f"{sheet.path}: no sample mass; heat flow is for a gram, so 1 mg is taken"
-        findings.append(Finding("warning", "sample mass", text))
-    if not 0.0 < mass < 1.0:
+        raise InputError(f"{sheet.path}: {_NO_MASS}")
+    if not 0.0 < mass < 1e-3:
         raise InputError(f"{sheet.path}: sample mass is {mass:g} kg, expected one of milligrams")
-    ramps = [float(m[1]) for t in texts for m in [_RAMP.search(t)] if m]
-    ramps += [float(m[1]) for _, t in sheet.table.marks for m in [_RAMP.search(t)] if m]
-    segments = _cut(time, temperature, flow * mass if per_mass else flow, ramps)
-    if not any(segment.kind != "isothermal" for segment in segments):
-        raise InputError(f"{sheet.path}: no heating or cooling in it, expected a DSC scan")
+    used = {column.name: role for role, (column, _) in columns.items()}
+    if blocks:
+        segments = _programmed(sheet, blocks, above, (time, temperature, flow), used)
+    else:
+        ramps = [float(m[1]) / 60.0 for _, text in marks if (m := _RAMP.search(text))]
+        segments = _cut(time, temperature, flow, ramps)
+        if not any(segment.rate for segment in segments):
+            raise InputError(f"{sheet.path}: no heating or cooling in it, expected a DSC scan")
+    announced = header.get("Total Points in Run", "")
+    if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
+        text = f"{len(time)} points, the header announces {announced}; the file may be cut short"
+        findings.append(Finding("warning", sheet.path.name, text, {"points": len(time)}))
+
     # Which way exothermic is.
-    title = plain_title(columns["heat flow"][0].name)
-    said = " ".join([*(f"{k} {v}" for k, v in header.items() if k.lower().startswith("exo")),
-                     title]).lower()  # fmt: skip
-    exotherm = ""
-    if re.search(r"exo\w*( direction)? (up|1)\b|exo(?:therm\w*)? up|\^ ?exo|endo\w* down", said):
-        exotherm = "up"
-    elif re.search(r"exo\w*( direction)? (down|-1)\b|exo(?:therm\w*)? down|endo\w* up", said):
-        exotherm = "down"
-    instrument = next((header[k] for k in ("Instrument", "INSTRUMENT", "Instrument Type")
-                       if k in header), "DSC")  # fmt: skip
-    used = {found[0].name: role for role, found in columns.items() if found}
-    return DscRecord(sheet.path, mass, header, segments, tuple(findings), instrument, exotherm,
-                     sheet.account(used, len(time)))  # fmt: skip
+    lines = [f"{key} {value}" for key, value in header.items() if key.lower().startswith("exo")]
+    said = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
+    up, down = (
+        re.search(rf"exo\w*( direction)? ({a})\b|\^ ?{b}|endo\w* {c}", said)
+        for a, b, c in (("up|1", "exo", "down"), ("down|-1", "endo", "up"))
+    )
+    exotherm = "up" if up else "down" if down else ""
+    default = "PerkinElmer Pyris DSC" if blocks else "DSC"
+    names = ("Instrument", "INSTRUMENT", "Instrument Type")
+    instrument = next((header[name] for name in names if name in header), default)
+    account = sheet.account(used, len(time))
+    return DscRecord(
+        sheet.path, mass, header, segments, tuple(findings), instrument, exotherm, account
+    )
 
 
-def _with_signals(sheet: Sheet) -> Sheet:
-    """Universal Analysis' table with the titles of its lines Sig1, Sig2, ..."""
-    signals = {int(m[1]): " ".join(cells[1:]) for cells in sheet.table.above
-               for m in [_SIGNAL.match(cells[0])] if m}  # fmt: skip
-    if sorted(signals) != list(range(1, len(sheet.table.columns) + 1)):
-        raise InputError(
-            f"{sheet.path}: no Sig1, Sig2, ... lines for {len(sheet.table.columns)} columns, "
-            "expected their names"
-        )
+def _titled(sheet: Sheet, names: Sequence[str]) -> Sheet:
+    """The table under titles that its file states elsewhere, or not at all."""
+    if len(names) != len(sheet.table.columns):
+        said = f"{len(sheet.table.columns)} columns, expected {len(names)} numbers a row"
+        raise InputError(f"{sheet.path}: {said}")
     columns = []
-    for k, column in enumerate(sheet.table.columns, 1):
-        title, unit = split_title(signals[k])
-        columns.append(replace(column, name=signals[k], title=title, unit=unit))
+    for column, name in zip(sheet.table.columns, names, strict=True):
+        title, unit = split_title(name)
+        columns.append(replace(column, name=name, title=title, unit=unit))
     return replace(sheet, table=replace(sheet.table, columns=tuple(columns)))
+
+
+def _programmed(
+    sheet: Sheet,
+    blocks: Sequence[tuple[int, re.Match[str]]],
+    above: Sequence[str],
+    values: Sequence[FloatArray],
+    used: dict[str, str],
+) -> tuple[DscSegment, ...]:
+    """Pyris' segments: a block of rows each under its title, the rate in the method above."""
+    names = ("Unsubtracted Baseline", "Program Temperature")
+    beside = [c for c in sheet.table.columns if c.title in names]
+    baseline, program = (sheet.values((c, "heat flow")) for c in beside)
+    used |= {c.name: c.title.lower() for c in beside}
+    steps = {int(m[1]): m for line in above if (m := _STEP.match(line.strip()))}
+    segments = []
+    ends = [row for row, _ in blocks[1:]] + [len(program)]
+    for (first, match), last in zip(blocks, ends, strict=True):
+        number, part = int(match[1]), slice(first, last)
+        if first == last:
+            raise InputError(f"{sheet.path}: segment {number} has no data, expected rows")
+        time, temperature, flow = (v[part] for v in values)
+        step, rate = steps.get(number), 0.0
+        if match[2] != "Isothermal" and step and step["way"]:
+            rate = (1.0 if step["way"] == "Heat" else -1.0) * float(step["rate"]) / 60.0
+        elif match[2] != "Isothermal" and not step and time[-1] > time[0]:
+            rate = float((program[last - 1] - program[first]) / (time[-1] - time[0]))
+        segments.append(
+            _segment(number, rate, time, flow, temperature, baseline[part], program[part])
+        )
+    return tuple(segments)
 
 
 def _cut(
@@ -264,69 +291,22 @@ def _cut(
 
 
 def _segment(
-    number: int, rate: float, time: FloatArray, flow: FloatArray, temperature: FloatArray,
-    baseline: FloatArray | None = None, program: FloatArray | None = None,
+    number: int,
+    rate: float,
+    time: FloatArray,
+    flow: FloatArray,
+    temperature: FloatArray,
+    baseline: FloatArray | None = None,
+    program: FloatArray | None = None,
 ) -> DscSegment:
     kind: SegmentKind = "heating" if rate > 0.0 else "cooling" if rate < 0.0 else "isothermal"
     return DscSegment(
-        number, kind, rate, time, flow, np.zeros(len(time)) if baseline is None else baseline,
-        temperature, temperature if program is None else program,
+        number,
+        kind,
+        rate,
+        time,
+        flow,
+        np.zeros(len(time)) if baseline is None else baseline,
+        temperature,
+        temperature if program is None else program,
     )
-
-
-def _pyris(sheet: Sheet, header: dict[str, str], above: Sequence[str]) -> DscRecord:
-    path, table = sheet.path, sheet.table
-    if "Sample Weight" not in header and "mass" not in sheet.given:
-        raise InputError(f"{path}: no 'Sample Weight' line, expected a Pyris DSC text export")
-    mass = sheet.noted("mass") if "mass" in sheet.given else None
-    if mass is None:
-        text = header["Sample Weight"]
-        weight, _, unit = text.partition(" ")
-        mass = float(weight) * 1e-6 if re.fullmatch(r"\d*\.?\d+", weight) else 0.0
-        if unit.strip() != "mg" or not 0.0 < mass < 1.0:
-            raise InputError(f"{path}: Sample Weight is {text!r}, expected a positive number of mg")
-    steps: dict[int, float] = {}
-    for line in above:
-        if step := _STEP.match(line.strip()):
-            sign = {"Heat": 1.0, "Cool": -1.0, None: 0.0}[step["way"]]
-            steps[int(step[1])] = sign * float(step["rate"] or "0") / 60.0
-    # Blocks begin at their titles.
-    marks = [(0, text) for text in above if _TITLE.match(text)]
-    marks += [(k, text) for k, text in table.marks if _TITLE.match(text)]
-    if len(table.columns) != 6:
-        raise InputError(f"{path}: {len(table.columns)} columns, expected 6 numbers a row")
-    values = np.column_stack([column.values for column in table.columns])
-    wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if len(wrong):
-        line = table.lines[wrong[0]]
-        raise InputError(f"{path}: line {line} is not complete, expected 6 numbers")
-    segments = []
-    ends = [k for k, _ in marks[1:]] + [len(values)]
-    for (first, title), last in zip(marks, ends, strict=True):
-        match = _TITLE.match(title)
-        assert match is not None
-        number, rows = int(match[1]), values[first:last]
-        if not len(rows):
-            raise InputError(f"{path}: segment {number} has no data, expected rows")
-        time, program = rows[:, 0] * 60.0, rows[:, 3] + CELSIUS_ZERO
-        if np.any(np.diff(time) < 0):
-            line = table.lines[first]
-            raise InputError(f"{path}: line {line}: time runs backward in segment {number}")
-        rate = 0.0 if match[2] == "Isothermal" else steps.get(number, float("nan"))
-        if np.isnan(rate):
-            duration = time[-1] - time[0]
-            rate = float((program[-1] - program[0]) / duration) if duration > 0 else 0.0
-        flow, baseline = rows[:, 1] * 1e-3, rows[:, 2] * 1e-3
-        temperature = rows[:, 4] + CELSIUS_ZERO
-        segments.append(_segment(number, rate, time, flow, temperature, baseline, program))
-    findings = [Finding("warning", path.name, text) for text in table.left_out]
-    announced = header.get("Total Points in Run", "")
-    if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(values):
-        text = (
-            f"{len(values)} points, the header announces {announced}; the file may be cut short"
-        )
-        findings.append(Finding("warning", path.name, text, {"points": len(values)}))
-    roles = ("time", "heat flow", "baseline", "program temperature", "temperature", "gas flow")
-    used = {c.name: role for c, role in zip(table.columns[:5], roles, strict=False)}
-    return DscRecord(path, mass, header, tuple(segments), tuple(findings),
-                     account=sheet.account(used, len(values)))  # fmt: skip

@@ -1,4 +1,4 @@
-"""From columns of another logger to signals of the contract: the map, proposed, read and applied.
+"""From columns of another logger to signals of the contract: the map, written, read and applied.
 
 A map says for each signal which column it is, in which unit, on which clock, and how its zero and
 sign are to be read. `propose` makes one from titles, units and ranges, with a question wherever
@@ -17,20 +17,19 @@ import numpy as np
 from sma_bench.border import printable, read_yaml
 from sma_bench.errors import InputError
 from sma_bench.records import contract
-from sma_bench.records.cells import Column
 from sma_bench.records.record import FloatArray, Signal
 from sma_bench.records.tables import Account, TableFile
 from sma_bench.records.units import Unit, in_si, parse_unit
 
 ASK = "ask"
 ROWS = "row number"  # the clock of a table without one; its unit is the period, "0.1 s"
-_FORMS = {"voltage": ("rms", "duty", "mean"), "current": ("rms", "mean", "peak")}
 REST, NONE = "rest", "none"
 POSITIONS = ("elongation", "deflection")
-_OF_UNIT = {"V": "voltage", "A": "current", "K": "temperature", "m": "length", "N": "force"}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
-_DRIVEN = 0.02  # of the largest voltage: below it nothing is driven
 DUTY_SLACK = 0.02  # beyond 0 to 1 that a duty may be read
+_FORMS = {"voltage": ("rms", "duty", "mean"), "current": ("rms", "mean", "peak")}
+_OF_UNIT = {"V": "voltage", "A": "current", "K": "temperature", "m": "length", "N": "force"}
+_DRIVEN = 0.02  # of the largest voltage: below it nothing is driven
 
 
 @dataclass(frozen=True)
@@ -56,6 +55,11 @@ class Entry:
     reference: str | float = NONE
     form: str = "rms"
 
+    @property
+    def kind(self) -> str:
+        """What the signal is of its channel: voltage, current, temperature."""
+        return self.signal.rpartition(".")[2]
+
 
 @dataclass(frozen=True)
 class ImportMap:
@@ -68,50 +72,43 @@ class ImportMap:
     ignored: tuple[str, ...] = ()
 
 
-# --- the map as a file ----------------------------------------------------------------------------
-
-
 def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> str:
     """The map as commented YAML."""
-    name = printable(table.path.name)
+
+    def line(key: str, value: Any = None, subject: str = "") -> str:
+        text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+        remark = remarks.get(subject)
+        return f"{key}{'' if value is None else f' {text}'}" + (
+            f"  # {printable(remark)}" if remark else ""
+        )
+
     lines = [
-        f"# Map of {name} ({table.format}), for sma-bench import --map; `ask` is to be filled in.",
+        f"# Map of {printable(table.path.name)} ({table.format}), for sma-bench import --map; "
+        "`ask` is to be filled in.",
         "# SI value = sign * (scale * column in its unit + offset) - reference",
         "# reference: rest (0 before the first drive), none, or a number; form of a voltage: rms",
         "# (or direct), duty or mean of the switched supply; of a current: rms, mean or peak.",
         f"# A table without a clock has one called {ROWS!r}, whose unit is the period: 0.1 s.",
         "time:",
     ]
-    for column, unit in made.clocks.items():
-        lines.append(f"  {_yaml(column)}: {_yaml(unit)}{_comment(remarks.get(column))}")
+    lines += [line(f"  {json.dumps(c, ensure_ascii=False)}:", u, c) for c, u in made.clocks.items()]
     for key in ("supply_voltage", "lever"):
         if (value := getattr(made, key)) is not None:
-            lines.append(f"{key}: {_yaml(value)}{_comment(remarks.get(key))}")
-    lines.append(f"signals:{_comment(remarks.get('signals'))}")
-    columns = {column.name: column for column in table.columns}
+            lines.append(line(f"{key}:", value, key))
+    lines.append(line("signals:", None, "signals"))
+    columns = {column.name: column.values for column in table.columns}
     for entry in made.entries:
-        values = columns[entry.column].values
+        values = columns[entry.column]
         span = f"{np.nanmin(values):.6g} to {np.nanmax(values):.6g}"
-        remark = f"{span}; {remarks[entry.column]}" if entry.column in remarks else span
-        lines += [f"  - signal: {_yaml(entry.signal)}", f"    {_comment(remark).strip()}"]
-        for option in fields(Entry)[1:]:
-            value = getattr(entry, option.name)
-            if option.name == "form" and not entry.signal.endswith((*_FORMS, ASK)):
-                continue
-            lines.append(f"    {option.name}: {_yaml(value)}")
-    lines.append("ignored:")
-    lines += [f"  - {_yaml(c)}{_comment(remarks.get(c))}" for c in made.ignored]
-    if not made.ignored:
-        lines[-1] += " []"
+        more = f"; {printable(remarks[entry.column])}" if entry.column in remarks else ""
+        lines += [line("  - signal:", entry.signal), f"    # {span}{more}"]
+        shown = [f.name for f in fields(Entry)[1:]]
+        if entry.kind not in (*_FORMS, ASK):
+            shown.remove("form")
+        lines += [line(f"    {name}:", getattr(entry, name)) for name in shown]
+    lines.append("ignored:" if made.ignored else "ignored: []")
+    lines += [line("  -", name, name) for name in made.ignored]
     return "\n".join(lines) + "\n"
-
-
-def _yaml(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else f"{value!r}"
-
-
-def _comment(text: str | None) -> str:
-    return f"  # {printable(text)}" if text else ""
 
 
 def read_map(path: str | Path) -> ImportMap:
@@ -134,28 +131,26 @@ def read_map(path: str | Path) -> ImportMap:
         raise InputError(f"{path}: signals: expected a list with one or more")
     for column, unit in clocks.items():
         if tick_of(column, unit) is None:
-            expected = "a period such as 0.1 s" if column == ROWS else "a unit of time"
-            raise InputError(
-                f"{path}: time: {column}: unit is {printable(unit)!r}, expected {expected}"
-            )
-    entries = tuple(_read_entry(row, f"{path}: signals: {k + 1}") for k, row in enumerate(rows))
-    numbers = {key: _read_number(document.get(key), f"{path}: {key}")
-               for key in ("supply_voltage", "lever")}  # fmt: skip
+            found = f"time: {column}: unit is {printable(unit)!r}"
+            wanted = "a period such as 0.1 s" if column == ROWS else "a unit of time"
+            raise InputError(f"{path}: {found}, expected {wanted}")
+    numbers: dict[str, float | None] = {}
+    for key in ("supply_voltage", "lever"):
+        value = numbers[key] = document.get(key)
+        if value is not None and not (_is_number(value) and value > 0):
+            found = printable(str(value))[:40]
+            raise InputError(f"{path}: {key} is {found!r}, expected a number > 0")
+    entries = tuple(_read_entry(row, f"{path}: signals: {k}") for k, row in enumerate(rows, 1))
     for entry in entries:
         if entry.clock not in clocks:
             raise InputError(f"{path}: {entry.signal}: clock {entry.clock!r} is not under time")
-        switched = entry.form != "rms" and entry.signal.endswith("voltage")
-        if switched and numbers["supply_voltage"] is None:
+        if entry.form != "rms" and entry.kind == "voltage" and numbers["supply_voltage"] is None:
             raise InputError(f"{path}: supply_voltage is missing, {entry.signal} is a {entry.form}")
     return ImportMap(clocks, entries, numbers["supply_voltage"], numbers["lever"])
 
 
-def _read_number(value: Any, where: str) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < np.inf:
-        raise InputError(f"{where} is {printable(str(value))[:40]!r}, expected a number > 0")
-    return float(value)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
 
 
 def _read_entry(row: Any, where: str) -> Entry:
@@ -165,49 +160,43 @@ def _read_entry(row: Any, where: str) -> Entry:
     for key in names[:4]:
         if not isinstance(row[key], str):
             raise InputError(f"{where}: {key}: expected a text")
-    for key in ("scale", "offset"):
-        value = row.get(key, 0.0)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise InputError(f"{where}: {key}: expected a number")
     entry = Entry(**row)
-    where = f"{where} ({printable(entry.signal)})"
     unit = contract.unit_of(entry.signal) if NAME.match(entry.signal) else None
-    if unit not in _OF_UNIT or entry.signal == "voltage_command":
-        raise InputError(
-            f"{where}: signal is {printable(entry.signal)!r}, expected a name such as wire.voltage"
-        )
-    if entry.sign not in (1, -1) or isinstance(entry.sign, bool):
-        raise InputError(f"{where}: sign is {entry.sign!r}, expected 1 or -1")
-    forms = _FORMS.get(entry.signal.rpartition(".")[2], ("rms",))
-    if entry.form not in forms:
-        raise InputError(f"{where}: form is {entry.form!r}, expected one of {', '.join(forms)}")
-    is_number = isinstance(entry.reference, (int, float)) and np.isfinite(entry.reference)
-    if entry.reference not in (REST, NONE) and not is_number:
-        found = printable(str(entry.reference))[:40]
-        raise InputError(f"{where}: reference is {found!r}, expected rest, none or a number")
-    wanted = "ratio" if entry.form == "duty" else _OF_UNIT[unit]
+    forms = _FORMS.get(entry.kind, ("rms",))
+    quantity = "ratio" if entry.form == "duty" else _OF_UNIT.get(unit or "", "")
     known = parse_unit(entry.unit)
-    if known is None or known.quantity not in (wanted, "angle" if wanted == "length" else wanted):
-        shown = printable(entry.unit)
-        raise InputError(f"{where}: unit is {shown!r}, expected a unit of {wanted}")
+    is_named = quantity and entry.signal != "voltage_command"
+    is_sign = entry.sign in (1, -1) and not isinstance(entry.sign, bool)
+    is_reference = entry.reference in (REST, NONE) or _is_number(entry.reference)
+    units = (quantity, "angle") if quantity == "length" else (quantity,)
+    for key, is_right, expected in (
+        ("signal", is_named, "a name such as wire.voltage"),
+        ("scale", _is_number(entry.scale), "a number"),
+        ("offset", _is_number(entry.offset), "a number"),
+        ("sign", is_sign, "1 or -1"),
+        ("form", entry.form in forms, f"one of {', '.join(forms)}"),
+        ("reference", is_reference, "rest, none or a number"),
+        ("unit", known is not None and known.quantity in units, f"a unit of {quantity}"),
+    ):
+        if not is_right:
+            found = printable(str(getattr(entry, key)))[:40]
+            name = printable(entry.signal)
+            raise InputError(f"{where} ({name}): {key} is {found!r}, expected {expected}")
     return entry
 
 
-# --- applying it ----------------------------------------------------------------------------------
+# --- Applying it ----------------------------------------------------------------------------------
 
 
 def tick_of(column: str, text: str) -> Unit | None:
     """The unit of a clock: one of time, or of rows the period between them."""
-    if column != ROWS:
-        known = parse_unit(text)
-    else:
-        number, _, unit = text.strip().partition(" ")
-        known = parse_unit(unit)
-        try:
-            known = known and Unit(known.quantity, known.factor * float(number))
-        except ValueError:
-            return None
-    return known if known and known.quantity == "time" and known.factor > 0.0 else None
+    number, _, unit = text.strip().partition(" ") if column == ROWS else ("1", "", text)
+    known = parse_unit(unit)
+    try:
+        period = known.factor * float(number) if known and known.quantity == "time" else 0.0
+    except ValueError:
+        return None
+    return Unit("time", period) if period > 0.0 else None
 
 
 def convert(table: TableFile, made: ImportMap) -> tuple[list[Signal], list[str], int]:
@@ -225,66 +214,77 @@ def convert(table: TableFile, made: ImportMap) -> tuple[list[Signal], list[str],
         if name not in columns and name != ROWS:
             have = ", ".join(list(columns)[:12])
             raise InputError(f"{table.path}: no column {name!r}, it has {have}")
-    raw = [_samples(table, made, columns, entry) for entry in made.entries]
+    read = {entry: _samples(table, made, entry) for entry in made.entries}
     starts = [columns[e.clock].start if e.clock in columns else None for e in made.entries]
     dated = [start for start in starts if start is not None]
+    offsets = dict.fromkeys(made.entries, 0.0)
     if len(dated) == len(starts):  # moments count from their own first one
-        raw = [(time + start - min(dated), values, said)
-               for (time, values, said), start in zip(raw, dated, strict=True)]  # fmt: skip
-    first = min(float(time[0]) for time, _, _ in raw)
+        offsets = {e: s - min(dated) for e, s in zip(made.entries, dated, strict=True)}
+    times = {entry: time + offsets[entry] for entry, (time, _, _) in read.items()}
+    first = min(float(time[0]) for time in times.values())
 
     # When the first voltage or current sets in; inf where none does.
     drive = np.inf
-    for entry, (time, values, _) in zip(made.entries, raw, strict=True):
-        if entry.signal.endswith((".voltage", ".current")):
-            driven = np.abs(values) > _DRIVEN * np.abs(values).max()
-            if driven.any():
-                drive = min(drive, float(time[int(np.argmax(driven))]))
+    for entry, (_, values, _) in read.items():
+        driven = np.abs(values) > _DRIVEN * np.abs(values).max()
+        if entry.signal.endswith((".voltage", ".current")) and driven.any():
+            drive = min(drive, float(times[entry][int(np.argmax(driven))]))
 
     signals, sentences = [], []
-    for entry, (time, values, spread) in zip(made.entries, raw, strict=True):
+    for entry, (_, values, spread) in read.items():
         zero, said = 0.0, ""
         if entry.reference == REST:
-            before = values[time <= drive] if np.isfinite(drive) else values[:1]
+            before = values[times[entry] <= drive] if np.isfinite(drive) else values[:1]
             zero = float(np.median(before)) if len(before) else float(values[0])
             said = f", zero at rest ({zero:.6g})"
         elif entry.reference != NONE:
             zero = float(entry.reference)
             said = f", zero at {zero:.6g}"
-        if entry.form != "rms" and entry.signal.endswith("current"):
-            values = _effective_current(table, made, entry, time, values, raw)
+        if entry.form != "rms" and entry.kind == "current":
+            duty = next(
+                (
+                    e
+                    for e in made.entries
+                    if e.signal == f"{entry.signal[:-8]}.voltage" and e.form in ("duty", "mean")
+                ),
+                None,
+            )
+            if duty is None:
+                raise InputError(
+                    f"{table.path}: {entry.column}: the {entry.form} of a switched current needs "
+                    f"the duty of {entry.signal[:-8]} in the table"
+                )
+            # The current of the same heat, by the share of time that the voltage is on.
+            supply = float(made.supply_voltage or 1.0)
+            root = np.interp(times[entry], times[duty], read[duty][1]) / supply
+            share = np.where(root > 0.02, root, 1.0)  # below it nothing flows
+            values = values / share if entry.form == "mean" else values * np.clip(root, 0.0, 1.0)
         unit = contract.unit_of(entry.signal) or ""
-        signals.append(Signal(entry.signal, unit, time - first, values - zero))
-        sentences.append(_sentence(entry, made, said) + spread)
-    if dated:
-        return signals, sentences, round(min(dated) * 1e9)
-    # Seconds since 1970, as PlotJuggler writes them.
-    return signals, sentences, round(first * 1e9) if 1e9 < first < 4e9 else 0
+        signals.append(Signal(entry.signal, unit, times[entry] - first, values - zero))
+        sentences.append(_sentence(entry, made) + said + spread)
+    # Seconds since 1970, as PlotJuggler writes them, are an epoch too.
+    epoch = min(dated) if dated else first if 1e9 < first < 4e9 else 0.0
+    return signals, sentences, round(epoch * 1e9)
 
 
-def _samples(
-    table: TableFile, made: ImportMap, columns: Mapping[str, Column], entry: Entry
-) -> tuple[FloatArray, FloatArray, str]:
+def _samples(table: TableFile, made: ImportMap, entry: Entry) -> tuple[FloatArray, FloatArray, str]:
     """Times in s and values in SI of one entry, without what is missing; the sign is in them. And
     what was done to its stamps."""
-    column = columns[entry.column]
-    clock = columns.get(entry.clock)
-    ticked = np.arange(float(len(column.values))) if clock is None else clock.values
+    columns = {column.name: column.values for column in table.columns}
+    raw = columns[entry.column]
+    ticked = columns.get(entry.clock, np.arange(float(len(raw))))
     where = f"{table.path}: {entry.column}"
-    if len(ticked) != len(column.values):
-        raise InputError(
-            f"{where}: {len(column.values)} rows, its clock {entry.clock!r} has {len(ticked)}"
-        )
-    ticks = tick_of(entry.clock, made.clocks[entry.clock])
-    unit = parse_unit(entry.unit)
+    if len(ticked) != len(raw):
+        raise InputError(f"{where}: {len(raw)} rows, its clock {entry.clock!r} has {len(ticked)}")
+    ticks, unit = tick_of(entry.clock, made.clocks[entry.clock]), parse_unit(entry.unit)
     assert ticks and unit
     timed = np.isfinite(ticked)
     time = in_si(ticked[timed], ticks)
-    values = in_si(entry.scale * column.values[timed], unit) + entry.offset
+    values = in_si(entry.scale * raw[timed], unit) + entry.offset
     kept = np.isfinite(values)
     if not kept.any():
         raise InputError(f"{where}: no values, expected a column of numbers")
-    steps = np.diff(time[kept])
+    steps, said = np.diff(time[kept]), ""
     if np.any(steps < 0):
         row = int(np.argmax(steps < 0)) + 1
         back = time[kept][row - 1 : row + 1]
@@ -292,7 +292,6 @@ def _samples(
             f"{where}: its time goes back from {back[0]:.9g} to {back[1]:.9g} s in row "
             f"{row + 1} of the numbers, expected one run"
         )
-    said = ""
     if np.all(steps > 0.0):
         time = time[kept]
     elif kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0):
@@ -302,7 +301,7 @@ def _samples(
     else:
         time, said = spread_stamps(time[kept], where)
     values = values[kept]
-    if entry.signal.endswith("voltage") and entry.form in ("duty", "mean"):
+    if entry.kind == "voltage" and entry.form in ("duty", "mean"):
         # The direct voltage of the same heat: heat goes with duty * supply^2.
         if not isinstance(made.supply_voltage, float):
             raise InputError(f"{where}: a {entry.form} needs supply_voltage in the map")
@@ -344,26 +343,10 @@ def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
     return np.asarray(time + within * np.repeat(gaps / count, count)), said
 
 
-def _effective_current(
-    table: TableFile, made: ImportMap, entry: Entry, time: FloatArray, values: FloatArray,
-    raw: Sequence[tuple[FloatArray, FloatArray, str]],
-) -> FloatArray:
-    """The current of the same heat, of the mean or the peak of a switched one: with the share of
-    time that its voltage is on."""
-    channel = entry.signal.rpartition(".")[0]
-    for other, (stamps, volts, _) in zip(made.entries, raw, strict=True):
-        if other.signal == f"{channel}.voltage" and other.form in ("duty", "mean"):
-            root = np.interp(time, stamps, volts) / float(made.supply_voltage or 1.0)  # of the duty
-            share = np.where(root > 0.02, root, 1.0)  # below it nothing flows
-            return values / share if entry.form == "mean" else values * np.clip(root, 0.0, 1.0)
-    raise InputError(
-        f"{table.path}: {entry.column}: the {entry.form} of a switched current needs the duty of "
-        f"{channel} in the table"
-    )
-
-
 def account_of(
-    table: TableFile, made: ImportMap, remarks: Mapping[str, str] | None = None,
+    table: TableFile,
+    made: ImportMap,
+    remarks: Mapping[str, str] | None = None,
     asked: Sequence[str] = (),
 ) -> Account:
     """What became of the rows and columns of a table."""
@@ -373,29 +356,25 @@ def account_of(
     for entry in made.entries:
         if (column := columns.get(entry.column)) is not None:
             used[column.name] = entry.signal
-            clock = columns.get(entry.clock)
-            finite = np.isfinite(column.values)
-            kept[column.table] |= finite if clock is None else finite & np.isfinite(clock.values)
+            clock = columns.get(entry.clock, column)
+            kept[column.table] |= np.isfinite(column.values) & np.isfinite(clock.values)
     reasons = remarks or {}
-    rest = {c.name: reasons.get(c.name, "not in the map") for c in table.columns
-            if c.name not in used}  # fmt: skip
+    rest = {name: reasons.get(name, "not in the map") for name in columns if name not in used}
     outside = (*table.outside, *(note for t in table.tables for note in t.unused_lines))
-    return Account(
-        sum(t.rows for t in table.tables), int(sum(k.sum() for k in kept)), used,
-        {**rest, **table.ignored}, tuple(asked), outside,
-    )  # fmt: skip
+    rows, rows_used = sum(t.rows for t in table.tables), int(sum(k.sum() for k in kept))
+    return Account(rows, rows_used, used, rest | table.ignored, tuple(asked), outside)
 
 
-def _sentence(entry: Entry, made: ImportMap, reference: str) -> str:
+def _sentence(entry: Entry, made: ImportMap) -> str:
     how = f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
-    if entry.form == "duty":
-        how += f" as sqrt(duty) x {made.supply_voltage:g} V, the direct voltage of the same heat"
-    if entry.signal.endswith("current") and entry.form != "rms":
+    if entry.kind == "current" and entry.form != "rms":
         how += f", the {entry.form} of a switched current, as that of the same heat"
-    elif entry.form == "mean":
-        how += f" as sqrt(mean x {made.supply_voltage:g} V), the direct voltage of the same heat"
+    elif entry.form in ("duty", "mean"):
+        root = "sqrt(duty)" if entry.form == "duty" else "sqrt(mean"
+        end = "" if entry.form == "duty" else ")"
+        how += f" as {root} x {made.supply_voltage:g} V{end}, the direct voltage of the same heat"
     if entry.sign == -1:
         how += ", counted the other way"
     if (entry.scale, entry.offset) != (1.0, 0.0):
         how += f", x {entry.scale:g} + {entry.offset:g}"
-    return how + reference
+    return how

@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,19 +12,31 @@ from numpy.typing import NDArray
 
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding
+from sma_bench.findings import Finding, Severity
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
 from sma_bench.records.tables import Account, read_lines, read_table_file
-from sma_bench.records.units import in_si, number_with_unit, parse_unit
+from sma_bench.records.units import number_with_unit, parse_unit
 
 SMALLEST_RANGE = 5.0  # K
 SMALLEST_SPIKE = 3.0  # K
 TURN = 0.15
 COMPLETE = 0.6
+FEWEST_ROWS = 20
+# NiTi single crystals recover some 10 %: a larger span of strain is written in percent, and one
+# of less than a hundredth of that is no transformation.
+LARGEST_SPAN = 0.12
+# Cold-drawn NiTi wire breaks at 1.4 to 1.9 GPa.
+STRONGEST = 1.5e9
+CONSTANCY = 0.05
 _WINDOW = 11
 _FEWEST_SAMPLES = 8
 _NOISY, _SMOOTH = 0.5, 0.2  # K
+# Coldest point of a cycle in degC: above, the values are K or degF as well.
+_COLDEST = (-150.0, 60.0)
+_UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
+_NOTES = ("source", "unit", "readme")
+_UNTITLED = ("temperature", "strain", "stress")
 
 
 @dataclass(frozen=True)
@@ -181,19 +193,6 @@ def _paired(branches: list[Branch]) -> tuple[Cycle, ...]:
     return tuple(cycles)
 
 
-# --- reading the tables
-
-FEWEST_ROWS = 20
-# NiTi single crystals recover some 10 %: a larger span of strain is written in percent.
-LARGEST_SPAN = 0.12
-# Cold-drawn NiTi wire breaks at 1.4 to 1.9 GPa.
-STRONGEST = 1.5e9
-CONSTANCY = 0.05
-RELATIVE: Literal["relative"] = "relative"
-_UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
-_NOTES = ("source", "unit", "readme")
-
-
 @dataclass(frozen=True, repr=False)
 class IsobaricRecord(Drawn):
     """One test at one stress.
@@ -225,22 +224,18 @@ class IsobaricRecord(Drawn):
 def is_isobaric(sheet: Sheet) -> bool:
     """Whether a table has a temperature that changes, strain or extension, and a load; or without
     titles a first column that goes up and down, a second one, and a third that is held."""
-    columns = sheet.table.columns
-    if not any(column.title for column in columns):
-        if len(columns) != 3 and not (len(columns) == 2 and _load_beside(sheet) is not None):
-            return False
-        first, last = columns[0].values, columns[-1].values
-        turns = bool(np.any(np.diff(first) > 0.0) and np.any(np.diff(first) < 0.0))
-        level = abs(float(np.median(last)))
-        held = len(columns) == 2 or np.mean(np.abs(np.abs(last) - level) < 0.2 * level) > 0.5
-        return turns and bool(held) and float(np.ptp(first)) > SMALLEST_RANGE
-    temperature = sheet.find("temperature")
-    return (
-        temperature is not None and not sheet.is_driven()
-        and sheet.find("strain", "length") is not None
-        and (sheet.find("stress") is not None or _load_beside(sheet) is not None)
-        and float(np.ptp(temperature[0].values)) > SMALLEST_RANGE
-    )
+    columns, load = sheet.table.columns, _load_beside(sheet)
+    if sheet.titles:
+        temperature = sheet.find("temperature")
+        has_all = sheet.has("isobaric", ["stress"] if load else [])
+        varies = temperature is not None and np.ptp(temperature[0].values) > SMALLEST_RANGE
+        return bool(has_all and varies and not sheet.is_driven())
+    if len(columns) != (3 if load is None else 2):
+        return False
+    first, last = columns[0].values, np.abs(columns[-1].values)
+    steps, level = np.diff(first), float(np.median(last))
+    held = load is not None or np.mean(np.abs(last - level) < 0.2 * level) > 0.5
+    return bool(held and steps.max() > 0.0 > steps.min() and np.ptp(first) > SMALLEST_RANGE)
 
 
 def _load_beside(sheet: Sheet) -> float | None:
@@ -252,15 +247,14 @@ def _load_beside(sheet: Sheet) -> float | None:
 def read_isobaric(
     path: Path | str, *, strain_unit: str | None = None, gauge_length: float | None = None
 ) -> IsobaricRecord:
-    """Read an isobaric test.
-
-    Two forms are known: three columns without header (temperature in degC, strain, stress in MPa;
-    units from a note such as "Data Source.txt" beside the file), and a table with titles and units
-    (extension or strain, temperature, stress, or the stress stated above it).
+    """The isobaric test in a file: a table with titles and units (extension or strain,
+    temperature, stress, or the stress stated above it), or three columns without titles
+    (temperature in degC, strain, stress in MPa; or in the units of a note beside the file, such as
+    "Data Source.txt").
 
     Args:
         path: the file.
-        strain_unit: "mm/mm" or "%"; None: from the note beside the file, else inferred.
+        strain_unit: "mm/mm" or "%"; None: from the note beside the file, else by its span.
         gauge_length: of the extension, m; None: strain is the extension over its own range.
 
     Raises:
@@ -275,155 +269,119 @@ def read_isobaric(
 
 def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
     """The test in a table; raises as `read_isobaric`."""
-    path, table = sheet.path, sheet.table
+    path, table, load = sheet.path, sheet.table, _load_beside(sheet)
     findings: list[Finding] = []
+
+    def remark(severity: Severity, subject: str, text: str, **numbers: float) -> None:
+        findings.append(Finding(severity, subject, f"{path}: {text}", numbers))
+
     if len(table.lines) < FEWEST_ROWS:
-        raise InputError(
-            f"{path}: {len(table.lines)} rows of numbers, expected {FEWEST_ROWS} or more"
-        )
-    gauge = sheet.noted("gauge_length")
-    is_relative = False
-    if any(column.title for column in table.columns):
-        found = {"temperature": sheet.find("temperature"), "stress": sheet.find("stress"),
-                 "strain or extension": sheet.find("strain", "length")}  # fmt: skip
-        level = _load_beside(sheet)
-        for what, column in found.items():
-            if column is None and not (what == "stress" and level is not None):
-                titles = ", ".join(c.name for c in table.columns)
-                raise InputError(f"{path}: no column of {what} with a known unit among {titles}")
-        temperature, strain = (sheet.values(found[k], findings)  # type: ignore[arg-type]
-                               for k in ("temperature", "strain or extension"))  # fmt: skip
-        stress = (sheet.values(found["stress"], findings) if found["stress"]
-                  else np.full(len(strain), level))  # fmt: skip
-        used = {pair[0].name: role for role, pair in found.items() if pair}
-        name = found["strain or extension"][0].name  # type: ignore[index]
-        if np.ptp(strain) == 0.0:
-            raise InputError(f"{path}: {name} is constant throughout")
-        if found["strain or extension"][1] == "length":  # type: ignore[index]
-            is_relative = gauge is None
-            if gauge is None:
-                text = (
-                    f"{path}: {name} without a gauge length; strain is given relative to the "
-                    f"largest change, {np.ptp(strain) * 1e3:.4g} mm"
-                )
-                numbers = {"extension_range": float(np.ptp(strain))}
-                findings.append(Finding("warning", "strain", text, numbers))
-            else:
-                strain = strain / gauge
-    else:
-        temperature, strain, stress = _untitled(sheet, strain_unit, findings)
-        used = dict(zip((c.name for c in table.columns), ("temperature", "strain", "stress"),
-                        strict=False))  # fmt: skip
+        raise InputError(f"{path}: {len(table.lines)} rows of numbers, expected {FEWEST_ROWS}")
+    if not sheet.titles:
+        sheet = _named(sheet, strain_unit, load is not None)
+    columns = sheet.columns("isobaric", ["stress"] if load is not None else [])
+    pulled = columns["strain or extension"]
+    if np.ptp(pulled[0].values) == 0.0:
+        raise InputError(f"{path}: {pulled[0].name} is {pulled[0].values[0]:g} throughout")
+    if pulled[1] == "strain" and not pulled[0].unit:
+        # As mm/mm it is 0.12 to 12 %, or as % it is: no transformation gives more or less.
+        span = float(np.ptp(pulled[0].values))
+        unit = "%" if span > LARGEST_SPAN else "mm/mm"
+        if 0.01 * LARGEST_SPAN < span < 100.0 * LARGEST_SPAN:
+            text = f"no unit of strain is given; its span of {span:.4g} is taken as {unit}"
+            remark("warning", "strain unit", text, span=span)
+            columns["strain or extension"] = pulled = replace(pulled[0], unit=unit), "strain"
+    temperature, strain = sheet.values(columns["temperature"]), sheet.values(pulled)
+    stress = np.full(len(strain), load)
+    if "stress" in columns:
+        stress = sheet.values(columns["stress"])
+    span, gauge = float(np.ptp(strain)), sheet.noted("gauge_length")
+    is_relative = pulled[1] == "length" and gauge is None
+    if is_relative:
+        text = f"{pulled[0].name} without a gauge length; strain is given relative to the largest "
+        text += f"change, {span * 1e3:.4g} mm"
+        remark("warning", "strain", text, extension_range=span)
+    elif pulled[1] == "length" and gauge is not None:
+        strain = strain / gauge
+    elif span > LARGEST_SPAN:
+        text = f"strain spans {span:.3g} in the unit {pulled[0].unit!r}, more than the "
+        text += f"{LARGEST_SPAN:g} that NiTi recovers; is the unit percent?"
+        remark("warning", "strain unit", text, span=span)
     wrong = np.flatnonzero((temperature <= 0.0) | (temperature > 1500.0))
     if len(wrong):
-        raise InputError(
-            f"{path}: line {table.lines[wrong[0]]}: temperature {temperature[wrong[0]]:.6g} K, "
-            "expected 0 to 1500 K"
+        found = f"line {table.lines[wrong[0]]}: temperature {temperature[wrong[0]]:.6g} K"
+        raise InputError(f"{path}: {found}, expected 0 to 1500 K")
+
+    # Rows between loading and unloading, where stress is at its level.
+    level = float(np.median(stress))
+    away = np.abs(stress - level) > max(CONSTANCY * abs(level), 1e6)
+    inside = np.flatnonzero(~away)
+    held = slice(int(inside[0]), int(inside[-1]) + 1)
+    if left_out := len(stress) - (held.stop - held.start):
+        remark(
+            "info",
+            "stress",
+            f"{left_out} rows of loading or unloading are left out",
+            rows=float(left_out),
         )
-    held = _held(path, stress, findings)
+    share = float(np.mean(away[held]))
+    if share > 0.02:
+        text = (
+            f"stress is more than {CONSTANCY:.0%} away from {level / 1e6:.4g} MPa in {share:.0%} "
+        )
+        remark("warning", "stress", f"{text}of the rows, so the test is not isobaric", share=share)
     temperature, strain, stress = temperature[held], strain[held], stress[held]
     if is_relative:
         strain = (strain - strain.min()) / np.ptp(strain)
     good, spikes = without_spikes(temperature)
     if len(spikes):
-        text = (
-            f"{path}: {len(spikes)} of {len(temperature)} temperatures jump away by up to "
-            f"{np.abs(spikes).max():.1f} K and back; left out"
-        )
-        findings.append(Finding("info", "temperature", text, {"count": float(len(spikes))}))
+        text = f"{len(spikes)} of {len(temperature)} temperatures jump away by up to "
+        text += f"{np.abs(spikes).max():.1f} K and back; left out"
+        remark("info", "temperature", text, count=float(len(spikes)))
     settled = without_noise(temperature[good], str(path), findings)
     cycles, remarks = find_cycles(settled, strain[good], stress[good], str(path))
     findings.extend(remarks)
     median = float(np.median(stress))
     if median > STRONGEST:
-        text = (
-            f"{path}: stress {median / 1e6:.0f} MPa is more than any NiTi endures "
-            f"({STRONGEST / 1e6:.0f} MPa): the area or the unit of force behind it is wrong"
-        )
-        findings.append(Finding("warning", "stress", text, {"stress": median}))
-    several = len(sheet.file.tables) > 1
+        text = f"stress {median / 1e6:.0f} MPa is more than any NiTi endures "
+        text += f"({STRONGEST / 1e6:.0f} MPa): the area or the unit of force behind it is wrong"
+        remark("warning", "stress", text, stress=median)
+    name = f"{path.parent.name}/{path.stem}"
+    name += f"/{table.name}" if len(sheet.file.tables) > 1 else ""
+    account = sheet.account({c.name: role for c, role in columns.values()}, int(np.sum(good)))
     return IsobaricRecord(
-        path, f"{path.parent.name}/{path.stem}" + f"/{table.name}" * several, median,
-        RELATIVE if is_relative else "1", cycles, tuple(findings),
-        sheet.account(used, int(np.sum(good))),
+        path, name, median, "relative" if is_relative else "1", cycles, tuple(findings), account
     )
 
 
-def _untitled(
-    sheet: Sheet, strain_unit: str | None, findings: list[Finding]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _named(sheet: Sheet, strain_unit: str | None, is_loaded: bool) -> Sheet:
+    """A table without titles under those of the known form, with the units of a note beside it."""
     path, columns = sheet.path, sheet.table.columns
-    stated = _load_beside(sheet)
-    if len(columns) != 3 and not (len(columns) == 2 and stated is not None):
+    if len(columns) != 3 - is_loaded:
         raise InputError(
             f"{path}: {len(columns)} columns without titles, expected 3: temperature, strain, "
             "stress; of two the stress can be stated: stress=200 MPa, or a first line "
             "'Stress: 200 MPa'"
         )
-    # Units in a note beside the file: lines such as "Strain = %".
-    noted: dict[str, str] = {}
-    for note in sorted(path.parent.glob("*.txt")) + sorted(path.parent.glob("*.md")):
+    noted: dict[str, str] = {}  # lines such as "Strain = %"
+    for note in (*sorted(path.parent.glob("*.txt")), *sorted(path.parent.glob("*.md"))):
         named = any(word in note.stem.lower() for word in _NOTES)
-        if note == path or not named or note.stat().st_size > 100_000:
-            continue
-        for line in read_lines(note):
-            if match := _UNIT_LINE.match(line):
-                noted.setdefault(match[1].lower(), match[2].strip())
-    values = []
-    for column in columns:
-        missing = np.flatnonzero(~np.isfinite(column.values))
-        if len(missing):
-            line = sheet.table.lines[missing[0]]
-            raise InputError(f"{path}: line {line} is without a finite number in {column.name}")
-        values.append(column.values)
-    if np.ptp(values[1]) == 0.0:
-        raise InputError(f"{path}: strain is {values[1][0]:g} throughout")
-    span = float(np.ptp(values[1]))
-    unit = strain_unit or noted.get("strain")
-    if unit is None:
-        unit = "%" if span > LARGEST_SPAN else "mm/mm"
-        text = (
-            f"{path}: no unit of strain is given; its span of {span:.4g} is taken as {unit}: as "
-            f"mm/mm it {'is more' if unit == '%' else 'is no more'} than NiTi recovers"
-        )
-        findings.append(Finding("warning", "strain unit", text, {"span": span}))
-    si = []
-    units = (
-        ("temperature", "temperature", noted.get("temperature", "degC")),
-        ("strain", "ratio", unit), ("stress", "stress", noted.get("stress", "MPa")),
+        if note != path and named and note.stat().st_size < 100_000:
+            found = [match for line in read_lines(note) if (match := _UNIT_LINE.match(line))]
+            noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
+    coldest = float(np.nanquantile(columns[0].values, 0.05))
+    if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
+        said = f"the temperature begins at {coldest:.6g}, in degC or K? write titles with units"
+        raise InputError(f"{path}: {said} above the columns")
+    units = {"temperature": "degC", "stress": "MPa", "strain": ""} | noted
+    units["strain"] = strain_unit or units["strain"]
+    for what, quantity in zip(_UNTITLED, ("temperature", "ratio", "stress"), strict=True):
+        known = parse_unit(units[what])
+        if units[what] and (known is None or known.quantity != quantity):
+            said = f"unit of {what} is {units[what]!r}, expected one of {quantity}"
+            raise InputError(f"{path}: {said}")
+    titled = tuple(
+        replace(column, name=what, title=what, unit=units[what])
+        for column, what in zip(columns, _UNTITLED, strict=False)
     )
-    for (what, quantity, text), column_values in zip(units, values, strict=False):
-        known = parse_unit(text)
-        if known is None or known.quantity != quantity:
-            raise InputError(f"{path}: unit of {what} is {text!r}, expected one of {quantity}")
-        si.append(in_si(column_values, known))
-    if len(si) == 2:
-        si.append(np.full(len(si[0]), stated))
-    span = float(np.ptp(si[1]))
-    if span > LARGEST_SPAN:
-        text = (
-            f"{path}: strain spans {span:.3g} in the unit {unit!r}, more than the {LARGEST_SPAN:g} "
-            "that NiTi recovers; is the unit percent?"
-        )
-        findings.append(Finding("warning", "strain unit", text, {"span": span}))
-    return si[0], si[1], si[2]
-
-
-def _held(path: Path, stress: FloatArray, findings: list[Finding]) -> slice:
-    """Rows between loading and unloading, where stress is at its level."""
-    level = float(np.median(stress))
-    away = np.abs(stress - level) > max(CONSTANCY * abs(level), 1e6)
-    inside = np.flatnonzero(~away)
-    held = slice(int(inside[0]), int(inside[-1]) + 1)
-    left_out = len(stress) - (held.stop - held.start)
-    if left_out:
-        text = f"{path}: {left_out} rows of loading or unloading are left out"
-        findings.append(Finding("info", "stress", text, {"rows": float(left_out)}))
-    share = float(np.mean(away[held]))
-    if share > 0.02:
-        text = (
-            f"{path}: stress is more than {CONSTANCY:.0%} away from {level / 1e6:.4g} MPa in "
-            f"{share:.0%} of the rows, so the test is not isobaric"
-        )
-        findings.append(Finding("warning", "stress", text, {"share": share}))
-    return held
+    return replace(sheet, table=replace(sheet.table, columns=titled))

@@ -52,11 +52,7 @@ class TensileRecord(Drawn):
 
 def is_tensile(sheet: Sheet) -> bool:
     """Whether a table has strain or extension, and stress or force, and no drive."""
-    return (
-        not sheet.is_driven()
-        and sheet.find("strain", "length") is not None
-        and sheet.find("stress", "force") is not None
-    )
+    return sheet.has("tensile") and not sheet.is_driven()
 
 
 def read_tensile(
@@ -90,24 +86,19 @@ def read_tensile(
 def tensile_of(sheet: Sheet) -> TensileRecord:
     """The test in a table; raises as `read_tensile`."""
     path, table = sheet.path, sheet.table
-    titles = ", ".join(column.name for column in table.columns)
-    if not any(column.title for column in table.columns):
+    if not sheet.titles:
         raise InputError(f"{path}: no titles above the numbers, expected Strain (%),Stress (MPa)")
     if len(table.lines) < FEWEST_ROWS:
         raise InputError(f"{path}: {len(table.lines)} rows, expected {FEWEST_ROWS} or more")
     findings: list[Finding] = []
-    pulled, loaded = sheet.find("strain", "length"), sheet.find("stress", "force")
-    for what, found in (("strain or extension", pulled), ("stress or force", loaded)):
-        if found is None:
-            raise InputError(f"{path}: no column of {what} with a known unit among {titles}")
-    assert pulled and loaded
-    strain, stress = sheet.values(pulled, findings), sheet.values(loaded, findings)
-    used = {pulled[0].name: "strain" if pulled[1] == "strain" else "extension",
-            loaded[0].name: loaded[1]}  # fmt: skip
+    columns = sheet.columns("tensile")
+    pulled, loaded = columns["strain or extension"], columns["stress or force"]
+    strain, stress = sheet.values(pulled), sheet.values(loaded)
 
     # Extension counts from the first row, over the gauge length; force over the section.
     length, section = sheet.noted("gauge_length"), sheet.noted("area")
-    if section is None and (diameter := sheet.noted("diameter")) is not None:
+    diameter = sheet.noted("diameter")
+    if section is None and diameter is not None:
         section = 0.25 * np.pi * diameter**2
     is_extension, is_force = pulled[1] == "length", loaded[1] == "force"
     if is_extension:
@@ -120,35 +111,33 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
             strain, is_extension = strain / length, False
     if is_force and section is not None:
         stress, is_force = stress / section, False
-    for values, what, largest in ((strain, "strain", LARGEST_STRAIN),
-                                  (stress, "stress", LARGEST_STRESS)):  # fmt: skip
+    for values, what, largest in (
+        (strain, "strain", LARGEST_STRAIN),
+        (stress, "stress", LARGEST_STRESS),
+    ):
         worst = int(np.argmax(np.abs(values)))
         if abs(values[worst]) > largest:
-            raise InputError(
-                f"{path}: line {table.lines[worst]}: {what} {values[worst]:.4g} in SI units, "
-                f"expected no more than {largest:g}; is the unit in the title right?"
-            )
+            said = f"line {table.lines[worst]}: {what} {values[worst]:.4g} in SI units"
+            hint = "is the unit in the title right?"
+            raise InputError(f"{path}: {said}, expected no more than {largest:g}; {hint}")
         if np.ptp(values) == 0.0:
             raise InputError(f"{path}: {what} is constant throughout")
 
-    temperature = sheet.given.get("temperature")
-    measured = sheet.find("temperature")
-    if temperature is None and measured is not None:
-        kelvin = sheet.values(measured, findings)
-        used[measured[0].name] = "temperature"
+    temperature, measured = sheet.noted("temperature"), sheet.find("temperature")
+    if "temperature" not in sheet.given and measured is not None:
+        kelvin = sheet.values(measured)
+        columns["temperature"] = measured
         if np.ptp(kelvin) > STEADY:
-            text = (
-                f"{path}: temperature changes by {np.ptp(kelvin):.1f} K during the test, "
-                f"expected no more than {STEADY:g} K"
-            )
+            text = f"{path}: temperature changes by {np.ptp(kelvin):.1f} K during the test, "
+            text += f"expected no more than {STEADY:g} K"
             findings.append(Finding("warning", "temperature", text))
         temperature = float(np.median(kelvin))
-    elif temperature is None:
-        temperature = sheet.noted("temperature")
-    lines = [" ".join(cells) for cells in table.above]
-    said = next((m["phase"].lower() for m in map(_PHASE.search, lines) if m), None)
-    phase = next((phase for phase in PHASES if phase == said), None)
+    noted = [m["phase"].lower() for c in table.above if (m := _PHASE.search(" ".join(c)))]
+    phase = next((phase for phase in PHASES if phase in noted[:1]), None)
+    names = {"length": "extension"}
+    account = sheet.account(
+        {c.name: names.get(role, role) for c, role in columns.values()}, len(strain)
+    )
     return TensileRecord(
-        path, strain, stress, temperature, tuple(findings), phase, is_extension, is_force,
-        sheet.account(used, len(strain)),
+        path, strain, stress, temperature, tuple(findings), phase, is_extension, is_force, account
     )
