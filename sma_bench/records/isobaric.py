@@ -371,7 +371,7 @@ def _named(sheet: Sheet, strain_unit: str | None, is_loaded: bool) -> Sheet:
             noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
     coldest = float(np.nanquantile(columns[0].values, 0.05))
     if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
-        said = f"the temperature begins at {coldest:.6g}, in degC or K? write titles with units"
+        said = f"the temperature begins at {coldest:.4g}: in degC or K? write titles with units"
         raise InputError(f"{path}: {said} above the columns")
     units = {"temperature": "degC", "stress": "MPa", "strain": ""} | noted
     units["strain"] = strain_unit or units["strain"]

@@ -55,11 +55,18 @@ def test_three_columns_are_read_with_any_separator(write, separator):
     assert cycle.branches[0].strain[0] == pytest.approx(0.03, rel=1e-6)
 
 
-def test_units_come_from_titles_a_note_beside_the_file_or_a_stated_guess(write, tmp_path):
+def test_units_come_from_titles_or_a_note_or_of_strain_its_span_else_are_asked(write, tmp_path):
     guessed = read_isobaric(write(in_percent(loop())))
     assert "taken as %" in guessed.findings[0].text
-    bare = open_record(write(loop(), "Temperature,Strain,Stress"))
-    assert any("taken as MPa" in f.text for f in bare.findings) and bare.stress == 100e6
+    bare = open_record(write(loop(), "Temperature (C),Strain,Stress (MPa)"))
+    assert "taken as mm/mm" in bare.findings[0].text and bare.stress == 100e6
+    for titles, name in (("Temperature,Strain,Stress (MPa)", "Temperature"),
+                         ("Temperature (C),Strain,Stress", "Stress")):  # fmt: skip
+        with pytest.raises(InputError, match=f"{name} has no unit, values are .*: which one"):
+            open_record(write(loop(), titles))
+    kelvin = loop() + (273.15, 0.0, 0.0)
+    with pytest.raises(InputError, match="begins at 29.*: in degC or K"):
+        read_isobaric(write(kelvin))
     # Of an extension without a gauge length only the shape is known.
     head = '"Sample"\n\n"Temp (C)","Extension (mm)","Stress (MPa)"'
     elongated = write(loop() * (1.0, 50.0, 1.0), head)
@@ -78,8 +85,8 @@ def test_units_come_from_titles_a_note_beside_the_file_or_a_stated_guess(write, 
     with pytest.raises(InputError, match="unit of strain is 'furlong'"):
         read_isobaric(write(loop()), strain_unit="furlong")
     pulled = np.linspace(0, 6, 60)
-    pull = read_tensile(write(np.column_stack([pulled, 80 * pulled]), "Strain,Stress"))
-    assert (pull.strain.max(), pull.stress.max()) == pytest.approx((0.06, 480e6))
+    with pytest.raises(InputError, match="Strain has no unit, values are 0 to 6: which one"):
+        read_tensile(write(np.column_stack([pulled, 80 * pulled]), "Strain,Stress (MPa)"))
 
 
 def test_an_instruments_excel_and_matlab_files_are_read_as_its_text(write, tmp_path):
