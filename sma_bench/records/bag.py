@@ -15,6 +15,7 @@ from sma_bench.records.storage import RawTopics
 
 # Further apart than this, receive times and stamps come from two clocks, not from a slow network.
 _TWO_CLOCKS_NS = 10**9
+_FEW_STAMPS = 15  # messages in a row, of which fewer than half wrong stamps move no other topic
 # A record may pause for a day, and for ten times as long as it was recorded. Beyond, a clock was
 # set while it was: nothing says what lies between, and an even grid over it would fill any memory.
 _PAUSE_NS, _PAUSES_OF_RECORDED = 86_400 * 10**9, 10
@@ -73,7 +74,7 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
 
     # All stamps on one clock, in order.
     decoded = _with_messages(decoded, findings)
-    findings += _align_headerless(decoded)
+    findings += _align_receive_times(decoded)
     for samples in decoded.values():
         sort_by_stamp(samples)
     findings += _leave_out_other_times(decoded)
@@ -122,31 +123,34 @@ def _with_messages(decoded: dict[str, Samples], findings: list[Finding]) -> dict
     return {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
 
 
-def _align_headerless(decoded: dict[str, Samples]) -> list[Finding]:
+def _align_receive_times(decoded: dict[str, Samples]) -> list[Finding]:
     """Bring receive times onto the stamps' clock where the two differ by more than a delay.
 
     A bench on simulated time, recorded with the wall's clock, has nothing else in common.
     """
-    stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
+    stamped = [s for s in decoded.values() if s.is_stamped]
     if not stamped:
         return []
     reference = max(stamped, key=lambda samples: len(samples.stamp))
     offset = float(np.median(reference.received - reference.stamp))
     if abs(offset) < _TWO_CLOCKS_NS:
         return []
+    from scipy.ndimage import median_filter
+
     order = np.argsort(reference.received, kind="stable")
     received = reference.received[order]
     zero = int(received[0])
     ahead = (received - reference.stamp[order]).astype(np.float64)
+    ahead = median_filter(ahead, _FEW_STAMPS, mode="mirror")
     findings = []
     for samples in decoded.values():
-        if samples.type in contract.HEADERLESS:
+        if not samples.is_stamped:
             at = (samples.received - zero).astype(np.float64)
             correction = np.interp(at, (received - zero).astype(np.float64), ahead)
             samples.stamp = samples.received - correction.astype(np.int64)
             text = (
                 f"receive times are {offset * 1e-9:.3f} s off the stamps of {reference.topic}; "
-                "this header-less topic was moved onto their clock"
+                "this topic without stamps was moved onto their clock"
             )
             findings.append(Finding("warning", samples.topic, text, {"offset": offset * 1e-9}))
     return findings

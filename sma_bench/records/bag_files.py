@@ -2,6 +2,7 @@
 
 import os
 import re
+from itertools import pairwise
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -97,6 +98,7 @@ def find_bag_files(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str,
             promised[topic] = promised.get(topic, 0) + _of(int, entry["message_count"])
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
         topics.lost(METADATA, "cannot be understood; the storage files found beside it are read")
+        _tell_gaps(present, topics)
         return present, {}
     _tell_provenance(information.get("custom_data"), topics)
     listed = [name for name in dict.fromkeys(listed) if len(os.fsencode(name)) <= _LONGEST_NAME]
@@ -124,9 +126,19 @@ def _without_metadata(path: Path, present: list[Path], topics: RawTopics) -> lis
             f"{path}: no {METADATA} in the folder, and files of several bags: {some}; expected one "
             "bag, or the path of a file"
         )
+    _tell_gaps(present, topics)
     text = f"is missing; {len(present)} storage file{'s' * (len(present) > 1)} beside it read"
     topics.findings.append(Finding("info", METADATA, text))
     return present
+
+
+def _tell_gaps(present: list[Path], topics: RawTopics) -> None:
+    """A loss where the files of a folder, in order of their numbers, lack some between others."""
+    numbered = [(re.search(r"_(\d+)\.", file.name), file.name) for file in present]
+    known = [(int(number[1]), name) for number, name in numbered if number]
+    for (before, _), (after, name) in pairwise(known):
+        if after > before + 1:
+            topics.lost(name, f"files {before + 1} to {after - 1} in front of it are missing")
 
 
 def _tell_provenance(custom: Any, topics: RawTopics) -> None:

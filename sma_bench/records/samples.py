@@ -40,6 +40,7 @@ class Samples:
         received: (n,) ns.
         columns: field -> (n,) or (n, k), NaN where not measured.
         texts: (n,) strings of a String topic.
+        is_stamped: whether the stamps are not the receive times.
     """
 
     topic: str
@@ -49,6 +50,7 @@ class Samples:
     columns: dict[str, FloatArray] = field(default_factory=dict)
     texts: NDArray[np.object_] | None = None
     findings: list[Finding] = field(default_factory=list)
+    is_stamped: bool = True
 
     def keep(self, rows: NDArray[np.bool_] | IntArray) -> None:
         """Reduce to, or reorder by, the given rows."""
@@ -76,6 +78,7 @@ def read_samples(raw: RawTopic, budget: Budget) -> Samples:
         begin += length
     received = np.array(raw.times, dtype=np.int64)
     samples = Samples(raw.name, raw.type, received.copy(), received)
+    samples.is_stamped = raw.type not in contract.HEADERLESS
     lengths = np.array(raw.lengths, dtype=np.int64)
     batches = list(cdr.decode(raw.data, lengths, raw.type, budget))
     _take_columns(samples, batches, budget)
@@ -151,7 +154,7 @@ def _mend_stamps(samples: Samples) -> None:
     if count == len(unset):
         text = "header.stamp is never set; the receive time is used in its place"
         samples.remark("warning", text, messages=count)
-        samples.stamp = samples.received.copy()
+        samples.stamp, samples.is_stamped = samples.received.copy(), False
     elif np.median(samples.stamp) > _DAY_NS:
         _drop(samples, ~unset, "have no header.stamp and are left out")
 

@@ -88,6 +88,7 @@ _DATA_END_SIZE = 4
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _CHECK_TIME_EVERY = 1 << 17  # bytes
+_BLOCK = 512  # bytes, the smallest that disks have
 _NO_SCHEMA = 0
 
 
@@ -142,14 +143,17 @@ class _McapWalk:
         self.position = self.orphans = 0
         self.ended = False
 
-    def take(self, buffer: bytes | mmap.mmap, position: int, inside_chunk: bool) -> None:
-        """Take the records from `position` to the end, of the file or of a chunk.
+    def take(
+        self, buffer: bytes | mmap.mmap, position: int, inside_chunk: bool, at: int = 0
+    ) -> None:
+        """Take the records from `position` to the end, of the file or of a chunk, that begins at
+        byte `at` of the file.
 
         Raises:
             _Damage, struct.error: what comes next is no record.
         """
         end, unpack, channels = len(buffer), _RECORD.unpack_from, self.channels
-        checked = position
+        checked, topic = position, None
         while position < end and not self.ended:
             if position - checked > _CHECK_TIME_EVERY:
                 self.topics.budget.check()
@@ -160,6 +164,8 @@ class _McapWalk:
             start = position + _RECORD.size
             stop = start + length
             if not 0 < opcode < 0x80:
+                if topic is not None and topic.wanted:
+                    _forget_half_zeroed(topic, buffer, position, at)
                 raise _Damage("the bytes make no sense")
             if stop > end and opcode == _CHUNK and not inside_chunk:
                 self.take(_begun_chunk(buffer[start:], self.topics.budget), 0, True)
@@ -180,7 +186,8 @@ class _McapWalk:
             elif opcode == _CHUNK:
                 if inside_chunk:  # thousands in each other would end the stack
                     raise _Damage("a chunk inside a chunk")
-                self.take(_plain_chunk(buffer[start:stop], self.topics.budget), 0, True)
+                data = _plain_chunk(buffer[start:stop], self.topics.budget)
+                self.take(data, 0, True, stop - len(data))
             elif opcode == _SCHEMA:
                 content = buffer[start:stop]
                 (number,) = struct.unpack_from("<H", content)
@@ -205,6 +212,18 @@ class _McapWalk:
             kind = self.schemas[schema]  # none is no damage, but no ROS topic either
             topic = self.topics.topic(name, kind, encoding) if kind else RawTopic(name, "", False)
             self.channels[number] = topic
+
+
+def _forget_half_zeroed(
+    topic: RawTopic, buffer: bytes | mmap.mmap, position: int, at: int
+) -> None:
+    """Take back a message in front of zeros that may have begun inside it: a computer that lost its
+    power leaves them from the beginning of a block."""
+    size = _RECORD.size + _MESSAGE_HEAD.size + topic.lengths[-1]
+    block = (at + position) // _BLOCK * _BLOCK - at
+    if position - size < block < position and not any(buffer[block : position + 1]):
+        del topic.data[-topic.lengths.pop() :], topic.times[-1]
+        topic.count -= 1
 
 
 def _plain_chunk(content: bytes, budget: Budget) -> bytes:

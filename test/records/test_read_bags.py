@@ -88,7 +88,7 @@ def test_a_split_bag_is_read_whole_with_and_without_its_metadata(split_bag):
     with pytest.raises(InputError, match="bag.mcap, second.mcap") as refused:
         read_record(split_bag)  # two bags, for all that is known
     assert str(split_bag) in str(refused.value) and "\n" not in str(refused.value)
-    (split_bag / "bag.mcap").rename(split_bag / "run_2.mcap")
+    (split_bag / "bag.mcap").rename(split_bag / "run_9.mcap")
     (split_bag / "second.mcap").rename(split_bag / "run_10.mcap")
     numbered = read_record(split_bag)
     assert [f.severity for f in numbered.findings] == ["info"]  # and nothing of disorder

@@ -6,35 +6,15 @@ import numpy as np
 import pytest
 
 from examination.campaign.allowance import TooLong, allowance
-from examination.campaign.damaged_bags import damaged_bags, judge
 from examination.campaign.full_disk import full_disk
 from examination.campaign.fuzzed_parsers import edited, fuzzed_parsers, try_input
 from examination.campaign.hostile_inputs import FOR_ALL, hostile_inputs
-from examination.campaign.numbered_bag import MESSAGES, numbered_bag
 from examination.campaign.parser_seeds import Parser, parsers
 from sma_bench.errors import InputError
 
 
 def failed(outcomes):
     return [f"{o.what}: {o.found}" for o in outcomes if not o.met]
-
-
-def test_damaged_bags_are_read_up_to_the_damage_and_the_loss_is_stated(tmp_path):
-    outcomes = damaged_bags(36, 5, tmp_path)
-    assert [outcome.tried for outcome in outcomes] == [6] * 6 + [1]
-    assert failed(outcomes) == []
-
-
-def test_a_message_before_the_damage_that_is_not_read_is_noticed(tmp_path):
-    bag = numbered_bag(tmp_path / "bag", "mcap, plain")
-    storage = bag.path / bag.storage
-    raw = storage.read_bytes()
-    storage.write_bytes(raw[: len(raw) // 2])
-    whole = bag.numbers_before(len(raw) // 2)
-    assert 0.2 * MESSAGES < len(whole) < 0.6 * MESSAGES
-    assert judge(bag, bag.path, whole).failure == ""
-    verdict = judge(bag, bag.path, whole | {MESSAGES - 1})
-    assert verdict.failure.startswith("1 messages before the damage not read")
 
 
 def test_a_full_disk_costs_one_line_and_nothing_good(tmp_path):

@@ -1,0 +1,529 @@
+"""Bags drawn at random, each of a true record, and what `read_record` makes of them.
+
+Every habit is one of a recorder, a program or a mishap that somebody had. A bag `tells` what it
+means if nothing of it is lost and nothing has two meanings. Synthetic data.
+"""
+
+import contextlib
+import shutil
+import sqlite3
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+import zstandard
+from mcap.writer import CompressionType, IndexType, Writer
+
+from examination.campaign.allowance import allowance
+from sma_bench.errors import InputError
+from sma_bench.records import describe, read_record
+from sma_bench.records.contract import (
+    BATTERY_STATE,
+    CELSIUS_ZERO,
+    HEADERLESS,
+    JOINT_STATE,
+    MULTI_ARRAY,
+    RANGE,
+    STRING,
+    TEMPERATURE,
+)  # fmt: skip
+from sma_bench.records.messages import TYPES, message
+
+RIGHT, LOSS, REFUSED, WRONG, RAISED = "right", "loss said", "refused", "wrong", "raised"
+OUTCOMES = (RIGHT, LOSS, REFUSED, WRONG, RAISED)
+MEMORY, SECONDS = 1 << 30, 20.0  # that reading one of these small bags may take
+HABITS = {
+    "storage": ("mcap", "sqlite3"),
+    "qos": ("none", "profiles"),
+    "inside": ("chunks and index", "chunks, no index", "no chunks", "no checksums"),
+    "compression": ("none", "zstd", "lz4", "of messages", "of files"),
+    "files": ("one", "three", "twelve", "one missing"),
+    "metadata": ("there", "missing", "of the start", "cut off", "of rosbag2 2", "one file less"),
+    "path": ("folder", "file"),
+    "end": ("whole", "not closed", "cut", "zeros", "bit", "garbage", "block gone", "block twice"),
+    "beside": ("nothing", "no schema", "json", "unknown type", "image", "another bench",
+               "another type", "twin", "two channels", "attachment"),
+    "topics": ("/bench", "/", "/lab/a/rig", "old type names", "not cdr"),
+    "content": ("plain", "frames differ", "joints change places", "cells", "big-endian", "NaN",
+                "infinite", "markers alone", "one message each"),
+    "clock": ("epoch", "from 0", "from 0, computer's beside", "an hour apart", "drifting apart",
+              "received late", "never stamped", "one topic never stamped",
+              "one never stamped, an hour apart", "some not stamped", "set while recording",
+              "set back a little", "impossible stamps"),
+    "stamps": ("regular", "jitter", "repeated", "out of order", "received out of order",
+               "messages lost", "one far away"),
+}  # fmt: skip
+_PLAIN_SHARE = 0.7
+_ONLY_MCAP = {"inside": HABITS["inside"], "compression": ("zstd", "lz4"),
+              "end": ("not closed", "bit", "block gone", "block twice"),
+              "beside": ("no schema", "two channels", "attachment")}  # fmt: skip
+# In a file without checksums nothing tells an altered number from the number.
+_ALTERING = ("bit", "garbage", "block gone", "block twice")
+# What is lost or has two meanings.
+_TELLS_NOT = {
+    "files": ("one missing",), "end": HABITS["end"][1:], "topics": ("not cdr",),
+    "beside": ("another bench", "another type"), "stamps": ("one far away",),
+    "clock": ("some not stamped", "set while recording", "set back a little", "impossible stamps"),
+}  # fmt: skip
+_EPOCH, _HOUR, _DAY = 1_750_000_000 * 10**9, 3600 * 10**9, 86_400 * 10**9
+_DELAY = 2_000_000  # ns from a stamp to its receipt, at most twice that
+_CHUNK, _PAGE = 2000, 4096
+_SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: numbers are read as they were written
+
+_QOS = {
+    "none": "", "profiles": "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n",
+}  # fmt: skip
+_TABLES = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+    serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+    data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+"""
+
+IntArray = np.ndarray[Any, np.dtype[np.int64]]
+FloatArray = np.ndarray[Any, np.dtype[np.float64]]
+# Receipt, topic, type, bytes, and the numbers of stream and message.
+Row = tuple[int, str, str, bytes, tuple[int, int]]
+
+
+@dataclass
+class Stream:
+    """Messages of one topic.
+
+    Attributes:
+        stamp, received: (n,) ns; `order` (n,) that of the file.
+        fields: of the messages, (n,) each.
+        signals: (n,) in SI, by the name that they should have.
+        is_stamped: whether its messages say their stamps, or are known by their receipt alone.
+    """
+
+    topic: str
+    type: str
+    stamp: IntArray
+    received: IntArray
+    order: IntArray
+    fields: dict[str, FloatArray] = field(default_factory=dict)
+    signals: dict[str, FloatArray] = field(default_factory=dict)
+    is_stamped: bool = True
+
+
+@dataclass
+class Bag:
+    """A bag as it lies on the disk.
+
+    Attributes:
+        tells: whether the files hold all of the streams, in one meaning.
+        whole: (stream, message) that lie in front of any damage.
+        apart: s that times known by receipt alone may be off.
+    """
+
+    path: Path
+    streams: list[Stream]
+    habits: dict[str, str]
+    whole: set[tuple[int, int]] = field(default_factory=set)
+    apart: float = 0.0
+
+    @property
+    def tells(self) -> bool:
+        return not any(self.habits[kind] in odd for kind, odd in _TELLS_NOT.items())
+
+
+def draw_habits(rng: np.random.Generator) -> dict[str, str]:
+    """One habit of each kind, most of them plain."""
+    drawn = {
+        kind: str(rng.choice(habits[1:])) if rng.random() > _PLAIN_SHARE else habits[0]
+        for kind, habits in HABITS.items()
+    }
+    for kind, habits in _ONLY_MCAP.items() if drawn["storage"] == "sqlite3" else ():
+        drawn[kind] = HABITS[kind][0] if drawn[kind] in habits else drawn[kind]
+    if drawn["inside"] in ("no chunks", "no checksums") and drawn["compression"] in ("zstd", "lz4"):
+        drawn["compression"] = "none"
+    has_checksums = drawn["inside"].startswith("chunks") and drawn["compression"] != "of files"
+    if drawn["end"] in _ALTERING and not has_checksums:
+        drawn["end"] = "cut"
+    if drawn["path"] == "file":
+        drawn["files"] = "one"
+    return drawn
+
+
+# --- what is true -------------------------------------------------------------------------------
+
+
+def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Stream]:
+    """A wire that is driven up and down, measured at several rates."""
+    content, stamps = habits["content"], habits["stamps"]
+    seconds = rng.uniform(8.0, 20.0)
+    begin = _EPOCH + int(rng.integers(_DAY))
+    if habits["clock"].startswith("from 0"):
+        begin = 0 if content != "one message each" else 10**9
+    prefix = {"/": "/", "/lab/a/rig": "/lab/a/rig/"}.get(habits["topics"], "/bench/")
+
+    def stream(name: str, kind: str, rate: float) -> Stream:
+        time = np.arange(1 if content == "one message each" else int(seconds * rate)) / rate
+        if stamps == "jitter":
+            time += rng.uniform(0.0, 0.9 / rate, len(time))
+        if stamps == "messages lost":
+            time = time[(rng.random(len(time)) > 0.1) | (time == 0.0)]
+        stamp = begin + np.rint(time * 1e9).astype(np.int64)
+        received = stamp + np.sort(rng.integers(_DELAY // 10, _DELAY, len(time)))
+        return Stream(prefix + name, kind, stamp, received, received.copy())
+
+    def drawn(of: Stream, low: float, high: float, kind: str = "f8") -> FloatArray:
+        values = rng.uniform(low, high, len(of.stamp)).astype(kind).astype(float)
+        if content in ("NaN", "infinite"):
+            values[rng.random(len(values)) < 0.1] = np.nan if content == "NaN" else np.inf
+        return values
+
+    power = stream("wire/power", BATTERY_STATE, 50.0)
+    power.fields = {"voltage": drawn(power, 0, 6, "f4"), "current": drawn(power, 0, 2, "f4")}
+    power.signals = {f"wire.{name}": values for name, values in power.fields.items()}
+    warmth = stream("wire/temperature", TEMPERATURE, 20.0)
+    warmth.fields = {"temperature": drawn(warmth, 20, 90)}
+    warmth.signals = {"wire.temperature": warmth.fields["temperature"] + CELSIUS_ZERO}
+    joints = stream("joint_states", JOINT_STATE, 25.0)
+    joints.fields = {name: drawn(joints, -0.02, 0.02) for name in ("tip", "wire", "effort")}
+    names = ("deflection", "elongation", "force")
+    joints.signals = dict(zip(names, joints.fields.values(), strict=True))
+    distance = stream("front/range", RANGE, 20.0)
+    distance.fields = {"range": drawn(distance, 0.05, 0.2, "f4")}
+    distance.signals = {"front.range": distance.fields["range"]}
+    command = stream("voltage_command", MULTI_ARRAY, 50.0)
+    command.fields = {"data": rng.uniform(0, 6, len(command.stamp))}
+    command.signals = {"voltage_command": command.fields["data"]}
+    marker = stream("experiment/marker", STRING, 0.5)
+    marker.fields = {"data": np.arange(len(marker.stamp), dtype=float)}
+    marker.signals = {"markers": marker.fields["data"]}
+    others = [s for s in (warmth, joints, distance, command, marker) if rng.random() < 0.7]
+    return [marker] if content == "markers alone" else [power, *others]
+
+
+def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
+    """Give the streams' stamps and receipts their habits."""
+    clock, stamps = bag.habits["clock"], bag.habits["stamps"]
+    apart = clock == "from 0, computer's beside" or "apart" in clock
+    begin, middle = (int(q(bag.streams[0].received)) for q in (np.min, np.median))
+    for number, s in enumerate(bag.streams):
+        s.is_stamped = s.type not in HEADERLESS and clock != "never stamped"
+        s.is_stamped &= number > 0 or not clock.startswith("one ")
+    # Without another clock that can be read, receipts are the times.
+    apart &= any(s.is_stamped and _encoding(s.topic, bag.habits) == "cdr" for s in bag.streams)
+    bag.apart = 3e-9 * _DELAY if apart else 0.0
+    for number, s in enumerate(bag.streams):
+        n = len(s.stamp)
+        if apart:
+            s.received += _EPOCH if clock.startswith("from 0") else _HOUR
+        if clock == "drifting apart":
+            s.received += (1e-3 * (s.order - begin)).astype(np.int64)
+        if clock == "received late":
+            s.received += 300_000_000
+        if clock.startswith("set "):
+            leap = 40 * _DAY if clock == "set while recording" else -3 * 10**9
+            s.stamp[s.order > middle] += leap
+            s.received[s.order > middle] += leap
+        if not s.is_stamped:
+            s.stamp = s.stamp if apart else s.received.copy()
+        elif stamps == "repeated":
+            s.stamp[1:] = np.where(rng.random(n - 1) < 0.1, s.stamp[:-1], s.stamp[1:])
+        elif stamps == "out of order" and n > 4:
+            k = int(rng.integers(n - 3))
+            s.stamp[k : k + 3] = s.stamp[k : k + 3][::-1].copy()
+        elif stamps == "one far away" and number == 0:
+            s.stamp[-1] += 300 * _DAY
+
+
+# --- on the disk --------------------------------------------------------------------------------
+
+
+def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
+    """Message `k` of a stream."""
+    content, row = habits["content"], {name: float(v[k]) for name, v in s.fields.items()}
+    frame = f"frame {k % 13 * 'x'}" if content == "frames differ" else "wire"
+    fields: dict[str, Any] = {}
+    if s.type not in HEADERLESS:
+        time = message("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+        if habits["clock"] == "impossible stamps" and k % 7 == 3:
+            time.nanosec = 4_000_000_000
+        fields["header"] = message("std_msgs/msg/Header", stamp=time, frame_id=frame)
+    if s.type == JOINT_STATE:
+        tip, wire = ("tip", row["tip"], 0.0), ("wire", row["wire"], row["effort"])
+        joints = [tip, wire]
+        if content == "joints change places":
+            joints = [[tip, wire], [wire, tip], [wire, ("gripper", 9.0, 9.0), tip]][k % 3]
+        names, position, effort = zip(*joints, strict=True)
+        fields |= {"name": list(names), "position": np.array(position), "effort": np.array(effort)}
+        fields["velocity"] = np.zeros(len(names) * (k % 2))
+    elif s.type == MULTI_ARRAY:
+        fields["data"] = np.array([row["data"]])
+    elif s.type == STRING:
+        fields["data"] = f"step {k}"
+    else:
+        fields |= row
+    if s.type == BATTERY_STATE and content == "cells":
+        fields["cell_voltage"] = np.full(k % 4, 3.7, "f4")
+        fields["serial_number"] = "x" * (k % 5)
+    if s.type == RANGE:
+        fields |= {"min_range": 0.01, "max_range": 4.0}
+    order = content != "big-endian"
+    return bytes(TYPES.serialize_cdr(message(s.type, **fields), s.type, little_endian=order))
+
+
+def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str]) -> Bag:
+    """Draw what is true and write it as the habits have it."""
+    bag = Bag(folder / "bag", true_streams(rng, habits), habits)
+    set_clocks(bag, rng)
+    bag.path.mkdir()
+
+    # In the order of the files.
+    rows: list[Row] = []
+    for i, s in enumerate(bag.streams):
+        for k in range(len(s.stamp)):
+            unset = not s.is_stamped or (habits["clock"] == "some not stamped" and k % 7 == 3)
+            blob = serialised(s, k, habits, 0 if unset else int(s.stamp[k]))
+            rows.append((int(s.received[k]), s.topic, s.type, blob, (i, k)))
+    rows.sort(key=lambda row: bag.streams[row[4][0]].order[row[4][1]])
+    if habits["stamps"] == "received out of order":
+        for k in rng.integers(0, len(rows) - 1, 20) if len(rows) > 1 else ():
+            rows[k], rows[k + 1] = rows[k + 1], rows[k]
+    rows += [(rows[-1][0], *other, (-1, 0)) for other in _beside(bag.streams[0], habits)]
+    if habits["topics"] == "old type names":
+        rows = [(at, name, kind.replace("/msg/", "/"), *rest) for at, name, kind, *rest in rows]
+    if habits["compression"] == "of messages":
+        rows = [(*head, zstandard.compress(blob), where) for *head, blob, where in rows]
+
+    # In files of equal length, of which the last is damaged.
+    count = {"three": 3, "one missing": 3, "twelve": 12}.get(habits["files"], 1)
+    write, suffix = (_write_mcap, "mcap") if habits["storage"] == "mcap" else (_write_db3, "db3")
+    names = []
+    for number in range(count):
+        part = rows[number * len(rows) // count : (number + 1) * len(rows) // count]
+        path = bag.path / f"bag_{number}.{suffix}"
+        ends = write(path, part, habits, number)
+        if habits["compression"] == "of files":
+            packed = path.with_name(path.name + ".zstd")
+            packed.write_bytes(zstandard.compress(path.read_bytes()))
+            path.unlink()
+            path, ends = packed, [packed.stat().st_size] * len(part)
+        names.append(path.name)
+        before = ends[-1] if ends else 0
+        if number == count - 1 and habits["end"] != "whole":
+            before = _damage(path, habits["end"], rng)
+        if number == 1 and habits["files"] == "one missing":
+            path.unlink()
+            before = -1
+        bag.whole |= {row[4] for row, end in zip(part, ends, strict=True) if end <= before}
+    _write_metadata(bag.path, names, rows, habits)
+    if habits["path"] == "file":
+        bag.path = bag.path / names[0]
+    return bag
+
+
+def _beside(of: Stream, habits: dict[str, str]) -> list[tuple[str, str, bytes]]:
+    """Topic, type and message of what else is in the bag."""
+    place, blob = of.topic.removesuffix("wire/power").removesuffix("experiment/marker"), b""
+    if habits["beside"] in ("another bench", "twin"):
+        blob = serialised(of, 0, {**habits, "content": "plain"}, int(of.stamp[0]))
+    name = of.topic.removeprefix(place)
+    return {
+        "unknown type": [("/lidar", "acme_msgs/msg/Sweep", b"\0\1\0\0" + bytes(40))],
+        "image": [(place + "thermal_image", "sensor_msgs/msg/Image", b"\0\1\0\0" + bytes(400))],
+        "another bench": [(f"/other/{name}", of.type, blob)],
+        "another type": [(place + "back/range", "std_msgs/msg/Float64", b"\0\1\0\0" + bytes(8))],
+        "twin": [(f"{place}twin/{name}", of.type, blob)],
+        "no schema": [("/log", "", b"{}")], "json": [("/state", "std_msgs/msg/String", b"{}")],
+    }.get(habits["beside"], [])  # fmt: skip
+
+
+def _encoding(topic: str, habits: dict[str, str]) -> str:
+    odd = ("/log", "/state", "/bench/wire/temperature" if habits["topics"] == "not cdr" else "")
+    return "json" if topic in odd else "cdr"
+
+
+def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int) -> list[int]:
+    """Write; the byte at which each message is complete."""
+    inside = habits["inside"]
+    codec = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
+    ends: list[int] = []
+    with path.open("wb") as file:
+        writer = Writer(
+            file, chunk_size=_CHUNK, use_chunking=inside != "no chunks",
+            compression=codec.get(habits["compression"], CompressionType.NONE),
+            index_types=IndexType.ALL if inside == "chunks and index" else IndexType.NONE,
+            use_statistics=inside != "chunks, no index",
+            enable_crcs=inside not in ("no checksums", "no chunks"),
+        )  # fmt: skip
+        writer.start("ros2")
+        if habits["beside"] == "attachment":
+            writer.add_attachment(0, 0, "notes.txt", "text/plain", b"a wire")
+            writer.add_metadata("rosbag2", {"serialized_metadata": "x"})
+        for k in range(number):  # numbers of channels differ from file to file
+            writer.register_schema(f"unused/msg/Type{k}", "ros2msg", b"")
+        channels: dict[tuple[str, int], int] = {}
+        for k, (received, topic, kind, blob, _) in enumerate(rows):
+            key = topic, k % 2 if habits["beside"] == "two channels" else 0
+            if key not in channels:
+                schema = writer.register_schema(kind, "ros2msg", b"") if kind else 0
+                profiles = {"offered_qos_profiles": _QOS[habits["qos"]]}
+                channels[key] = writer.register_channel(
+                    topic, _encoding(topic, habits), schema, profiles
+                )
+            before = file.tell()
+            writer.add_message(channels[key], received, blob, received)
+            if file.tell() > before:  # with all that waited for its chunk's end
+                ends += [file.tell()] * (k + 1 - len(ends))
+        writer.finish()
+        ends += [file.tell()] * (len(rows) - len(ends))
+    return ends
+
+
+def _write_db3(path: Path, rows: list[Row], habits: dict[str, str], number: int) -> list[int]:
+    """Write; of a damaged file nothing has to be read."""
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.executescript(_TABLES)
+        ids: dict[str, int] = {}
+        for received, topic, kind, blob, _ in rows:
+            if topic not in ids:
+                ids[topic] = number + len(ids) + 1
+                row = ids[topic], topic, kind, _encoding(topic, habits), _QOS[habits["qos"]]
+                database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
+            entry = None, ids[topic], received, blob
+            database.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", entry)
+        database.commit()
+    return [path.stat().st_size] * len(rows)
+
+
+def _damage(path: Path, how: str, rng: np.random.Generator) -> int:
+    """Damage a storage file; the byte in front of which it is as it was."""
+    raw = path.read_bytes()
+    at = int(rng.integers(len(raw) // 4, len(raw) - 1))
+    size = int(rng.integers(1, _PAGE))
+    if how == "not closed" and path.suffix == ".mcap":  # no data end, summary and footer
+        at = raw.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
+    if how in ("cut", "not closed"):
+        damaged = raw[:at]
+    elif how == "zeros":  # as a computer leaves that lost its power
+        at = at // _PAGE * _PAGE
+        damaged = raw[:at] + bytes(len(raw) - at)
+    elif how == "bit":
+        damaged = raw[:at] + bytes([raw[at] ^ 1 << int(rng.integers(8))]) + raw[at + 1 :]
+    elif how == "garbage":
+        if path.suffix == ".db3":
+            at, size = at // _PAGE * _PAGE, _PAGE
+        damaged = raw[:at] + rng.bytes(min(size, len(raw) - at)) + raw[at + size :]
+    elif how == "block gone":
+        damaged = raw[:at] + raw[at + size :]
+    else:
+        damaged = raw[: at + size] + raw[at:]
+    path.write_bytes(damaged)
+    return at
+
+
+def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[str, str]) -> None:
+    how = habits["metadata"]
+    if how == "missing":
+        return
+    counts: dict[tuple[str, str], int] = {}
+    for _, topic, kind, *_ in rows:
+        counts[topic, kind] = counts.get((topic, kind), 0) + (how != "of the start")
+    if how == "of rosbag2 2":  # files with the folder in front
+        names = [f"{bag.name}/{name}" for name in names]
+    listed = {"of the start": names[:1], "one file less": names[:-1]}.get(how, names)
+    modes = {"of files": "FILE", "of messages": "MESSAGE"}
+    information = {
+        "version": 2 if how == "of rosbag2 2" else 9, "storage_identifier": habits["storage"],
+        "relative_file_paths": listed,
+        "starting_time": {"nanoseconds_since_epoch": rows[0][0]},
+        "message_count": sum(counts.values()),
+        "topics_with_message_count": [
+            {"message_count": count, "topic_metadata": {
+                "name": topic, "type": kind, "serialization_format": _encoding(topic, habits),
+                "offered_qos_profiles": _QOS[habits["qos"]]}}
+            for (topic, kind), count in counts.items()
+        ],
+        "compression_format": "zstd" if habits["compression"] in modes else "",
+        "compression_mode": modes.get(habits["compression"], ""),
+    }  # fmt: skip
+    text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+    (bag / "metadata.yaml").write_text(text[: len(text) // 2] if how == "cut off" else text)
+
+
+# --- what came of it ----------------------------------------------------------------------------
+
+
+def outcome(bag: Bag) -> tuple[str, str]:
+    """One of OUTCOMES, and why."""
+    try:
+        with allowance(MEMORY, SECONDS):
+            record = read_record(bag.path)
+            describe(record)
+    except InputError as error:
+        return (RAISED if "\n" in str(error) else REFUSED), str(error)
+    except Exception:  # that is what is looked for
+        return RAISED, traceback.format_exc()
+    faults, lost = [], 0
+    read = {name: (signal.time, signal.values) for name, signal in record.signals.items()}
+    if record.markers:
+        numbers = [float(text.removeprefix("step ")) for _, text in record.markers]
+        read["markers"] = np.array([time for time, _ in record.markers]), np.array(numbers)
+    said = {f.subject for f in record.findings if f.severity != "info" or "nan" in f.numbers}
+    of_files = any(not subject.startswith("/") for subject in said - {"metadata.yaml"})
+    for number, s in enumerate(bag.streams):
+        for name, true in s.signals.items():
+            time, values = read.pop(name, (np.empty(0), np.empty(0)))
+            time = time + (record.start_ns - int(s.order[0])) * 1e-9
+            fault = _fault(bag, number, true, time, values.reshape(-1))
+            faults += [f"{name}: {fault}"] if fault else []
+            missing = len(true) - len(time)
+            lost += missing
+            if missing and not of_files and s.topic not in said:
+                faults.append(f"{name}: {missing} of {len(true)} lost in silence")
+        if bag.habits["clock"] == "set back a little" and (np.diff(s.stamp) < 0).any():
+            faults += [] if said else [f"{s.topic}: a clock set back in silence"]
+    faults += [f"{name}: not in the bag" for name in read]
+    if faults:
+        return WRONG, "; ".join(faults)
+    return (LOSS, f"{lost} numbers") if lost else (RIGHT, "")
+
+
+def _fault(bag: Bag, number: int, true: FloatArray, time: FloatArray, values: FloatArray) -> str:
+    """What is wrong with a signal of stream `number`, read at (m,) s of its clock; "" for nothing.
+
+    Args:
+        true: (n,), as the messages have it.
+        values: (m,)
+    """
+    s = bag.streams[number]
+    limit = _SAME_TIME + (0.0 if s.is_stamped else bag.apart)
+    near = np.abs(time[:, None] - (s.stamp - s.order[0]) * 1e-9) <= limit
+    with np.errstate(invalid="ignore"):
+        same = (values[:, None] == true) | (np.abs(values[:, None] - true) < _SAME)
+    if wrong := int(np.count_nonzero(~near.any(axis=1))):
+        return f"{wrong} of {len(time)} times are none of the bag's"
+    if wrong := int(np.count_nonzero(~(near & same).any(axis=1))):
+        return f"{wrong} of {len(time)} values are none of the bag's"
+    # Of an mcap all that lies in front of the damage is read, unless its stamps forbid it.
+    forgiven = {"end": (), "files": ()}
+    if bag.habits["storage"] == "mcap" and not any(
+        bag.habits[kind] in odd for kind, odd in (_TELLS_NOT | forgiven).items()
+    ):
+        first = set(np.unique(s.stamp, return_index=True)[1].tolist())
+        due = [k for i, k in bag.whole if i == number and k in first and not np.isnan(true[k])]
+        if missed := int(np.count_nonzero(~near.any(axis=0)[due])):
+            return f"{missed} of {len(due)} in front of the damage not read"
+    return ""
+
+
+def try_bag(seed: int, number: int, folder: Path) -> dict[str, Any]:
+    """One bag: its habits that are not plain, whether it tells, what came of it and why."""
+    rng = np.random.default_rng([50, seed, number])
+    habits = draw_habits(rng)
+    bag = write_bag(folder, rng, habits)
+    end, why = outcome(bag)
+    shutil.rmtree(folder / "bag")
+    odd = {kind: habit for kind, habit in habits.items() if habit != HABITS[kind][0]}
+    return {"number": number, "odd": odd, "tells": bag.tells, "outcome": end,
+            "why": why.replace(str(folder), "")}  # fmt: skip
