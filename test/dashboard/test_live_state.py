@@ -3,21 +3,14 @@
 import asyncio
 import json
 import math
+import re
 from contextlib import nullcontext
 
 import pytest
 from stand_in import StandIn
 
-from sma_bench.dashboard import stopping
-from sma_bench.dashboard.live_state import (
-    BUCKET,
-    SPAN,
-    LiveState,
-    Seen,
-    Trace,
-    diagnosis_summary,
-    identification_summary,
-)
+from sma_bench.dashboard import live_state, stopping
+from sma_bench.dashboard.live_state import BUCKET, SPAN, LiveState, Seen, Trace
 from sma_bench.dashboard.stopping import Wires, stop
 
 
@@ -30,14 +23,12 @@ class Clock:
 
 def test_a_trace_keeps_peaks_tells_each_point_once_and_shows_gaps():
     trace = Trace()
+    peaks = {437: 5.0, 431: -5.0}
     for k in range(1000):
-        trace.add(0.001 * k, 5.0 if k == 437 else -5.0 if k == 431 else 0.0)
+        trace.add(0.001 * k, peaks.get(k, 0.0))
     count, points = trace.since(0)
-    values = [value for _, value in points]
-    assert count == len(points) < 20
-    assert (0.431, -5.0) in points and (0.437, 5.0) in points
-    assert points == sorted(points)
-    assert values.count(0.0) == len(values) - 2
+    assert count == len(points) < 20 and points == sorted(points)
+    assert [p for p in points if p[1]] == [(0.431, -5.0), (0.437, 5.0)]
     trace = Trace()
     for k in range(round(3 * SPAN / BUCKET)):
         trace.add(BUCKET * (k + 0.5), float(k))
@@ -47,10 +38,8 @@ def test_a_trace_keeps_peaks_tells_each_point_once_and_shows_gaps():
     trace.add(4 * SPAN, 1.0)
     assert [value for _, value in trace.since(count)[1]] == [float(k)]
     trace = Trace()
-    trace.add(1.0, 2.0)
-    trace.add(2.0, math.nan)
-    trace.add(3.0, 4.0)
-    trace.add(4.0, 4.0)
+    for time, value in ((1.0, 2.0), (2.0, math.nan), (3.0, 4.0), (4.0, 4.0)):
+        trace.add(time, value)
     assert [time for time, _ in trace.since(0)[1]] == [1.0, 3.0]
     trace.add(5.0, math.nan)
     assert trace.heard == 5.0 and math.isnan(trace.latest)
@@ -76,21 +65,18 @@ def test_an_update_has_what_is_new_and_is_json_for_any_browser():
     assert state.update(Seen())["panels"].keys() == {"stops", "states"}
 
 
-def diagnosis(**changes):
-    return json.dumps({
+def test_the_last_results_are_their_cards_candidates_and_numbers():
+    result = {
         "verdict": "effect",
         "candidates": [{"name": "slack", "probability": 0.93}, {"name": "x", "probability": 1e-3}],
-        "card": [["", "slack explains it"], ["cause", "slack: play"], ["", "more"]], **changes,
-    })  # fmt: skip
-
-
-def test_the_last_results_are_their_cards_candidates_and_numbers():
-    said = diagnosis_summary(diagnosis())
+        "card": [["", "slack explains it"], ["cause", "slack: play"], ["", "more"]],
+        "parameters": {"wire.resistance": {"value": 2.7, "std": 0.01, "unit": "ohm"}, "odd": 3},
+    }
+    said = live_state.diagnosis_summary(json.dumps(result))
     assert said["title"] == "slack explains it"
     assert said["candidates"] == [{"name": "slack", "probability": 0.93}]
     assert said["lines"] == ["cause: slack: play", "more"]
-    numbers = {"wire.resistance": {"value": 2.7, "std": 0.01, "unit": "ohm"}, "odd": 3}
-    said = identification_summary(diagnosis(parameters=numbers))
+    said = live_state.identification_summary(json.dumps(result))
     assert said["title"] == "slack explains it"
     assert said["rows"] == [("wire.resistance", "2.7 ± 0.01 ohm"), ("odd", "")]
 
@@ -105,73 +91,73 @@ def bench(monkeypatch):
 
 def stopped(bench, before=True, after=True, patience=30.0):
     """Result of a stop, with readings before and after it."""
-    stopping._PATIENCE, kept = patience, stopping._PATIENCE
     if before:
         bench.read()
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stopping, "_PATIENCE", patience)
         with bench.readings() if after else nullcontext():
             return asyncio.run(stop(bench))
-    finally:
-        stopping._PATIENCE = kept
 
 
-def test_voltages_at_zero_are_a_stop_with_its_time_and_the_answers(bench):
+def test_voltages_at_zero_are_a_stop_until_one_comes_back_which_every_page_is_told(bench):
     result = stopped(bench)
     assert result["stopped"] and 0.0 < result["seconds"] < 2.0
     assert result["said"].startswith("0 V read on all 2 wires, ")
     assert result["voltages"] == {"front_1": 0.0, "back_1": 0.0}
-    (answer,) = result["answers"]
-    assert (answer["node"], answer["success"], answer["message"]) == (
-        "serial_bridge", True, "stopped",
-    )  # fmt: skip
+    told = [(a["node"], a["success"], a["message"]) for a in result["answers"]]
+    assert told == [("serial_bridge", True, "stopped")]
+    assert not bench.state.update(Seen())["panels"]["again"]
+    for volts in (5.0, 0.0):
+        bench.volts["back_1"] = volts
+        bench.read()
+    again = bench.state.update(Seen())["panels"]["again"]
+    assert (again["place"], again["volts"]) == ("back_1", 5.0)
+    bench.answers = {"mute": None, "experiment": (False, "cannot")}
+    result = stopped(bench, patience=3.0)
+    told = [(a["node"], a["success"], a["message"]) for a in result["answers"]]
+    assert told == [("experiment", False, "cannot"), ("mute", False, "no answer")]
+    assert result["stopped"] and not bench.state.update(Seen())["panels"]["again"]
 
 
-def test_no_stop_is_confirmed_where_current_flows_or_no_reading_says_so(bench):
-    told = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
-    bench.state.merge("states", {"serial_bridge": told})
+FLOWING = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
+
+
+@pytest.mark.parametrize(
+    ("volts", "change", "readings", "said"),
+    [
+        (0.0, {}, {"after": False, "patience": 0.5}, ".*no reading since the request"),
+        (3.0, {"obeys": False}, {"patience": 1.0}, "NOT STOPPED, .* on: front_1 3.00 V[.]"),
+        (3.0, {}, {"before": False, "after": False}, "Not confirmed"),
+        (3.0, {"answers": {}}, {"before": False, "after": False}, "Nothing to stop"),
+    ],
+)
+def test_no_stop_is_confirmed_where_no_reading_says_so(bench, volts, change, readings, said):
+    """A wire that stays on is named, and commanded to zero meanwhile."""
+    vars(bench).update(change)
+    bench.volts = {"front_1": volts, "back_1": 0.0}
+    result = stopped(bench, **readings)
+    assert not result["stopped"] and result["seconds"] is None
+    assert re.match(said, result["said"]) and bench.stops == 1
+    assert bench.obeys or bench.zeros > 5
+
+
+def test_current_that_still_flows_and_a_commander_that_comes_back_are_no_stop(bench):
+    bench.state.merge("states", {"serial_bridge": FLOWING})
     result = stopped(bench)
     assert not result["stopped"]
     assert result["said"].startswith("PULL THE PLUG") and "serial_bridge" in result["said"]
     bench.state.merge("states", {"serial_bridge": "stopped"})
-    bench.volts = dict.fromkeys(bench.volts, 0.0)
-    result = stopped(bench, after=False, patience=0.5)
-    assert not result["stopped"] and "no reading since the request" in result["said"]
 
-
-def test_a_wire_that_stays_on_is_named_and_commanded_to_zero_meanwhile(bench):
-    bench.obeys = False
-    bench.volts["back_1"] = 0.0
-    result = stopped(bench, patience=1.0)
-    assert not result["stopped"] and result["seconds"] is None
-    assert "NOT STOPPED, voltage is on: front_1 3.00 V." in result["said"]
-    assert bench.stops == 1 and bench.zeros > 5
-
-
-def test_a_bench_that_measures_no_voltage_is_not_called_stopped(bench):
-    for answers, said in ((bench.answers, "Not confirmed"), ({}, "Nothing to stop")):
-        bench.answers = answers
-        result = stopped(bench, before=False, after=False)
-        assert not result["stopped"] and result["said"].startswith(said)
-
-
-def test_a_node_that_does_not_answer_or_refuses_is_named(bench):
-    bench.answers = {"mute": None, "experiment": (False, "cannot")}
-    result = stopped(bench, patience=3.0)
-    assert result["stopped"]
-    assert [(a["node"], a["success"], a["message"]) for a in result["answers"]] == [
-        ("experiment", False, "cannot"), ("mute", False, "no answer"),
-    ]  # fmt: skip
-
-
-def test_a_commander_that_comes_back_is_not_a_stop(bench):
     class Stubborn(dict):
         """0 V until the third reading after the request."""
 
-        def items(self):
-            bench.read_after += bool(bench.stops)
-            return [(wire, 3.0 if bench.read_after > 3 else 0.0) for wire in self]
+        read = 0
 
-    bench.obeys, bench.read_after, bench.volts = False, 0, Stubborn(bench.volts)
+        def items(self):
+            self.read += bench.stops > 1
+            return [(wire, 3.0 if self.read > 3 else 0.0) for wire in self]
+
+    bench.obeys, bench.volts = False, Stubborn(bench.volts)
     assert not stopped(bench, patience=1.0)["stopped"]
 
 
@@ -191,16 +177,3 @@ def test_a_wire_that_pulses_is_never_called_off(off, phase):
             wires.look()
             assert not wires.stay_off
     assert wires.back == {"wire"}
-
-
-def test_a_voltage_that_comes_back_after_a_stop_is_told_to_every_page(bench):
-    assert stopped(bench)["stopped"]
-    assert not bench.state.update(Seen())["panels"]["again"]
-    bench.volts["back_1"] = 5.0
-    bench.read()
-    bench.volts["back_1"] = 0.0
-    bench.read()
-    again = bench.state.update(Seen())["panels"]["again"]
-    assert (again["place"], again["volts"]) == ("back_1", 5.0)
-    assert stopped(bench)["stopped"]
-    assert not bench.state.update(Seen())["panels"]["again"]

@@ -1,9 +1,10 @@
 """The page in a real browser: looks, the stop by mouse and key, what it says when left alone."""
 
 import json
+from contextlib import ExitStack
 
 import pytest
-from browser_page import DESKTOP, PHONE, opened
+from browser_page import PHONE, opened
 from stand_in import StandIn, served
 
 from sma_bench.dashboard import stopping
@@ -52,44 +53,57 @@ def url(bench):
         yield found
 
 
-@pytest.mark.parametrize(("size", "scheme"), [(DESKTOP, "light"), (PHONE, "dark")])
-def test_it_fits_can_be_read_and_complains_of_nothing(browser, url, size, scheme):
-    with opened(browser, url, size, scheme) as shown:
-        shown.until(SETTLED)
-        shown.until("document.body.className === 'live'")
-        assert shown.too_wide == []
-        assert shown.faint == []
-        shown.page.keyboard.press("Escape")
-        shown.until(ANSWERED)
-        assert shown.too_wide == [] and shown.faint == []
-        assert shown.complaints == []
+def assert_readable(shown):
+    assert shown.too_wide == [] and shown.faint == [] and shown.complaints == []
 
 
-def test_it_shows_signals_limits_progress_nodes_and_the_diagnosis_as_text(browser, bench, url):
+def test_it_shows_signals_limits_progress_nodes_and_results_as_text(browser, bench, url):
     bench.celsius = 80.0
+    bench.state.show("works", ["identify"])
+    bench.state.show("recorded", "monday")
+    bench.state.show("identification", {
+        "title": "2 numbers", "lines": ["a warning"],
+        "rows": [("wire.resistance", "2.7 ± 0.03 ohm"), ("wire.mass", EVIL)],
+    })
     with opened(browser, url) as shown:
         shown.until(SETTLED)
-        assert "staircase, hold at 3 V: 30.0 of 120 s" in shown.text("#protocol")
+        for selector, texts in {
+            "#protocol": ["staircase, hold at 3 V: 30.0 of 120 s"],
+            "#heat": ["limit 150.0 °C, of serial_bridge", "80.0 °C"],
+            "#plots": ["front_1 3.00 V commanded 3.00 V"],
+            "#nodes": [EVIL, "gone (last: idle)"], "#diagnosis": [EVIL, "93.0 %"],
+            "#identification-content": [EVIL, "2.7 ± 0.03 ohm", "a warning"],
+        }.items():
+            said = shown.text(selector)
+            assert [text for text in texts if text not in said] == []
         assert shown.page.evaluate("document.getElementById('protocol-bar').value") == 0.25
         heat = shown.text("#heat")
-        assert "limit 150.0 °C, of serial_bridge" in heat and "80.0 °C" in heat
         assert heat.index("front_1") < heat.index("back_1")
-        assert "front_1 3.00 V commanded 3.00 V" in shown.text("#plots")
-        assert EVIL in shown.text("#nodes") and "gone (last: idle)" in shown.text("#nodes")
-        assert EVIL in shown.text("#diagnosis") and "93.0 %" in shown.text("#diagnosis")
+        assert_readable(shown)
         bench.celsius = 160.0
         shown.until("document.querySelectorAll('.meter.over').length === 2")
         assert "160.0 °C over" in shown.text("#heat")
         drawn = """[...document.querySelectorAll('canvas')].map((canvas) => canvas.getContext('2d')
             .getImageData(0, 0, canvas.width, canvas.height).data.some((byte) => byte > 0))"""
         shown.until(f"JSON.stringify({drawn}) === '[true,true,true]'")
-        assert shown.complaints == []
+        # Records are worked on from the page.
+        assert "Diagnose" not in shown.text("#work")
+        for records in ("", "tuesday 'wednes day'"):
+            if records:
+                shown.page.fill("#records", records)
+            shown.page.click("#work-form button[value=identify]")
+            shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
+        shown.page.keyboard.press("Escape")
+        shown.until(ANSWERED)
+        assert_readable(shown)
+    assert bench.work == [("identify", ["monday"]), ("identify", ["tuesday", "wednes day"])]
 
 
 def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, bench, url):
     told = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
-    with opened(browser, url, PHONE) as shown:
+    with opened(browser, url, PHONE, "dark") as shown:
         shown.until(SETTLED)
+        assert_readable(shown)
         assert shown.page.evaluate("document.getElementById('plug').hidden")
         bench.state.merge("states", {"serial_bridge": told})
         shown.until("!document.getElementById('plug').hidden")
@@ -101,13 +115,22 @@ def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, be
         loudest = "parseFloat(getComputedStyle(document.querySelector('#plug strong')).fontSize)"
         assert sizes.count(max(sizes)) == 1 and shown.page.evaluate(loudest) == max(sizes)
         assert shown.page.evaluate("document.title").startswith("PULL THE PLUG")
-        assert shown.too_wide == [] and shown.faint == [] and shown.complaints == []
+        assert_readable(shown)
         bench.state.merge("states", {"serial_bridge": "stopped: current with all outputs off"})
         shown.until("document.getElementById('plug').hidden")
         assert not shown.page.evaluate("document.title").startswith("PULL")
+        shown.page.keyboard.press("Escape")
+        shown.until(ANSWERED)
+        assert_readable(shown)
 
 
-def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, bench, url):
+def test_the_stop_works_by_key_and_mouse_and_without_javascript_and_shows_what_came_of_it(
+    browser, bench, url
+):
+    with opened(browser, url, java_script_enabled=False) as shown:
+        shown.page.click("#stop")
+        assert json.loads(shown.page.inner_text("body"))["stopped"] is True
+    result = "document.getElementById('stop-result').className === '{}'"
     with opened(browser, url) as shown:
         shown.until(SETTLED)
         for k, how in enumerate(("Escape", "Enter", "Space", "click")):
@@ -115,51 +138,29 @@ def test_the_stop_works_by_key_and_by_mouse_and_shows_what_came_of_it(browser, b
                 shown.page.mouse.click(60, 40)
             else:
                 shown.page.keyboard.press(how)
-            shown.until("document.getElementById('stop-result').className === 'ok'")
-            assert bench.stops == k + 1
+            shown.until(result.format("ok"))
+            assert bench.stops == k + 2
             said = shown.text("#stop-result")
             assert "0 V read on all 2 wires" in said and "serial_bridge: stopped" in said
             assert "front_1 0.00 V, back_1 0.00 V" in said
             bench.volts["back_1"] = 5.0  # a voltage that comes back after the stop
-            shown.until("document.getElementById('stop-result').className === 'bad'")
+            shown.until(result.format("bad"))
             assert "VOLTAGE IS ON AGAIN: back_1 5.00 V" in shown.text("#stop-result")
-
-
-def test_a_stop_that_does_not_work_is_red_and_it_works_without_javascript(browser, bench, url):
-    with opened(browser, url, java_script_enabled=False) as shown:
-        shown.page.click("#stop")
-        assert json.loads(shown.page.inner_text("body"))["stopped"] is True
-    assert bench.stops == 1
-    bench.obeys, bench.volts = False, dict.fromkeys(bench.volts, 3.0)
-    with opened(browser, url) as shown:
-        shown.until(SETTLED)
+        bench.obeys, bench.volts = False, dict.fromkeys(bench.volts, 3.0)
         shown.page.keyboard.press("Escape")
-        shown.until(ANSWERED + " && document.getElementById('stop-result').className === 'bad'")
-        assert "NOT STOPPED, voltage is on: front_1 3.00 V, back_1 3.00 V" in shown.text(
-            "#stop-result")
-
-
-def test_a_silent_bench_is_not_shown_as_live(browser, bench):
-    with served(bench) as url, opened(browser, url) as shown:
-        with bench.readings():
-            shown.until("document.body.className === 'live'")
-        shown.until("document.body.className === 'waiting'")
-        shown.until("document.getElementById('meters').innerText.includes('silent')")
-        assert "°C" not in shown.text("#meters")
-        assert "6 of 6 signals are silent" in shown.text("#connection")
-
-
-WRONG = {
-    "progress": {"protocol": "p", "step": "s", "elapsed": 1.0, "duration": "30", "heard": 0.0,
-                 "node": "experiment"},
-    "limits": {"values": {"temperature": "hot"}, "of": []},
-    "diagnostics": {"camera": None},
-}  # fmt: skip
+        off = "NOT STOPPED, voltage is on: front_1 3.00 V, back_1 3.00 V"
+        shown.until(f"document.getElementById('stop-result').innerText.includes('{off}')")
+        shown.until(ANSWERED + " && " + result.format("bad"))
 
 
 def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, bench, url):
+    run = {"protocol": "p", "step": "s", "elapsed": 1.0, "duration": "30", "heard": 0.0}
     with opened(browser, url) as shown:
-        for k, (panel, wrong) in enumerate(WRONG.items()):
+        for k, (panel, wrong) in enumerate((
+            ("progress", {**run, "node": "experiment"}),
+            ("limits", {"values": {"temperature": "hot"}, "of": []}),
+            ("diagnostics", {"camera": None}),
+        )):  # fmt: skip
             shown.until("document.body.className === 'live'")
             right = bench.state.update(Seen())["panels"].get(panel)
             bench.state.show(panel, wrong)
@@ -188,36 +189,23 @@ def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(b
         assert shown.page.evaluate(colours) == [*wanted, "a_1 swatch k3"]
 
 
-def test_records_are_worked_on_from_the_page_and_the_cards_are_shown(browser, bench, url):
-    bench.state.show("works", ["identify"])
-    bench.state.show("recorded", "monday")
-    bench.state.show("identification", {
-        "title": "2 numbers", "lines": ["a warning"],
-        "rows": [("wire.resistance", "2.7 ± 0.03 ohm"), ("wire.mass", EVIL)],
-    })
-    with opened(browser, url) as shown:
-        shown.until("!document.getElementById('work').hidden")
-        assert "Diagnose" not in shown.text("#work")
-        said = shown.text("#identification-content")
-        assert EVIL in said and "2.7 ± 0.03 ohm" in said and "a warning" in said
-        shown.page.click("#work-form button[value=identify]")
-        shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
-        shown.page.fill("#records", "tuesday 'wednes day'")
-        shown.page.click("#work-form button[value=identify]")
-        shown.until("document.getElementById('work-said').innerText === 'identify: begun'")
-    assert bench.work == [("identify", ["monday"]), ("identify", ["tuesday", "wednes day"])]
-    assert bench.stops == 0
-
-
-def test_a_lost_connection_is_red_and_leaves_no_number(browser, bench):
+def test_a_silent_bench_is_not_shown_as_live_and_a_lost_one_is_red_and_leaves_no_number(
+    browser, bench
+):
     bench.volts = dict.fromkeys(bench.volts, 0.0)
-    with bench.readings(), served(bench) as url:
-        context = opened(browser, url)
-        shown = context.__enter__()
-        shown.until("document.body.className === 'live'")
-        shown.page.keyboard.press("Escape")
-        shown.until("document.getElementById('stop-result').className === 'ok'")
-    try:
+    with ExitStack() as page:
+        with served(bench) as url:
+            shown = page.enter_context(opened(browser, url))
+            with bench.readings():
+                shown.until("document.body.className === 'live'")
+                shown.page.keyboard.press("Escape")
+                shown.until("document.getElementById('stop-result').className === 'ok'")
+            shown.until("document.body.className === 'waiting'")
+            shown.until("document.getElementById('meters').innerText.includes('silent')")
+            assert "°C" not in shown.text("#meters")
+            assert "6 of 6 signals are silent" in shown.text("#connection")
+            with bench.readings():
+                shown.until("document.body.className === 'live'")
         shown.until("document.body.className === 'lost'")
         assert "CONNECTION LOST" in shown.text("#connection")
         assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
@@ -232,5 +220,3 @@ def test_a_lost_connection_is_red_and_leaves_no_number(browser, bench):
         back = "getComputedStyle(document.getElementById('stop-result')).backgroundColor"
         assert shown.page.evaluate(back) == "rgb(179, 20, 27)"
         assert [c for c in shown.complaints if not any(e in c for e in EXPECTED)] == []
-    finally:
-        context.__exit__(None, None, None)
