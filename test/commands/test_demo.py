@@ -34,32 +34,27 @@ from sma_bench.protocols import load_protocol
 from sma_bench.ros.processes import USERS_VARIABLES
 from sma_bench.synthetic.bench_records import protocol_record
 
-FIGURES = {
-    "figure_02_resistance", "figure_03_heat_transfer", "figure_04_ramp", "figure_05_specific_heat",
-}
+FIGURES = ("02_resistance", "03_heat_transfer", "04_ramp", "05_specific_heat")
 LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig.yaml")
-SEEDS = range(60)
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
-@pytest.mark.parametrize("gone", ["--paper", "--investigate", "--hardware"])
-def test_what_is_gone_is_refused_naming_what_replaces_it(gone, tmp_path, capsys):
-    assert main(["demo", gone, "--out", str(tmp_path / "demo")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and gone in said and ("--" in said.split(gone)[1] or "./" in said)
-    assert not (tmp_path / "demo").exists()
-
-
-def estimates(deviation, relative_std):
-    truth = Parameters.of_paper()
-    return {
-        name: {
-            "value": truth[name] * (1.0 + deviation * relative_std),
-            "std": truth[name] * relative_std,
-            "statistical": truth[name] * relative_std,
-        }
-        for name in TABLE_ONE
-    }
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--paper", "--out", "new"], "--paper is gone: identify the bags of simulate --protocol"),
+        (["--investigate", "--out", "new"], "--investigate is gone: investigate --simulated"),
+        (["--hardware", "--out", "new"], "--hardware is gone: ./bench check hardware"),
+        (["--out", "."], "exists already"),
+        (["--out", "new", "--draw", "-1"], "expected 0 or more"),
+    ],
+)
+def test_what_is_gone_or_cannot_be_starts_nothing(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and said in error
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -67,11 +62,13 @@ def estimates(deviation, relative_std):
     [(0.0, 0.005, True), (1.9, 0.005, True), (-2.1, 0.005, False), (0.0, 0.011, False)],
 )
 def test_the_promise_is_two_standard_errors_and_one_percent(deviation, relative_std, holds):
-    truth = Parameters.of_paper()
-    assert promise_holds(estimates(deviation, relative_std), truth) is holds
-    lacking = estimates(deviation, relative_std)
-    del lacking["wire.specific_heat"]
-    assert not promise_holds(lacking, truth)
+    truth, stated = Parameters.of_paper(), {}
+    for name in TABLE_ONE:
+        std = truth[name] * relative_std
+        stated[name] = {"value": truth[name] + deviation * std, "std": std, "statistical": std}
+    assert promise_holds(stated, truth) is holds
+    del stated["wire.specific_heat"]
+    assert not promise_holds(stated, truth)
 
 
 def test_the_short_protocols_keep_the_promise():
@@ -86,44 +83,29 @@ def test_the_short_protocols_keep_the_promise():
 
 
 def test_another_wire_is_drawn_around_table_one_and_differs_by_seed():
-    first, second = simulated_truth(1), simulated_truth(2)
-    table = Parameters.of_paper()
+    first, second, table = simulated_truth(1), simulated_truth(2), Parameters.of_paper()
     for name in TABLE_ONE:
         assert first[name] != second[name]
         assert abs(first[name] / table[name] - 1.0) <= 0.1
     assert dict(simulated_truth(1)) == dict(first)
 
 
-def test_a_folder_that_exists_and_a_negative_seed_start_nothing(tmp_path, capsys):
-    assert main(["demo", "--out", str(tmp_path)]) == 2
-    assert "exists already" in capsys.readouterr().err
-    assert main(["demo", "--out", str(tmp_path / "new"), "--draw", "-1"]) == 2
-    assert "expected 0 or more" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
-
-
-def test_every_effect_is_drawn_some_time_within_its_sizes_and_within_the_library():
-    drawn = {seed: hidden_bench(LAB, seed) for seed in SEEDS}
-    assert {hidden_effect(bench) for bench in drawn.values()} == set(HIDEABLE)
-    for bench in drawn.values():
+def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_errors():
+    drawn = [hidden_bench(LAB, seed) for seed in range(60)]
+    assert {hidden_effect(bench) for bench in drawn} == set(HIDEABLE)
+    assert dict(drawn[3]) == dict(hidden_bench(LAB, 3))
+    for bench in drawn:
         effect = hidden_effect(bench)
         for name, value in hidden_numbers(bench).items():
             low, high = HIDEABLE[effect][name.rpartition(".")[2]]
             assert low <= abs(value) <= high
-    assert dict(drawn[3]) == dict(hidden_bench(LAB, 3))
-
-
-def test_the_bench_is_off_the_lab_by_its_stated_errors_and_says_none_of_them():
-    errors = np.array([
-        [(hidden_bench(LAB, seed)[name] - LAB[name]) / std
-         for name, std in LAB.given_uncertainty.items()]
-        for seed in SEEDS
-    ])  # fmt: skip
+        # It says none of its errors.
+        assert bench.given_uncertainty == {} and bench["bench.channels"] == LAB["bench.channels"]
+    stated = LAB.given_uncertainty.items()
+    errors = np.array([[(bench[n] - LAB[n]) / std for n, std in stated] for bench in drawn])
     assert np.abs(errors).max() <= 2.0 + 1e-6
     assert errors.std() == pytest.approx(0.95, abs=0.05)
     assert abs(errors.mean()) < 0.1
-    assert hidden_bench(LAB, 1).given_uncertainty == {}
-    assert hidden_bench(LAB, 1)["bench.channels"] == LAB["bench.channels"]
 
 
 @pytest.mark.parametrize("protocol", [RECORD, HOLD_OUT])
@@ -136,69 +118,62 @@ def test_both_drives_transform_the_wires_there_and_back_without_overheating(prot
     assert run.deflection.max() > 0.02 and run.deflection.min() < -0.02
 
 
-def answer(*probabilities, cause=(), verdict="effect", **parameters):
-    """A diagnosis result with (name, probability) candidates."""
+PLACE = {"signal": "deflection", "phase": "drive", "side": "front"}
+GONE = {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4, "fraction": 0.94}
+AT_NOISE = dict.fromkeys(("rmse_before", "rmse_after", "noise_floor"), 1e-2)
+SHRINKAGE = {
+    "deflection": {**GONE, "ci90": [0.9, 0.97]},
+    "current": {**AT_NOISE, "fraction": None, "ci90": [None, None]},
+}
+
+
+def answer(probabilities, verdict="effect", **parameters):
+    """A diagnosis result of candidates, the first of which is the cause where one is named."""
+    candidates = [
+        {"name": name, "stage": "mechanical", "probability": p, "gap_over_noise": 3.0}
+        for name, p in probabilities.items()
+    ]
+    candidates[0]["parameters"] = parameters
+    found = [{**PLACE, "gap": 30.0, "share": 0.6, "rms": 3e-3}]
     return {
         "verdict": verdict,
-        "cause": list(cause),
-        "candidates": [
-            {"name": name, "stage": "mechanical", "probability": p, "gap_over_noise": 3.0,
-             "parameters": parameters if k == 0 else {}}
-            for k, (name, p) in enumerate(probabilities)
-        ],
-        "where": {"signal": "deflection", "phase": "drive", "side": "front",
-                  "stage": "mechanical",
-                  "table": [{"signal": "deflection", "phase": "drive", "side": "front",
-                             "gap": 30.0, "share": 0.6, "rms": 3e-3}]},
-        "shrinkage": {
-            "deflection": {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4,
-                           "fraction": 0.94, "ci90": [0.9, 0.97]},
-            "current": {"rmse_before": 1e-2, "rmse_after": 1e-2, "noise_floor": 1e-2,
-                        "fraction": None, "ci90": [None, None]},
-        },
+        "cause": candidates[0]["name"].split("+") if verdict == "effect" else [],
+        "candidates": candidates,
+        "where": {**PLACE, "stage": "mechanical", "table": found},
+        "shrinkage": SHRINKAGE,
         "next_experiment": None,
-    }  # fmt: skip
+    }
+
+
+OTHER = {"opposing_wires": 0.6, "slack": 0.3, "ambient_drift+slack": 0.05}
 
 
 @pytest.mark.parametrize(
-    ("said", "wrong"),
+    ("said", "wrong", "words"),
     [
-        (answer(("slack", 0.97), cause=["slack"]), False),
-        (answer(("slack+ambient_drift", 0.9), cause=["slack", "ambient_drift"]), False),
-        (answer(("opposing_wires", 0.7), cause=["opposing_wires"]), True),
-        (answer(("opposing_wires", 0.5), ("slack", 0.4), verdict="ambiguous"), False),
-        (answer(("unexplained", 0.6), ("slack", 0.4), verdict="ambiguous"), False),
-        (answer(("recalibration", 0.9), ("slack", 0.1), verdict="recalibration"), True),
+        (answer({"slack": 0.97}), False, "slack, probability 0.97: right."),
+        (answer({"slack+ambient_drift": 0.9}), False, "right, but not alone."),
+        (answer({"opposing_wires": 0.7}), True, "WRONG; it gave the truth 0.00."),
+        (answer(OTHER), True, "WRONG; it gave the truth 0.35."),
+        (answer(OTHER, "ambiguous"), False, "it gave the truth 0.35."),
+        (answer({"unexplained": 0.6, "slack": 0.4}, "ambiguous"), False, "the truth 0.40."),
+        (answer({"recalibration": 0.9, "slack": 0.1}, "recalibration"), True, "the truth 0.10."),
     ],
 )
-def test_confidently_wrong_is_a_cause_or_near_certainty_beside_the_truth(said, wrong):
+def test_the_reveal_says_whether_the_first_choice_was_right(said, wrong, words):
+    """Confidently wrong is a cause, or near certainty, beside the truth."""
     assert confidently_wrong(said, TRUTH) is wrong
+    first, second, *_ = reveal(said, TRUTH)
+    assert first == "The bench hid slack (mechanical): slack.strain 0.004."
+    assert second.endswith(words)
 
 
-@pytest.mark.parametrize(
-    ("candidates", "words"),
-    [
-        ([("slack", 0.97)], "slack, probability 0.97: right."),
-        ([("slack+ambient_drift", 0.9)], "right, but not alone."),
-        ([("opposing_wires", 0.6), ("slack", 0.3), ("ambient_drift+slack", 0.05)],
-         "WRONG; it gave the truth 0.35."),
-    ],
-)
-def test_the_reveal_says_whether_the_first_choice_was_right(candidates, words):
-    said = list(reveal(answer(*candidates), TRUTH))
-    assert said[0] == "The bench hid slack (mechanical): slack.strain 0.004."
-    assert said[1].endswith(words)
-
-
-def test_the_reveal_compares_sizes_with_the_truth():
-    found = {"effect.slack.strain": {"value": 0.0038, "std": 0.0001, "unit": "1"}}
-    *_, size = reveal(answer(("slack", 0.97), **found), TRUTH)
-    assert size == "slack.strain: found 0.0038, true 0.004 (-2.0 standard errors)"
-
-
-def test_the_argument_is_printed_whole_on_a_narrow_terminal():
+def test_sizes_are_compared_and_the_argument_is_printed_whole_on_a_narrow_terminal():
+    size = {"effect.slack.strain": {"value": 0.0038, "std": 0.0001, "unit": "1"}}
+    said = answer({"slack": 0.98, "ambient_drift": 0.002}, **size)
+    *_, compared = reveal(said, TRUTH)
+    assert compared == "slack.strain: found 0.0038, true 0.004 (-2.0 standard errors)"
     console = Console(file=StringIO(), width=80)
-    said = answer(("slack", 0.98), ("ambient_drift", 0.002), cause=["slack"])
     print_argument(console, said)
     printed = console.file.getvalue()
     assert max(map(len, printed.splitlines())) <= 80
@@ -229,7 +204,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     assert truth["wire.resistance"] != pytest.approx(2.6987, rel=0.01)
     assert identified["wire.resistance"] == pytest.approx(truth["wire.resistance"], rel=0.005)
     assert {path.parent.name for path in (out / "bags").glob("*/metadata.yaml")} == {*QUICK}
-    assert {path.stem for path in (out / "report").glob("*.png")} >= FIGURES
+    assert all((out / "report" / f"figure_{name}.png").is_file() for name in FIGURES)
     assert (out / "report" / "index.html").stat().st_size > 100_000
     found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))
     hidden = read_parameters(out / "simulated_gap" / "hidden.yaml")
