@@ -12,8 +12,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import tornado.websocket
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from emulated_rig import bridged_rig
 from std_msgs.msg import String
+from test_hostile_topics import HOSTILE
 
 from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
@@ -73,16 +75,6 @@ def read(connection):
         return json.loads(response.read())
 
 
-def driven(rig):
-    """Whether the wire gets 3 V: on a busy machine the device stops it for want of commands."""
-    rig.voltage = (0.0,)
-    rig.until(lambda: rig.state == "idle" or rig.ask("reset").success)
-    rig.until(lambda: rig.power and rig.ask("enable").success)
-    rig.voltage = (3.0,)
-    rig.until(lambda: rig.power[-1].voltage > 2.9 or rig.state != "enabled")
-    return rig.state == "enabled"
-
-
 @contextmanager
 def dashboard(bench, folder, *arguments):
     """A dashboard that has printed its address."""
@@ -96,25 +88,51 @@ def dashboard(bench, folder, *arguments):
         made.process.wait()
 
 
-def test_it_finds_signals_limits_protocol_nodes_and_the_diagnosis(bench, tmp_path):
+SIGNALS = {
+    ("voltage", "wire", "measured"), ("voltage", "wire", "commanded"),
+    ("current", "wire", "measured"), ("temperature", "wire", "measured"),
+    ("elongation", "wire", "measured"), ("force", "wire", "measured"),
+}  # fmt: skip
+
+
+def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_texts(
+    bench, tmp_path
+):
+    clock = np.arange(0.0, 100.0, 0.05)
+    volts = np.floor(clock / 10.0) / 4.0
+    columns = {"voltage": ("V", volts), "current": ("A", volts / 2.8)}
+    write_record(tmp_path / "monday", [
+        Signal(f"wire.{name}", unit, clock, values) for name, (unit, values) in columns.items()
+    ])  # fmt: skip
     bench.start("simulator", bench__maximum_temperature=400.0)
     bench.start("experiment", protocol="staircase")
-    result = bench.node.create_publisher(String, "diagnosis/result", LATCHED)
-    result.publish(String(data='{"verdict": 3}'))
+    bench.start("identification", record_root=str(tmp_path), output_root=str(tmp_path))
+    talkers = [
+        bench.node.create_publisher(String, topic, LATCHED)
+        for topic in ("recorder/state", "experiment/progress", "other/state", "diagnosis/result")
+    ]
+    diagnostics = bench.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     with dashboard(bench, tmp_path) as shown:
         bench.until(lambda: "idle" in shown.panels().get("states", {}).get("experiment", ""))
+        of = ["experiment", "identification", "simulator"]
+        bench.until(lambda: shown.panels().get("limits", {}).get("of") == of)
+        bench.until(lambda: "simulator: bench" in shown.panels().get("diagnostics", {}))
+
+        bench.until(lambda: all(t.get_subscription_count() for t in [*talkers, diagnostics]))
+        bench.until(lambda: talkers[0].get_subscription_count() >= 2)
+        for text in [*HOSTILE, "the last word"]:
+            for talker in talkers:
+                talker.publish(String(data=text))
+        many = [DiagnosticStatus(name=f"/bench/{k}", message="\x1b" * 1000) for k in range(1000)]
+        diagnostics.publish(DiagnosticArray(status=many))
+        bench.until(lambda: shown.panels()["states"].get("other") == "the last word")
+        bench.until(lambda: len(shown.panels()["diagnostics"]) > 100)
+        assert "progress" not in shown.panels()
+
         bench.until(lambda: bench.trigger("experiment/start").success)
         bench.until(lambda: "progress" in shown.panels())
-        both = ["experiment", "simulator"]
-        bench.until(lambda: shown.panels().get("limits", {}).get("of") == both)
-        bench.until(lambda: "simulator: bench" in shown.panels().get("diagnostics", {}))
         found = shown.update()
-        signals = {(s["quantity"], s["place"], s["kind"]) for s in found["signals"]}
-        assert signals >= {
-            ("voltage", "wire", "measured"), ("voltage", "wire", "commanded"),
-            ("current", "wire", "measured"), ("temperature", "wire", "measured"),
-            ("elongation", "wire", "measured"), ("force", "wire", "measured"),
-        }  # fmt: skip
+        assert {(s["quantity"], s["place"], s["kind"]) for s in found["signals"]} >= SIGNALS
         celsius = next(s["latest"] for s in found["signals"] if s["quantity"] == "temperature")
         assert celsius == pytest.approx(23.0, abs=5.0)
         panels = found["panels"]
@@ -122,25 +140,13 @@ def test_it_finds_signals_limits_protocol_nodes_and_the_diagnosis(bench, tmp_pat
         assert panels["progress"]["protocol"] == "staircase"
         assert panels["progress"]["elapsed"] < panels["progress"]["duration"] == 1530.0
         assert panels["states"]["experiment"] == "running: staircase"
-        assert "problem" in panels["diagnosis"]
+        assert "problem" in panels["diagnosis"] and panels["works"] == ["identify"]
         assert panels["stops"] == ["experiment"] and panels["channels"] == ["wire"]
         answer = read(shown.press())
         assert answer["stopped"] and answer["voltages"]["wire"] == pytest.approx(0.0, abs=0.05)
         assert answer["answers"][0]["message"] == "aborted: stopped on request"
-        assert panels["there"] == ["experiment"]
         bench.until(lambda: shown.panels()["states"]["experiment"].startswith("aborted"))
 
-
-def test_a_record_is_identified_from_the_page_and_its_card_comes_back(bench, tmp_path):
-    clock = np.arange(0.0, 100.0, 0.05)
-    volts = np.floor(clock / 10.0) / 4.0
-    columns = {"voltage": ("V", volts), "current": ("A", volts / 2.8)}
-    write_record(tmp_path / "monday", [
-        Signal(f"wire.{name}", unit, clock, values) for name, (unit, values) in columns.items()
-    ])  # fmt: skip
-    bench.start("identification", record_root=str(tmp_path), output_root=str(tmp_path))
-    with dashboard(bench, tmp_path) as shown:
-        bench.until(lambda: shown.panels().get("works") == ["identify"])
         asked = json.dumps({"kind": "identify", "records": "monday"})
         assert read(shown.press("work", asked)) == {"begun": True, "said": "begun"}
         bench.until(lambda: "identification" in shown.panels())
@@ -152,6 +158,27 @@ def test_a_record_is_identified_from_the_page_and_its_card_comes_back(bench, tmp
         assert "nowhere" in shown.panels()["work"]["text"]
         other = asked.replace("identify", "diagnose")
         assert read(shown.press("work", other))["said"] == "no node here does diagnose"
+
+        port = str(urlsplit(shown.url).port)
+        with dashboard(bench, tmp_path, "--port", port) as second:
+            assert second.process.wait(30.0) == 2
+            assert second.output.splitlines() == [
+                f"sma-bench: dashboard: cannot listen on 127.0.0.1 port {port}: "
+                "Address already in use; --port 0 takes any that is free"
+            ]
+        shown.process.send_signal(signal.SIGINT)
+        assert shown.process.wait(30.0) == 0
+        assert "Traceback" not in shown.output
+
+
+def driven(rig):
+    """Whether the wire gets 3 V: on a busy machine the device stops it for want of commands."""
+    rig.voltage = (0.0,)
+    rig.until(lambda: rig.state == "idle" or rig.ask("reset").success)
+    rig.until(lambda: rig.power and rig.ask("enable").success)
+    rig.voltage = (3.0,)
+    rig.until(lambda: rig.power[-1].voltage > 2.9 or rig.state != "enabled")
+    return rig.state == "enabled"
 
 
 @pytest.mark.acceptance
@@ -180,17 +207,3 @@ def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
     assert min(measured) > 0.0  # it was driven when the stop was pressed
     assert sorted(measured)[PRESSES // 2] < LIMIT, measured
     assert max(measured) < LIMIT + LOADED, measured
-
-
-def test_it_ends_at_a_signal_and_says_in_one_line_why_it_cannot_begin(bench, tmp_path):
-    with dashboard(bench, tmp_path) as shown:
-        port = str(urlsplit(shown.url).port)
-        with dashboard(bench, tmp_path, "--port", port) as second:
-            assert second.process.wait(30.0) == 2
-            assert second.output.splitlines() == [
-                f"sma-bench: dashboard: cannot listen on 127.0.0.1 port {port}: "
-                "Address already in use; --port 0 takes any that is free"
-            ]
-        shown.process.send_signal(signal.SIGINT)
-        assert shown.process.wait(30.0) == 0
-        assert "Traceback" not in shown.output
