@@ -8,14 +8,20 @@ import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
-from sma_bench.nodes.start import run as run_here
+from sma_bench.nodes.start import run
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 
-def arguments(tmp_path, text):
-    path = tmp_path / "rig.yaml"
-    path.write_text("/**:\n  ros__parameters:\n" + text)
-    return ["--ros-args", "--params-file", str(path)]
+@pytest.fixture
+def given(tmp_path):
+    """Arguments with a parameter file."""
+
+    def given(text, *more):
+        path = tmp_path / "rig.yaml"
+        path.write_text(f"/**:\n  ros__parameters:\n    {text}\n")
+        return ["--ros-args", "--params-file", str(path), *more]
+
+    return given
 
 
 BAD = {
@@ -27,55 +33,40 @@ BAD = {
     "bench.channels: [a, b]": "bench.channel_sides has 1 entries, expected 2",
     "seed: 1.5": "seed is 1.5, expected a whole number",
     "managed: true": "managed: nodes are no lifecycle nodes any more: they start active",
+    "bench.channels: !!python/tuple [1]": "bench.channels",
+    "speed: !!python/object/apply:os.getcwd []": "not YAML",
 }
 
 
 @pytest.mark.parametrize("text", BAD)
-def test_a_slip_in_a_parameter_file_is_one_line_with_the_file(tmp_path, text):
+def test_a_slip_in_a_parameter_file_is_one_line_with_the_file(given, text):
     with pytest.raises(InputError) as error:
-        check_arguments("simulator", arguments(tmp_path, f"    {text}\n"))
+        check_arguments("simulator", given(text))
     line = str(error.value)
     assert BAD[text] in line and "rig.yaml" in line and "\n" not in line
 
 
-def test_lists_are_read_as_launch_writes_them_and_no_other_type_of_python_is(tmp_path):
-    written = "    feedback: !!python/tuple\n    - power\n"
-    check_arguments("experiment", arguments(tmp_path, written))
-    with pytest.raises(InputError, match="feedback"):
-        check_arguments("experiment", arguments(tmp_path, written.replace("power", "1")))
-    with pytest.raises(InputError, match="not YAML"):
-        check_arguments(
-            "experiment", arguments(tmp_path, "    protocol: !!python/object/apply:os.getcwd []\n")
-        )
-
-
-def test_foreign_names_are_warned_of_and_those_of_other_nodes_are_not(tmp_path, caplog):
-    text = "    use_sim_time: true\n    protocol: ramp\n    gain: 2\n    wyre: 1\n"
-    with caplog.at_level(logging.WARNING):
-        check_arguments("simulator", arguments(tmp_path, text))
-    warned = [record.getMessage() for record in caplog.records]
-    assert len(warned) == 2
-    assert "gain is not a parameter of this package" in warned[0]
-
-
-def test_a_node_sees_its_own_section_and_later_sources_win(tmp_path):
-    text = "    wire.resistance: 2.0\n/**/experiment:\n  ros__parameters: {speeed: 1}\n"
-    check_arguments("simulator", arguments(tmp_path, text))
-    with pytest.raises(InputError, match="wire.resistance is -1"):
-        check_arguments(
-            "simulator", [*arguments(tmp_path, text), "-p", "wire.resistance:=-1.0"]
-        )
-    with pytest.raises(InputError, match="unknown parameter bench.chanels"):
-        check_arguments("simulator", ["--ros-args", "-p", "bench.chanels:=[a]"])
-    two = arguments(tmp_path, "    bench: {channels: [a, b], channel_sides: [front, back]}\n")
+def test_a_node_reads_its_own_section_and_later_sources_win(given, caplog):
+    foreign = "wire.resistance: 2.0\n/**/experiment:\n  ros__parameters: {speeed: 1}"
+    check_arguments("simulator", given(foreign))
+    as_launch_writes = "feedback: !!python/tuple [power]"
+    check_arguments("experiment", given(as_launch_writes))
+    two = given("bench: {channels: [a, b], channel_sides: [front, back]}")
     check_arguments("simulator", [*two, "-p", "bench.channel_sides:=[back, front]"])
-
-
-def run(name, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
-        capture_output=True, text=True, timeout=60, check=False,
-    )
+    of_others = "use_sim_time: true\n    protocol: ramp\n    gain: 2\n    wyre: 1"
+    with caplog.at_level(logging.WARNING):
+        check_arguments("simulator", given(of_others))
+    warned = [record.getMessage() for record in caplog.records]
+    assert len(warned) == 2 and "gain is not a parameter of this package" in warned[0]
+    for arguments, said in (
+        (given(foreign, "-p", "wire.resistance:=-1.0"), "wire.resistance is -1"),
+        (["--ros-args", "-p", "bench.chanels:=[a]"], "unknown parameter bench.chanels"),
+        # ROS would pass over these.
+        (["--ros-args", "-r", "__ns:=/bench", "--", "x"], "unknown argument 'x'"),
+        (["speed:=2.0"], "after --ros-args"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_arguments("simulator", arguments)
 
 
 @pytest.mark.parametrize(
@@ -83,20 +74,20 @@ def run(name, *arguments):
     [
         ("experiment", ["-p", "protocol:=stairs"], "protocol stairs: not one of"),
         ("recorder", ["--params-file", "none.yaml"], "none.yaml: cannot read"),
-        ("simulator", ["-p", "speed"], "-p speed: expected name:=value"),
     ],
 )
 def test_a_node_refuses_a_bad_argument_with_one_line_and_status_2(
     name, given, expected, ros_domain
 ):
-    done = run(name, "--ros-args", *given)
+    command = [sys.executable, "-m", "sma_bench.nodes.start", name, "--ros-args", *given]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert expected in done.stderr and done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("node", sorted(NODE_TABLES))
 def test_help_ends_at_once_and_lists_the_nodes_own_parameters(node, capsys):
-    assert run_here(node, ["--help"]) == 0
+    assert run(node, ["--help"]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith(f"usage: {node} ")
     assert [p.name for p in NODE_TABLES[node] if f"  {p.name} " not in printed] == []
