@@ -12,23 +12,24 @@ from sma_bench.physics.effects import EFFECTS
 
 
 @pytest.mark.parametrize(
-    ("words", "offered"),
+    ("line", "offered"),
     [
-        ([""], list(COMMANDS)),
-        (["di"], ["diagnose"]),
-        (["identify", "--exp"], ["--experiment"]),
-        (["identify", "--experiment", "E1"], ["E1", "E10"]),
-        (["identify", "my_"], ["my_"]),
-        (["identify", "my_bag", "--params", ""], ["FILE"]),
-        (["diagnose", "--signals", "de"], ["deflection"]),
-        (["simulate", "--protocol", "composite_tri"], ["composite_triangle"]),
-        (["simulate", "--effect", ""], list(EFFECTS)),
-        (["audit", "--set", "wire.res"], ["wire.resistance"]),
-        (["run", ""], sorted(NODE_TABLES)),
-        (["calibrate", "supp"], ["supply"]),
+        ("", list(COMMANDS)),
+        ("di", ["diagnose"]),
+        ("identify --exp", ["--experiment"]),
+        ("identify --experiment E1", ["E1", "E10"]),
+        ("identify my_", ["my_"]),
+        ("identify my_bag --params ", ["FILE"]),
+        ("diagnose --signals de", ["deflection"]),
+        ("simulate --protocol composite_tri", ["composite_triangle"]),
+        ("simulate --effect ", list(EFFECTS)),
+        ("audit --set wire.res", ["wire.resistance"]),
+        ("run ", sorted(NODE_TABLES)),
+        ("calibrate supp", ["supply"]),
     ],
 )
-def test_a_shell_is_offered_what_may_follow(words, offered, monkeypatch, capsys):
+def test_a_shell_is_offered_what_may_follow(line, offered, monkeypatch, capsys):
+    words = line.split(" ")
     monkeypatch.setenv("_SMA_BENCH_COMPLETE", "bash_complete")
     monkeypatch.setenv("COMP_CWORD", str(len(words)))
     monkeypatch.setenv("COMP_WORDS", " ".join(["sma-bench", *words]))
@@ -41,11 +42,10 @@ def test_a_shell_is_offered_what_may_follow(words, offered, monkeypatch, capsys)
 
 
 def test_an_installed_command_writes_the_script_of_the_shell():
-    process = subprocess.run(
-        [sys.executable, "-m", "sma_bench.cli"], capture_output=True, text=True, check=True,
-        env={**os.environ, "_SMA_BENCH_COMPLETE": "zsh_source"},
-    )
-    assert "#compdef sma-bench" in process.stdout
+    command = [sys.executable, "-m", "sma_bench.cli"]
+    environment = {**os.environ, "_SMA_BENCH_COMPLETE": "zsh_source"}
+    script = subprocess.check_output(command, text=True, env=environment)
+    assert "#compdef sma-bench" in script
 
 
 def parsed(*words):

@@ -20,7 +20,6 @@ from sma_bench.protocols import protocol_names
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-EXPERIMENTS = [f"E{number}" for number in range(1, 13)]
 HEADINGS = ("Purpose", "Wiring", "Command", "Result", "What can go wrong")
 DEVELOPER = {"test", "blind", "perf", "check"}
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -35,25 +34,23 @@ PLACEHOLDERS = {"NODE": "simulator"}
 NAMED_ONLY = {"call", "import", "info", "notebook", "python", "run"}
 
 
-def commands(page: Path) -> list[str]:
-    """Command lines of a page, whether in a block or within a sentence."""
-    text = page.read_text()
-    lines = [line for block in FENCED.findall(text) for line in block.splitlines()]
-    lines += [" ".join(code.split()) for code in INLINE.findall(FENCED.sub("", text))]
-    return [line.strip() for line in lines]
-
-
 def documented(*programs: str) -> list[tuple[str, list[str]]]:
+    """Command lines of the pages, in a block or within a sentence: where, and words."""
     found = []
     for page in PAGES:
-        for line in commands(page):
+        text = page.read_text()
+        lines = [line.strip() for block in FENCED.findall(text) for line in block.splitlines()]
+        lines += [" ".join(code.split()) for code in INLINE.findall(FENCED.sub("", text))]
+        for line in lines:
             if line.startswith(tuple(f"{program} " for program in programs)):
-                taken = itertools.takewhile(
-                    lambda word: word not in (">", ">>"), shlex.split(line, comments=True)
-                )
-                words = [PLACEHOLDERS.get(w, w) for w in taken]
-                found.append((f"{page.relative_to(ROOT)}: {line}", words[1:]))
+                words = shlex.split(line, comments=True)
+                taken = itertools.takewhile(lambda word: word not in (">", ">>"), words)
+                shown = [PLACEHOLDERS.get(w, w) for w in taken]
+                found.append((f"{page.relative_to(ROOT)}: {line}", shown[1:]))
     return found
+
+
+OURS, ROS = documented("./bench", "sma-bench"), documented("ros2")
 
 
 def check_command(words: list[str]) -> str:
@@ -79,7 +76,12 @@ def check_command(words: list[str]) -> str:
         load_command(name).make_context(name, rest)
     except (click.UsageError, InputError) as error:
         return str(error)
-    return check_files(rest)
+    for word in rest:
+        if word.startswith("config/") and not (ROOT / word).is_file():
+            return f"no file {word}"
+    if "--protocol" in rest and not is_protocol(rest[rest.index("--protocol") + 1]):
+        return "no such protocol"
+    return ""
 
 
 def objection(parser: argparse.ArgumentParser, words: list[str]) -> str:
@@ -87,15 +89,6 @@ def objection(parser: argparse.ArgumentParser, words: list[str]) -> str:
         parser.parse_args(words)
     except (argparse.ArgumentError, InputError, SystemExit) as error:
         return str(error) or "not accepted"
-    return ""
-
-
-def check_files(words: list[str]) -> str:
-    for word in words:
-        if word.startswith("config/") and not (ROOT / word).is_file():
-            return f"no file {word}"
-    if "--protocol" in words and not is_protocol(words[words.index("--protocol") + 1]):
-        return "no such protocol"
     return ""
 
 
@@ -122,44 +115,36 @@ def check_ros(words: list[str]) -> str:
     return ""
 
 
-def test_the_pages_hold_commands_to_check():
-    assert len(documented("./bench", "sma-bench")) > 40
-    assert len(documented("ros2")) > 12
+def test_every_documented_command_is_accepted_and_names_what_exists():
+    assert len(OURS) > 40 and len(ROS) > 12
+    for lines, check in ((OURS, check_command), (ROS, check_ros)):
+        assert {where: why for where, words in lines if (why := check(words))} == {}
 
 
 @pytest.mark.parametrize(
-    ("where", "words"), [pytest.param(*c, id=c[0]) for c in documented("./bench", "sma-bench")]
+    ("check", "lines"),
+    [
+        (
+            check_command,
+            "identfy x; identify; identify x --outt y; run simulatr; check nothing; "
+            "simulate --protocol stairs --out x; audit config/none.yaml; paper staircase",
+        ),
+        (
+            check_ros,
+            "run sma_bench simulatr; launch sma_bench none.launch.py; "
+            "launch sma_bench wire_bench.launch.py protcol:=ramp; "
+            "run sma_bench experiment -p protocol:=stairs",
+        ),
+    ],
 )
-def test_documented_command_is_accepted(where, words):
-    assert check_command(words) == ""
+def test_a_command_that_does_not_exist_is_found(check, lines):
+    assert [line for line in lines.split("; ") if check(line.split()) == ""] == []
 
 
-@pytest.mark.parametrize(
-    ("where", "words"), [pytest.param(*c, id=c[0]) for c in documented("ros2")]
-)
-def test_documented_ros_command_names_what_exists(where, words):
-    assert check_ros(words) == ""
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["identfy x", "identify", "identify x --outt y", "run simulatr", "check nothing",
-     "simulate --protocol stairs --out x", "audit config/none.yaml", "paper staircase"],
-)
-def test_a_command_that_does_not_exist_is_found(line):
-    assert check_command(line.split()) != ""
-
-
-def test_a_ros_command_that_does_not_exist_is_found():
-    for line in ("run sma_bench simulatr", "launch sma_bench none.launch.py",
-                 "launch sma_bench wire_bench.launch.py protcol:=ramp",
-                 "run sma_bench experiment -p protocol:=stairs"):
-        assert check_ros(line.split()) != "", line
-
-
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_experiment_has_a_page_that_says_what_a_lab_must_know(name):
-    text = (ROOT / "docs" / "experiments" / f"{name}.md").read_text()
-    assert text.startswith(f"# {name} ")
-    assert [heading for heading in HEADINGS if f"**{heading}.**" not in text] == []
-    assert f"[{name}]({name}.md)" in (ROOT / "docs" / "experiments" / "README.md").read_text()
+def test_every_experiment_has_a_page_that_says_what_a_lab_must_know():
+    folder = ROOT / "docs" / "experiments"
+    for name in (f"E{number}" for number in range(1, 13)):
+        text = (folder / f"{name}.md").read_text()
+        assert text.startswith(f"# {name} ")
+        assert [heading for heading in HEADINGS if f"**{heading}.**" not in text] == []
+        assert f"[{name}]({name}.md)" in (folder / "README.md").read_text()

@@ -14,59 +14,47 @@ ESCAPE = "\x1b"
 PRINT_NO_RESULT = {"run", "dashboard", "example"}
 
 
-def help_of(name, capsys):
-    assert main([name, "--help"]) == 0
-    return capsys.readouterr().out
-
-
-def examples(text):
-    """Command lines below `examples:`, without the program and what the shell takes."""
-    lines = text.partition("\nexamples:\n")[2].splitlines()
-    shown = [line.strip() for line in lines if line.startswith("  sma-bench ")]
-    return [shlex.split(line.partition(">")[0])[1:] for line in shown]
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_shows_examples_that_the_command_takes(name, capsys):
-    text = help_of(name, capsys)
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
     assert name in PRINT_NO_RESULT or "--json" in text
-    shown = examples(text)
+    lines = [line.strip() for line in text.partition("\nexamples:\n")[2].splitlines()]
+    shown = [shlex.split(line.partition(">")[0]) for line in lines if "sma-bench " in line[:10]]
     assert shown, f"no examples in the help of {name}"
-    for words in shown:
+    for _, *words in shown:
         assert words[0] == name and check_command(words) == "", words
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("line", "said"),
     [
-        (["identfy", "x"], "did you mean identify?"),
-        (["identify"], "RECORD"),
-        (["simulate", "--rate", "fast"], "'--rate': 'fast'"),
-        (["audit", "--nothing"], "unknown option --nothing"),
-        (["simulate", "--out", "x"], "--protocol or --input"),
-        (["linearise", "--deflection", "-0.01", "--voltage", "1"], "--deflection and --voltage"),
-        (["completion", "bash"], "_SMA_BENCH_COMPLETE"),
-        (["blind", "run"], "./bench blind"),
-        (["--nothing"], "--help"),
-        (["identify", "bag", "--parms", "lab.yaml"], "did you mean --params?"),
-        (["simulate", "--protokol", "ramp", "--out", "bag"], "did you mean --protocol?"),
-        (["simulate", "--protocol", "quick_stairs", "--out", "bag"],
-         "did you mean quick_staircase?"),
-        (["info", "nothing.bag"], "nothing.bag"),
-        (["run", "simulater"], "simulator"),
-        (["call", "experiment/start", "--patience", "0"], "expected more than 0"),
-        (["call", "experiment"], "expected NODE/SERVICE"),
-        (["call", "exp riment/start"], "no ROS name"),
-        (["audit", "--set", "wire.resistance"], "expected NAME=VALUE"),
-        (["audit", "--set", "wire.resistence=2.7"], "did you mean wire.resistance?"),
-        (["audit", "--set", "wire.resistance=2.7 ohm"], "expected a number in ohm"),
-        (["audit", "--set", "wire.resistance=.nan"], "finite"),
-        (["audit", "--set", "environment.ambient_temperature=23.0"], "degrees Celsius"),
-        (["audit", "--json", "-", "--set", "wire.resistance=x"], "wire.resistance"),
+        ("identfy x", "did you mean identify?"),
+        ("identify", "RECORD"),
+        ("simulate --rate fast", "'--rate': 'fast'"),
+        ("audit --nothing", "unknown option --nothing"),
+        ("simulate --out x", "--protocol or --input"),
+        ("linearise --deflection -0.01 --voltage 1", "--deflection and --voltage"),
+        ("completion bash", "_SMA_BENCH_COMPLETE"),
+        ("blind run", "./bench blind"),
+        ("--nothing", "--help"),
+        ("identify bag --parms lab.yaml", "did you mean --params?"),
+        ("simulate --protocol quick_stairs --out bag", "did you mean quick_staircase?"),
+        ("info nothing.bag", "nothing.bag"),
+        ("run simulater", "simulator"),
+        ("call experiment/start --patience 0", "expected more than 0"),
+        ("call experiment", "expected NODE/SERVICE"),
+        ("call 'exp riment/start'", "no ROS name"),
+        ("audit --set wire.resistance", "expected NAME=VALUE"),
+        ("audit --set wire.resistence=2.7", "did you mean wire.resistance?"),
+        ("audit --set 'wire.resistance=2.7 ohm'", "expected a number in ohm"),
+        ("audit --set wire.resistance=.nan", "finite"),
+        ("audit --set environment.ambient_temperature=23.0", "degrees Celsius"),
+        ("audit --json - --set wire.resistance=x", "wire.resistance"),
     ],
-)  # fmt: skip
-def test_a_mistyped_command_line_is_one_line(words, said, capsys):
-    assert main(words) == 2
+)
+def test_a_mistyped_command_line_is_one_line(line, said, capsys):
+    assert main(shlex.split(line)) == 2
     printed = capsys.readouterr()
     assert said in printed.err and printed.err.count("\n") == 1
     assert printed.err.startswith("sma-bench: ") and printed.out == ""
@@ -80,30 +68,20 @@ def test_a_terminal_gets_colours(capsys, monkeypatch):
     assert ESCAPE in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [["--json"], ["--json", "-"]])
-def test_without_a_file_it_is_all_there_is_on_standard_output(words, capsys):
-    assert main(["audit", *words]) == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out)["findings"]
-    assert "checks found a clash" in printed.err
-
-
-def test_parameters_as_json_are_the_table(tmp_path, capsys):
-    target = tmp_path / "p.json"
-    words = ["parameters", "--set", "wire.resistance=2.8", "--json", str(target)]
-    assert main(words) == 0
+def test_json_is_all_there_is_on_standard_output_unless_it_goes_to_a_file(tmp_path, capsys):
+    for words in (["--json"], ["--json", "-"]):
+        assert main(["audit", *words]) == 0
+        printed = capsys.readouterr()
+        assert json.loads(printed.out)["findings"] and "checks found a clash" in printed.err
+    target, bag = tmp_path / "p.json", tmp_path / "bag"
+    assert main(["parameters", "--set", "wire.resistance=2.8", "--json", str(target)]) == 0
     entries = {entry["name"]: entry for entry in json.loads(target.read_text())["parameters"]}
-    assert entries["wire.resistance"]["value"] == 2.8
-    assert entries["wire.resistance"]["unit"] == "ohm"
-    assert entries["wire.resistance"]["std"] > 0.0
+    resistance = entries["wire.resistance"]
+    assert (resistance["value"], resistance["unit"]) == (2.8, "ohm") and resistance["std"] > 0.0
     assert entries["bench.channels"]["value"] == ["wire"]
-
-
-def test_a_simulation_as_json_says_what_was_simulated_and_where_its_bag_is(tmp_path, capsys):
-    bag = tmp_path / "bag"
-    words = ["simulate", "--protocol", "ramp", "--rate", "10", "--noise", "3",
-             "--effect", "latent_heat=12e3", "--out", str(bag), "--json"]  # fmt: skip
-    assert main(words) == 0
+    capsys.readouterr()
+    line = f"simulate --protocol ramp --rate 10 --noise 3 --effect latent_heat=12e3 --out {bag}"
+    assert main([*line.split(), "--json"]) == 0
     printed = capsys.readouterr()
     found = json.loads(printed.out)
     assert found["bag"] == str(bag) and "simulated samples" in printed.err
@@ -113,15 +91,17 @@ def test_a_simulation_as_json_says_what_was_simulated_and_where_its_bag_is(tmp_p
     assert found["samples"] == pytest.approx(10.0 * found["duration"], abs=2)
 
 
+HELP = """
+import contextlib, io, sys
+from sma_bench.cli import COMMANDS, main
+for command in COMMANDS:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+        main([command, "--help"])
+print(sorted({"scipy", "numba", "matplotlib", "rclpy"} & set(sys.modules)))
+"""
+
+
 def test_help_loads_nothing_heavy():
     """It is there in a moment, of every command."""
-    code = (
-        "import contextlib, io, sys\n"
-        "from sma_bench.cli import COMMANDS, load_command, main\n"
-        "for words in [[c] for c in COMMANDS]:\n"
-        "    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
-        "        main([*words, '--help'])\n"
-        "print(sorted({'scipy', 'numba', 'matplotlib', 'rclpy'} & set(sys.modules)))"
-    )
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    process = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True)
     assert process.stdout.strip() == "[]", process.stderr

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from rich.cells import cell_len
 
 from sma_bench.commands import terminal
 from sma_bench.commands.terminal import WorkState, progress
@@ -43,7 +44,7 @@ def heard():
     return told, lambda share, what="": told.append((round(share, 6), what))
 
 
-def test_time_left_is_extrapolated_and_counts_down():
+def test_time_left_counts_down_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
     clock = Clock()
     state = WorkState(clock)
     assert state.left is None
@@ -53,6 +54,10 @@ def test_time_left_is_extrapolated_and_counts_down():
     clock.now += 20.0
     assert state.left == pytest.approx(70.0)
     assert state.words == "25%, 1 min 10 s left"
+    state.report(0.2, "two")
+    assert (state.share, state.what) == (0.25, "two")
+    clock.now += 160.0
+    assert state.left is None and state.words == "25%, 3 min 30 s gone"
 
 
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 2.0, 4.0])
@@ -72,37 +77,20 @@ def test_the_time_left_of_a_plan_follows_the_machine_and_never_stands_still(slow
     assert min(falls) > quarter / 2
 
 
-def test_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
-    clock = Clock()
-    state = WorkState(clock)
-    clock.now += 10.0
-    state.report(0.5, "one")
-    state.report(0.2, "two")
-    assert (state.share, state.what) == (0.5, "two")
-    clock.now += 11.0
-    assert state.left is None and state.words == "50%, 21 s gone"
-
-
 def test_parts_and_steps_of_a_whole():
     told, report = heard()
     half = part(report, 0.5, 1.0, "fit")
     half(0.5, "pass 1")
     half(2.0)
-    assert told == [(0.75, "fit: pass 1"), (1.0, "fit")]
-    assert shares({"a": 1.0, "b": 3.0}) == {"a": (0.0, 0.25), "b": (0.25, 1.0)}
-    told.clear()
     step = by_name(report, {"a": 1.0, "b": 3.0})
     for name in ("a", "b", "c"):
         step(name)
-    assert told == [(0.0, "a"), (0.25, "b"), (0.0, "c")]
-    told.clear()
     assert list(in_turn("xy", report, lambda letter: f"read {letter}")) == ["x", "y"]
-    assert told == [(0.0, "read x"), (0.5, "read y")]
-    told.clear()
-    done = counted(report, 2, "case")
-    done(1)
-    done(2)
-    assert told == [(0.0, "case 1 of 2"), (0.5, "case 2 of 2"), (1.0, "case 2 of 2")]
+    counted(report, 1, "case")(1)
+    fit, steps = [(0.75, "fit: pass 1"), (1.0, "fit")], [(0.0, "a"), (0.25, "b"), (0.0, "c")]
+    turns, cases = [(0.0, "read x"), (0.5, "read y")], [(0.0, "case 1 of 1"), (1.0, "case 1 of 1")]
+    assert told == [*fit, *steps, *turns, *cases]
+    assert shares({"a": 1.0, "b": 3.0}) == {"a": (0.0, 0.25), "b": (0.25, 1.0)}
 
 
 def test_every_step_that_a_diagnosis_tells_has_its_share():
@@ -128,11 +116,12 @@ def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():
 
 
 def test_a_terminal_gets_a_bar_that_fits_and_vanishes():
-    process, screen = on_a_terminal(WORK, columns=40)
-    assert process.stdout.read() == b"result\n"
-    frames = [frame for frame in re.split(r"[\r\n]+", plain(screen)) if frame.strip()]
+    printed, screen = on_a_terminal(WORK, columns=40)
+    assert printed == b"result\n"
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", re.sub(r"\x1b\[[0-9;]*m", "", screen))
+    frames = [frame for frame in re.split(r"[\r\n]+", plain) if frame.strip()]
     assert any("…" in frame and re.search(r"\d+%, \d+ s left", frame) for frame in frames)
-    assert max(cells(frame) for frame in frames) <= 40
+    assert max(cell_len(frame) for frame in frames) <= 40
     assert screen.rstrip().endswith("\x1b[2K")  # the last that is done is to wipe the line
 
 
@@ -143,15 +132,13 @@ def test_the_display_ends_with_an_error(monkeypatch):
     assert "work" not in [thread.name for thread in terminal.threading.enumerate()]
 
 
-def on_a_terminal(program, columns, **environment):
-    """Run with standard error on a terminal of so many columns: the process and the screen."""
+def on_a_terminal(program, columns):
+    """Run with standard error on a terminal of so many columns: what is printed, the screen."""
     ours, its = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=its,
-        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": str(columns), **environment},
-    )
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": str(columns)}
+    command, seen = [sys.executable, "-c", program], b""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=its, env=environment)
     os.close(its)
-    seen = b""
     end = time.monotonic() + 60.0
     while time.monotonic() < end:
         try:
@@ -163,14 +150,4 @@ def on_a_terminal(program, columns, **environment):
         seen += chunk
     os.close(ours)
     assert process.wait(10.0) == 0
-    return process, seen.decode()
-
-
-def plain(screen):
-    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", re.sub(r"\x1b\[[0-9;]*m", "", screen))
-
-
-def cells(text):
-    from rich.cells import cell_len
-
-    return cell_len(text)
+    return process.stdout.read(), seen.decode()
