@@ -5,6 +5,7 @@ file tells what it means: units, the meaning of every column, and a clock.
 """
 
 import datetime as dt
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +40,8 @@ HABITS: dict[str, tuple[str, ...]] = {
     "notes": ("none", "key: value", "# lines", "a sentence"),
     "header": ("plain", "#", "##", "twice", "none"),
     "blocks": ("one", "again", "footer"),
-    "file": ("text", "xlsx", "xlsx, notes first", "xlsx, a second sheet"),
+    "file": ("text", "xlsx", "xlsx, notes first", "xlsx, a second sheet", "mat", "mat, a matrix",
+             "h5", "h5, compound"),
     "beside": ("nothing", "comment", "status", "setpoint", "second thermometer", "crosshead"),
     "current": ("driven is positive", "battery's sign", "mean of a switched supply"),
 }  # fmt: skip
@@ -114,6 +116,7 @@ _UNITS: dict[str, tuple[tuple[str, float, float, int], ...]] = {
 }  # fmt: skip
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
+_NUMBERED_TIMES = ("s", "ms", "min", "days", "s, no unit", "ms, no unit", "min, no unit", "epoch")
 _COARSE = ("whole seconds", "whole s", "date and whole s")
 _CONVENTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "driven is positive": lambda amperes: amperes,
@@ -160,6 +163,11 @@ def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
     def plain(*features: str) -> None:
         habits.update({feature: HABITS[feature][0] for feature in features})
 
+    if habits["file"].startswith(("mat", "h5")):  # numbers under names, nothing else
+        plain("header", "notes", "index", "cells", "beside", "current")
+        if habits["time"] not in (*_NUMBERED_TIMES, "none"):
+            plain("time")
+        habits["units"] = "none" if habits["units"] == "none" else "row u"
     if habits["file"] != "text":
         plain("separator", "decimal", "thousands", "quotes", "encoding", "blocks")
         if habits["header"] != "none":
@@ -209,19 +217,22 @@ def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
 def tells(truth: Truth, habits: dict[str, str]) -> bool:
     """Whether a person who has the file alone knows what every number in it means."""
     signs = habits["separator"], habits["decimal"]
-    splits_numbers = signs == ("comma", "comma") and habits["quotes"] != "all"
+    quoted = habits["quotes"] == "all" or habits["thousands"] != "none" or (
+        habits["units"] == "comma u"
+    )
+    has_mass = habits["notes"] in ("key: value", "# lines") or habits["scale"] == "other"  # W/g
     vague_clock = habits["time"].endswith("no unit") or habits["time"] == "none"
     return not (
-        splits_numbers
+        (signs == ("comma", "comma") and not quoted)
         or (vague_clock and (truth.is_bench or truth.kind == "dsc"))
-        or habits["units"] in ("none", "not of T")
+        or habits["units"] == "none"
+        # A bench at rest has the temperature of a room, in one unit only; a test any.
+        or (habits["units"] == "not of T" and truth.kind in ("dsc", "isobaric"))
         or habits["header"] == "none"
         or habits["beside"] == "second thermometer"
         or habits["current"] != HABITS["current"][0]
         or truth.kind == "beam"  # which way is forward?
-        or (truth.kind == "dsc" and habits["notes"] != "key: value")  # the mass
-        or (not truth.is_bench and habits["titles"] in ("symbols", "T_name"))
-        or (habits["titles"] == "Spanish" and truth.kind in ("isobaric", "tensile", "dsc"))
+        or (truth.kind == "dsc" and not has_mass)
     )
 
 
@@ -413,6 +424,8 @@ def _write_file(
         "# lines": [f"# {key} = {value}" for key, value in notes],
         "a sentence": ["Measured on a bench that is not there", ""],
     }.get(habits["notes"], [])
+    if habits["file"].startswith(("mat", "h5")):
+        return _write_arrays(habits, titles, head, grid, folder)
     if habits["file"] != "text":
         return _write_workbook(habits, lines, titles, head, texts, grid, folder)
     separator = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": "   "}[habits["separator"]]
@@ -441,6 +454,39 @@ def _write_file(
     if habits["encoding"] == "mac_roman":
         text = text.replace("²", "2")
     path.write_bytes(text.encode(habits["encoding"], "replace"))
+    return path
+
+
+def _write_arrays(
+    habits: dict[str, str], titles: list[str], head: list[list[str]], grid: list[list[Any]],
+    folder: Path,
+) -> Path:  # fmt: skip
+    """Named arrays with their units beside or within their names, a matrix or a compound table."""
+    values, units = np.array(grid, dtype=float), head[0] if head else [""] * len(titles)
+    path = folder / f"run.{habits['file'][:3].strip(',')}"
+    if habits["file"].startswith("mat"):
+        from scipy.io import savemat
+
+        as_names = {"°C": "degC", "%": "pct", "µm": "um", "mm/mm": "ratio", "1": "ratio"}
+        names = [re.sub(r"\W", "_", f"{t}_{as_names.get(u, u)}".rstrip("_"), flags=re.ASCII)
+                 for t, u in zip(titles, units, strict=True)]  # fmt: skip
+        if habits["file"] == "mat" and not {"W/g", "N/mm²"} & set(units):
+            savemat(path, dict(zip(names, values.T, strict=True)))
+        else:
+            texts = {"names": titles, "units": units}
+            lists = {key: np.array(some, dtype=object) for key, some in texts.items()}
+            savemat(path, {"log": {"data": values, **lists}})
+        return path
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        if habits["file"] == "h5, compound":
+            names = [f"{t} [{u}]" if u else t for t, u in zip(titles, units, strict=True)]
+            table = np.array([tuple(row) for row in values], dtype=[(n, "f8") for n in names])
+            file.create_dataset("log", data=table)
+        else:
+            for title, unit, column in zip(titles, units, values.T, strict=True):
+                file.create_dataset(f"log/{title}", data=column).attrs["unit"] = unit
     return path
 
 

@@ -8,6 +8,7 @@ values, times or rows that are not those of the file, or a column left out witho
 
 import contextlib
 import io
+import re
 import traceback
 from typing import Any
 
@@ -20,6 +21,7 @@ RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "ra
 OUTCOMES = (RIGHT, ASKED, REFUSED, WRONG, RAISED)
 _ENOUGH = 0.7  # of an instrument's rows; its readers leave out turns and rests
 _MOST_LINE = 300
+_ADVICE = r"\b(expected|write|quote|give|states?|which)\b"  # what to do is in every refusal
 
 
 def outcome(truth: Truth, sample: Sample) -> tuple[str, str]:
@@ -46,7 +48,7 @@ def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
     maps = "\n".join(path.read_text() for path in folder.glob("*.map.yaml"))
     if status == 2:
         asks = "unsure of" in text or ": ask" in maps or '"ask"' in maps
-        return (ASKED if asks else REFUSED), _line(text)
+        return ASKED if asks else _refused(text), _line(text)
     if status != 0:
         return RAISED, f"exit {status}: {_line(text)}"
     bags = [bag] if (bag / "metadata.yaml").exists() else sorted(bag.iterdir())
@@ -77,6 +79,11 @@ def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
     if sample.habits["file"] == "xlsx, a second sheet" and len(bags) < 2 and "Data 2" not in text:
         faults.append("sheet Data 2: vanished")
     return (WRONG, "; ".join(faults)) if faults else (RIGHT, "")
+
+
+def _refused(text: str) -> str:
+    """`REFUSED` where the reason says what to write, else `RAISED`: nobody can act on it."""
+    return REFUSED if re.search(_ADVICE, text) else RAISED
 
 
 def _signal_fault(
@@ -128,7 +135,8 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
         record: Any = sma_bench.load(sample.path)
     except sma_bench.InputError as error:
         line = str(error)
-        return (ASKED if "?" in line or "state" in line else REFUSED), line[:_MOST_LINE]
+        asks = "which one" in line or "state" in line
+        return ASKED if asks else _refused(line), line[:_MOST_LINE]
     kind = type(record).__name__.removesuffix("Record").lower()
     kind = "dsc" if kind.endswith("dsc") else kind
     if kind != truth.kind:

@@ -40,6 +40,12 @@ _TABLES = {
         ("from K", "from", ".2f"), ("to K", "to", ".2f"), ("strain from", "strain_from", ".5f"),
         ("strain to", "strain_to", ".5f"),
     ),
+    "cycles": (
+        ("cycle", "cycle", ""), ("lower cycle K", "lower_cycle_temperature", ".2f"),
+        ("upper cycle K", "upper_cycle_temperature", ".2f"),
+        ("actuation strain", "actuation_strain", ".5f"),
+        ("residual strain", "residual_strain", ".5f"),
+    ),
 }  # fmt: skip
 
 

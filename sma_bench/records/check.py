@@ -1,6 +1,7 @@
 """What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import contract
 from sma_bench.records.dsc import DscRecord
-from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.records.isobaric import Cycle, IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.record import (
     FloatArray,
@@ -53,12 +54,15 @@ _SENSE: tuple[tuple[str, tuple[float, float], tuple[float, float], Severity, str
 )  # fmt: skip
 _MECHANICS = ("deflection", "elongation", "force", "front.range", "back.range")
 _EVENTS = ("voltage_command",)
+_READ = ("temperature", "elongation", "deflection", "force")
+_FEWEST_LEVELS, _MOST_LEVELS, _SAMPLES_A_LEVEL = 3, 100, 5  # of a coarse reading
 
 
 def check_record(record: Record) -> list[Finding]:
     """Everything to know before using a record, what the reader noticed included."""
     found = list(record.findings)
-    for check in (_absent, _values, _rate, _clocks, _two_times, _saturation, check_response):
+    checks = (_absent, _values, _rate, _coarse, _clocks, _two_times, _saturation, check_response)
+    for check in checks:
         found += check(record)
     return found
 
@@ -106,12 +110,18 @@ def _values(record: Record) -> Iterator[Finding]:
 
 
 def _rate(record: Record) -> Iterator[Finding]:
+    """Gaps and losses; signals of one clock have them in common and share a remark."""
+    shared: dict[str, tuple[Finding, list[str]]] = {}
     for signal in record.signals.values():
         period = signal.period
         if len(signal) < 10 or signal.name in _EVENTS or not period > 0:
             continue
         steps = np.diff(signal.time)
-        gaps = steps > _GAP_PERIODS * period
+        # An irregular clock has no period that samples could be missing at.
+        away = np.median(np.abs(steps / period - np.rint(steps / period)))
+        is_irregular = bool(away > _IRREGULAR)
+        gaps = steps > _GAP_PERIODS * (np.percentile(steps, 95) if is_irregular else period)
+        found = []
         if gaps.any():
             longest = int(np.argmax(steps))
             text = (
@@ -119,16 +129,37 @@ def _rate(record: Record) -> Iterator[Finding]:
                 f"{steps[longest]:.3g} s at t = {signal.time[longest]:.3f} s"
             )
             numbers = {"gaps": float(gaps.sum()), "longest": float(steps[longest])}
-            yield Finding("warning", signal.name, text, numbers)
-        # An irregular clock has no period that samples could be missing at.
-        if np.median(np.abs(steps / period - np.rint(steps / period))) > _IRREGULAR:
-            continue
+            found.append(Finding("warning", signal.name, text, numbers))
+        if is_irregular:
+            mean = (len(steps) - gaps.sum()) / steps[~gaps].sum()
+            text = f"irregular: {mean:.3g} Hz in the mean"
+            found.append(Finding("info", signal.name, text, {"rate": float(mean)}))
         lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
         fraction = lost / (lost + len(signal))
-        if fraction > _LOSS_TOLD:
+        if fraction > _LOSS_TOLD and not is_irregular:
             severity: Severity = "warning" if fraction > _LOSS_WARNED else "info"
             text = f"about {100 * fraction:.1f} % of the samples are missing at {1 / period:.4g} Hz"
-            yield Finding(severity, signal.name, text, {"fraction": fraction})
+            found.append(Finding(severity, signal.name, text, {"fraction": fraction}))
+        for finding in found:
+            shared.setdefault(finding.text, (finding, []))[1].append(signal.name)
+    for finding, names in shared.values():
+        beside = f"; of {', '.join(names[1:])} too" if names[1:] else ""
+        yield replace(finding, text=finding.text + beside)
+
+
+def _coarse(record: Record) -> Iterator[Finding]:
+    """Readings that come in steps coarse for what they show."""
+    for name, signal in record.signals.items():
+        levels = np.unique(signal.values[np.isfinite(signal.values)])
+        if _kind(name) not in _READ or not _FEWEST_LEVELS < len(levels) < _MOST_LEVELS:
+            continue
+        step = float(np.diff(levels).min())
+        multiples = np.diff(levels) / step
+        if len(signal) > _SAMPLES_A_LEVEL * len(levels) and (
+            np.abs(multiples - np.rint(multiples)).max() < _IRREGULAR
+        ):
+            text = f"resolution {step:.3g} {signal.unit}: {len(levels)} values of {len(signal)}"
+            yield Finding("info", name, text, {"resolution": step})
 
 
 def receive_delays(record: Record) -> dict[str, FloatArray]:
@@ -396,6 +427,7 @@ def describe(record: AnyRecord) -> dict[str, Any]:
                 for cycle in record.cycles
                 for branch in cycle.branches
             ],
+            "cycles": [_standard(cycle) for cycle in record.cycles if len(cycle.branches) == 2],
         }
     elif isinstance(record, TensileRecord):
         about |= {
@@ -422,6 +454,21 @@ def describe(record: AnyRecord) -> dict[str, Any]:
         }
     return about | {
         "findings": [finding.to_json() for finding in found], "account": account_line(record),
+    }
+
+
+def _standard(cycle: Cycle) -> dict[str, float]:
+    """Quantities of a cycle by their names in ASTM E3097: lower and upper cycle temperature (K),
+    actuation strain (what heating recovers) and residual strain (end less begin of the cycle)."""
+    heating = next(b for b in cycle.branches if b.direction == "heating")
+    temperatures = np.concatenate([branch.temperature for branch in cycle.branches])
+    first, last = cycle.branches
+    return {
+        "cycle": cycle.number,
+        "lower_cycle_temperature": float(temperatures.min()),
+        "upper_cycle_temperature": float(temperatures.max()),
+        "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
+        "residual_strain": float(last.strain[-1] - first.strain[0]),
     }
 
 

@@ -226,8 +226,8 @@ class _Proposal:
                 and not QUANTITIES[named].get("unused")
             ):
                 self.ask(column.name, f"its title says nothing known: is it a {named}?")
-        if named == "supply" and {"u", "i"} & words:
-            self.ask(column.name, "of the supply, or what the wire gets?")
+        if named in ("voltage", "current") and words & set(WORDS["supplies"]):
+            self.ask(column.name, "what the supply gives, or what the wire gets?")
         if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?0*([2-9]|1\d)", column.title):
             self.ask(column.name, "of the wire or of the room (ambient.temperature)?")
         if named == "temperature" and not column.unit and len(column.title) < 4:

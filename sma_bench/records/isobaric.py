@@ -280,7 +280,7 @@ def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
     if not sheet.titles:
         sheet = _named(sheet, strain_unit, load is not None)
     columns = sheet.columns("isobaric", ["stress"] if load is not None else [])
-    pulled = columns["strain or extension"]
+    pulled = columns["strain"]
     if np.ptp(pulled[0].values) == 0.0:
         raise InputError(f"{path}: {pulled[0].name} is {pulled[0].values[0]:g} throughout")
     if pulled[1] == "strain" and not pulled[0].unit:
@@ -290,7 +290,7 @@ def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
         if 0.01 * LARGEST_SPAN < span < 100.0 * LARGEST_SPAN:
             text = f"no unit of strain is given; its span of {span:.4g} is taken as {unit}"
             remark("warning", "strain unit", text, span=span)
-            columns["strain or extension"] = pulled = replace(pulled[0], unit=unit), "strain"
+            columns["strain"] = pulled = replace(pulled[0], unit=unit), "strain"
     temperature, strain = sheet.values(columns["temperature"]), sheet.values(pulled)
     stress = np.full(len(strain), load)
     if "stress" in columns:

@@ -14,6 +14,7 @@ from sma_bench.records.record import Record
 from sma_bench.records.roles import Sheet
 from sma_bench.records.tables import TableFile, read_table_file
 from sma_bench.records.tensile import TensileRecord, is_tensile, tensile_of
+from sma_bench.records.units import QUANTITIES, WORDS
 
 AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 
@@ -75,29 +76,25 @@ def open_record(
 def _what_it_lacks(file: TableFile, stated: Mapping[str, float]) -> str:
     """What keeps a table from being an instrument's, or how a logger's becomes a record."""
     sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
-    columns = sheet.table.columns
-    if len(columns) == 2 and not any(column.title for column in columns):
+    if not sheet.titles:
         return (
-            "two columns without titles: of an isobaric test (temperature in degC, strain) state "
-            "the stress, --state 'stress=200 MPa' or a first line 'Stress: 200 MPa'; of any other, "
-            "write titles with units above them"
+            f"{len(sheet.table.columns)} columns without titles: write titles with units above "
+            "them; of two, of an isobaric test (temperature in degC, strain), state the stress, "
+            "--state 'stress=200 MPa' or a first line 'Stress: 200 MPa'"
         )
-    has = {role for role in ("temperature", "strain", "stress", "length", "force", "heat flow")
-           if sheet.find(role)}  # fmt: skip
-    if not sheet.is_driven():
-        if "heat flow" in has:
-            return "heat flow without a temperature: a DSC run has both, and time"
-        if "temperature" in has and has & {"strain", "length"}:
-            return (
-                "no stress column: an isobaric test has temperature, strain and stress; --state "
-                "'stress=200 MPa' or a line 'Stress: 200 MPa' above the titles states one"
-            )
-        if "stress" in has:
-            return "no strain column: a tensile test has strain and stress"
-        if "strain" in has:
-            return "no stress column: a tensile test has strain and stress"
+    kinds = WORDS["instruments"]
+    lacks = {kind: [what for what, roles in needs.items() if not sheet.find(*roles)]
+             for kind, needs in kinds.items()}  # fmt: skip
+    kind = min(lacks, key=lambda one: len(lacks[one]))
+    is_named = kind == "isobaric" or any(map(sheet.find, ("heat flow", "strain", "stress")))
+    if len(lacks[kind]) == 1 and is_named and not sheet.is_driven():
+        what = lacks[kind][0]
+        how = f"write its title with a unit, {what.capitalize()} ({QUANTITIES[what]['example']})"
+        if kind == "isobaric" and what == "stress":
+            how += ", or state it: --state 'stress=200 MPa', a line 'Stress: 200 MPa' above"
+        return f"no {what} column: a {kind} test has {', '.join(kinds[kind])}; {how}"
     name = file.path.name
     return (
-        f"a table of another logger ({file.format}); make a record of it: sma-bench import {name} "
-        f"--out {file.path.stem}"
+        f"a table of another logger ({file.format}): write titles with units, or make a record of "
+        f"it: sma-bench import {name} --out {file.path.stem}"
     )

@@ -92,7 +92,7 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
         raise InputError(f"{path}: {len(table.lines)} rows, expected {FEWEST_ROWS} or more")
     findings: list[Finding] = []
     columns = sheet.columns("tensile")
-    pulled, loaded = columns["strain or extension"], columns["stress or force"]
+    pulled, loaded = columns["strain"], columns["stress"]
     strain, stress = sheet.values(pulled), sheet.values(loaded)
 
     # Extension counts from the first row, over the gauge length; force over the section.

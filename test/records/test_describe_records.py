@@ -65,7 +65,7 @@ def test_records_are_told_apart_by_content(tmp_path, write_bag, ramp, measured_d
     shown = capsys.readouterr().out
     assert "60.200 mg" in shown and "cooling" in shown and "no findings" in shown
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
-    others = {"notes.csv": "sma-bench import|two columns", "absent": "no such file or folder"}
+    others = {"notes.csv": "sma-bench import|2 columns", "absent": "no such file or folder"}
     for name, said in others.items():
         with pytest.raises(InputError, match=said):
             open_record(tmp_path / name)

@@ -205,7 +205,21 @@ def test_quantised_and_irregular_readings_raise_no_alarm(tmp_path, capsys):
     words = ["--params", str(FIELD / "drig.yaml"), "--out", str(tmp_path / "bag")]
     assert main(["import", str(FIELD / "19_quantised.csv"), *words]) == 0
     said = capsys.readouterr().out
-    assert "clipped" not in said and "missing" not in said
+    assert not any(word in said for word in ("clipped", "missing", "gaps", "warning"))
+    assert main(["info", str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert "resolution 0.25 K" in said
+    assert said.count("Hz in the mean") == 1 and "mean; of wire.voltage too" in said
+
+
+def test_a_supplys_own_readings_are_asked_about(tmp_path):
+    path = tmp_path / "psu.csv"
+    rows = [f"{k / 10},{3.0 * (k > 20)},{1.0 * (k > 20)},{20 + k / 10}" for k in range(90)]
+    path.write_text("\n".join(["Time (s),PSU_U_RB,PSU_I_RB,T_wire (C)", *rows]) + "\n")
+    made, questions, _ = propose(read_table_file(path), BenchHints())
+    assert {e.column: e.signal for e in made.entries}["PSU_U_RB"] == "wire.voltage"
+    for name in ("PSU_U_RB", "PSU_I_RB"):
+        assert f"{name!r}: what the supply gives, or what the wire gets?" in questions
 
 
 TABLES = [p for folder in (FIELD, EXAMPLES) for p in sorted(folder.rglob("*")) if p.suffix in KINDS]
