@@ -262,7 +262,7 @@ def nodes_forked(monkeypatch):
 
     def started(command, stdout, **_):
         assert command[1:3] == ["-m", "sma_bench.nodes.start"]
-        return ForkedNode(command[3], command[4:], stdout.fileno())
+        return ForkedNode(command[3], command[4:], stdout.name)
 
     names = ("STDOUT", "DEVNULL", "TimeoutExpired")
     stand_in = SimpleNamespace(Popen=started, **{name: getattr(subprocess, name) for name in names})

@@ -39,14 +39,15 @@ class RunningNode:
 
     def __init__(self, name, arguments, log, **options):
         self.log = log
+        log.touch()
+        if not options:
+            self.process = ForkedNode(name, arguments, log)
+            return
         with log.open("wb") as stream:
-            if options:
-                self.process = subprocess.Popen(
-                    [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
-                    stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
-                )  # fmt: skip
-            else:
-                self.process = ForkedNode(name, arguments, stream.fileno())
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
+                stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
+            )  # fmt: skip
 
     def end(self, number=signal.SIGINT):
         """Send a signal and return the exit status."""
