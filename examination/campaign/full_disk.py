@@ -61,9 +61,10 @@ def full_disk(size: int, seed: int, folder: Path) -> list[Outcome]:
             with small_disk(folder / f"out_{number}", rng.randrange(1, 4) * 4096):
                 commands.append(_fill_with(command, folder / f"out_{number}"))
     return [
-        _outcome(f"recorder's bag fills the disk ({kind})", bags),
-        _outcome(f"{', '.join(_COMMANDS)} ({kind})", commands),
-    ]
+        Outcome.of("disk", f"{what} ({kind})", len(wrong), wrong)
+        for what, wrong in (("recorder's bag fills the disk", bags),
+                            (", ".join(_COMMANDS), commands))
+    ]  # fmt: skip
 
 
 def _fill_with_a_bag(path: Path) -> str:
@@ -153,9 +154,3 @@ def _open_files() -> list[str]:
         with contextlib.suppress(OSError):
             found.append(os.readlink(link))
     return found
-
-
-def _outcome(what: str, wrong: list[str]) -> Outcome:
-    failures = sorted({text for text in wrong if text})
-    found = f"failed {sum(map(bool, wrong))}" + "".join(f"; {text}" for text in failures[:3])
-    return Outcome("disk", what, len(wrong), found, "failed 0", not failures)

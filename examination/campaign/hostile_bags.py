@@ -12,14 +12,8 @@ from sma_bench.records import Signal, contract
 from sma_bench.records.bag_writer import write_record
 
 TOPICS = (
-    ("/bench/wire/power", contract.BATTERY_STATE),
-    ("/bench/joint_states", contract.JOINT_STATE),
-    ("/bench/voltage_command", contract.MULTI_ARRAY),
-    ("/bench/wire/temperature", contract.TEMPERATURE),
-    ("/bench/front/range", contract.RANGE),
-    ("/bench/experiment/marker", contract.STRING),
-)
-LITTLE_ENDIAN = b"\0\1\0\0"
+    ("/bench/wire/power", contract.BATTERY_STATE), ("/bench/joint_states", contract.JOINT_STATE),
+)  # fmt: skip
 _MAGIC = b"\x89MCAP0\r\n"
 _SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _PAGE, _SECTOR = 4096, 512
@@ -42,9 +36,6 @@ def small_bag(path: Path, storage: str) -> Path:
     if storage == "sqlite3":
         in_sqlite3(path)
     return path
-
-
-# --- mcap ---------------------------------------------------------------------------------------
 
 
 def record(opcode: int, content: bytes) -> bytes:
@@ -81,50 +72,10 @@ def _text(content: bytes) -> bytes:
     return struct.pack("<I", len(content)) + content
 
 
-# --- messages -----------------------------------------------------------------------------------
-
-
-class Cdr:
-    """Plain CDR, little-endian, field after field."""
-
-    def __init__(self) -> None:
-        self.body = bytearray()
-
-    def put(self, form: str, *values: float) -> "Cdr":
-        """Numbers of a struct format's letter, aligned."""
-        size = struct.calcsize("<" + form)
-        for value in values:
-            self.body += bytes(-len(self.body) % size) + struct.pack("<" + form, value)
-        return self
-
-    def text(self, content: bytes) -> "Cdr":
-        """A string."""
-        self.put("I", len(content) + 1)
-        self.body += content + b"\0"
-        return self
-
-    def header(self, stamp_ns: int) -> "Cdr":
-        """std_msgs/Header."""
-        seconds, nanoseconds = divmod(stamp_ns, 10**9)
-        self.put("i", max(min(seconds, 2**31 - 1), -(2**31))).put("I", nanoseconds)
-        return self.text(b"f")
-
-    def numbers(self, values: Sequence[float]) -> "Cdr":
-        """A sequence of doubles."""
-        self.put("I", len(values))
-        return self.put("d", *values) if values else self
-
-    def __bytes__(self) -> bytes:
-        return LITTLE_ENDIAN + bytes(self.body)
-
-
 def named_joints(count: int) -> bytes:
     """A JointState of so many joints without a name."""
-    head = Cdr().header(0).put("I", count)
-    return bytes(head) + bytes(4 * count) + bytes(12)
-
-
-# --- sqlite3 ------------------------------------------------------------------------------------
+    head = b"\0\1\0\0" + struct.pack("<iII4sI", 0, 0, 2, b"f", count)
+    return head + bytes(4 * count) + bytes(12)
 
 
 def journal_naming(db3: Path, victim: Path) -> Path:

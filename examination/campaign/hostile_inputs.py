@@ -1,17 +1,15 @@
-"""Inputs that keep the rules of their format and are made to harm, and the commands fed with them.
-
-One maker a kind, each choosing by a `random.Random`.
-"""
+"""Inputs that keep the rules of their format and are made to harm, the commands fed with them, and
+the parsers fed with good inputs whose bytes are edited."""
 
 import contextlib
 import io
-import json
-import math
+import logging
 import os
 import random
 import shutil
 import sqlite3
 import stat
+import struct
 import sys
 import tempfile
 import warnings
@@ -20,7 +18,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -28,61 +25,50 @@ import yaml
 
 from examination.bags import in_sqlite3
 from examination.campaign.allowance import allowance
+from examination.campaign.drawn_bags import HABITS, serialised, true_streams
+from examination.campaign.good_files import (
+    DIAGNOSIS,
+    MAP,
+    METADATA,
+    PARAMETERS,
+    RESULT,
+    Parser,
+    parsers,
+)
 from examination.campaign.hostile_bags import (
-    TOPICS,
     TRICKS,
-    Cdr,
     chunk,
     journal_naming,
     mcap_of,
     message,
-    named_joints,
     small_bag,
 )
-from examination.campaign.hostile_tables import hostile_table_file
-from examination.campaign.outcome import Outcome
-from examination.campaign.parser_seeds import (
-    DIAGNOSIS,
-    METADATA,
-    PARAMETERS,
-    RESULT,
-    instrument_seeds,
+from examination.campaign.mutations import (
+    NUMBERS,
+    changed_series,
+    hostile_document,
+    hostile_table,
+    mutated,
 )
+from examination.campaign.outcome import Outcome
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
+from sma_bench.commands.identify import MISFIT
 from sma_bench.errors import InputError
-from sma_bench.records import Record, contract, read_record
+from sma_bench.records import Record, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.page import Picture
 
-MEMORY = 1 << 30
+MEMORY, SECONDS = 1 << 30, 10.0
 _DRAWN_ONE_IN = 7
-SECONDS = 10.0
-_SHOWN = 160
-_SHOWN_FAILURES = 5
+_SHOWN, _SHOWN_FAILURES = 160, 5
 VICTIM = "victim of a journal.txt"
-
-NUMBERS = (
-    0.0, -0.0, 1.0, 5.0, 25.0, 300.0, -1.0, 1e-300, 5e-324, 1e9, 1e38, 1e308, -1e308, math.inf,
-    -math.inf, math.nan,
-)  # fmt: skip
-STAMPS = (-1, 0, 1, 10**9, 2**31 * 10**9 - 1, 2**62, 2**63 - 1, 2**64 - 1)
-BASES = (0, 10**9, 1_700_000_000 * 10**9, (2**31 - 10) * 10**9)
-STEPS = (0, 1, 10**6, 5 * 10**7, 10**8, 10**9, 3600 * 10**9)
-NAMES = (
-    "/bench/wire/power", "/other/wire/power", "/bench/\x1b[31mwire/power", "/bench/=1+1/power",
+_STAMPS = (0, 1, 10**9, 2**31 * 10**9 - 1, 2**62, 2**63 - 1, 2**64 - 1)
+_NAMES = (
+    "/other/wire/power", "/bench/\x1b[31mwire/power", "/bench/=1+1/power",
     "/bench/<b>&/temperature", "/bench/caf\udce9/power", "/bench/a\nb/temperature", "", "/",
     "/bench/" + "x" * 3000 + "/power", "/bench/../../etc/passwd", "/bench/$m_1^{/temperature",
-    "/bench/wire/temperature", "/bench/\u202egnp/power",
-)  # fmt: skip
-TEXTS = (
-    b"heat", b"\x1b]0;owned\x07", b"=1+1", b"<script>alert(1)</script>", b"\xff\xfe", b"a\r\nb",
-    b"$\\frac{", b"x" * 5000, b"", b"{{7*7}}",
-)  # fmt: skip
-VALUES: tuple[Any, ...] = (
-    None, True, 0, -1, 2**63, 10**400, 1e308, math.inf, math.nan, "", "nan", "\x1b[2J", "=1+1",
-    "<<", "~", "x" * 3000, "\ud800", "/dev/zero", "../../x", [], {}, [[1, 2], [3]], {"": {"": 0}},
-    {"<<": {"a": 1}}, ["a"] * 300, "2020-01-01", "0x" + "f" * 500, "!!python/none",
+    "/bench/\u202egnp/power",
 )  # fmt: skip
 
 
@@ -135,106 +121,58 @@ def _good_bag(rng: random.Random, path: Path) -> Path:
 
 
 def hostile_drive(rng: random.Random, folder: Path) -> Case:
-    """The drive, of which some readings, times or whole signals are not what a bench says."""
+    """The drive, of which some readings, times, signals or bytes are not what a bench says."""
     signals = [s for s in drive().signals.values() if rng.random() < 0.9]
-    for _ in range(rng.choice((1, 1, 2, 3)) if signals else 0):
+    for _ in range(rng.choice((0, 1, 1, 2, 3)) if signals else 0):
         k = rng.randrange(len(signals))
-        time, values = signals[k].time.copy(), signals[k].values.copy()
-        first, last = sorted((rng.randrange(len(time)), rng.randrange(len(time))))
-        trick = rng.randrange(9)
-        if trick == 0:
-            values[first] = rng.choice(NUMBERS)
-        elif trick == 1:
-            values[first:last] = rng.choice(NUMBERS)
-        elif trick == 2:
-            values *= rng.choice((0.0, -1.0, 1e-6, 1e3, 1e9, 1e30))
-        elif trick == 3:
-            time[first:] += rng.choice((0.5, 60.0, 86_400.0, 3e7, 1e9))
-        elif trick == 4:
-            time *= rng.choice((1e-9, 1e-3, 0.1, 10.0, 1e4))
-        elif trick == 5:
-            time, values = time[first:last], values[first:last]
-        elif trick == 6:
-            values += rng.choice((-300.0, 0.5, 50.0, 1e6))
-        elif trick == 7:
-            values = np.round(values / (step := rng.choice((1e-6, 0.5, 5.0)))) * step
-        else:
-            rng.shuffle(values)
-        signals[k] = replace(signals[k], time=time, values=values)
+        if len(signals[k]) > 1:
+            time, values = changed_series(rng, signals[k].time, signals[k].values)
+            signals[k] = replace(signals[k], time=time, values=values)
     bag = folder / "bag"
     with np.errstate(over="ignore", invalid="ignore"):
         try:
             write_record(bag, signals)
-            if rng.random() < 0.5:
-                in_sqlite3(bag)
         except (ValueError, OverflowError, InputError):  # not to be written: the drive as it was
             shutil.rmtree(bag, ignore_errors=True)
             write_record(bag, list(drive().signals.values()))
+    if rng.random() < 0.5:
+        in_sqlite3(bag)
+    if rng.random() < 0.4:
+        storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
+        storage.write_bytes(mutated(rng, storage.read_bytes(), most=2))
     return Case(bag, ("--params", str(_RIG)) if rng.random() < 0.5 else ())
 
 
-def _topics(rng: random.Random) -> list[tuple[str, str]]:
-    topics = list(TOPICS)
-    for _ in range(rng.choice((0, 0, 1, 3))):
-        topics.insert(rng.randrange(len(topics)), (rng.choice(NAMES), rng.choice(TOPICS)[1]))
-    return topics[: rng.choice((1, 3, len(topics)))]
-
-
-def _series(rng: random.Random, msgtype: str) -> list[tuple[int, bytes]]:
-    """Receive times and messages of one topic: a drive, and here and there what nobody expects."""
-    count = rng.choice((0, 1, 2, 19, 40, 150))
-    base, step, oddity = rng.choice(BASES), rng.choice(STEPS), rng.choice((0.0, 0.0, 0.02, 0.5))
-    series = []
-    for k in range(count):
-        stamp = base + k * step
-        level = 5.0 if k % 40 < 20 else 0.0
-        if rng.random() < oddity:
-            stamp = rng.choice((rng.choice(STAMPS), base - k * step, base + 10**18))
-        if rng.random() < oddity:
-            level = rng.choice(NUMBERS)
-        received = rng.choice(STAMPS) if rng.random() < oddity else max(base + k * step, 0)
-        series.append((received, _message(rng, msgtype, stamp, level, oddity)))
-    return series
-
-
-def _message(
-    rng: random.Random, msgtype: str, stamp: int, level: float, oddity: float
-) -> bytes:
-    cdr = Cdr()
-    if msgtype == contract.STRING:
-        return bytes(cdr.text(rng.choice(TEXTS)))
-    if msgtype == contract.MULTI_ARRAY:
-        width = rng.choice((0, 1, 6, 300)) if rng.random() < oddity else 1
-        return bytes(cdr.put("I", 0, 0).numbers([level] * width))
-    cdr.header(stamp)
-    if msgtype == contract.TEMPERATURE:
-        cdr.put("d", 25.0 + 5.0 * level, 0.0)
-    elif msgtype == contract.RANGE:
-        cdr.put("B", 1).put("f", 0.1, 0.0, 1.0, _single(0.05 - 1e-3 * level), 0.0)
-    elif msgtype == contract.JOINT_STATE:
-        if rng.random() < oddity:
-            return named_joints(rng.choice((0, 3, 1000, 100_000)))
-        cdr.put("I", 2).text(b"tip").text(rng.choice((b"wire", b"tip", b"")))
-        cdr.numbers([1e-3 * level] * 2).numbers([]).numbers([level] * rng.choice((0, 2)))
-    else:
-        cdr.put("f", _single(level), math.nan, _single(level / 3.0), *[math.nan] * 4)
-        cdr.put("B", 0, 0, 0, 1).put("I", 0, 0).text(b"wire").text(b"")
-    return bytes(cdr)
-
-
-def _single(value: float) -> float:
-    """What fits into 32 bits."""
-    return value if not math.isfinite(value) or abs(value) < 3e38 else math.copysign(3e38, value)
+def _topics(
+    rng: random.Random,
+) -> tuple[list[tuple[str, str]], list[tuple[int, int, bytes]]]:
+    """Names and types of topics, and their messages as number of the topic (from 1), receipt and
+    bytes: a drive, and here and there what nobody expects."""
+    plain = {kind: habits[0] for kind, habits in HABITS.items()}
+    streams = true_streams(np.random.default_rng(rng.getrandbits(32)), plain)
+    names, found = [], []
+    for number, s in enumerate(streams, 1):
+        names.append((rng.choice(_NAMES) if rng.random() < 0.2 else s.topic, s.type))
+        oddity = rng.choice((0.0, 0.0, 0.02, 0.5))
+        for k in range(min(len(s.stamp), rng.choice((0, 1, 2, 40, 150)))):
+            at, received = int(s.stamp[k]), int(s.received[k])
+            if rng.random() < oddity:
+                at = rng.choice((*_STAMPS[:4], at + 10**18 % (2**31 * 10**9)))
+            if rng.random() < oddity:
+                received = rng.choice(_STAMPS)
+            for values in s.fields.values() if rng.random() < oddity else ():
+                values[k] = rng.choice(NUMBERS)
+            with contextlib.suppress(OverflowError, struct.error, ValueError):
+                data = serialised(s, k, plain, min(at, 2**31 * 10**9 - 1))
+                data = mutated(rng, data, 1) if rng.random() < oddity else data
+                found.append((number, received, data))
+    return names, found
 
 
 def hostile_mcap(rng: random.Random, folder: Path) -> Case:
     """Messages in chunks that are nested, lie about their size, repeat, or unfold to a lot."""
-    topics = _topics(rng)
-    content = b"".join(
-        message(number, time, data)
-        for number, (_, msgtype) in enumerate(topics, 1)
-        for time, data in _series(rng, msgtype)
-    )
+    topics, rows = _topics(rng)
+    content = b"".join(message(*row) for row in rows)
     shape = rng.choice(("plain", "chunk", "chunk", "twice", "nested", "size", "bomb"))
     if shape == "nested":
         for _ in range(rng.choice((1, 30, 1200))):
@@ -253,19 +191,21 @@ def hostile_mcap(rng: random.Random, folder: Path) -> Case:
 def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
     """Tables with anything in them, views and virtual tables in their place, journals beside."""
     path = folder / "bag.db3"
-    topics = _topics(rng)
+    topics, rows = _topics(rng)
     with contextlib.closing(sqlite3.connect(path)) as database:
-        database.execute("CREATE TABLE topics (id, name, type, serialization_format, qos)")
-        database.execute(
-            "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)"
+        database.executescript(
+            "CREATE TABLE topics (id, name, type, serialization_format, qos); CREATE TABLE "
+            "messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data)"
         )
-        for number, (name, msgtype) in enumerate(topics, 1):
-            row = (number, name.encode("utf-8", "surrogateescape").decode("utf-8", "replace"))
-            database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (*row, msgtype))
-            database.executemany(
-                "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-                [(number, time % 2**63, data) for time, data in _series(rng, msgtype)],
-            )
+        database.executemany(
+            "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')",
+            [(number, name.encode("utf-8", "surrogateescape").decode("utf-8", "replace"), kind)
+             for number, (name, kind) in enumerate(topics, 1)],
+        )  # fmt: skip
+        database.executemany(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+            [(number, time % 2**63, data) for number, time, data in rows],
+        )
         trick = rng.randrange(3 * len(TRICKS))
         if trick < len(TRICKS):
             database.execute("DROP TABLE messages")
@@ -284,94 +224,46 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
     return Case(path)
 
 
-# --- documents ----------------------------------------------------------------------------------
+# --- other files --------------------------------------------------------------------------------
 
 
-def mutated(rng: random.Random, document: Any) -> Any:
-    """A document with a few of its leaves, names or branches put in place of something else."""
-    for _ in range(rng.choice((1, 1, 2, 4))):
-        document = _one_changed(rng, document)
-    return document
-
-
-def _one_changed(rng: random.Random, node: Any) -> Any:
-    if type(node) in (int, float) and abs(node) < 1e300 and rng.random() < 0.7:
-        return node * rng.choice((0.5, 0.9, 1.1, 1.5, 3.0, 100.0, 1e-3))
-    if not isinstance(node, (dict, list)) or not node or rng.random() < 0.15:
-        return _deep(rng) if rng.random() < 0.1 else rng.choice(VALUES)
-    if isinstance(node, list):
-        k = rng.randrange(len(node))
-        return [*node[:k], _one_changed(rng, node[k]), *node[k + 1 :]]
-    key = rng.choice(list(node))
-    if rng.random() < 0.2:
-        return {**node, rng.choice(("", "\x1b", "<<", "=", "x" * 3000, "a.b", key)): node[key]}
-    return {**node, key: _one_changed(rng, node[key])}
-
-
-def _deep(rng: random.Random) -> Any:
-    nest: Any = 0
-    for _ in range(rng.choice((10, 100))):
-        nest = [nest] if rng.random() < 0.5 else {"a": nest}
-    return nest
-
-
-def hostile_yaml(rng: random.Random, document: Any) -> str:
-    """A mutated document as YAML: with anchors, merge keys, tags, or numbers beyond all measure."""
-    text = str(yaml.safe_dump(mutated(rng, document), allow_unicode=False))
-    return text + rng.choice((
-        *[""] * 16, "zz: &a [1, 2]\nzy: *a\n", "zz: &a {b: 1}\nzy: {<<: *a}\n", "zz: !!set {a}\n",
-        "zz: &a [*a]\n", "zz: " + "9" * 401 + "\n", "zz: 1e999\n", "zz: !!binary x\n", "...\n---\n",
-        "zz: 1" + ":59" * 40 + "\n", "zz: " + "[" * 200 + "]" * 200 + "\n", "? [a]\n: b\n",
-        "zz: " + "{a: " * 900 + "}" * 900 + "\n", 'zz: "\\uD800"\n', "zz: !!timestamp x\n",
-    ))  # fmt: skip
-
-
-def hostile_json(rng: random.Random, document: Any) -> str:
-    """A mutated document as JSON, in which NaN, Infinity and half characters may stand."""
-    text = json.dumps(mutated(rng, document))
-    nested = "[" * 900 + text + "]" * 900
-    return rng.choice((text, text, text, nested, f'{{"a": {text}}}', text * 2))
-
-
-def hostile_metadata(rng: random.Random, folder: Path) -> Case:
-    """A good bag whose metadata is not."""
+def hostile_yaml(rng: random.Random, folder: Path) -> Case:
+    """A good bag whose metadata are not, or with parameters that are not."""
     bag = _good_bag(rng, folder / "bag")
-    (bag / "metadata.yaml").write_text(hostile_yaml(rng, yaml.safe_load(METADATA)))
-    return Case(bag)
-
-
-def hostile_parameters(rng: random.Random, folder: Path) -> Case:
-    """A good bag, and parameters that are not."""
-    (folder / "p.yaml").write_text(hostile_yaml(rng, yaml.safe_load(PARAMETERS)))
-    bag = _good_bag(rng, folder / "bag")
+    if rng.random() < 0.3:
+        (bag / "metadata.yaml").write_bytes(hostile_document(rng, yaml.safe_load(METADATA)))
+        return Case(bag)
+    (folder / "p.yaml").write_bytes(hostile_document(rng, yaml.safe_load(PARAMETERS)))
     return Case(bag, ("--params", str(folder / "p.yaml")))
 
 
 def hostile_result(rng: random.Random, folder: Path) -> Case:
     """A result of identify or diagnose, altered."""
     path = folder / "result.json"
-    path.write_text(hostile_json(rng, rng.choice((RESULT, DIAGNOSIS))))
+    path.write_bytes(hostile_document(rng, rng.choice((RESULT, DIAGNOSIS)), is_json=True))
     return Case(path)
 
 
-def hostile_table(rng: random.Random, folder: Path) -> Case:
+def hostile_instrument(rng: random.Random, folder: Path) -> Case:
     """A file of an instrument whose numbers, titles or units are altered."""
-    name, content = rng.choice(instrument_seeds())
-    tokens = content.split(b"\t")
-    for _ in range(rng.choice((1, 2, 8))):
-        tokens[rng.randrange(len(tokens))] = rng.choice((
-            b"nan", b"1e308", b"-1e308", b"0", b"-5", b"1e-320", b"9" * 400, b"=1+1", b"\x1b[2J",
-            b"inf", b"\xff", b"1\n2\t3", b"x" * 5000,
-        ))  # fmt: skip
-    path = folder / name
-    path.write_bytes(b"\t".join(tokens) * rng.choice((1, 1, 1, 3)))
+    parser = rng.choice(parsers()[:4])
+    path = folder / parser.file
+    path.write_bytes(mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3)))
     return Case(path)
 
 
 def hostile_import(rng: random.Random, folder: Path) -> Case:
-    """A table of another logger, or what `import` takes with it."""
-    path, options = hostile_table_file(rng, folder, hostile_yaml)
-    return Case(path, tabled=options)
+    """A table of another logger, of two in five with a rig file or a map beside it."""
+    name, content = hostile_table(rng)
+    (folder / name).write_bytes(content)
+    beside = rng.choice(("", "", "", "--params", "--map"))
+    if not beside:
+        return Case(folder / name, tabled=())
+    document = MAP if beside == "--map" else yaml.safe_load(PARAMETERS)
+    (folder / "beside.yaml").write_bytes(
+        hostile_document(rng, document) if rng.random() < 0.8 else yaml.safe_dump(document).encode()
+    )
+    return Case(folder / name, tabled=(beside, str(folder / "beside.yaml")))
 
 
 def hostile_place(rng: random.Random, folder: Path) -> Case:
@@ -405,10 +297,9 @@ MAKERS: dict[str, tuple[int, Maker]] = {
     "mcap": (4, hostile_mcap),
     "sqlite3": (4, hostile_sqlite),
     "drive": (1, hostile_drive),
-    "metadata": (2, hostile_metadata),
-    "parameters": (4, hostile_parameters),
+    "metadata, parameters": (6, hostile_yaml),
     "result": (5, hostile_result),
-    "instrument file": (5, hostile_table),
+    "instrument file": (5, hostile_instrument),
     "table of a logger": (6, hostile_import),
     "place": (1, hostile_place),
 }
@@ -501,9 +392,7 @@ def try_case(maker: Maker, rng: random.Random, folder: Path) -> tuple[list[str],
     return failures, results
 
 
-def run_command(
-    command: str, case: Case, out: Path, seconds: float = SECONDS
-) -> tuple[str, int]:
+def run_command(command: str, case: Case, out: Path, seconds: float = SECONDS) -> tuple[str, int]:
     """What is wrong with what a command did, "" for nothing, and its exit code."""
     told, errors = io.StringIO(), io.StringIO()
     arguments = [command, *COMMANDS[command](case, out), "--", str(case.path)]
@@ -518,7 +407,7 @@ def run_command(
     lines = [
         line for line in errors.getvalue().splitlines() if not line.startswith("sma-bench: note:")
     ]
-    if code not in (0, 2) or (code == 2 and len(lines) != 1):
+    if code not in (0, 2, MISFIT) or (code == 2 and len(lines) != 1):
         return f"ends with {code} and {len(lines)} lines {lines[:2]!r:.{_SHOWN}}", code
     if lines and max(map(len, lines)) > LONGEST_LINE + 20:
         return f"says a line of {max(map(len, lines))} characters", code
@@ -534,3 +423,36 @@ def _everything(folder: Path) -> dict[Path, tuple[int, bytes | str]]:
         content: bytes | str = path.read_bytes() if stat.S_ISREG(mode) else ""
         found[path] = mode, os.readlink(path) if stat.S_ISLNK(mode) else content
     return found
+
+
+# --- the parsers --------------------------------------------------------------------------------
+
+
+def try_input(parser: Parser, content: bytes, folder: Path) -> str:
+    """What went wrong with one input, or ""."""
+    path = folder / parser.file
+    path.write_bytes(content)
+    try:
+        with allowance(MEMORY, SECONDS), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            parser.read(path)
+    except InputError as error:
+        return "" if "\n" not in str(error) else f"more than one line: {str(error)[:_SHOWN]!r}"
+    except Exception as error:  # that is what is looked for
+        return f"{type(error).__name__}: {str(error)[:_SHOWN]!r}"
+    return ""
+
+
+def edited_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
+    """`size` edited inputs for every parser, and the good one."""
+    logging.disable(logging.WARNING)
+    folder.mkdir(parents=True, exist_ok=True)
+    outcomes = []
+    for parser in parsers():
+        rng = random.Random(f"{seed} {parser.name}")
+        inputs = [parser.good, *(mutated(rng, parser.good) for _ in range(size))]
+        tried = [(try_input(parser, content, folder), content) for content in inputs]
+        wrong = [f"{text} at {content[:_SHOWN]!r}" for text, content in tried if text]
+        outcomes.append(Outcome.of("parsers", f"edited: {parser.name}", size, wrong))
+    logging.disable(logging.NOTSET)
+    return outcomes

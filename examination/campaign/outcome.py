@@ -1,8 +1,10 @@
 """What one part of the campaign found: a line of the table."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+_SHOWN = 5
 
 
 @dataclass(frozen=True)
@@ -15,6 +17,15 @@ class Outcome:
     found: str
     limit: str
     met: bool
+
+    @classmethod
+    def of(
+        cls, section: str, what: str, tried: int, wrong: Sequence[str], limit: str = "failed 0"
+    ) -> "Outcome":
+        """Of so many tries, of which each that went wrong has its text."""
+        failures = [text for text in wrong if text]
+        found = "; ".join([f"failed {len(failures)}", *dict.fromkeys(failures[:_SHOWN])])
+        return cls(section, what, tried, found, limit, not failures)
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,9 @@ def restarted_nodes(size: int, seed: int, folder: Path) -> list[Outcome]:
     every = orders()
     chosen = [every[(seed + k * len(every) // size) % len(every)] for k in range(size)]
     wrong = [_try_once(end, begin, folder / f"{k}") for k, (end, begin) in enumerate(chosen)]
-    failures = [text for text in wrong if text]
-    found = f"failed {len(failures)}" + "".join(f"; {text}" for text in failures[:3])
     limit = "0 V while driven by nobody, works again, both bags read"
     what = "kill -9 and start again, all orders of three nodes"
-    return [Outcome("restarts", what, len(chosen), found, limit, not failures)]
+    return [Outcome.of("restarts", what, len(chosen), wrong, limit)]
 
 
 def _try_once(end: tuple[str, ...], begin: tuple[str, ...], folder: Path) -> str:

@@ -230,7 +230,7 @@ def is_isobaric(sheet: Sheet) -> bool:
         has_all = sheet.has("isobaric", ["stress"] if load else [])
         varies = temperature is not None and np.ptp(temperature[0].values) > SMALLEST_RANGE
         return bool(has_all and varies and not sheet.is_driven())
-    if len(columns) != (3 if load is None else 2):
+    if len(columns) != (3 if load is None else 2) or len(columns[0].values) < 2:
         return False
     first, last = columns[0].values, np.abs(columns[-1].values)
     steps, level = np.diff(first), float(np.median(last))

@@ -7,9 +7,9 @@ import pytest
 
 from examination.campaign.allowance import TooLong, allowance
 from examination.campaign.full_disk import full_disk
-from examination.campaign.fuzzed_parsers import edited, fuzzed_parsers, try_input
-from examination.campaign.hostile_inputs import FOR_ALL, hostile_inputs
-from examination.campaign.parser_seeds import Parser, parsers
+from examination.campaign.good_files import Parser, parsers
+from examination.campaign.hostile_inputs import FOR_ALL, edited_inputs, hostile_inputs, try_input
+from examination.campaign.mutations import edited
 from sma_bench.errors import InputError
 
 
@@ -22,14 +22,16 @@ def test_a_full_disk_costs_one_line_and_nothing_good(tmp_path):
 
 
 def test_parsers_take_anything(tmp_path):
-    outcomes = fuzzed_parsers(10, 1, tmp_path)
+    outcomes = edited_inputs(10, 1, tmp_path)
     assert len(outcomes) == len(parsers())
     assert failed(outcomes) == []
+    # Found by edited inputs: a single row of numbers.
+    assert try_input(parsers()[2], b"20.0\t4.0\t99.0\n", tmp_path) == ""
 
 
 def test_well_formed_hostile_inputs_end_every_command_in_a_line_or_a_result(tmp_path):
-    outcomes = hostile_inputs(33, 2, tmp_path)
-    assert sum(outcome.tried for outcome in outcomes) == 33
+    outcomes = hostile_inputs(32, 2, tmp_path)
+    assert sum(outcome.tried for outcome in outcomes) == 32
     results = " ".join(outcome.found for outcome in outcomes)
     assert [command for command in FOR_ALL if f"{command} " not in results] == []
     assert failed(outcomes) == []
@@ -84,5 +86,5 @@ def test_long_runs_of_one_sign_take_no_longer_than_their_length(parser, tmp_path
     runs = (b"9" * 20_000 + b"x", b"x" + b" " * 20_000 + b"x", b"_" * 20_000, b"temperature" * 2000)
     for run in runs:
         for place in (0.02, 0.3, 0.8):
-            content = edited(parser.seed, [("insert", place, 1, run)])
+            content = edited(parser.good, [("insert", place, 1, run)])
             assert try_input(parser, content, tmp_path) == "", (run[:12], place)

@@ -1,10 +1,11 @@
-"""What the parsers read: one good input each, small, and the call that reads it."""
+"""What is read from outside: a good input of each kind, small, and the call that reads it."""
 
 import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sma_bench.protocols.reading import TEMPERATURE, load_reference
 from sma_bench.records import open_record, read_record
 from sma_bench.report.collected_report import read_result
 
-PYRIS = """Filename:\tC:\\run.dcd
+_PYRIS = """Filename:\tC:\\run.dcd
 Sample ID:\tNiTi wire
 Sample Weight:\t10.000 mg
 1)\tHold for 1.0 min at 100.00\xb0C
@@ -29,7 +30,7 @@ Sample Weight:\t10.000 mg
 \t1.000000\t5.0\t1.0\t100.0\t99.0\t0.0
 \t2.000000\t4.0\t1.0\t90.0\t89.5\t0.0
 """
-TA = """Version\t4.1
+_TA = """Version\t4.1
 Run\t1
 Size\t10.0\tmg
 ExoDown
@@ -48,7 +49,7 @@ PARAMETERS = """/**:
     bench: {channels: [front_1, back_1], channel_sides: [front, back]}
     uncertainty.wire.resistance: 0.03
 """
-PROTOCOL = """name: triangle
+_PROTOCOL = """name: triangle
 description: two of them
 repeat: 2
 steps:
@@ -56,7 +57,7 @@ steps:
   - {kind: ramp, start: 0.0, stop: 2.7, duration: 7.0}
   - {kind: rest, duration: 60.0}
 """
-REFERENCE = """name: steps
+_REFERENCE = """name: steps
 steps:
   - {kind: hold, level: 330.0, duration: 10.0}
   - {kind: ramp, start: 330.0, stop: 340.0, duration: 7.0}
@@ -70,6 +71,15 @@ METADATA = """rosbag2_bagfile_information:
       message_count: 2
   relative_file_paths: [bag.mcap]
 """
+MAP: dict[str, Any] = {
+    "time": {"time [s]": "s"}, "supply_voltage": 12.0, "lever": 0.1, "ignored": ["x"],
+    "signals": [
+        {"signal": "wire.voltage", "column": "voltage [V]", "unit": "V", "clock": "time [s]",
+         "scale": 1.0, "offset": 0.0, "sign": 1, "reference": "none", "form": "rms"},
+        {"signal": "wire.temperature", "column": "temperature [degC]", "unit": "degC",
+         "clock": "time [s]", "sign": 1, "reference": "none"},
+    ],
+}  # fmt: skip
 RESULT = {
     "parameters": {
         "wire.resistance": {"value": 2.7, "std": 0.1, "unit": "ohm", "method": "E1", "n": 9}
@@ -79,7 +89,7 @@ RESULT = {
             "drift": {"value": 0.1, "std": 0.2, "unit": "A"}}}
     ],
     "warnings": ["one"],
-}
+}  # fmt: skip
 DIAGNOSIS = {
     "verdict": "effect", "cause": ["hysteresis"],
     "where": {
@@ -97,7 +107,13 @@ DIAGNOSIS = {
                              "fraction": 0.5, "ci90": [0.4, 0.6]}
     },
     "next_experiment": {"why": "to tell them apart"}, "findings": ["one"], "warnings": [],
-}
+}  # fmt: skip
+_TELEMETRY = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
+_SERIAL = (
+    b"".join(line(text.decode()) for text in (_TELEMETRY, b"K A 13841", b"N V 6", b"P 3 9 5"))
+    + frame(bytes.fromhex("42390010fb30000100e32e9aff00009a3a8e3a1c0b00000000ffff0100"))
+    + _TELEMETRY
+)
 
 
 @dataclass(frozen=True)
@@ -105,28 +121,14 @@ class Parser:
     """A parser, a good input, and the file name that it goes by."""
 
     name: str
-    seed: bytes
+    good: bytes
     read: Callable[[Path], object]
     file: str = "input.txt"
 
 
-def _table(*columns: np.ndarray) -> bytes:
+def _rows(*columns: np.ndarray) -> bytes:
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return "\n".join("\t".join(f"{number:.4f}" for number in row) for row in rows).encode()
-
-
-def _isobaric() -> bytes:
-    heat = np.linspace(20.0, 120.0, 30)
-    return _table(np.concatenate([heat, heat[::-1]]), np.linspace(4.0, 0.0, 60), np.full(60, 99.0))
-
-
-def _tensile() -> bytes:
-    strain = np.linspace(0.0, 0.02, 40)
-    return b"Strain (-)\tStress (MPa)\n" + _table(strain, 22_800.0 * strain)
-
-
-def _bag(file: Path) -> object:
-    return read_record(file.parent)
 
 
 def _node_arguments(file: Path) -> None:
@@ -138,56 +140,39 @@ def _node_arguments(file: Path) -> None:
 
 
 def _serial(file: Path) -> None:
-    """The stream in pieces, as lines and as frames; a wrong message is a ProtocolError."""
+    """The stream in pieces, as lines and as frames; then what comes with a right checksum, which is
+    not thereby right. A wrong message is a ProtocolError."""
     received = file.read_bytes()
+    bodies = received.split(b"\n")
     for binary in (False, True):
         splitter = Splitter()
         splitter.expect(binary)
         for start in range(0, len(received), 13):
-            for body in splitter.feed(received[start : start + 13]):
-                _decode(body)
-        # What comes with a right checksum is not thereby right.
-        for body in received.split(b"\n"):
-            _decode(body)
-
-
-def _decode(body: bytes) -> None:
-    with contextlib.suppress(ProtocolError):
-        decode(body)
-
-
-_TELEMETRY = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
-_SERIAL = (
-    b"".join(line(text.decode()) for text in (_TELEMETRY, b"K A 13841", b"N V 6", b"P 3 9 5"))
-    + frame(bytes.fromhex("42390010fb30000100e32e9aff00009a3a8e3a1c0b00000000ffff0100"))
-    + _TELEMETRY
-)
-
-
-def instrument_seeds() -> tuple[tuple[str, bytes], ...]:
-    """File name and content of what instruments write."""
-    return (
-        ("pyris.txt", PYRIS.encode("latin-1")), ("ta.txt", TA.encode()),
-        ("100 MPa.txt", _isobaric()), ("tensile.txt", _tensile()),
-    )  # fmt: skip
+            bodies += splitter.feed(received[start : start + 13])
+    for body in bodies:
+        with contextlib.suppress(ProtocolError):
+            decode(body)
 
 
 def parsers() -> tuple[Parser, ...]:
-    """Every parser of what comes from outside."""
+    """Every parser of what comes from outside; the first four are of instruments."""
     wire = Parameters.defaults()
+    heat = np.linspace(20.0, 120.0, 30)
+    cycle = np.concatenate([heat, heat[::-1]]), np.linspace(4.0, 0.0, 60), np.full(60, 99.0)
+    strain = np.linspace(0.0, 0.02, 40)
+    pull = b"Strain (-)\tStress (MPa)\n" + _rows(strain, 22_800.0 * strain)
     return (
-        Parser("calorimeter, Pyris", PYRIS.encode("latin-1"), open_record),
-        Parser("calorimeter, TA", TA.encode(), open_record),
-        Parser("isobaric test", _isobaric(), open_record, "100 MPa.txt"),
-        Parser("tensile test", _tensile(), open_record),
+        Parser("calorimeter, Pyris", _PYRIS.encode("latin-1"), open_record, "pyris.txt"),
+        Parser("calorimeter, TA", _TA.encode(), open_record, "ta.txt"),
+        Parser("isobaric test", _rows(*cycle), open_record, "100 MPa.txt"),
+        Parser("tensile test", pull, open_record, "tensile.txt"),
         Parser("parameter file", PARAMETERS.encode(), read_parameters),
         Parser("parameters of a node", PARAMETERS.encode(), _node_arguments),
-        Parser("protocol", PROTOCOL.encode(), lambda p: load_protocol(p, wire), "input.yaml"),
-        Parser(
-            "reference", REFERENCE.encode(), lambda p: load_reference(p, wire, TEMPERATURE),
-            "input.yaml",
-        ),
-        Parser("metadata of a bag", METADATA.encode(), _bag, "metadata.yaml"),
+        Parser("protocol", _PROTOCOL.encode(), lambda p: load_protocol(p, wire), "input.yaml"),
+        Parser("reference", _REFERENCE.encode(), lambda p: load_reference(p, wire, TEMPERATURE),
+               "input.yaml"),
+        Parser("metadata of a bag", METADATA.encode(), lambda p: read_record(p.parent),
+               "metadata.yaml"),
         Parser("result", json.dumps(RESULT, indent=1).encode(), read_result, "input.json"),
         Parser("serial bytes", _SERIAL, _serial),
     )  # fmt: skip

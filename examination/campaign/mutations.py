@@ -1,0 +1,272 @@
+"""Good content made hostile: bytes, documents, series of numbers, tables in four formats. Each
+function chooses by a `random.Random`."""
+
+import io
+import json
+import math
+import random
+import re
+import zipfile
+from typing import Any
+
+import numpy as np
+import openpyxl
+import yaml
+
+NUMBERS = (
+    0.0, -0.0, 1.0, 5.0, 25.0, 300.0, -1.0, 1e-300, 5e-324, 1e9, 1e38, 1e308, -1e308, math.inf,
+    -math.inf, math.nan,
+)  # fmt: skip
+# YAML documents that are a kilobyte as a file and gigabytes when every alias is followed.
+_BOMB = b"a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + b"".join(
+    b"a%d: &a%d [%s]\n" % (k, k, b", ".join([b"*a%d" % (k - 1)] * 9)) for k in range(1, 12)
+)
+_MAP_BOMB = b"b0: &b0 {x: 1, y: 2}\n" + b"".join(
+    b"b%d: &b%d {%s}\n" % (k, k, b", ".join(b"k%d: *b%d" % (n, k - 1) for n in range(9)))
+    for k in range(1, 12)
+)
+# What trips parsers, terminals, spreadsheets and pages.
+TRIPWIRES = (
+    b"nan", b"-inf", b"1e999", b"1e308", b"-1e308", b"1e-320", b"-1", b"0", b"9" * 400, b"9" * 5000,
+    b"0x" + b"f" * 5000, b"1" * 5000 + b"x", b"1e-400", b"1_000", b"1,5", b"1.5.5", b"12:00:60",
+    b"9999-12-31 23:59:59", b"2020-13-45", b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b"\t",
+    b"\n\n", b",", b";", b'"', b"{", b"[" * 3000, b"]", b"!!python/object/apply:os.system [id]",
+    b"!!binary x", b"!!set {a}", b"<<: *a", b"? [a]", b"*a", b"&a", b"1:2:3:4:5", b"~", b"true",
+    b"''", b'""', b"{}", b"[]", b"\xc3\x28", b"\xe2\x80\xa8", b"=", b"|", b">", b"%", b"---\n",
+    b"...\n", b"\\", b"null", b"[[1, 2], [3]]", b"\n" + _BOMB, b"\n" + _MAP_BOMB, b".." * 50,
+    b"/dev/zero", b"1" + b"0" * 30 + b".0", b"=1+1", b"=cmd|' /C calc'!A1", b"@SUM(A1)",
+    b"\x1b]0;owned\x07", b"\x1b[2J", b"<script>alert(1)</script>", b"$\\frac{", b"{{7*7}}",
+    b"x" * 5000, b"\xe2\x80\xaeV", b"#DIV/0!", b'"\\ud800"',
+)  # fmt: skip
+_VALUES: tuple[Any, ...] = (
+    None, True, 0, -1, 2**63, 10**400, 1e308, math.inf, math.nan, "", "nan", "\x1b[2J", "=1+1",
+    "<<", "~", "x" * 3000, "\ud800", "/dev/zero", "../../x", [], {}, [[1, 2], [3]], {"": {"": 0}},
+    {"<<": {"a": 1}}, ["a"] * 300, "2020-01-01", "0x" + "f" * 500, "!!python/none",
+)  # fmt: skip
+EDITS = ("cut", "drop", "twice", "insert", "replace", "replace")
+
+
+def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
+    """Apply edits of a kind at a place (0 to 1): cut off, drop, repeat, insert, or replace `n`
+    bytes, or the whole token that starts there."""
+    for kind, place, n, payload in edits:
+        at = int(place * (len(content) + 1))
+        end = at + n
+        if kind == "replace":  # a whole token: what a file's author would have got wrong
+            end = at
+            while end < len(content) and content[end : end + 1] not in b" \t\n,:{}[]":
+                end += 1
+        content = {
+            "cut": content[:at],
+            "drop": content[:at] + content[end:],
+            "twice": content[:end] + content[at:],
+            "insert": content[:at] + payload + content[at:],
+            "replace": content[:at] + payload + content[end:],
+        }[kind]
+    return content
+
+
+def mutated(rng: random.Random, content: bytes, most: int = 5) -> bytes:
+    """Bytes with one to `most` edits."""
+    return edited(content, [
+        (rng.choice(EDITS), rng.random(), rng.choice((1, 2, 4, 8, 40, 512)),
+         rng.choice((*TRIPWIRES, rng.randbytes(4))))
+        for _ in range(rng.randint(1, most))
+    ])  # fmt: skip
+
+
+# --- documents ----------------------------------------------------------------------------------
+
+
+def changed(rng: random.Random, node: Any) -> Any:
+    """A document with a leaf, a name or a branch put in place of something else."""
+    if type(node) in (int, float) and abs(node) < 1e300 and rng.random() < 0.7:
+        return node * rng.choice((0.5, 0.9, 1.1, 1.5, 3.0, 100.0, 1e-3))
+    if not isinstance(node, (dict, list)) or not node or rng.random() < 0.15:
+        nest: Any = rng.choice(_VALUES)
+        for _ in range(rng.choice((*[0] * 9, 100))):
+            nest = [nest] if rng.random() < 0.5 else {"a": nest}
+        return nest
+    if isinstance(node, list):
+        k = rng.randrange(len(node))
+        return [*node[:k], changed(rng, node[k]), *node[k + 1 :]]
+    key = rng.choice(list(node))
+    if rng.random() < 0.2:
+        return {**node, rng.choice(("", "\x1b", "<<", "=", "x" * 3000, "a.b", key)): node[key]}
+    return {**node, key: changed(rng, node[key])}
+
+
+def hostile_document(rng: random.Random, document: Any, is_json: bool = False) -> bytes:
+    """A changed document as YAML or JSON, of one in three with bytes edited too."""
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        document = changed(rng, document)
+    text = json.dumps(document) if is_json else str(yaml.safe_dump(document, allow_unicode=False))
+    if is_json and rng.random() < 0.2:
+        text = rng.choice(("[" * 900 + text + "]" * 900, f'{{"a": {text}}}', text * 2))
+    content = text.encode("utf-8", "surrogatepass")
+    return mutated(rng, content, most=2) if rng.random() < 0.3 else content
+
+
+# --- numbers ------------------------------------------------------------------------------------
+
+
+def changed_series(
+    rng: random.Random, time: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and values of a sensor, one of them as no sensor says it."""
+    time, values = time.copy(), values.copy()
+    first, last = sorted((rng.randrange(len(time)), rng.randrange(len(time))))
+    trick = rng.randrange(9)
+    if trick == 0:
+        values[first] = rng.choice(NUMBERS)
+    elif trick == 1:
+        values[first:last] = rng.choice(NUMBERS)
+    elif trick == 2:
+        values *= rng.choice((0.0, -1.0, 1e-6, 1e3, 1e9, 1e30))
+    elif trick == 3:
+        time[first:] += rng.choice((0.5, 60.0, 86_400.0, 3e7, 1e9))
+    elif trick == 4:
+        time *= rng.choice((1e-9, 1e-3, 0.1, 10.0, 1e4))
+    elif trick == 5:
+        time, values = time[first:last], values[first:last]
+    elif trick == 6:
+        values += rng.choice((-300.0, 0.5, 50.0, 1e6))
+    elif trick == 7:
+        values = np.round(values / (step := rng.choice((1e-6, 0.5, 5.0)))) * step
+    else:
+        rng.shuffle(values)
+    return time, values
+
+
+# --- tables -------------------------------------------------------------------------------------
+
+_TITLES = (
+    "t", "Zeit (s)", "duty [%]", "current (A)", "position [mm]", "force [N]", "=1+1", "\x1b[2J",
+    "<script>", "x" * 3000, "", "caf\xe9", "time [s]", "Spannung; V", "$m_1$", "\u202eV",
+)  # fmt: skip
+_MAIN = r'\1<row r="70"><c r="A70"><v>&a8;</v></c></row></sheetData>'
+_UNFOLDS = (
+    '<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">'
+    + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9)) + "]>"
+)  # fmt: skip
+# Part of a workbook, what is found there, and what may stand in its place.
+_WORKBOOK: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("worksheets/sheet1.xml", "</row>", tuple(f"{cell}</row>" for cell in (
+        '<c r="XFD1048576"><v>1</v></c>', '<c r="A0"><v>1</v></c>', '<c r="ZZZZ9"><v>1</v></c>',
+        "<c><v>1</v></c>", '<c r="B2" t="s"><v>99999</v></c>', '<c r="B2" t="d"><v>x</v></c>',
+        '<c r="B2"><v>1e999</v></c>', '<c r="B2"><f>HYPERLINK("http://a","b")</f></c>',
+        '<c r="B2" s="1"><v>1e300</v></c>', '<c r="B2" s="7"/>', '<c r="B2" t="b"><v>7</v></c>',
+        '<c r="B2" t="e"><v>#DIV/0!</v></c>', '<c r="B2"><v>&a8;</v></c>'))),
+    ("worksheets/sheet1.xml", "</sheetData>", tuple(f"{row}</sheetData>" for row in (
+        '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>', '<row r="99999999999"/>',
+        '<row r="-5"><c><v>1</v></c></row>', '<row r="x"/>',
+        "".join(f'<row r="{k}"><c r="XFD{k}"><v>1</v></c></row>' for k in range(70, 700)),
+        "<row><c><v>1</v></c><c><v>2</v></c></row>" * 60_000))),
+    ("worksheets/sheet1.xml", "(?s)^(.*)</sheetData>", (
+        _UNFOLDS + _MAIN, '<!DOCTYPE b [<!ENTITY a8 SYSTEM "file:///etc/passwd">]>' + _MAIN)),
+    ("worksheets/sheet1.xml", '<dimension ref="[^"]*"', tuple(
+        f'<dimension ref="{size}"' for size in ("A1:XFD1048576", "A1:ZZZZZZ9", "", "B7"))),
+    ("workbook.xml", "<sheet [^>]*/>", (r"\g<0>" * 300,)),
+    ("workbook.xml", '<sheet ([^>]*)name="[^"]*"', tuple(
+        rf'<sheet \1name="{name}"' for name in ("=1+1", "\x9b2J", "s" * 2000, "../x"))),
+    ("_rels/workbook.xml.rels", 'Target="[^"]*sheet1.xml"', tuple(
+        f'Target="{place}"' for place in ("../../../etc/passwd", "/etc/passwd", "http://a/b"))),
+)  # fmt: skip
+
+
+def hostile_table(rng: random.Random) -> tuple[str, bytes]:
+    """Name and content of a table of another logger: a drive and now and then what no sensor says,
+    as text, workbook, MATLAB, HDF5 or Parquet, of which some bytes may be lies."""
+    time = np.arange(60) * 0.1
+    voltage = np.where((time > 1.0) & (time < 3.0), 5.0, 0.0)
+    found = {"time [s]": time, "voltage [V]": voltage, "temperature [degC]": 23.0 + voltage}
+    if rng.random() < 0.5:  # else the harm is in the file's format, or in what lies beside it
+        for title in rng.sample(_TITLES, rng.choice((0, 1, 4))):
+            found[title] = time if rng.random() < 0.5 else voltage
+        chosen = rng.choice(list(found))
+        found[chosen] = found[chosen].copy()
+        found[chosen][rng.randrange(60) :: rng.choice((1, 2, 100))] = rng.choice(NUMBERS)
+    kind = rng.choice(("csv", "csv", "xlsx", "mat", "h5", "parquet"))
+    content = _WRITERS.get(kind, _other)(rng, found, kind)
+    if kind != "csv" and rng.random() < 0.3:
+        at = rng.randrange(4, len(content) - 8)
+        lie = rng.choice((b"\xff\xff\xff\x7f", bytes(4), b"abcd"))
+        content = content[:at] + lie + content[at + 4 :]
+    return f"table.{kind}", content
+
+
+def _text(rng: random.Random, found: dict[str, np.ndarray], _: str) -> bytes:
+    separator = rng.choice((",", ";", "\t", " ", ", "))
+    rows = [list(found), *([f"{v:.9g}" for v in row] for row in np.column_stack([*found.values()]))]
+    shape = rng.choice(("plain", "plain", "ragged", "wide", "long", "edited", "edited"))
+    if shape == "ragged":
+        rows[rng.randrange(len(rows)) :] = [["1"] * rng.choice((0, 1, 7, 3000))] * 3
+    elif shape == "wide":
+        rows = [row * rng.choice((300, 1100)) for row in rows]
+    elif shape == "long":
+        rows += rows[1:] * 300
+    text = rng.choice(("\n", "\n", "\r\n", "\r")).join(separator.join(row) for row in rows)
+    encoding = rng.choice(("utf-8", "utf-8", "utf-8-sig", "utf-16", "latin-1"))
+    content = text.encode(encoding, "replace")
+    return mutated(rng, content) if shape == "edited" else content
+
+
+def _workbook(rng: random.Random, found: dict[str, np.ndarray], _: str) -> bytes:
+    book = openpyxl.Workbook()
+    book.active.append(["".join(c for c in title if c.isprintable()) for title in found])
+    for row in zip(*found.values(), strict=True):
+        book.active.append([float(value) for value in row])
+    book.active["B2"].number_format = "yyyy-mm-dd"  # the style s="1" of the odd cells
+    good, written = io.BytesIO(), io.BytesIO()
+    book.save(good)
+    with zipfile.ZipFile(good) as archive:
+        parts = {name: archive.read(name).decode() for name in archive.namelist()}
+    if rng.random() < 0.7:
+        part, pattern, texts = rng.choice(_WORKBOOK)
+        parts[f"xl/{part}"] = re.sub(pattern, rng.choice(texts), parts[f"xl/{part}"], count=1)
+    elif rng.random() < 0.3:
+        parts.pop(rng.choice(list(parts)))
+    with zipfile.ZipFile(written, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in parts.items():
+            archive.writestr(name, text)
+        if rng.random() < 0.1:
+            archive.writestr("xl/media/a.png", bytes(rng.choice((1 << 20, 1 << 28))))
+    return written.getvalue()
+
+
+def _other(rng: random.Random, found: dict[str, Any], kind: str) -> bytes:
+    """With an array that takes no room, a nest, or a link out of the file."""
+    import h5py
+    import pyarrow
+    from pyarrow import parquet
+    from scipy.io import savemat
+
+    found = {re.sub(r"\W+", "_", title, flags=re.ASCII).strip("_0123456789")[:31] or "c": values
+             for title, values in found.items()}  # fmt: skip
+    trick, written = rng.choice(("", "large", "odd")), io.BytesIO()
+    if kind == "mat":
+        if trick == "large":
+            found["large"] = np.zeros(1 << 22)
+        elif trick == "odd":
+            found["odd"] = rng.choice((np.zeros((3, 3, 3)), 1j * np.ones(9), "V", {"a": {"b": 1}}))
+        savemat(written, found, do_compression=rng.random() < 0.6)
+    elif kind == "h5":
+        with h5py.File(written, "w") as file:
+            for title, values in found.items():
+                file[title] = values
+            if trick == "large":
+                shape = rng.choice(((10**9,), (10**6, 10**6), (2, 10**7)))
+                file.create_dataset("empty", shape, "d", chunks=True)
+            elif trick == "odd":
+                file["again"], file["self"] = file["/"], h5py.SoftLink("/self")
+                file["out"] = h5py.ExternalLink("/etc/passwd", "/")
+    else:
+        if trick == "large":
+            found = dict.fromkeys(found, np.zeros(1 << 18))
+        elif trick == "odd":
+            found["odd"] = rng.choice((pyarrow.nulls(60), pyarrow.array([[1.0]] * 60)))
+        parquet.write_table(pyarrow.table(found), written)
+    return written.getvalue()
+
+
+_WRITERS = {"csv": _text, "xlsx": _workbook}
