@@ -12,69 +12,49 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE, EXAMINATION = "sma_bench", "examination"
 # The judge's own physics, which must be wrong in other ways than that of the package.
-INDEPENDENT = {
-    f"{EXAMINATION}.{room}": {"compiled", "errors", "parameters", "records"}
-    for room in ("blind.reality", "attack_lab")
-}
+INDEPENDENT = ("examination.blind.reality", "examination.attack_lab")
+BORROWED = {"compiled", "errors", "parameters", "records"}
 LONGEST_FILE = 600
 
-# Every room (folder or file of the package) and the rooms that it may import.
-LEAVES = {
-    "errors", "border", "findings", "compiled", "progress", "lifeline", "drawn", "installation",
-}
+# Every room (folder or file of the package) and the rooms that it may import, beside the leaves.
+LEAVES = "errors border findings compiled progress lifeline drawn installation"
+ALONE = {"errors", "findings", "compiled", "progress", "lifeline"}
+ALONE.add("drawn")  # is given its room from above: what does not plot does not depend on it
+RESULTS = "records physics parameters results cards estimation"
 ARROWS = {
-    "errors": set(),
-    "border": {"errors"},
-    "findings": set(),
-    "drawn": set(),  # is given its room from above: what does not plot does not depend on it
-    "compiled": set(),
-    "progress": set(),
-    "lifeline": set(),
-    "installation": {"errors"},
-    "parameters": LEAVES,
-    "protocols": LEAVES | {"parameters"},
-    "physics": LEAVES | {"parameters"},
-    "records": LEAVES | {"parameters"},
-    "estimation": LEAVES | {"records", "physics", "parameters"},
-    "identify": LEAVES | {"estimation", "records", "physics", "parameters", "results", "cards"},
-    "control": LEAVES | {"parameters", "physics"},
-    "hardware": LEAVES | {"parameters"},
-    "synthetic": LEAVES
-    | {"records", "physics", "parameters", "protocols", "control", "hardware"},
-    "diagnose": LEAVES
-    | {"estimation", "records", "physics", "parameters", "protocols", "results", "cards"},
+    "parameters": "",
+    "protocols": "parameters",
+    "physics": "parameters",
+    "records": "parameters",
+    "estimation": "records physics parameters",
+    "identify": RESULTS,
+    "control": "parameters physics",
+    "hardware": "parameters",
+    "synthetic": "records physics parameters protocols control hardware",
+    "diagnose": f"{RESULTS} protocols",
     # The running twin learns noise as the diagnosis does, and steps the simulator's own core.
-    "twin": LEAVES | {"estimation", "physics", "parameters"},
-    "results": LEAVES | {"parameters"},
-    "cards": LEAVES | {"parameters", "results"},
-    "report": LEAVES
-    | {
-        "diagnose", "estimation", "identify", "records", "physics", "parameters", "protocols",
-        "results", "cards",
-    },
-    "tasks": LEAVES
-    | {
-        "diagnose", "estimation", "identify", "records", "parameters", "protocols", "report",
-        "results", "cards",
-    },
+    "twin": "estimation physics parameters",
+    "results": "parameters",
+    "cards": "parameters results",
+    "report": f"{RESULTS} protocols diagnose identify",
+    "tasks": "diagnose estimation identify records parameters protocols report results cards",
     # What a running bench does, without ROS.
-    "live": LEAVES | {"parameters", "physics", "protocols", "records", "control", "hardware"},
-    "dashboard": LEAVES | {"results", "cards"},
-    "api": LEAVES
-    | {
-        "diagnose", "estimation", "identify", "synthetic", "physics", "protocols", "records",
-        "parameters",
-    },
-    "": {"api", "drawn", "installation"},  # `import sma_bench` itself
+    "live": "parameters physics protocols records control hardware",
+    "dashboard": "results cards",
+    "api": "diagnose estimation identify synthetic physics protocols records parameters",
     # Its context, who may reach it, a bench's client: what nodes and commands share.
-    "ros": LEAVES | {"parameters", "records", "live", "dashboard"},
+    "ros": "parameters records live dashboard",
+    "cli": "commands",
 }
-_BELOW = {room for room in ARROWS if room not in ("", "api")}
+ARROWS = {room: {*LEAVES.split(), *below.split()} for room, below in ARROWS.items()}
+_BELOW = (ARROWS.keys() - {"api", "cli"}) | set(LEAVES.split())
 # Nodes and commands use everything but each other, and nothing below uses them.
-ARROWS |= {
+ARROWS |= {room: set() for room in ALONE} | {
+    "border": {"errors"},
+    "installation": {"errors"},
+    "": {"api", "drawn", "installation"},  # `import sma_bench` itself
     "nodes": _BELOW - {"report", "diagnose", "identify", "estimation", "synthetic"},
     "commands": _BELOW | {"api"},
-    "cli": {"commands", *LEAVES},
 }
 USES_ROS = {"nodes", "ros"}
 ROS = {"rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py"}
@@ -107,71 +87,59 @@ def imports(name, path, known):
             for alias in node.names:
                 full = ".".join([*base, alias.name])
                 yield full if full in known else ".".join(base)
-        elif isinstance(node, ast.Call) and _called(node) == "import_module":
-            yield from (given.value for given in node.args[:1] if isinstance(given, ast.Constant))
+        elif isinstance(node, ast.Call):
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called == "import_module" and isinstance(node.args[0], ast.Constant):
+                yield node.args[0].value
 
 
-def _called(call):
-    return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+def top(name):
+    return name.partition(".")[0]
 
 
 def room(name):
     """`physics` of `sma_bench.physics.heat`; the package itself is the room ''."""
-    return name.partition(".")[2].partition(".")[0]
+    return top(name.partition(".")[2])
 
 
-def is_ros(name):
-    top = name.partition(".")[0]
-    return top in ROS or top.endswith(ROS_ENDINGS)
-
-
-def violations(root, arrows=ARROWS):
+def violations(root):
     """Everything below root/sma_bench that breaks the rules of the house, a line each."""
     known = modules(root)
     graph = {}
     broken = []
     for name, path in known.items():
-        here = room(name)
-        if here and here not in arrows:
+        here, length = room(name), len(path.read_text().splitlines())
+        if here not in ARROWS:
             broken.append(f"{name}: the room {here} is not in the table of arrows")
-            continue
-        graph[name] = set()
-        for target in imports(name, path, known):
-            if is_ros(target) and here not in USES_ROS:
+        if length > LONGEST_FILE:
+            broken.append(f"{name} has {length} lines, more than {LONGEST_FILE}")
+        if path.stem in ("utils", "util", "helpers", "common", "misc"):
+            broken.append(f"{name}: a file is named after what it holds")
+        targets = set(imports(name, path, known))
+        graph[name] = {target for target in targets if top(target) == PACKAGE}
+        for target in targets:
+            if (top(target) in ROS or top(target).endswith(ROS_ENDINGS)) and here not in USES_ROS:
                 broken.append(f"{name} imports {target}: only {' and '.join(USES_ROS)} know ROS")
-            if target.partition(".")[0] == EXAMINATION:
+            if top(target) == EXAMINATION:
                 broken.append(f"{name} imports {target}: the package does not know its judge")
-            if target.partition(".")[0] != PACKAGE:
-                continue
-            graph[name].add(target)
-            there = room(target)
-            if there not in {here, *arrows.get(here, set())}:
-                broken.append(f"{name} imports {target}: no arrow from {here} to {there}")
-        broken += _shape(name, path)
-    return broken + _circles(graph)
+        for there in {room(target) for target in graph[name]} - {here} - ARROWS.get(here, set()):
+            broken.append(f"{name}: no arrow from {here} to {there}")
+    return broken + circles(graph)
 
 
 def borrowed(root):
     """What the judge's own physics takes from the package beyond its leave, a line each."""
     known = modules(root) | modules(root, EXAMINATION)
     return [
-        f"{name} imports {target}: {part} borrows nothing from {room(target)}"
-        for part, allowed in INDEPENDENT.items()
-        for name, path in known.items() if name.startswith(part)
+        f"{name} imports {target}: it borrows nothing from {room(target)}"
+        for name, path in known.items()
+        if name.startswith(INDEPENDENT)
         for target in imports(name, path, known)
-        if target.partition(".")[0] == PACKAGE and room(target) not in allowed
+        if top(target) == PACKAGE and room(target) not in BORROWED
     ]
 
 
-def _shape(name, path):
-    length = len(path.read_text().splitlines())
-    if length > LONGEST_FILE:
-        yield f"{name} has {length} lines, more than {LONGEST_FILE}"
-    if path.stem in ("utils", "util", "helpers", "common", "misc"):
-        yield f"{name}: a file is named after what it holds"
-
-
-def _circles(graph):
+def circles(graph):
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -182,109 +150,19 @@ def _circles(graph):
 # --- the house ----------------------------------------------------------------------------------
 
 
-def test_rooms_import_only_along_the_arrows():
+def test_rooms_import_only_along_the_arrows_and_these_run_one_way():
     assert violations(ROOT) == []
-
-
-def test_the_arrows_themselves_run_one_way():
-    assert _circles(ARROWS) == []
-
-
-def test_the_judges_physics_are_its_own():
+    assert circles(ARROWS) == []
     assert borrowed(ROOT) == []
-
-
-def test_bench_fits_in_the_head():
     assert len((ROOT / "bench").read_text().splitlines()) <= LONGEST_FILE
-
-
-# --- the checker can fail -----------------------------------------------------------------------
-
-
-BAD_TREES = {
-    "against the arrow": (
-        {"physics/heat.py": "from ..identify import fit"},
-        "no arrow from physics to identify",
-    ),
-    "against the arrow, inside a function": (
-        {"records/read.py": "def f():\n    import sma_bench.cli"},
-        "no arrow from records to cli",
-    ),
-    "a command that knows a node by its name": (
-        {"commands/run.py": "import importlib\nimportlib.import_module('sma_bench.nodes.start')"},
-        "no arrow from commands to nodes",
-    ),
-    "room named by its package": (
-        {"physics/heat.py": "from .. import nodes", "nodes/__init__.py": ""},
-        "no arrow from physics to nodes",
-    ),
-    "ROS below the nodes": (
-        {"hardware/link.py": "def f():\n    from sensor_msgs.msg import Temperature"},
-        "know ROS",
-    ),
-    "the package that knows its judge": (
-        {"physics/heat.py": "def f():\n    from examination.blind.reality import World"},
-        "does not know its judge",
-    ),
-    "circle of two modules": (
-        {"physics/a.py": "from .b import y", "physics/b.py": "from . import a"},
-        "circular import",
-    ),
-    "room without a line in the table": ({"attic/box.py": ""}, "not in the table"),
-    "utils": ({"physics/utils.py": ""}, "named after what it holds"),
-    "long file": ({"physics/long.py": "x = 1\n" * 601}, "601 lines"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_TREES)
-def test_a_broken_rule_is_found(case, tmp_path):
-    files, expected = BAD_TREES[case]
-    found = violations(make_tree(tmp_path, files))
-    assert len(found) == 1
-    assert expected in found[0]
-
-
-def test_a_borrowed_equation_is_found(tmp_path):
-    folder = tmp_path / EXAMINATION / "blind" / "reality"
-    folder.mkdir(parents=True)
-    (folder / "heat.py").write_text("from sma_bench.errors import E\nimport sma_bench.physics\n")
-    (found,) = borrowed(tmp_path)
-    assert "borrows nothing from physics" in found
-
-
-def test_a_tidy_tree_passes(tmp_path):
-    files = {
-        "__init__.py": "",
-        "errors.py": "class InputError(ValueError): ...",
-        "physics/__init__.py": "from .heat import warm",
-        "physics/heat.py": "import numpy\nfrom ..errors import InputError\nfrom . import phase",
-        "physics/phase.py": "from sma_bench.installation import VERSION",
-        "installation.py": "",
-        "nodes/simulator.py": "import rclpy\nfrom sma_bench.physics import warm",
-        "cli.py": "from sma_bench.commands import run",
-        "commands/run.py": "from sma_bench.physics import warm",
-    }
-    assert violations(make_tree(tmp_path, files)) == []
-
-
-def make_tree(root, files):
-    for name, text in files.items():
-        path = root / PACKAGE / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    return root
-
-
-# --- the tools ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("arguments", [["ruff", "check", "."], ["mypy"]], ids=["ruff", "mypy"])
 def test_tool_finds_nothing(arguments):
     if importlib.util.find_spec(arguments[0]) is None:
         pytest.skip(f"{arguments[0]} is not installed")
-    process = subprocess.run(
-        [sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-m", *arguments]
+    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if process.returncode:
         pytest.fail(process.stdout + process.stderr, pytrace=False)
 
@@ -294,3 +172,56 @@ def test_tests_that_are_run_again_are_there_and_say_why(request):
     for name, reason in rerun.items():
         path, _, test = name.partition("::")
         assert f"def {test}(" in (ROOT / path).read_text() and len(reason) > 20, name
+
+
+# --- the checker can fail -----------------------------------------------------------------------
+
+
+BAD_TREES = {
+    "no arrow from physics to identify": {"physics/heat.py": "from ..identify import fit"},
+    "no arrow from records to cli": {"records/read.py": "def f():\n    import sma_bench.cli"},
+    # A command that knows a node by its name; a room that is named by its package.
+    "no arrow from commands to nodes": {
+        "commands/run.py": "import importlib\nimportlib.import_module('sma_bench.nodes.start')"
+    },
+    "no arrow from physics to nodes": {
+        "physics/heat.py": "from .. import nodes",
+        "nodes/__init__.py": "",
+    },
+    "know ROS": {"hardware/link.py": "def f():\n    from sensor_msgs.msg import Temperature"},
+    "does not know its judge": {"physics/heat.py": "from examination.blind.reality import World"},
+    "circular import": {"physics/a.py": "from .b import y", "physics/b.py": "from . import a"},
+    "not in the table": {"attic/box.py": ""},
+    "named after what it holds": {"physics/utils.py": ""},
+    "601 lines": {"physics/long.py": "x = 1\n" * 601},
+}
+TIDY = {
+    "__init__.py": "",
+    "errors.py": "class InputError(ValueError): ...",
+    "physics/__init__.py": "from .heat import warm",
+    "physics/heat.py": "import numpy\nfrom ..errors import InputError\nfrom . import phase",
+    "physics/phase.py": "from sma_bench.installation import VERSION",
+    "installation.py": "",
+    "nodes/simulator.py": "import rclpy\nfrom sma_bench.physics import warm",
+    "cli.py": "from sma_bench.commands import run",
+    "commands/run.py": "from sma_bench.physics import warm",
+}
+
+
+@pytest.mark.parametrize(("expected", "files"), [*BAD_TREES.items(), ("", TIDY)])
+def test_a_broken_rule_is_found_and_a_tidy_tree_passes(expected, files, tmp_path):
+    for name, text in files.items():
+        path = tmp_path / PACKAGE / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    found = violations(tmp_path)
+    assert len(found) == (1 if expected else 0) and expected in "".join(found)
+
+
+@pytest.mark.parametrize("part", INDEPENDENT)
+def test_a_borrowed_equation_is_found(part, tmp_path):
+    path = tmp_path.joinpath(*part.split("."), "heat.py")
+    path.parent.mkdir(parents=True)
+    path.write_text("from sma_bench.errors import E\nimport sma_bench.physics\n")
+    (found,) = borrowed(tmp_path)
+    assert "borrows nothing from physics" in found

@@ -10,10 +10,7 @@ import pytest
 
 from sma_bench.parameters.node_tables import NODE_TABLES
 
-ROOT = Path(__file__).resolve().parents[2]
 EXECUTABLES = {"sma-bench", *NODE_TABLES}
-# Of hundreds of files of which a few are run.
-NO_BYTE_CODE = {"PIP_NO_COMPILE": "1", "PYTHONDONTWRITEBYTECODE": "1"}
 WHERE = """
 import sma_bench
 from sma_bench.installation import share_directory
@@ -34,53 +31,31 @@ pytestmark = pytest.mark.slow
 
 
 def run(*command: str | Path, cwd: Path, **variables: str) -> str:
-    """Output of a command that must succeed."""
-    process = subprocess.run(
-        list(map(str, command)),
-        cwd=cwd,
-        env={**os.environ, **NO_BYTE_CODE, **variables},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
+    """Output of a command that must succeed; no byte code of hundreds of files of which few run."""
+    variables |= {"PIP_NO_COMPILE": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    words, env = list(map(str, command)), {**os.environ, **variables}
+    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    process = subprocess.run(words, cwd=cwd, env=env, text=True, check=False, **streams)
     assert process.returncode == 0, process.stdout
     return process.stdout
 
 
-def copy_checkout(target: Path) -> Path:
-    """What a commit of everything here would hold."""
-    if shutil.which("git") is None or not (ROOT / ".git").exists():
-        pytest.skip("not a git checkout")
-    wanted = ["ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    for name in run("git", *wanted, cwd=ROOT).split("\0"):
-        if name and (ROOT / name).is_file():
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, target / name)
-    return target
-
-
 def files(folder: Path) -> set[str]:
     """Files of config/, examples/ and launch/ below a folder."""
-    parts = ("config", "examples", "launch")
-    found = [path for part in parts for path in (folder / part).rglob("*")]
-    return {
-        str(path.relative_to(folder))
-        for path in found
-        if path.is_file() and "__pycache__" not in path.parts
-    }
+    found = [p for part in ("config", "examples", "launch") for p in (folder / part).rglob("*")]
+    found = [path.relative_to(folder) for path in found if path.is_file()]
+    return {str(path) for path in found if "__pycache__" not in path.parts}
 
 
 class Workspace:
     """A colcon workspace with the package built in it."""
 
-    def __init__(self, folder: Path, linked: bool) -> None:
+    def __init__(self, checkout: Path, folder: Path, linked: bool) -> None:
         self.colcon = colcon = Path(sys.executable).with_name("colcon")
         if not colcon.exists():
             pytest.skip("colcon is not installed")
         self.folder, self.linked = folder, linked
-        self.source = copy_checkout(folder / "src" / "sma_bench")
+        self.source = shutil.copytree(checkout, folder / "src" / "sma_bench")
         self.prefix = folder / "install" / "sma_bench"
         # A sourced workspace has this set; the wheels have no setup.bash that would.
         self.variables = {"AMENT_PREFIX_PATH": sys.prefix, "COLCON_LOG_LEVEL": "error"}
@@ -95,12 +70,12 @@ class Workspace:
 
 @pytest.fixture(scope="module", params=[False, True], ids=["plain", "symlink"])
 def workspace(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+    checkout: Path, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Workspace:
-    return Workspace(tmp_path_factory.mktemp("workspace"), linked=request.param)
+    return Workspace(checkout, tmp_path_factory.mktemp("workspace"), linked=request.param)
 
 
-def test_ros2_finds_executables_that_start_and_the_package_in_its_index(
+def test_ros2_finds_executables_and_code_and_files_are_those_of_the_workspace(
     workspace: Workspace,
 ) -> None:
     folder, share = workspace.prefix / "lib" / "sma_bench", workspace.prefix / "share"
@@ -111,17 +86,14 @@ def test_ros2_finds_executables_that_start_and_the_package_in_its_index(
     assert (share / "ament_index" / "resource_index" / "packages" / "sma_bench").is_file()
     assert (share / "sma_bench" / "package.xml").is_file()
 
-
-def test_code_and_files_are_those_of_the_workspace(workspace: Workspace) -> None:
-    expected = files(workspace.source)
+    expected, installed = files(workspace.source), share / "sma_bench"
     assert {name.partition("/")[0] for name in expected} >= {"config", "launch"}
-    installed = workspace.prefix / "share" / "sma_bench"
     assert files(installed) == expected
     assert {(installed / name).is_symlink() for name in expected} == {workspace.linked}
-    share, code, indexed = workspace.run(sys.executable, "-c", WHERE + INDEXED).splitlines()
+    found, code, indexed = workspace.run(sys.executable, "-c", WHERE + INDEXED).splitlines()
     home = workspace.source if workspace.linked else workspace.prefix
     assert Path(code).resolve().is_relative_to(home)
-    assert share == str(home if workspace.linked else installed)
+    assert found == str(home if workspace.linked else installed)
     assert indexed == str(installed)
 
 
@@ -132,15 +104,12 @@ def test_colcon_test_runs_the_tests_with_pytest(workspace: Workspace) -> None:
     assert "1 test, 0 errors, 0 failures, 0 skipped" in said.replace("tests", "test")
 
 
-def test_pip_installs_command_and_share_folder(tmp_path: Path) -> None:
-    source = copy_checkout(tmp_path / "source")
-    wheels = tmp_path / "wheels"
-    pip = [sys.executable, "-m", "pip"]
-    plainly = ["--quiet", "--no-deps"]
+def test_pip_installs_command_and_share_folder(checkout: Path, tmp_path: Path) -> None:
+    source, target = shutil.copytree(checkout, tmp_path / "source"), tmp_path / "target"
+    pip, plainly = [sys.executable, "-m", "pip"], ["--quiet", "--no-deps"]
+    wheels, python = tmp_path / "wheels", target / "bin" / "python"
     run(*pip, "wheel", *plainly, "--no-build-isolation", "-w", wheels, source, cwd=tmp_path)
-    target = tmp_path / "target"
     run(sys.executable, "-m", "venv", "--without-pip", target, cwd=tmp_path)
-    python = target / "bin" / "python"
     run(*pip, "--python", python, "install", *plainly, *wheels.iterdir(), cwd=tmp_path)
     # The dependencies are those of this interpreter; only sma_bench itself is new.
     borrowed = next(Path(path) for path in sys.path if path.endswith("site-packages"))

@@ -19,29 +19,24 @@ ROOT = Path(__file__).resolve().parents[2]
 # Module, its name at the package index, its rosdep key.
 THIRD_PARTY = {
     "backports": ("backports-zstd", None),  # comes with rosbags, Python's own from 3.14 on
-    "click": ("click", "python3-click"),
-    "h5py": ("h5py", "python3-h5py"),
-    "jinja2": ("jinja2", "python3-jinja2"),
-    "joblib": ("joblib", "python3-joblib"),
     "lz4": ("lz4", None),  # comes with rosbags
-    "matplotlib": ("matplotlib", "python3-matplotlib"),
     "mcap": ("mcap", None),
     "msgspec": ("msgspec", None),
-    "numba": ("numba", "python3-numba"),
-    "numpy": ("numpy", "python3-numpy"),
-    "openpyxl": ("openpyxl", "python3-openpyxl"),
     "pint": ("pint", None),  # a Debian package, but no rosdep key
-    "rich": ("rich", "python3-rich"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
-    "scipy": ("scipy", "python3-scipy"),
     "serial": ("pyserial", "python3-serial"),
-    "tornado": ("tornado", "python3-tornado"),
     "yaml": ("pyyaml", "python3-yaml"),
 }
-# The same of what the package does without, with the extra of setup.py that names it.
-OPTIONAL = {"distributed": ("distributed", "cluster"), "pandas": ("pandas", "notebook"),
-            "pyarrow": ("pyarrow", "parquet")}
+SAME = ("click", "h5py", "jinja2", "joblib", "matplotlib", "numba", "numpy", "openpyxl")
+SAME += ("rich", "scipy", "tornado")
+THIRD_PARTY |= {name: (name, f"python3-{name}") for name in SAME}
+# Of what the package does without: the extra of setup.py that names it.
+OPTIONAL = {"distributed": "cluster", "pandas": "notebook", "pyarrow": "parquet"}
 ROS = re.compile(r"rclpy|rosidl_\w+|launch\w*|ament_index_python|\w+_(msgs|srvs|interfaces)")
+STAGED = tuple(f"requirements{part}.txt" for part in ("-build", "", "-test", "-docs", "-perf"))
+# In Python's own library from 3.14 on, or from 3.12 on.
+OF_SOME_PYTHONS = {"backports-zstd", "importlib-metadata", "lazy-importer", "zipp"}
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 
 
 @cache
@@ -57,18 +52,11 @@ def imported() -> frozenset[str]:
     return frozenset(found - sys.stdlib_module_names - {"sma_bench", "compression"})
 
 
-STAGED = ("requirements-build.txt", "requirements.txt", "requirements-test.txt",
-          "requirements-docs.txt", "requirements-perf.txt")  # fmt: skip
-
-
 def pins(*names: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in names:
         found |= re.findall(r"^([\w.-]+)==([\w.]+)", (ROOT / name).read_text(), re.MULTILINE)
     return found
-
-
-MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -78,39 +66,27 @@ def test_version_is_the_same_everywhere() -> None:
 
 
 def test_every_import_is_pinned_and_declared() -> None:
-    pinned = pins("requirements.txt")
+    pinned, staged = pins("requirements.txt"), pins(*STAGED)
     declared = {element.text for element in MANIFEST if element.tag.endswith("depend")}
+    extras = metadata.metadata("sma_bench").get_all("Provides-Extra") or []
     for module in sorted(imported()):
         if ROS.fullmatch(module):
             assert module in declared, f"{module} is not in package.xml"
-            continue
-        if module in OPTIONAL:
-            continue
-        assert module in THIRD_PARTY, f"{module} is imported but not known here"
-        package, key = THIRD_PARTY[module]
-        assert package in pinned, f"{package} is not in requirements.txt"
-        assert key is None or key in declared, f"{key} is not in package.xml"
+        elif module in OPTIONAL:
+            assert module in staged, f"{module} is pinned for no test"
+            assert OPTIONAL[module] in extras, f"setup.py has no extra {OPTIONAL[module]}"
+        else:
+            assert module in THIRD_PARTY, f"{module} is imported but not known here"
+            package, key = THIRD_PARTY[module]
+            assert package in pinned, f"{package} is not in requirements.txt"
+            assert key is None or key in declared, f"{key} is not in package.xml"
     # `rosdep install` ends at a name that it does not know.
     keys = {key for _, key in THIRD_PARTY.values()} | {"python3-hypothesis", "python3-pytest"}
     assert {name for name in declared if name.startswith("python3-")} <= keys
-
-
-def test_pip_installs_what_is_imported_and_nothing_else() -> None:
-    requirements = [
-        re.match(r"[\w.-]+", line)[0].lower()
-        for line in metadata.requires("sma_bench")
-        if "extra ==" not in line
-    ]
-    expected = [THIRD_PARTY[module][0] for module in imported() & set(THIRD_PARTY)]
-    assert sorted(requirements) == sorted(expected)
-
-
-def test_optional_imports_are_pinned_for_the_tests_and_extras_of_the_package() -> None:
-    extras = metadata.metadata("sma_bench").get_all("Provides-Extra") or []
-    for module in sorted(imported() & set(OPTIONAL)):
-        package, extra = OPTIONAL[module]
-        assert package in pins(*STAGED)
-        assert extra in extras, f"setup.py has no extra {extra}"
+    # pip installs what is imported and nothing else.
+    lines = [line for line in metadata.requires("sma_bench") if "extra ==" not in line]
+    required = [re.match(r"[\w.-]+", line)[0].lower() for line in lines]
+    assert sorted(required) == sorted(THIRD_PARTY[m][0] for m in imported() & set(THIRD_PARTY))
 
 
 def test_pins_are_exact() -> None:
@@ -121,25 +97,19 @@ def test_pins_are_exact() -> None:
             assert not requirement or re.fullmatch(exact, requirement), f"{path.name}: {line}"
 
 
-# In Python's own library from 3.14 on, or from 3.12 on.
-OF_SOME_PYTHONS = {"backports-zstd", "importlib-metadata", "lazy-importer", "zipp"}
-
-
 def test_pinned_packages_fit_together_and_are_complete() -> None:
     if not Path(sys.prefix).is_relative_to(ROOT):
         pytest.skip("not in the environment of ./bench")
-    wanted = pins(*STAGED)
+    wanted, folders = (
+        pins(*STAGED),
+        [str(p) for p in Path(sys.prefix).glob("lib/python*/site-packages")],
+    )
     there = {
-        re.sub(r"[-_.]+", "-", name).lower(): distribution.version
-        for distribution in metadata.distributions(path=[str(p) for p in site_packages()])
-        if (name := distribution.metadata["Name"])
+        re.sub(r"[-_.]+", "-", distribution.metadata["Name"] or "").lower(): distribution.version
+        for distribution in metadata.distributions(path=folders)
     }
-    differing = {name: there.get(name) for name in wanted if there.get(name) != wanted[name]}
-    assert set(differing) <= OF_SOME_PYTHONS
+    differing = {name for name in wanted if there.get(name) != wanted[name]}
+    assert differing <= OF_SOME_PYTHONS
     check = [sys.executable, "-m", "pip", "check"]
     process = subprocess.run(check, capture_output=True, text=True, check=False)
     assert process.returncode == 0, process.stdout
-
-
-def site_packages() -> list[Path]:
-    return list(Path(sys.prefix).glob("lib/python*/site-packages"))
