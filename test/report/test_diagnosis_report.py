@@ -40,44 +40,40 @@ def judged(result, verdict):
     ranked = (replace(first, probability=0.9), *others) if first else tuple(others)
     model = first.fit if first and first.fit else result.model
     return replace(
-        result, decision=Decision(verdict, (), ranked), model=model, verdict=verdict, cause=(),
+        result,
+        decision=Decision(verdict, (), ranked),
+        model=model,
+        verdict=verdict,
+        cause=(),
         candidates=tuple(map(explanation, ranked)),
     )
 
 
-def test_the_page_makes_the_argument_in_order(page):
-    _, text = page
-    *headings, made = re.findall(r"<h2>(.*?)</h2>", text)
-    assert text.index('class="card"') < text.index("<h2>") and made == "Provenance"
-    assert [h[3:] for h in headings] == [
-        "Is there a gap beyond the noise?", "Where is it?", "Which effect, and how sure?",
-        "How far does it shrink?", "What next?", "What was looked at",
-    ]
-    assert [h[:2] for h in headings] == [f"{k}." for k in range(1, 7)]
-
-
-def test_every_figure_is_inside_the_page_and_beside_it(page):
+def test_the_page_makes_the_argument_in_order_with_every_figure(page, planted_diagnosis):
     folder, text = page
-    names = {path.stem for path in folder.glob("*.png")}
-    assert names == {
-        f"diagnosis_{name}" for name in (
-            "current", "temperature", "deflection", "where", "stages", "candidates", "evidence",
-            "shrinkage",
-        )
-    }
+    shown = card(planted_diagnosis)
+    assert text.index('class="card"') < text.index("<h2>")
+    labels = [label for label, _ in shown.rows if label]
+    assert labels == ["cause", "where", "error", "rivals", "next"]
+    assert str(planted_diagnosis).startswith(shown.title)
+    for made in (planted_diagnosis._repr_html_(), text):
+        assert shown.title in html.unescape(made).replace("\u00a0", " ")
+    assert re.findall(r"<h2>(.*?)</h2>", text) == [
+        "1. Is there a gap beyond the noise?",
+        "2. Where is it?",
+        "3. Which effect, and how sure?",
+        "4. How far does it shrink?",
+        "5. What next?",
+        "6. What was looked at",
+        "Provenance",
+    ]
+    names = {path.stem.removeprefix("diagnosis_") for path in folder.glob("*.png")}
+    maps = {"where", "stages", "candidates", "evidence", "shrinkage"}
+    assert names == {"current", "temperature", "deflection"} | maps
     images = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
     assert len(images) == len(names)
     assert all(base64.b64decode(image).startswith(b"\x89PNG") for image in images)
     assert not re.search(r'(?:src|href)="(?!data:)', text)
-
-
-def test_a_diagnosis_shows_its_card_with_every_row(planted_diagnosis, page):
-    shown = card(planted_diagnosis)
-    labels = [label for label, _ in shown.rows if label]
-    assert labels == ["cause", "where", "error", "rivals", "next"]
-    assert str(planted_diagnosis).startswith(shown.title)
-    for text in (planted_diagnosis._repr_html_(), page[1]):
-        assert shown.title in html.unescape(text).replace("\u00a0", " ")
 
 
 def test_what_the_geometry_gives_is_believed_to_be_that(planted_diagnosis):
@@ -106,12 +102,6 @@ def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis
     assert drawn & {"diagnosis_missing_back_1_temperature", "diagnosis_missing_deflection"}
 
 
-def answering(result, response):
-    """The same diagnosis with another response of free form."""
-    smooth = Flexible(9.0, response, np.zeros(0), {})
-    return replace(result, search=replace(result.search, flexible=smooth))
-
-
 def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
     fitted = planted_diagnosis.search.recalibrated
     whiten = fitted.problem.whiten
@@ -119,16 +109,28 @@ def test_what_moved_parameters_can_take_up_is_not_missing(planted_diagnosis):
     signals = [block.signal for block in fitted.problem.blocks]
     foreign = np.concatenate([np.sign(np.sin(3.0 * s.time)) * s.noise for s in signals])
     size = np.linalg.norm(whiten(known))
-    assert np.linalg.norm(whiten(free_form(answering(planted_diagnosis, known)))) < 0.05 * size
-    kept = whiten(free_form(answering(planted_diagnosis, known + foreign)))
+
+    def answering(response):
+        """The same diagnosis with another response of free form."""
+        smooth = Flexible(9.0, response, np.zeros(0), {})
+        search = replace(planted_diagnosis.search, flexible=smooth)
+        return replace(planted_diagnosis, search=search)
+
+    assert np.linalg.norm(whiten(free_form(answering(known)))) < 0.05 * size
+    kept = whiten(free_form(answering(known + foreign)))
     assert np.corrcoef(kept, whiten(foreign))[0, 1] > 0.9
 
 
 def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
     assert next_experiment_picture(planted_diagnosis, believed()) is None
     proposed = NextExperiment(
-        "protocol", "a long rest separates them", ("slack", "residual_strain"), PROTOCOL, 0.25,
-        0.9, 0.4,
+        "protocol",
+        "a long rest separates them",
+        ("slack", "residual_strain"),
+        PROTOCOL,
+        0.25,
+        0.9,
+        0.4,
     )
     result = replace(planted_diagnosis, next_experiment=proposed)
     picture = next_experiment_picture(result, believed())

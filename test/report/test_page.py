@@ -39,28 +39,24 @@ def parse(path):
 def sections():
     figure = Figure()
     figure.subplots().plot([0, 1], [1, 0])
-    return [
-        Section(
-            "Result <b>", ["a & b"], ["note"],
-            [Table(["name", "value"], [["<script>", "1.0"]], frozenset({1}))],
-            [Picture("fig", "A line", "from nothing", figure)],
-        )
-    ]
+    table = Table(["name", "value"], [["<script>", "1.0"]], frozenset({1}))
+    picture = Picture("fig", "A line", "from nothing", figure)
+    return [Section("Result <b>", ["a & b"], ["note"], [table], [picture])]
 
 
 def test_page_is_well_formed_escaped_and_needs_nothing_else(tmp_path):
     tags = parse(write_report(tmp_path / "r", "T < U", "summary", sections()))
     assert "script" not in [tag for tag, _ in tags.seen]
     assert "<script>" in tags.text and "T < U" in tags.text
-    sources = [attrs["src"] for tag, attrs in tags.seen if tag == "img"]
-    assert len(sources) == 1 and sources[0].startswith("data:image/png;base64,iVBOR")
+    (source,) = [attrs["src"] for tag, attrs in tags.seen if tag == "img"]
+    assert source.startswith("data:image/png;base64,iVBOR")
     assert (tmp_path / "r" / "fig.png").stat().st_size > 1000
-
-
-def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match="cannot write the report"):
         write_report(tmp_path / "file" / "r", "T", "s", sections())
+    kept = page._together("96 % [93, 99] of the gap gone, then --out improved.yaml")
+    assert '<span class="keep">[93, 99]</span> of' in kept
+    assert '<span class="keep">--out</span>' in kept
 
 
 def test_a_report_replaces_a_report_whole_and_nothing_else(tmp_path, monkeypatch):
@@ -96,16 +92,13 @@ def test_names_from_outside_are_text_in_page_and_table(tmp_path):
     hostile = "=HYPERLINK(1)\x1b[2J\udcff\u202e"
     table = Table(["name"], [[hostile], ["-1.5"]], name="names")
     page = write_report(
-        tmp_path / "r", hostile, "s", [Section("S", [hostile], tables=[table])],
+        tmp_path / "r",
+        hostile,
+        "s",
+        [Section("S", [hostile], tables=[table])],
         column=COLUMNS["single"],
     )
     text = page.read_text(encoding="utf-8")
     assert "=HYPERLINK(1)\\x1b[2J\\udcff\\u202e" in text and "\x1b" not in text
     rows = (tmp_path / "r" / "names.csv").read_text().splitlines()
     assert rows == ["name", "'=HYPERLINK(1)\\x1b[2J\\udcff\\u202e", "-1.5"]
-
-
-def test_no_line_ends_within_an_interval_or_an_option():
-    kept = page._together("96 % [93, 99] of the gap gone, then --out improved.yaml")
-    assert '<span class="keep">[93, 99]</span> of' in kept
-    assert '<span class="keep">--out</span>' in kept

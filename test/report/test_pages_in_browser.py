@@ -1,39 +1,40 @@
 """The reports in a real browser: nothing sticks out, everything can be read, no complaint."""
 
+import copy
 import json
 
 import numpy as np
 import pytest
 from browser_page import DESKTOP, PHONE, opened
+from test_cards import IDENTIFIED
 
 from sma_bench.cli import main
 from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
+from sma_bench.report.diagnosis_report import write_diagnosis_report
 from sma_bench.report.page import Section, Table, write_report
 
 WORD = "a_name_without_any_place_to_break_it_" * 4
+WIRES = ["front_1", "front_2", "back_1", "back_2"]
 SENTENCE = "a cell that says a whole sentence and needs more room than a name does"
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """Pages by name: of a record and a result, of a diagnosis, and one made to stick out."""
+    """Pages by name: of a record and a result, and one made to stick out."""
     folder = tmp_path_factory.mktemp("pages")
     time = np.arange(0.0, 20.0, 0.01)
     signals = [
         Signal(f"{wire}.{name}", unit, time, level * (1.0 + 0.1 * np.sin(time + k)))
-        for k, wire in enumerate(("front_1", "front_2", "back_1", "back_2"))
+        for k, wire in enumerate(WIRES)
         for name, unit, level in (("voltage", "V", 2.0), ("current", "A", 0.7))
     ]
     write_record(folder / "bag", signals, markers=[(1.0, "hold"), (9.0, "rest")])
-    identified = folder / "identified.json"
-    number = {"value": 2.75, "std": 0.01, "unit": "ohm", "method": SENTENCE, "n": 50}
-    identified.write_text(json.dumps({
-        "parameters": {"wire.resistance": number}, "warnings": [WORD],
-        "experiments": [{"name": "E1", "title": "resistance", "source": WORD,
-                         "estimates": {"wire.resistance": number}, "details": {}}],
-    }))  # fmt: skip
-    records = [str(folder / "bag"), str(identified)]
+    found = copy.deepcopy(IDENTIFIED) | {"warnings": [WORD]}
+    found["parameters"]["wire.resistance"]["method"] = SENTENCE
+    found["experiments"][0]["source"] = WORD
+    (folder / "identified.json").write_text(json.dumps(found))
+    records = [str(folder / name) for name in ("bag", "identified.json")]
     assert main(["report", *records, "--out", str(folder / "record")]) == 0
     table = Table([WORD, *"abcdefgh"], [[SENTENCE, WORD, *["-1.2345e-07"] * 7]], frozenset({2}))
     write_report(folder / "wide", WORD, WORD, [Section(WORD, [WORD], [WORD], [table])])
@@ -42,8 +43,6 @@ def pages(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def diagnosis_page(planted_diagnosis, tmp_path_factory):
-    from sma_bench.report.diagnosis_report import write_diagnosis_report
-
     return write_diagnosis_report(tmp_path_factory.mktemp("gap"), planted_diagnosis)
 
 
@@ -53,29 +52,31 @@ def check(browser, path, size, scheme):
         return [*shown.complaints, *shown.too_wide, *shown.faint]
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "scheme"),
-    [("record", DESKTOP, "light"), ("record", PHONE, "dark"), ("wide", DESKTOP, "dark"),
-     ("wide", PHONE, "light")],
-)  # fmt: skip
-def test_a_report_fits_and_can_be_read(browser, pages, name, size, scheme):
-    assert check(browser, pages[name], size, scheme) == []
+LINES_OF_NUMBERS = """[...document.querySelectorAll('td.number:not(:empty)')].map((cell) => {
+    const range = document.createRange(); range.selectNodeContents(cell);
+    return new Set([...range.getClientRects()].map((box) => box.top)).size; })"""
+WIDTH = "document.querySelector('figure:not(.drawn) img').getBoundingClientRect().width"
+SCROLLED = """() => {
+    const box = document.querySelector('figure:not(.drawn) .wide'); box.scrollLeft = 100;
+    return box.scrollLeft; }"""
+
+
+@pytest.mark.parametrize("name", ["record", "wide"])
+def test_a_report_fits_and_can_be_read(browser, pages, name):
+    assert check(browser, pages[name], DESKTOP, "light" if name == "record" else "dark") == []
+    scheme = "dark" if name == "record" else "light"
+    with opened(browser, pages[name].as_uri(), PHONE, scheme) as shown:
+        assert [*shown.complaints, *shown.too_wide, *shown.faint] == []
+        assert set(shown.page.evaluate(LINES_OF_NUMBERS)) == {1}
+        if name == "record":  # figures keep their size and scroll in themselves
+            assert shown.page.evaluate(WIDTH) >= 600
+            assert shown.page.evaluate(SCROLLED) == 100
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_diagnosis_fits_a_phone_and_can_be_read(browser, diagnosis_page, scheme):
     assert check(browser, diagnosis_page, PHONE, scheme) == []
-
-
-def test_figures_keep_their_size_on_a_phone_and_scroll_in_themselves(browser, pages):
-    with opened(browser, pages["record"].as_uri(), PHONE) as shown:
-        width = "document.querySelector('figure:not(.drawn) img').getBoundingClientRect().width"
-        assert shown.page.evaluate(width) >= 600
-        scrolled = """() => {
-            const box = document.querySelector('figure:not(.drawn) .wide'); box.scrollLeft = 100;
-            return box.scrollLeft; }"""
-        assert shown.page.evaluate(scrolled) == 100
 
 
 VALUES = "[...document.querySelectorAll('.view .u-value')].map((value) => value.textContent)"
@@ -104,14 +105,13 @@ def time_shown(shown):
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages, size):
+    at = "Number(document.querySelector('.view .u-value').textContent)"
     with opened(browser, pages["record"].as_uri(), size) as shown:
         shown.until(DRAWN)  # in a frame to come
-        panels = json.loads(shown.page.evaluate(
-            "document.querySelector('figure.curves script').textContent"))
+        data = "document.querySelector('figure.curves script').textContent"
+        panels = json.loads(shown.page.evaluate(data))
         assert [panel["marks"] for panel in panels] == [[1.0, 9.0]] * 2
-        assert [line["label"] for line in panels[0]["lines"]] == [
-            "front_1", "front_2", "back_1", "back_2",
-        ]  # fmt: skip
+        assert [line["label"] for line in panels[0]["lines"]] == WIRES
         high = "document.querySelector('.view').getBoundingClientRect().height"
         before = shown.page.evaluate(high)
         shown.page.mouse.move(*place(shown, 0.5))
@@ -121,31 +121,29 @@ def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages, siz
         assert value == pytest.approx(2.0 * (1.0 + 0.1 * np.sin(time)), abs=0.02)
         assert shown.page.evaluate(high) == before  # it does not move under the pointer
         assert shown.complaints == [] and shown.too_wide == []
+        if size == DESKTOP:  # dragging looks closer, a double click shows all again
+            shown.page.mouse.move(*place(shown, 0.01))
+            shown.page.mouse.down()
+            shown.page.mouse.move(*place(shown, 0.2), steps=4)
+            shown.page.mouse.up()
+            shown.page.mouse.move(*place(shown, 0.5))
+            shown.until(f"Math.abs({at} - 2.1) < 0.4")
+            shown.page.mouse.dblclick(*place(shown, 0.5))
+            shown.page.mouse.move(*place(shown, 0.52))
+            shown.until(f"Math.abs({at} - 10.4) < 0.6")
 
 
-def test_dragging_looks_closer_and_a_double_click_shows_all_again(browser, pages):
-    at = "Number(document.querySelector('.view .u-value').textContent)"
-    with opened(browser, pages["record"].as_uri()) as shown:
-        shown.until(DRAWN)
-        shown.page.mouse.move(*place(shown, 0.01))
-        shown.page.mouse.down()
-        shown.page.mouse.move(*place(shown, 0.2), steps=4)
-        shown.page.mouse.up()
-        shown.page.mouse.move(*place(shown, 0.5))
-        shown.until(f"Math.abs({at} - 2.1) < 0.4")
-        shown.page.mouse.dblclick(*place(shown, 0.5))
-        shown.page.mouse.move(*place(shown, 0.52))
-        shown.until(f"Math.abs({at} - 10.4) < 0.6")
-
-
-def test_without_the_script_and_on_paper_the_picture_stands_there(browser, pages):
+def test_without_the_script_and_on_white_paper_the_picture_stands_there(browser, pages):
     seen = """[...document.querySelectorAll('figure.curves img, .view')]
         .map((e) => [e.tagName, e.getClientRects().length > 0])"""
+    back = "getComputedStyle(document.body).backgroundColor"
     url = pages["record"].as_uri()
-    with opened(browser, url) as shown:
+    with opened(browser, url, scheme="dark") as shown:
         assert shown.page.evaluate(seen) == [["DIV", True], ["IMG", False]]
         shown.page.emulate_media(media="print")
         assert shown.page.evaluate(seen) == [["DIV", False], ["IMG", True]]
+        assert shown.page.evaluate(back) == "rgb(255, 255, 255)"
+        assert len(shown.page.pdf(format="A4")) > 10_000
     with opened(browser, url, java_script_enabled=False) as shown:
         assert shown.page.locator("figure.curves img").is_visible()
 
@@ -158,23 +156,6 @@ def test_a_script_from_elsewhere_does_not_run(browser, pages, tmp_path):
     with opened(browser, path.as_uri()) as shown:
         assert shown.page.title() != "mine"
         assert len(shown.complaints) == 1 and "Content Security Policy" in shown.complaints[0]
-
-
-def test_numbers_stand_on_one_line(browser, pages):
-    lines = """[...document.querySelectorAll('td.number:not(:empty)')].map((cell) => {
-        const range = document.createRange(); range.selectNodeContents(cell);
-        return new Set([...range.getClientRects()].map((box) => box.top)).size; })"""
-    for path in pages.values():
-        with opened(browser, path.as_uri(), PHONE) as shown:
-            assert set(shown.page.evaluate(lines)) == {1}
-
-
-def test_paper_is_white_and_holds_whole_figures(browser, pages):
-    with opened(browser, pages["record"].as_uri(), scheme="dark") as shown:
-        shown.page.emulate_media(media="print")
-        back = "getComputedStyle(document.body).backgroundColor"
-        assert shown.page.evaluate(back) == "rgb(255, 255, 255)"
-        assert len(shown.page.pdf(format="A4")) > 10_000
 
 
 def test_what_sticks_out_or_cannot_be_read_would_be_found(browser, tmp_path):

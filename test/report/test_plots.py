@@ -17,7 +17,6 @@ from sma_bench.records.bag_writer import write_record
 from sma_bench.report.drawing import COLUMNS, curves_of, line_style, new_figure, noise_band
 from sma_bench.report.page import Picture, Section, Table, csv_text, write_report
 
-COMPOSITE = "config/composite_rig.yaml"
 WIRES = ["front_1", "front_2", "back_1", "back_2"]
 TIME = np.arange(0.0, 20.0, 0.05)
 
@@ -80,19 +79,14 @@ def test_a_column_has_its_width_and_letters_and_leaves_the_figure_as_it_was(reco
     assert plot.figure.get_size_inches().tolist() == before
 
 
-def test_a_map_has_its_numbers_in_a_table():
+def test_a_map_has_its_numbers_in_a_table_and_a_noise_band_answers_to_the_pointer():
     figure, (ax,) = new_figure()
     ax.imshow([[0.0, 1.0]], cmap="YlOrRd")
     ax.set_xticks([0, 1], ["drive", "rest"])
     ax.set_yticks([0], ["back"])
-    picture = Picture("map", "Map", "of two", figure)
-    rows = list(csv.DictReader(io.StringIO(csv_text(picture.drawn).decode())))
-    assert [(r["x"], r["y"], r["value"]) for r in rows] == [
-        ("drive", "back", "0"), ("rest", "back", "1"),
-    ]  # fmt: skip
-
-
-def test_the_noise_band_is_in_the_figure_that_answers_to_the_pointer():
+    text = csv_text(Picture("map", "Map", "of two", figure).drawn).decode()
+    rows = [(r["x"], r["y"], r["value"]) for r in csv.DictReader(io.StringIO(text))]
+    assert rows == [("drive", "back", "0"), ("rest", "back", "1")]
     figure, (ax,) = new_figure()
     ax.plot([0.0, 1.0], [5.0, 6.0])
     noise_band(ax, 0.25)
@@ -101,18 +95,15 @@ def test_the_noise_band_is_in_the_figure_that_answers_to_the_pointer():
 
 
 def test_tables_for_papers_hold_plain_numbers(tmp_path):
-    table = Table(
-        ["q", "rms", "90 %"], [["current", "20.5 mA", "82 to 100 %"], ["deflection", "0.1 mm", ""]],
-        frozenset({1, 2}), "t",
-    )  # fmt: skip
-    write_report(tmp_path / "r", "T", "s", [Section("S", tables=[table])],
-                 column=COLUMNS["double"])  # fmt: skip
-    assert rows_of(tmp_path / "r" / "t.csv") == [
-        {"q": "current", "rms": "20.5", "rms, unit": "mA", "90 %": "82", "90 %, to": "100",
-         "90 %, unit": "%"},
-        {"q": "deflection", "rms": "0.1", "rms, unit": "mm", "90 %": "", "90 %, to": "",
-         "90 %, unit": ""},
-    ]  # fmt: skip
+    rows = [["current", "20.5 mA", "82 to 100 %"], ["deflection", "0.1 mm", ""]]
+    table = Table(["q", "rms", "90 %"], rows, frozenset({1, 2}), "t")
+    sections = [Section("S", tables=[table])]
+    write_report(tmp_path / "r", "T", "s", sections, column=COLUMNS["double"])
+    assert [list(row) for row in csv.reader((tmp_path / "r" / "t.csv").open())] == [
+        ["q", "rms", "rms, unit", "90 %", "90 %, to", "90 %, unit"],
+        ["current", "20.5", "mA", "82", "100", "%"],
+        ["deflection", "0.1", "mm", "", "", ""],
+    ]
 
 
 def test_simulations_and_identifications_draw_themselves():
@@ -184,12 +175,14 @@ def test_records_and_models_are_compared_by_the_command(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(["--column", "wide"], "--column wide"),
-     (["--font", "8"], "--font is 8 pt, expected 4 to 24 pt, and --column with it"),
-     ([], "1 record or model given, expected two or more")],
+    [
+        ("--column wide", "--column wide"),
+        ("--font 8", "--font is 8 pt, expected 4 to 24 pt, and --column with it"),
+        ("", "1 record or model given, expected two or more"),
+    ],
 )
 def test_what_cannot_be_compared_is_one_line(record, words, said, tmp_path, capsys):
     write_record(tmp_path / "monday", record.signals.values())
-    assert main(["compare", str(tmp_path / "monday"), *words]) == 2
+    assert main(["compare", str(tmp_path / "monday"), *words.split()]) == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
