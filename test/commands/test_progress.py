@@ -17,7 +17,6 @@ from sma_bench.commands.terminal import WorkState, progress
 from sma_bench.diagnose import search
 from sma_bench.diagnose.diagnosis import diagnose
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.progress import by_name, counted, in_turn, part, shares
 from sma_bench.tasks.work import diagnosis_steps
 
 WORK = """
@@ -37,11 +36,6 @@ class Clock:
 
     def __call__(self):
         return self.now
-
-
-def heard():
-    told = []
-    return told, lambda share, what="": told.append((round(share, 6), what))
 
 
 def test_time_left_counts_down_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
@@ -77,33 +71,17 @@ def test_the_time_left_of_a_plan_follows_the_machine_and_never_stands_still(slow
     assert min(falls) > quarter / 2
 
 
-def test_parts_and_steps_of_a_whole():
-    told, report = heard()
-    half = part(report, 0.5, 1.0, "fit")
-    half(0.5, "pass 1")
-    half(2.0)
-    step = by_name(report, {"a": 1.0, "b": 3.0})
-    for name in ("a", "b", "c"):
-        step(name)
-    assert list(in_turn("xy", report, lambda letter: f"read {letter}")) == ["x", "y"]
-    counted(report, 1, "case")(1)
-    fit, steps = [(0.75, "fit: pass 1"), (1.0, "fit")], [(0.0, "a"), (0.25, "b"), (0.0, "c")]
-    turns, cases = [(0.0, "read x"), (0.5, "read y")], [(0.0, "case 1 of 1"), (1.0, "case 1 of 1")]
-    assert told == [*fit, *steps, *turns, *cases]
-    assert shares({"a": 1.0, "b": 3.0}) == {"a": (0.0, 0.25), "b": (0.25, 1.0)}
-
-
 def test_every_step_that_a_diagnosis_tells_has_its_share():
     """The texts are told by functions that would take long to call; they stand in the source."""
     files = (search.__file__, sys.modules[diagnose.__module__].__file__)
     source = "".join(Path(file).read_text() for file in files)
     texts = {*re.findall(r'progress\("([^"]+)"\)', source), *EFFECTS}
     assert len(texts) > len(EFFECTS) + 5
-    told, report = heard()
-    step = diagnosis_steps(report)
+    told = []
+    step = diagnosis_steps(lambda share, what="": told.append((share, what)))
     for text in texts - {"records", "recalibration was stuck: once more"}:
         step(text)
-    assert [text for share, text in told if not share] == []
+    assert told and [text for share, text in told if not share] == []
 
 
 def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():
