@@ -1,8 +1,6 @@
 """Which experiments a set of records allows, what is said about the others, and the results."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -31,24 +29,6 @@ def steady_record(voltage, n=2000):
     )
 
 
-def one_line(call):
-    with pytest.raises(InputError) as caught:
-        call()
-    text = str(caught.value)
-    assert "\n" not in text
-    return text
-
-
-def test_staircase_and_ramps_in_two_bags_give_the_whole_of_table_one(staircase, ramp):
-    found = identify([staircase(seed=6), ramp(seed=6)], DEFAULTS)
-    assert [e.name for e in found.experiments] == ["E1", "E2", "E3"]
-    for name, truth in ((R, 2.75), (H, 410.0), (CP, 350.0)):
-        assert abs(found.estimates[name].value - truth) < 2.0 * found.estimates[name].std
-        assert found.estimates[name].std < 0.01 * truth
-        assert found.parameters[name] == found.estimates[name].value
-        assert found.parameters.std(name) == found.estimates[name].std
-
-
 def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     document = identify([staircase(), ramp()], DEFAULTS).to_json()
     assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit", "card"}
@@ -68,6 +48,8 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
     assert any("E1: not identified" in w and "no signal wire.current" in w for w in found.warnings)
     # 1.1 % of the resistance is 1.1 % of the coefficient.
     assert found.estimates[H].relative_std == pytest.approx(0.03 / 2.75, rel=0.05)
+    with pytest.raises(InputError, match="no E3.*0 ramps"):  # asked for and not possible
+        identify([record], DEFAULTS, ["E2", "E3"])
 
 
 def test_default_resistance_that_nobody_measured_is_a_warning(ramp):
@@ -86,38 +68,6 @@ def test_unmeasured_samples_are_left_out_and_counted(staircase):
     assert abs(found.estimates[H].value - 410.0) < 2.0 * found.estimates[H].std
 
 
-def test_constant_voltage_is_one_line_that_says_what_was_found_and_what_is_missing():
-    text = one_line(lambda: identify([steady_record(3.0)], DEFAULTS))
-    assert "1 plateau at 1 voltage, 0 ramps" in text
-    assert "E1 a staircase of 4 voltages or more with current" in text
-
-
-def test_record_of_five_samples_is_one_line():
-    assert "5 samples" in one_line(lambda: identify([steady_record(3.0, 5)], DEFAULTS))
-
-
-def test_record_of_nan_is_one_line():
-    text = one_line(lambda: identify([steady_record(np.nan)], DEFAULTS))
-    assert "nothing to identify" in text
-
-
-def test_record_without_signals_is_one_line():
-    text = one_line(lambda: identify([Record(Path("empty"), 0, {})], DEFAULTS))
-    assert "signals none" in text
-
-
-def test_no_record_and_unknown_experiment_are_errors(staircase):
-    assert "no record" in one_line(lambda: identify([], DEFAULTS))
-    text = one_line(lambda: identify([staircase()], DEFAULTS, ["E4"]))
-    assert "'E4', expected one of E0" in text
-
-
-def test_experiment_asked_for_and_not_possible_is_an_error(staircase):
-    text = one_line(lambda: identify([staircase()], DEFAULTS, ["E1", "E3"]))
-    assert "no E3" in text
-    assert "0 ramps" in text
-
-
 def test_record_made_elsewhere_gives_its_truth_within_two_stated_errors(shared_data):
     folder = shared_data / "foreign" / "wire"
     truth = json.loads((folder / "truth.json").read_text())
@@ -132,12 +82,6 @@ def test_record_made_elsewhere_gives_its_truth_within_two_stated_errors(shared_d
     assert found.warnings == ()
 
 
-def test_composite_record_says_what_its_experiments_lack(shared_data):
-    record = open_record(shared_data / "foreign" / "composite" / "step")
-    text = one_line(lambda: identify([record], DEFAULTS))
-    assert "front_1: 5 plateaus at 3 voltages, 0 ramps" in text
-
-
 def test_cold_beginnings_of_a_composite_triangle_give_its_specific_heat(shared_data):
     folder = shared_data / "foreign" / "composite"
     truth = json.loads((folder / "truth.json").read_text())
@@ -148,31 +92,40 @@ def test_cold_beginnings_of_a_composite_triangle_give_its_specific_heat(shared_d
     assert any("above A_s" in w for w in found.warnings)
 
 
-def run_command(*arguments):
-    code = "import sys; from sma_bench.cli import main; sys.exit(main(sys.argv[1:]))"
-    return subprocess.run(
-        [sys.executable, "-c", code, "identify", *map(str, arguments)],
-        capture_output=True, text=True, check=False, cwd=Path(__file__).resolve().parents[2],
-    )
+BARE = Record(Path("empty"), 0, {})
+REFUSED = {
+    "constant": ([steady_record(3.0)], "1 plateau at 1 voltage, 0 ramps"),
+    "five samples": ([steady_record(3.0, 5)], "5 samples"),
+    "NaN": ([steady_record(np.nan)], "nothing to identify"),
+    "no signals": ([BARE], "signals none"),
+    "no record": ([], "no record"),
+    "no such experiment": ([BARE], "'E4', expected one of E0", ["E4"]),
+}
 
 
-def test_command_writes_both_files_and_prints_a_table(shared_data, tmp_path):
-    folder = shared_data / "foreign" / "wire"
-    done = run_command(
-        folder / "staircase", folder / "ramp", "--params", folder / "bench.yaml",
-        "--out", tmp_path / "identified.yaml", "--json", tmp_path / "result.json",
-    )
-    assert done.returncode == 0, done.stderr
-    assert "wire.heat_transfer_coefficient" in done.stdout
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_identified_is_one_line_that_says_why(case):
+    records, said, *experiments = REFUSED[case]
+    with pytest.raises(InputError) as caught:
+        identify(records, DEFAULTS, *experiments)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_command_writes_both_files_prints_a_table_and_ends_on_bad_input_with_code_2(
+    shared_data, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    wire = shared_data / "foreign" / "wire"
+    step = str(shared_data / "foreign" / "composite" / "step")
+    words = [wire / "staircase", wire / "ramp", "--params", wire / "bench.yaml"]
+    files = ["--out", "identified.yaml", "--json", "result.json"]
+    assert main(["identify", *map(str, words), *files]) == 0
+    assert "wire.heat_transfer_coefficient" in capsys.readouterr().out
     document = json.loads((tmp_path / "result.json").read_text())
     written = read_parameters(tmp_path / "identified.yaml")
     told = document["parameters"][CP]  # a file has the digits that the error deserves
     assert written[CP] == pytest.approx(told["value"], abs=0.06 * told["std"])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["identified.yaml", "result.json"]
-
-
-def test_command_on_bad_input_ends_with_one_line_and_code_2(shared_data, tmp_path, capsys):
-    step = shared_data / "foreign" / "composite" / "step"
-    for arguments in ([step], [tmp_path / "absent"], [step, "--params", tmp_path / "no.yaml"]):
-        assert main(["identify", *map(str, arguments)]) == 2
+    for arguments in ([step], ["absent"], [step, "--params", "no.yaml"]):
+        assert main(["identify", *arguments]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -18,12 +18,9 @@ VOLTS, AMPERES = "sensor.voltage.gain", "sensor.current.gain"
 # What an instrument does to its readings: gains at their data sheets' limits, and a few more.
 FAULTS = {
     "current 1.5 % low": {"current": lambda x: x / 1.015},
-    "current 1.5 % high": {"current": lambda x: x * 1.015},
     "voltage 1 % high": {"voltage": lambda x: x * 1.01},
     "camera 5 % high": {"temperature": lambda x: (x - ZERO) * 1.05 + ZERO},
-    "camera 2 % low": {"temperature": lambda x: (x - ZERO) * 0.98 + ZERO},
     "camera 2 K high": {"temperature": lambda x: x + 2.0},
-    "emissivity 5 % off": {"temperature": lambda x: AMBIENT + 0.95 * (x - AMBIENT)},
 }
 
 
@@ -71,19 +68,6 @@ def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
     assert np.linalg.eigvalsh(correlation.matrix).min() > -1e-9
 
 
-def test_the_slope_of_every_scale_is_what_a_scaled_record_gives(staircase, ramp):
-    known = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
-    plain = identify(records(staircase, ramp), known).estimates
-    for gain, fault in ((AMPERES, {"current": lambda x: x * 0.99}),
-                        (VOLTS, {"voltage": lambda x: x * 0.99})):  # fmt: skip
-        off = identify([read_by(fault, r) for r in records(staircase, ramp)], known).estimates
-        stated = identify(records(staircase, ramp), known.replace(uncertainty={gain: 0.01}))
-        for name in TRUTH:
-            # 1 % more than was read is one standard error up.
-            expected = stated.experiments[(R, H, CP).index(name)].estimates[name].shares[gain]
-            assert plain[name].value - off[name].value == pytest.approx(expected, rel=0.1), name
-
-
 def test_a_calibration_puts_the_readings_right(staircase, ramp):
     wrong = {
         "current": lambda x: (x - 0.02) / 1.05, "voltage": lambda x: x / 0.97,
@@ -96,15 +80,6 @@ def test_a_calibration_puts_the_readings_right(staircase, ramp):
     found = identify([read_by(wrong, one) for one in records(staircase, ramp)], known).estimates
     for name, truth in TRUTH.items():
         assert abs(found[name].value - truth) < 3.0 * found[name].std < 0.03 * truth, name
-
-
-def test_what_nobody_stated_is_no_match_for_a_measurement_of_unsure_scale(staircase):
-    found = identify([staircase(seed=4)], Parameters.of_paper(), ["E1"]).estimates[R]
-    assert found.value == pytest.approx(2.75, abs=0.003)
-    stated = Parameters.of_paper().replace({R: 2.70}, {R: 0.01})
-    joined = identify([staircase(seed=4)], stated, ["E1"]).estimates[R]
-    assert 2.70 < joined.value < 2.71
-    assert joined.std < 0.01
 
 
 def test_the_whole_model_has_the_errors_of_scales_that_scaled_records_give(ramp):
@@ -155,49 +130,15 @@ def test_a_room_that_drifts_is_in_the_errors_or_taken_off(staircase, recorded):
         assert said[0].numbers["drift"] == pytest.approx(1.5, rel=0.1)
 
 
-def test_a_room_s_thermometer_is_believed_as_far_as_its_own_variance(staircase):
-    record = staircase(seed=5, dwell=12.0)
-    time = record["wire.temperature"].time[::50]
-
-    def warned(std):
-        room = Signal("ambient.temperature", "K", time, np.full(len(time), AMBIENT + 1.0),
-                      std=None if std is None else np.full(len(time), std))  # fmt: skip
-        known = KNOWN.replace(uncertainty={ROOM: 0.1})
-        found = identify(
-            [replace(record, signals={**record.signals, room.name: room})], known, ["E1", "E2"]
-        )
-        return [w for w in found.warnings if "measured ambient" in w]
-
-    assert warned(None) and warned(0.1)
-    assert not warned(2.0)
-
-
-def test_a_still_room_is_not_said_to_drift(staircase):
-    for seed in range(4):
-        found = identify([staircase(seed=seed, dwell=12.0)], KNOWN, ["E1", "E2"])
-        assert not [f for e in found.experiments for f in e.findings if "drift" in f.numbers]
-        assert found.warnings == ()
-
-
-def test_staircases_in_different_air_are_not_pooled_without_a_word(staircase, wire):
+def test_staircases_in_different_air_are_not_pooled_without_a_word(staircase, ramp, wire):
     still, moved = (staircase(wire(coefficient=h), seed=7, dwell=12.0) for h in (410.0, 492.0))
     found = identify([still, moved], KNOWN, ["E1", "E2"])
     assert any(H in w and "2 staircases lie" in w for w in found.warnings)
     alike = identify([still, staircase(seed=8, dwell=12.0)], KNOWN, ["E1", "E2"])
     assert alike.warnings == ()
-
-
-def test_a_doubt_about_the_heat_loss_is_one_about_the_specific_heat(staircase, ramp, wire):
+    # A doubt about the heat loss is one about the specific heat.
     bent = identify([staircase(wire(bend=2e-3), dwell=12.0), ramp()], KNOWN)
     assert any(CP in w and "of which E2 says" in w for w in bent.warnings)
-
-
-def test_a_lag_of_a_second_is_found_or_doubted(ramp):
-    known = KNOWN.replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4})
-    found = identify([ramp(lag=1.0, rest=20.0)], known, ["E3"])
-    cp = found.estimates[CP]
-    assert any(CP in w and "two time constants" in w for w in found.warnings)
-    assert abs(cp.value - 350.0) < 3.0 * cp.std
 
 
 def test_slow_ramps_without_a_jump_have_no_bias_from_the_noise_of_their_voltage(ramp, sensors):
@@ -212,9 +153,8 @@ def test_slow_ramps_without_a_jump_have_no_bias_from_the_noise_of_their_voltage(
     assert abs(np.mean(off)) < 0.04
 
 
-@pytest.mark.parametrize("share", [0.5, 0.6])
-def test_a_spot_that_the_wire_fills_in_part_is_wondered_at(staircase, ramp, share):
-    seen = {"temperature": lambda x: AMBIENT + share * (x - AMBIENT)}
+def test_a_spot_that_the_wire_fills_in_part_is_wondered_at(staircase, ramp):
+    seen = {"temperature": lambda x: AMBIENT + 0.6 * (x - AMBIENT)}
     found = identify([read_by(seen, one) for one in records(staircase, ramp)], KNOWN)
     for name in (H, CP):
         assert any(name in w and "spot_share" in w for w in found.warnings)

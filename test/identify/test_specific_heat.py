@@ -33,14 +33,6 @@ def test_specific_heat_comes_back_within_two_errors_of_less_than_one_percent(ram
     assert found.warnings == ()
 
 
-def test_errors_at_20_hz_are_as_true_as_at_100_hz(ramp, sensors):
-    estimates = [found_cp(ramp(sensors=sensors(), seed=seed))[1] for seed in range(12)]
-    errors = np.array([(cp.value - 350.0) / cp.std for cp in estimates])
-    assert np.sum(np.abs(errors) < 2.0) >= 10
-    assert np.sqrt(np.mean(errors**2)) < 1.5
-    assert max(cp.std for cp in estimates) < 3.0
-
-
 def test_wire_in_still_air_with_a_time_constant_of_seconds_works_alike(ramp, wire):
     known = KNOWN.replace({H: 60.0}, {H: 0.1})
     _, cp = found_cp(ramp(wire(coefficient=60.0), top=1.2, seed=1), parameters=known)
@@ -66,20 +58,13 @@ def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit(ramp
     assert len(curves["temperature"]) == len(curves["model"]) == len(curves["voltage"])
 
 
-@pytest.mark.parametrize("delay", [-0.004, 0.02])
-def test_offset_between_the_clocks_is_told_from_thermal_inertia(ramp, sensors, delay):
+def test_offset_between_the_clocks_is_told_from_thermal_inertia(ramp, sensors):
+    delay = 0.02
     found, cp = found_cp(ramp(sensors=sensors(100.0, 80.0, delay=delay), seed=1))
     # A camera's lag of some milliseconds looks like a delay: the two are known together.
     late = [f.numbers for f in found.experiments[0].findings if "delay" in f.numbers][0]
     assert abs(late["delay"] - delay) < 2.5 * late["delay_std"] < 0.006
     assert abs(cp.value - 350.0) < 2.0 * cp.std
-    assert any("pass for thermal inertia" in text for text in remarks(found))
-
-
-@pytest.mark.parametrize("lag", [0.01, 0.1])
-def test_camera_that_lags_puts_the_specific_heat_in_doubt(ramp, lag):
-    found, cp = found_cp(ramp(lag=lag, seed=3))
-    assert abs(cp.value - 350.0) < 2.5 * cp.std
     assert any("pass for thermal inertia" in text for text in remarks(found))
 
 
@@ -96,12 +81,8 @@ def test_temperature_above_austenite_start_is_noticed_and_left_out(ramp):
     model = found.experiments[0].curves["temperature"]
     assert np.nanmax(model) < 331.81 + 0.5
     assert abs(cp.value - 350.0) < 2.0 * cp.std
-
-
-def test_hot_ramps_are_left_out_where_there_are_cold_ones(ramp):
     found, cp = found_cp(ramp(), ramp(top=4.2, seed=1))
-    _, cold = found_cp(ramp())
-    assert cp.n == cold.n
+    assert cp.n == found_cp(ramp())[1].n
     assert any("4 of 8 ramps are left out" in text for text in remarks(found))
 
 
@@ -112,7 +93,9 @@ def test_ramps_that_contradict_the_known_heat_loss_are_noticed(ramp, wire):
 
 
 def test_second_thermal_mass_is_noticed_in_the_residuals(ramp):
-    found, _ = found_cp(ramp(lag=0.1))
+    found, cp = found_cp(ramp(lag=0.1, seed=3))
+    assert abs(cp.value - 350.0) < 2.5 * cp.std
+    assert any("pass for thermal inertia" in text for text in remarks(found))
     assert any("two time constants" in w and "does not follow eq. (2)" in w for w in found.warnings)
 
 

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
@@ -35,13 +34,8 @@ def test_resistance_coefficient_and_ambient_come_back_within_two_errors(staircas
     assert details["heating"].n == 26
     assert details["cooling"].n == 25
     assert details["heating"].value == pytest.approx(2.75, abs=3 * details["heating"].std)
-
-
-def test_offset_of_the_current_sensor_is_found_and_does_no_harm(staircase, sensors):
-    found = result(staircase(sensors=sensors(offset=0.08), seed=4))
-    (offset,) = [f for e in found.experiments for f in e.findings if f.subject == "current"]
-    assert offset.numbers["offset"] == pytest.approx(0.08, abs=3 * offset.numbers["offset_std"])
-    assert found.estimates[R].value == pytest.approx(2.75, abs=0.003)
+    offset = next(f.numbers for f in found.experiments[0].findings if f.subject == "current")
+    assert offset["offset"] == pytest.approx(0.03, abs=3 * offset["offset_std"])
 
 
 def test_resistance_that_differs_between_heating_and_cooling_is_noticed(staircase):
@@ -55,9 +49,8 @@ def test_resistance_that_differs_between_heating_and_cooling_is_noticed(staircas
     assert estimate.std > 0.02
 
 
-@pytest.mark.parametrize("change", [-0.05, 0.1])
-def test_resistance_that_changes_with_the_phase_is_noticed_as_a_bend(staircase, wire, change):
-    found = result(staircase(wire(resistance_change=change)))
+def test_resistance_that_changes_with_the_phase_is_noticed_as_a_bend(staircase, wire):
+    found = result(staircase(wire(resistance_change=-0.05)))
     assert about(found, R, ["not a straight line"])
     # The heating is judged by measured power: h itself is constant here.
     assert about(found, H, ["not a straight line"]) == []
@@ -85,12 +78,6 @@ def test_short_plateaus_shrink_the_windows_and_say_so(staircase):
     assert abs(found.estimates[R].value - 2.75) < 2.5 * found.estimates[R].std
 
 
-def test_slow_noise_of_the_camera_widens_the_errors(staircase, sensors):
-    white = result(staircase(seed=1)).experiments[1].details["thermal_gain"]
-    slow = result(staircase(sensors=sensors(colour_time=0.5, camera_noise=0.3), seed=1))
-    assert slow.experiments[1].details["thermal_gain"].std > 3.0 * white.std
-
-
 def test_two_staircases_join_into_a_smaller_error_but_not_below_the_sensors_scale(staircase):
     known = PARAMETERS.replace(uncertainty={"sensor.voltage.gain": 1e-3})
     one = identify([staircase(seed=1)], known, ["E1"]).estimates[R]
@@ -115,28 +102,6 @@ def test_markers_keep_two_protocols_of_one_bag_apart(staircase):
     assert marked.estimates[R].n == plain.estimates[R].n - 1
 
 
-def test_curves_for_figures_2_and_3_are_there_and_stay_out_of_the_result_file(staircase):
-    found = result(staircase())
-    e1, e2 = found.experiments
-    assert len(e1.curves["voltage"]) == len(e1.curves["current"]) == 51
-    assert np.ptp(e2.curves["temperature"]) > 50.0
-    assert "curves" not in found.to_json()["experiments"][0]
-
-
-def test_temperature_that_ignores_the_voltage_is_an_error(staircase):
-    record = staircase()
-    record["wire.temperature"].values[:] = 297.0
-    with pytest.raises(InputError, match="expected it to follow the voltage"):
-        result(record, experiments=["E2"])
-
-
-def test_current_that_ignores_the_voltage_is_an_error(staircase):
-    record = staircase()
-    record["wire.current"].values[:] = 0.1
-    with pytest.raises(InputError, match="expected it to follow the voltage"):
-        result(record, experiments=["E1"])
-
-
 def behind_leads(record, leads, count):
     """The same wires, `count` in parallel, as a voltmeter before their leads (ohm) sees them."""
     scale = {"wire.voltage": 1.0 + count * leads / 2.75, "wire.current": count}
@@ -147,8 +112,8 @@ def behind_leads(record, leads, count):
     return replace(record, signals=signals)
 
 
-@pytest.mark.parametrize(("leads", "count"), [(0.1, 1), (0.3, 2)])
-def test_leads_and_parallel_wires_are_taken_off_what_is_identified(staircase, ramp, leads, count):
+def test_leads_and_parallel_wires_are_taken_off_what_is_identified(staircase, ramp):
+    leads, count = 0.3, 2
     shown = (staircase(seed=5, increment=0.5), ramp(seed=5))
     records = [behind_leads(one, leads, count) for one in shown]
     stated = PARAMETERS.replace(
@@ -161,26 +126,15 @@ def test_leads_and_parallel_wires_are_taken_off_what_is_identified(staircase, ra
     assert found[R].systematic >= count * 0.002
     unaware = identify(records, PARAMETERS, ["E1"]).estimates[R]
     assert unaware.value == pytest.approx(2.75 / count + leads, rel=2e-3)
-
-
-def test_the_uncertainty_of_leads_is_in_what_is_identified(staircase):
-    record = behind_leads(staircase(seed=5), 0.1, 1)
-    exact, vague = (
-        identify(
-            [record],
-            PARAMETERS.replace({"bench.lead_resistance": 0.1}, {"bench.lead_resistance": std}),
-            ["E1", "E2"],
-        )
-        for std in (0.0, 0.02)
-    )
-    assert vague.estimates[R].std == pytest.approx(np.hypot(exact.estimates[R].std, 0.02), rel=1e-3)
-    # h = S^2/R of them, S known and R = S - leads.
-    expected = 410.0 * 0.02 / 2.75
-    assert vague.estimates[H].std == pytest.approx(
-        np.hypot(exact.estimates[H].std, expected), rel=0.1
-    )
-
-
-def test_leads_of_more_than_was_measured_are_refused(staircase):
     with pytest.raises(InputError, match="expected more than bench.lead_resistance, 5 ohm"):
-        identify([staircase()], PARAMETERS.replace({"bench.lead_resistance": 5.0}), ["E1"])
+        identify(shown, PARAMETERS.replace({"bench.lead_resistance": 5.0}), ["E1"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "experiment"), [("temperature", 297.0, "E2"), ("current", 0.1, "E1")]
+)
+def test_a_signal_that_ignores_the_voltage_is_an_error(staircase, name, value, experiment):
+    record = staircase()
+    record[f"wire.{name}"].values[:] = value
+    with pytest.raises(InputError, match="expected it to follow the voltage"):
+        result(record, experiments=[experiment])
