@@ -47,8 +47,8 @@ def identified(foreign):
 
 @pytest.mark.parametrize(
     ("signals", "which"),
-    [(ALL, (1,)), (ALL, (0, 1)), (("voltage", "deflection"), (0,))],
-    ids=["step", "both", "triangle, voltages and deflection only"],
+    [(ALL, (0, 1)), (("voltage", "deflection"), (0,))],
+    ids=["both", "triangle, voltages and deflection only"],
 )
 def test_foreign_records_give_back_the_truth_within_the_stated_errors(foreign, signals, which):
     records, nominal, truth = foreign
@@ -95,13 +95,10 @@ def test_products_are_known_better_than_their_factors(foreign, identified):
     assert loss.relative_std < 0.2 * found.estimates["wire.surface_area"].relative_std
 
 
-def test_identify_uses_the_whole_model_on_composite_bags(foreign, identified):
+def test_a_result_of_the_whole_model_has_the_correlation_of_its_numbers(foreign, identified):
     _, nominal, _ = foreign
-    result = identified
-    assert {e.name for e in result.experiments} == {"E10"}
-    assert result.parameters[ALPHA] == pytest.approx(result.estimates[ALPHA].value)
-    assert result.parameters.std(FRONT) == pytest.approx(result.estimates[FRONT].std)
-    document = result.to_json()
+    assert {e.name for e in identified.experiments} == {"E10"}
+    document = identified.to_json()
     names = document["correlation"]["names"]
     assert names == list(document["parameters"])
     matrix = np.array(document["correlation"]["matrix"])
@@ -158,23 +155,15 @@ def record_of(truth, noise=2e-5, rho=0.0, seed=0, drift=0.0):
     return Record("made here", 0, signals)
 
 
-def test_front_and_back_may_differ():
-    truth = bench(**{BACK: 5.6e9})
-    known = bench().replace({}, {FRONT: 1e9, BACK: 1e9})
-    found = identify_moving_bench([record_of(truth)], known)
-    front, back = found.estimates[FRONT], found.estimates[BACK]
-    assert abs(front.value - 4e9) < 3.0 * front.std
-    assert abs(back.value - 5.6e9) < 3.0 * back.std
-    assert back.value - front.value > 5.0 * front.std
-
-
-def test_bending_coefficients_that_nobody_gave_start_from_the_geometry():
-    truth = bench(**{ALPHA: 0.9, FRONT: 2.8e9, BACK: 3.0e9})
+def test_bending_coefficients_that_nobody_gave_start_from_the_geometry_and_may_differ():
+    truth = bench(**{ALPHA: 0.9, FRONT: 2.4e9, BACK: 3.4e9})
     known = bench(**{ALPHA: 0.0, FRONT: 0.0, BACK: 0.0})
     found = identify_moving_bench([record_of(truth)], known)
     for name in BENDING:
         estimate = found.estimates[name]
         assert abs(estimate.value - truth[name]) < 3.0 * estimate.std
+    front, back = found.estimates[FRONT], found.estimates[BACK]
+    assert back.value - front.value > 5.0 * front.std
 
 
 def test_range_sensors_stand_in_for_the_tip():

@@ -128,15 +128,6 @@ def test_a_force_that_is_neither_held_nor_clamped_is_refused(lab):
         identify_load_frame([replace(record, signals=signals)], bench.known)
 
 
-def test_a_record_without_load_frame_is_refused(lab):
-    bench, records = lab
-    signals = {
-        n: s for n, s in records["clamped"].signals.items() if n not in ("force", "elongation")
-    }
-    with pytest.raises(InputError, match="no load frame"):
-        identify_load_frame([replace(records["clamped"], signals=signals)], bench.known)
-
-
 def test_held_load_without_a_thermometer_is_fitted_all_the_same():
     rng = np.random.default_rng([38, 86])
     record = draw_record(draw_rig("force", rng), rng)

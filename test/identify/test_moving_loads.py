@@ -9,13 +9,10 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 
 import sma_bench
 from examination.check import loads
-from sma_bench.errors import InputError
 from sma_bench.estimation import side_by_side
 from sma_bench.identify import identify
 from sma_bench.identify.whole_model import (
     identify_moving_bench,
-    observe_all,
-    unknowns_of_observations,
 )
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
@@ -103,16 +100,6 @@ def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
     assert max(estimate.informed for estimate in found.estimates.values()) > 0.9
 
 
-def test_a_weight_is_unknown_where_only_some_records_show_its_force():
-    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["force"]})
-    bare = recorded(believed, "triangle", 1)
-    measured = recorded(believed, "step", 2, keep=("voltage", "elongation", "force"))
-    for records, expected in (([bare, measured], True), ([bare], True), ([measured], False)):
-        unknowns = unknowns_of_observations(observe_all(records, believed), believed)
-        assert ("load.force" in unknowns.names) == expected
-        assert len(set(unknowns.names)) == len(unknowns.names)
-
-
 def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     duty = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
     believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["spring"]})
@@ -157,13 +144,6 @@ def test_a_current_source_needs_no_voltmeter():
         np.std(sma_bench.simulate(unseen, p).elongation[:, 0] - exact) for p in (believed, found)
     )
     assert after < min(0.01 * np.ptp(exact), 0.2 * before)
-
-
-def test_a_spring_bench_without_its_motion_says_what_is_missing():
-    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["spring"]})
-    record = recorded(believed, "triangle", 1, ("voltage",))
-    with pytest.raises(InputError, match="expected currents, temperatures or a deflection"):
-        identify_moving_bench([record], believed)
 
 
 @pytest.mark.slow
