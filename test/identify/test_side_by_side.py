@@ -10,34 +10,21 @@ from sma_bench.estimation.side_by_side import in_threads, threads_to_spare
 
 pytestmark = pytest.mark.usefixtures("both_cores")
 
-NUMBERS = [(k,) for k in range(12)]
 
-
-def test_results_come_in_the_order_of_the_arguments_from_two_threads():
+def test_two_threads_give_results_in_order_and_what_they_call_runs_in_them():
     both = threading.Barrier(2)
 
-    def work(k):
+    def outer(k):
         if k < 2:
             both.wait(60.0)
-        return k**2, threading.get_ident()
-
-    found = in_threads(work, NUMBERS)
-    assert [square for square, _ in found] == [k**2 for (k,) in NUMBERS]
-    assert len({thread for _, thread in found}) == 2
-
-
-def test_what_a_thread_calls_runs_in_that_thread():
-    def outer(k):
         inner = in_threads(lambda j: (k, j, threading.get_ident()), [(j,) for j in range(3)])
         return inner, threading.get_ident(), threads_to_spare()
 
-    for k, (inner, thread, spare) in enumerate(in_threads(outer, NUMBERS[:6])):
+    found = in_threads(outer, [(k,) for k in range(12)])
+    assert len({thread for _, thread, _ in found}) == 2
+    for k, (inner, thread, spare) in enumerate(found):
         assert inner == [(k, j, thread) for j in range(3)] and spare == 0
-    assert threads_to_spare() == 2
-
-
-def test_one_piece_of_work_has_both_cores():
-    assert in_threads(lambda k: threads_to_spare(), NUMBERS[:1]) == [2]
+    assert in_threads(lambda k: threads_to_spare(), [(0,)]) == [2]
 
 
 def test_the_first_error_is_raised():
