@@ -13,10 +13,8 @@ from examination.simulated_lab.drawn_bench import draw_bench
 from examination.simulated_lab.experiments import LOADS, clamped, isobaric
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import find_holds
-from sma_bench.estimation.unknowns import SHAPES
 from sma_bench.identify import identify
 from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
-from sma_bench.parameters.audit import wire_length_from_mass
 from sma_bench.parameters.table import TRANSITIONS
 from sma_bench.records import Record, Signal
 
@@ -34,34 +32,6 @@ def lab():
         for experiment in (isobaric, clamped)
     }
     return bench, records
-
-
-@pytest.fixture(scope="module")
-def found(lab):
-    """What both records together say."""
-    bench, records = lab
-    return identify_load_frame(list(records.values()), bench.known)
-
-
-@pytest.mark.slow
-def test_held_loads_and_clamps_give_back_every_parameter_of_the_wire(lab, found):
-    bench, records = lab
-    names = [name for name in found.estimates if name not in SHAPES]
-    assert len(names) == 14
-    z = np.array(
-        [(found.estimates[n].value - bench.truth[n]) / found.estimates[n].std for n in names]
-    )
-    assert np.max(np.abs(z)) < 4.0, dict(zip(names, z, strict=True))
-    # The errors of one record hang together; 0.01 % of chi-square with 14 degrees lies above 44.
-    chosen = [found.correlation.names.index(name) for name in names]
-    assert z @ np.linalg.solve(found.correlation.matrix[np.ix_(chosen, chosen)], z) < 44.0
-    # The camera's zero, known to 0.2 K a record, is that of every temperature.
-    camera = 0.2 / np.sqrt(len(records))
-    for name in names:
-        least = camera if name.endswith("_temperature") else 0.0
-        assert found.estimates[name].std < max(0.1 * bench.known.std(name), least)
-    length = next(f for f in found.findings if f.subject == "wire length")
-    assert length.numbers["length"] == pytest.approx(wire_length_from_mass(bench.truth))
 
 
 def test_clamped_staircase_alone_tells_the_thermal_expansion_factor(lab):

@@ -30,17 +30,22 @@ def found(params):
     return {n: (params[t], params.std(t)) for n, t in TRANSITIONS.items()}
 
 
-def test_a_noisy_test_of_another_alloy_gives_that_alloy(noisy):
-    result = identify([noisy], Parameters())
-    for name, (value, std) in found(result.parameters).items():
+@pytest.fixture(scope="module")
+def alone(noisy):
+    """What is found without any parameter file."""
+    return identify([noisy], Parameters())
+
+
+def test_a_noisy_test_of_another_alloy_gives_that_alloy(alone):
+    for name, (value, std) in found(alone.parameters).items():
         assert 2.0 < std < 9.0
         assert abs(value - TRUTH[name]) < 2.0 * std
-    assert any("another alloy" in note.text for note in result.notes)
+    assert any("another alloy" in note.text for note in alone.notes)
 
 
-def test_a_template_and_the_own_result_change_nothing(noisy, tmp_path, monkeypatch, capsys):
+def test_a_template_and_the_own_result_change_nothing(noisy, alone, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    alone = found(identify([noisy], Parameters()).parameters)
+    alone = found(alone.parameters)
     assert main(["parameters", "--out", "template.yaml"]) == 0
     template = read_parameters("template.yaml")
     assert found(identify([noisy], template).parameters) == alone
@@ -65,7 +70,8 @@ def test_a_template_and_the_own_result_change_nothing(noisy, tmp_path, monkeypat
 
 def test_intervals_hold_the_truth_of_drawn_alloys():
     """`./bench check alloys` draws more."""
-    rows = [row for draw in range(6) for row in examine(5, draw)]
+    # Those of few cycles, whose bootstrap is quick.
+    rows = [row for draw in (0, 1, 3, 5, 6, 7) for row in examine(5, draw)]
     assert {row["method"] for row in rows} == {"E5", "E6", "E7", "E8"}
     assert coverage(rows) > 0.8
     assert coverage([row for row in rows if row["far"] > 3.0]) > 0.8
