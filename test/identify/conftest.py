@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
 ADC_STEP = 10.0 / 1023.0
 CURRENT_STEP = 0.026
 CURRENT_NOISE = 0.015
+SUPPLY_NOISE = 0.004
 CAMERA_NOISE = 0.08
 CAMERA_STEP = 0.1
 
@@ -69,14 +69,7 @@ class Sensors:
     temperature_rate: float = 20.0
     offset: float = 0.0
     delay: float = 0.0
-    supply_noise: float = 0.004
-    # Relative gain error of the voltage converter.
-    scale_error: float = 0.0
-    dropped: float = 0.05
-    quantised: bool = True
-    camera_noise: float = CAMERA_NOISE
-    # First-order coloured share of the camera's noise, correlation time in s.
-    colour_time: float = 0.0
+    scale_error: float = 0.0  # relative gain error of the voltage converter
 
 
 NITI = Wire()
@@ -84,38 +77,24 @@ SLOW = Sensors()
 FAST = Sensors(power_rate=100.0, temperature_rate=80.0)
 
 
-def clock(rng, duration, rate, dropped):
+def clock(rng, duration, rate):
     """Jittered stamps in s of which some are lost."""
     stamps = np.arange(0.0, duration, 1.0 / rate)
     stamps = np.sort(stamps + rng.normal(0.0, 0.1 / rate, len(stamps)))
-    stamps = stamps[(rng.random(len(stamps)) > dropped) & (stamps >= 0.0)]
+    stamps = stamps[(rng.random(len(stamps)) > 0.05) & (stamps >= 0.0)]
     return np.unique(stamps)
 
 
-def camera(rng, n, sensors):
-    white = rng.normal(0.0, sensors.camera_noise, n)
-    if not sensors.colour_time:
-        return white
-    keep = np.exp(-1.0 / (sensors.temperature_rate * sensors.colour_time))
-    out = np.empty(n)
-    state = white[0]
-    for k in range(n):
-        out[k] = state
-        state = keep * state + np.sqrt(1.0 - keep**2) * white[k]
-    return out
-
-
 def make_record(rng, duration, voltage_at, current_at, temperature_at, sensors, markers=()):
-    t = clock(rng, duration, sensors.power_rate, sensors.dropped)
-    v = voltage_at(t) + rng.normal(0.0, sensors.supply_noise, len(t))
+    t = clock(rng, duration, sensors.power_rate)
+    v = voltage_at(t) + rng.normal(0.0, SUPPLY_NOISE, len(t))
     v = v * (1.0 + sensors.scale_error)
     i = current_at(t) + sensors.offset + rng.normal(0.0, CURRENT_NOISE, len(t))
-    s = clock(rng, duration, sensors.temperature_rate, sensors.dropped)
-    temperature = temperature_at(s) + camera(rng, len(s), sensors)
-    if sensors.quantised:
-        v = np.clip(np.round(v / ADC_STEP), 0, 1023) * ADC_STEP
-        i = np.round(i / CURRENT_STEP) * CURRENT_STEP
-        temperature = np.round((temperature - 273.15) / CAMERA_STEP) * CAMERA_STEP + 273.15
+    s = clock(rng, duration, sensors.temperature_rate)
+    temperature = temperature_at(s) + rng.normal(0.0, CAMERA_NOISE, len(s))
+    v = np.clip(np.round(v / ADC_STEP), 0, 1023) * ADC_STEP
+    i = np.round(i / CURRENT_STEP) * CURRENT_STEP
+    temperature = np.round((temperature - 273.15) / CAMERA_STEP) * CAMERA_STEP + 273.15
     signals = {
         "wire.voltage": Signal("wire.voltage", "V", t, v),
         "wire.current": Signal("wire.current", "A", t, i),
@@ -215,14 +194,10 @@ def ramp() -> Callable[..., Record]:
     return ramp_record
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def alloy(measured_data: Path) -> Callable[[int], list[IsobaricRecord]]:
     """Measured loops of an alloy, by its number."""
     folder = measured_data / "sma_react" / "input"
-
-    @cache
-    def loops(number: int) -> list[IsobaricRecord]:
-        files = sorted((folder / f"cal_sample_{number}").glob("*MPa.txt"))
-        return [read_isobaric(path) for path in files]
-
-    return loops
+    return lambda number: [
+        read_isobaric(path) for path in sorted((folder / f"cal_sample_{number}").glob("*MPa.txt"))
+    ]

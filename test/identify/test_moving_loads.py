@@ -10,7 +10,7 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 import sma_bench
 from examination.check import loads
 from sma_bench.estimation import side_by_side
-from sma_bench.identify import identify
+from sma_bench.identify import identify, whole_model
 from sma_bench.identify.whole_model import (
     identify_moving_bench,
 )
@@ -83,7 +83,7 @@ def unseen_error(truth, found, shape):
     return np.sqrt(np.mean((here.values - there.values) ** 2)) / np.ptp(here.values)
 
 
-@pytest.mark.parametrize("kind", RIGS)
+@pytest.mark.parametrize("kind", ["force", "spring", "antagonist"])  # test_composite.py: beams
 def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
     believed = Parameters.of_paper().replace(
         {**BELIEVED, **RIGS[kind]}, {"load.stiffness": 40.0, "load.preload": 0.5}
@@ -147,11 +147,12 @@ def test_a_current_source_needs_no_voltmeter():
 
 
 @pytest.mark.slow
-def test_two_runs_of_another_reality_predict_five_of_other_shapes():
+def test_two_runs_of_another_reality_predict_five_of_other_shapes(monkeypatch):
     """Of which the wire has latent heat, free convection and a resistance that changes.
 
     `./bench check loads` plays the other loads.
     """
+    monkeypatch.setattr(whole_model, "starts", lambda unknowns: [unknowns.start()])
     found = loads.try_bench(("spring", 7, "rich"))
     assert np.median(found["believed"]) > 5.0 * np.median(found["unseen"])
     assert np.median(found["unseen"]) < loads.MEDIAN and max(found["unseen"]) < loads.TAIL
