@@ -28,7 +28,7 @@ def truth(shared_data):
 
 
 @pytest.mark.parametrize(("name", "deflection_noise"), [("step", 1.2e-4), ("triangle", 5.5e-5)])
-def test_true_parameters_under_the_measured_voltages_leave_noise_only(shared_data, truth, name, deflection_noise):
+def test_the_truth_under_measured_voltages_leaves_noise(shared_data, truth, name, deflection_noise):
     """Noise and 20 ms sampling of the measured voltage itself are all that is added."""
     record = read_record(shared_data / "foreign" / "composite" / name)
     time = np.arange(0.0, 120.0, 0.005)
