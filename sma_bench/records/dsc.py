@@ -7,13 +7,12 @@ others are cut where the measured rate changes its kind.
 """
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
@@ -21,7 +20,7 @@ from sma_bench.findings import Finding
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
 from sma_bench.records.tables import Account, read_table_file
-from sma_bench.records.units import WORDS, parse_unit, plain_title, split_title
+from sma_bench.records.units import WORDS, parse_unit, plain_title
 
 SegmentKind = Literal["heating", "cooling", "isothermal"]
 
@@ -34,10 +33,8 @@ _RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
 _WINDOW = 20.0  # s over which a rate is measured
 _SHORTEST = 60.0  # s
 _STILL = 0.3  # of the slowest ramp
-_NO_MASS = (
-    "no sample mass above the table: state it, mass=12 mg, or write a line 'Sample Mass: 12 mg' "
-    "above the titles"
-)
+_Part = tuple[float, slice]
+_Block = tuple[int, re.Match[str]]  # row of its first, title
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ def is_dsc(sheet: Sheet) -> bool:
 
 def dsc_of(sheet: Sheet) -> DscRecord:
     """The run in a table that `is_dsc`; raises as `read_dsc`."""
-    above = [" ".join(cells) for cells in sheet.table.above]
+    path, above = sheet.path, [" ".join(cells) for cells in sheet.table.above]
     marks = [(0, text) for text in above] + list(sheet.table.marks)
     header: dict[str, str] = {}
     for cells, text in zip(sheet.table.above, above, strict=True):
@@ -151,129 +148,115 @@ def dsc_of(sheet: Sheet) -> DscRecord:
         key, colon, value = text.lstrip("# ").partition(f"{cells[0]} " if parted else ":")
         if parted or colon:
             header.setdefault((cells[0] if parted else key).strip(), value.strip())
-    findings = [Finding("warning", sheet.path.name, text) for text in sheet.table.left_out]
+    for text in sheet.table.left_out:
+        sheet.remark("warning", path.name, text)
     blocks = [(row, match) for row, text in marks if (match := _BLOCK.match(text))]
     if blocks:
-        sheet = _titled(sheet, WORDS["pyris"])
+        sheet = sheet.titled(WORDS["pyris"])
         for column in sheet.table.columns:
             sheet.require_complete(column)
     elif "StartOfData" in above:
         named = {int(m[1]): " ".join(c[1:]) for c in sheet.table.above if (m := _SIG.match(c[0]))}
         if sorted(named) != list(range(1, len(sheet.table.columns) + 1)):
-            said = f"no Sig1, Sig2, ... lines for {len(sheet.table.columns)} columns"
-            raise InputError(f"{sheet.path}: {said}, expected their names")
-        sheet = _titled(sheet, [named[k] for k in sorted(named)])
+            raise InputError(f"{path}: no Sig1, Sig2, ... lines, expected one for each column")
+        sheet = sheet.titled([named[k] for k in sorted(named)])
     columns = sheet.columns("dsc")
-    time, temperature, flow = (
-        sheet.values(columns[k]) for k in ("time", "temperature", "heat flow")
-    )
+    time, temperature, flow = (sheet.values(*column) for column in columns.values())
     kept = time >= 0.0  # TA's rows of negative time separate the steps of a method
     time, temperature, flow = time[kept], temperature[kept], flow[kept]
     back = np.flatnonzero(np.diff(time) < 0.0)
     if len(back):
         line = sheet.table.lines[kept][back[0] + 1]
-        raise InputError(f"{sheet.path}: line {line}: time runs backward")
+        raise InputError(f"{path}: line {line}: time runs backward")
 
     # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
     unit, mass = parse_unit(columns["heat flow"][0].unit), sheet.noted("mass")
     if unit is not None and unit.quantity == "specific power":
         if mass is None:
             mass = 1e-6
-            text = f"{sheet.path}: no sample mass; heat flow is for a gram, so 1 mg is taken"
-            findings.append(Finding("warning", "sample mass", text))
+            text = "no sample mass; heat flow is for a gram, so 1 mg is taken"
+            sheet.remark("warning", "sample mass", text)
         flow = flow * mass
     if mass is None:
-        raise InputError(f"{sheet.path}: {_NO_MASS}")
+        how = "state it, mass=12 mg, or write a line 'Sample Mass: 12 mg'"
+        raise InputError(f"{path}: no sample mass above the table: {how} above the titles")
     if not 0.0 < mass < 1e-3:
-        raise InputError(f"{sheet.path}: sample mass is {mass:g} kg, expected one of milligrams")
-    used = {column.name: role for role, (column, _) in columns.items()}
+        raise InputError(f"{path}: sample mass is {mass:g} kg, expected one of milligrams")
+
+    # The steps of the method, each with its rows.
+    baseline, program = np.zeros(len(time)), temperature
     if blocks:
-        segments = _programmed(sheet, blocks, above, (time, temperature, flow), used)
+        for column in sheet.table.columns:
+            if column.title in ("Baseline", "Program Temperature"):
+                columns[column.title.lower()] = column, "temperature"
+        baseline = sheet.values(columns["baseline"][0], "heat flow")
+        program = sheet.values(*columns["program temperature"])
+        parts = list(_programmed(path, blocks, above, time, program))
     else:
         ramps = [float(m[1]) / 60.0 for _, text in marks if (m := _RAMP.search(text))]
-        segments = _cut(time, temperature, flow, ramps)
-        if not any(segment.rate for segment in segments):
-            raise InputError(f"{sheet.path}: no heating or cooling in it, expected a DSC scan")
+        parts = list(enumerate(_cut(time, temperature, ramps), 1))
+        if not any(rate for _, (rate, _) in parts):
+            raise InputError(f"{path}: no heating or cooling in it, expected a DSC scan")
+    segments = []
+    for number, (rate, part) in parts:
+        kind: SegmentKind = "heating" if rate > 0.0 else "cooling" if rate < 0.0 else "isothermal"
+        values = (v[part] for v in (time, flow, baseline, temperature, program))
+        segments.append(DscSegment(number, kind, rate, *values))
     announced = header.get("Total Points in Run", "")
     if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
         text = f"{len(time)} points, the header announces {announced}; the file may be cut short"
-        findings.append(Finding("warning", sheet.path.name, text, {"points": len(time)}))
+        sheet.remark("warning", path.name, text, points=len(time))
 
     # Which way exothermic is.
     lines = [f"{key} {value}" for key, value in header.items() if key.lower().startswith("exo")]
     said = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
-    up, down = (
-        re.search(rf"exo\w*( direction)? ({a})\b|\^ ?{b}|endo\w* {c}", said)
-        for a, b, c in (("up|1", "exo", "down"), ("down|-1", "endo", "up"))
-    )
+    up = re.search(r"exo\w*( direction)? (up|1)\b|\^ ?exo|endo\w* down", said)
+    down = re.search(r"exo\w*( direction)? (down|-1)\b|\^ ?endo|endo\w* up", said)
     exotherm = "up" if up else "down" if down else ""
     default = "PerkinElmer Pyris DSC" if blocks else "DSC"
     names = ("Instrument", "INSTRUMENT", "Instrument Type")
     instrument = next((header[name] for name in names if name in header), default)
-    account = sheet.account(used, len(time))
-    return DscRecord(
-        sheet.path, mass, header, segments, tuple(findings), instrument, exotherm, account
-    )
-
-
-def _titled(sheet: Sheet, names: Sequence[str]) -> Sheet:
-    """The table under titles that its file states elsewhere, or not at all."""
-    if len(names) != len(sheet.table.columns):
-        said = f"{len(sheet.table.columns)} columns, expected {len(names)} numbers a row"
-        raise InputError(f"{sheet.path}: {said}")
-    columns = []
-    for column, name in zip(sheet.table.columns, names, strict=True):
-        title, unit = split_title(name)
-        columns.append(replace(column, name=name, title=title, unit=unit))
-    return replace(sheet, table=replace(sheet.table, columns=tuple(columns)))
+    account, findings = sheet.account(columns, len(time)), tuple(sheet.findings)
+    return DscRecord(path, mass, header, tuple(segments), findings, instrument, exotherm, account)
 
 
 def _programmed(
-    sheet: Sheet,
-    blocks: Sequence[tuple[int, re.Match[str]]],
+    path: Path,
+    blocks: Sequence[_Block],
     above: Sequence[str],
-    values: Sequence[FloatArray],
-    used: dict[str, str],
-) -> tuple[DscSegment, ...]:
-    """Pyris' segments: a block of rows each under its title, the rate in the method above."""
-    names = ("Unsubtracted Baseline", "Program Temperature")
-    beside = [c for c in sheet.table.columns if c.title in names]
-    baseline, program = (sheet.values((c, "heat flow")) for c in beside)
-    used |= {c.name: c.title.lower() for c in beside}
+    time: FloatArray,
+    program: FloatArray,
+) -> Iterator[tuple[int, _Part]]:
+    """Pyris' segments: number, rate and rows of each; a block under its title, the rate in the
+    method above."""
     steps = {int(m[1]): m for line in above if (m := _STEP.match(line.strip()))}
-    segments = []
-    ends = [row for row, _ in blocks[1:]] + [len(program)]
+    ends = [row for row, _ in blocks[1:]] + [len(time)]
     for (first, match), last in zip(blocks, ends, strict=True):
-        number, part = int(match[1]), slice(first, last)
+        number, rate = int(match[1]), 0.0
         if first == last:
-            raise InputError(f"{sheet.path}: segment {number} has no data, expected rows")
-        time, temperature, flow = (v[part] for v in values)
-        step, rate = steps.get(number), 0.0
+            raise InputError(f"{path}: segment {number} has no data, expected rows")
+        duration = time[last - 1] - time[first]
+        step = steps.get(number)
         if match[2] != "Isothermal" and step and step["way"]:
             rate = (1.0 if step["way"] == "Heat" else -1.0) * float(step["rate"]) / 60.0
-        elif match[2] != "Isothermal" and not step and time[-1] > time[0]:
-            rate = float((program[last - 1] - program[first]) / (time[-1] - time[0]))
-        segments.append(
-            _segment(number, rate, time, flow, temperature, baseline[part], program[part])
-        )
-    return tuple(segments)
+        elif match[2] != "Isothermal" and not step and duration > 0.0:
+            rate = float((program[last - 1] - program[first]) / duration)
+        yield number, (rate, slice(first, last))
 
 
-def _cut(
-    time: FloatArray, temperature: FloatArray, flow: FloatArray, ramps: Sequence[float]
-) -> tuple[DscSegment, ...]:
-    """Split a run where the rate, measured over some seconds around each row, changes its kind."""
+def _cut(time: FloatArray, temperature: FloatArray, ramps: Sequence[float]) -> Iterator[_Part]:
+    """Rate and rows of the steps of a run, which is split where the rate, measured over some
+    seconds around each row, changes its kind; `ramps`: of the method, K/s."""
     if len(time) < 2:
-        return ()
+        return
     period = float(np.median(np.diff(time)))
     half = max(int(round(0.5 * _WINDOW / period)) if period > 0.0 else 3, 1)
     padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
-    ends = [sliding_window_view(v, 2 * half + 1)[:, [0, -1]] for v in padded]
-    rate = (ends[1][:, 1] - ends[1][:, 0]) / np.maximum(ends[0][:, 1] - ends[0][:, 0], 1e-9)
-    still = _STILL * min(ramps, default=1.0) / 60.0
-    kind = np.where(rate > still, 1, np.where(rate < -still, -1, 0))
+    spans = [v[2 * half :] - v[: -2 * half] for v in padded]
+    rate = spans[1] / np.maximum(spans[0], 1e-9)
+    still = _STILL * min(ramps, default=1.0 / 60.0)
+    kind = np.where(np.abs(rate) > still, np.sign(rate), 0)
     edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
-    segments: list[DscSegment] = []
     for first, last in zip(edges[:-1], edges[1:], strict=True):
         if time[last - 1] - time[first] < _SHORTEST:
             continue
@@ -281,32 +264,7 @@ def _cut(
         begin, end = time[first] + 0.5 * _WINDOW, time[last - 1] - 0.5 * _WINDOW
         part = slice(int(np.searchsorted(time, begin)), int(np.searchsorted(time, end)))
         measured = float(np.median(rate[part])) if kind[first] else 0.0
-        if measured and ramps:  # the method's own, if it is near
-            nearest = min(ramps, key=lambda ramp: abs(ramp / 60.0 - abs(measured))) / 60.0
-            if abs(nearest - abs(measured)) < 0.2 * abs(measured):
-                measured = float(np.copysign(nearest, measured))
-        segments.append(_segment(len(segments) + 1, measured, time[part], flow[part],
-                                 temperature[part]))  # fmt: skip
-    return tuple(segments)
-
-
-def _segment(
-    number: int,
-    rate: float,
-    time: FloatArray,
-    flow: FloatArray,
-    temperature: FloatArray,
-    baseline: FloatArray | None = None,
-    program: FloatArray | None = None,
-) -> DscSegment:
-    kind: SegmentKind = "heating" if rate > 0.0 else "cooling" if rate < 0.0 else "isothermal"
-    return DscSegment(
-        number,
-        kind,
-        rate,
-        time,
-        flow,
-        np.zeros(len(time)) if baseline is None else baseline,
-        temperature,
-        temperature if program is None else program,
-    )
+        nearest = min(ramps, key=lambda ramp: abs(ramp - abs(measured)), default=np.inf)
+        if abs(nearest - abs(measured)) < 0.2 * abs(measured):  # the method's own
+            measured = float(np.copysign(nearest, measured))
+        yield measured, part

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding, Severity
+from sma_bench.findings import Finding
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
 from sma_bench.records.tables import Account, read_lines, read_table_file
@@ -36,14 +36,16 @@ _NOISY, _SMOOTH = 0.5, 0.2  # K
 _COLDEST = (-150.0, 60.0)
 _UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
 _NOTES = ("source", "unit", "readme")
-_UNTITLED = ("temperature", "strain", "stress")
+
+
+Direction = Literal["heating", "cooling"]
 
 
 @dataclass(frozen=True)
 class Branch:
     """One heating or cooling: temperature K, strain, stress Pa, each (n,), in order of time."""
 
-    direction: Literal["heating", "cooling"]
+    direction: Direction
     temperature: FloatArray
     strain: FloatArray
     stress: FloatArray
@@ -62,51 +64,40 @@ class Cycle:
 
 
 def without_spikes(temperature: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Find single readings that jump away from the local line and back.
-
-    Args:
-        temperature: (n,) K in order of time, evenly enough spaced.
-
-    Returns:
-        (n,) True for good readings, and the heights (K) of the others.
-    """
-    half = _WINDOW // 2
-    steps = np.pad(np.diff(temperature), (half, half + 1), mode="edge")
-    slope = np.median(sliding_window_view(steps, _WINDOW), axis=1)[: len(temperature)]
+    """(n,) True for the readings of temperature (n,) K but single ones that jump away from the line
+    through those around and back, and the heights (K) of these."""
+    half, steps = _WINDOW // 2, np.diff(temperature)
+    around = sliding_window_view(np.pad(steps, (half, half + 1), mode="edge"), _WINDOW)
+    slope = np.median(around, axis=1)[: len(temperature), None]
     windows = sliding_window_view(np.pad(temperature, half, mode="edge"), _WINDOW)
-    offsets = np.arange(-half, half + 1)
-    level = np.median(windows - slope[:, None] * offsets, axis=1)
-    away = temperature - level
+    away = temperature - np.median(windows - slope * np.arange(-half, half + 1), axis=1)
     scatter = 1.4826 * float(np.median(np.abs(away)))
     bad = np.abs(away) > max(SMALLEST_SPIKE, 6.0 * scatter)
-    bad &= _is_peak(temperature)
+    # It stands out from both its neighbours: a corner or a step does not.
+    before, after = np.pad(steps, (1, 0)), np.pad(steps, (0, 1))
+    bad &= (before * after < 0.0) & (np.minimum(abs(before), abs(after)) > SMALLEST_SPIKE)
     return ~bad, away[bad]
 
 
-def without_noise(temperature: FloatArray, where: str, findings: list[Finding]) -> FloatArray:
+def without_noise(temperature: FloatArray) -> tuple[FloatArray, float, int]:
     """(n,) K without the scatter of a noisy thermometer, which would pass for a wider range of
-    transformation: a parabola through the readings around, at most a sixth of a branch."""
+    transformation, that scatter, and through how many rows: a parabola, at most a sixth of a
+    branch; 0 where nothing was done."""
     from scipy.signal import savgol_filter  # half a second to load
 
-    if len(temperature) < _FEWEST_SAMPLES:
-        return temperature
-    noise = 1.4826 * float(np.median(np.abs(np.diff(temperature, 2)))) / math.sqrt(6.0)
-    if noise < _NOISY:
-        return temperature
+    noise = 0.0
+    if len(temperature) >= _FEWEST_SAMPLES:
+        noise = 1.4826 * float(np.median(np.abs(np.diff(temperature, 2)))) / math.sqrt(6.0)
     smooth, width, window = temperature, 0, 5
     # A parabola through w readings has 9/4 of the variance of their mean.
-    while noise * math.sqrt(2.25 / max(width, 2.25)) > _SMOOTH:
+    while noise >= _NOISY and noise * math.sqrt(2.25 / max(width, 2.25)) > _SMOOTH:
         level = 0.5 * (smooth.max() + smooth.min())
         away = smooth[np.abs(smooth - level) > 0.15 * np.ptp(smooth)] > level
         if window > len(temperature) / (1 + np.count_nonzero(np.diff(away))) / 6.0:
             break
-        smooth = savgol_filter(temperature, window, 2)
+        smooth = np.asarray(savgol_filter(temperature, window, 2))
         width, window = window, 2 * window - 1
-    text = (
-        f"{where}: temperature scatters by {noise:.2g} K from row to row; read through {width} rows"
-    )
-    findings.append(Finding("info", "temperature", text, {"noise": noise, "rows": float(width)}))
-    return np.asarray(smooth)
+    return smooth, noise, width if noise >= _NOISY else 0
 
 
 def find_cycles(
@@ -123,74 +114,43 @@ def find_cycles(
     """
     span = float(np.ptp(temperature)) if len(temperature) else 0.0
     if span < SMALLEST_RANGE:
-        raise InputError(
-            f"{where}: temperature changes by {span:.3g} K, expected a cycle of "
-            f"{SMALLEST_RANGE:g} K or more"
-        )
+        said = f"{where}: temperature changes by {span:.3g} K"
+        raise InputError(f"{said}, expected a cycle of {SMALLEST_RANGE:g} K or more")
     turns = _turning_points(temperature, max(TURN * span, 2.0))
-    branches: list[Branch] = []
+    cycles: list[tuple[Branch, ...]] = []
     partial = 0
     for first, last in zip(turns[:-1], turns[1:], strict=True):
         change = temperature[last] - temperature[first]
         if abs(change) < COMPLETE * span or last - first < _FEWEST_SAMPLES:
             partial += 1
             continue
-        part = slice(first, last + 1)
-        branches.append(
-            Branch(
-                "heating" if change > 0.0 else "cooling",
-                temperature[part],
-                strain[part],
-                stress[part],
-            )
-        )
-    if not branches:
+        way: Direction = "heating" if change > 0.0 else "cooling"
+        branch = Branch(way, *(v[first : last + 1] for v in (temperature, strain, stress)))
+        if cycles and len(cycles[-1]) == 1 and cycles[-1][0].direction != way:
+            cycles[-1] = (cycles[-1][0], branch)
+        else:
+            cycles.append((branch,))
+    if not cycles:
         raise InputError(f"{where}: no branch spans {COMPLETE:.0%} of the {span:.1f} K range")
-    findings = []
-    if partial:
-        text = (
-            f"{where}: {partial} turns of temperature span less than {COMPLETE:.0%} of the range "
-            "and are left out"
-        )
-        findings.append(Finding("info", "temperature", text, {"count": float(partial)}))
-    return _paired(branches), findings
-
-
-def _is_peak(temperature: FloatArray) -> NDArray[np.bool_]:
-    """Whether a reading stands out from both its neighbours: a corner or a step does not."""
-    before = np.diff(temperature, prepend=temperature[0])
-    after = np.diff(temperature, append=temperature[-1])
-    return (before * after < 0.0) & (np.minimum(abs(before), abs(after)) > SMALLEST_SPIKE)
+    text = f"{where}: {partial} turns of temperature span less than {COMPLETE:.0%} of the range"
+    numbers = {"count": float(partial)}
+    left_out = Finding("info", "temperature", f"{text} and are left out", numbers)
+    found = tuple(Cycle(number, branches) for number, branches in enumerate(cycles, 1))
+    return found, [left_out] if partial else []
 
 
 def _turning_points(temperature: FloatArray, threshold: float) -> list[int]:
     """Indices of the extremes that a change of more than `threshold` follows, and both ends."""
-    turns = [0]
-    extreme, direction = 0, 0
-    for i in range(1, len(temperature)):
-        change = temperature[i] - temperature[extreme]
-        if direction == 0:
-            if abs(change) > threshold:
-                direction, extreme = (1 if change > 0.0 else -1), i
-        elif direction * change >= 0.0:
+    turns, extreme, direction = [0], 0, 0
+    for i, change in ((i, t - temperature[extreme]) for i, t in enumerate(temperature)):
+        if direction == 0 and abs(change) > threshold:
+            direction, extreme = (1 if change > 0.0 else -1), i
+        elif direction and direction * change >= 0.0:
             extreme = i
-        elif abs(change) > threshold:
+        elif direction and abs(change) > threshold:
             turns.append(extreme)
             direction, extreme = -direction, i
-    turns.append(extreme)
-    return turns
-
-
-def _paired(branches: list[Branch]) -> tuple[Cycle, ...]:
-    cycles: list[Cycle] = []
-    pending: list[Branch] = []
-    for branch in branches:
-        if pending and (len(pending) == 2 or pending[-1].direction == branch.direction):
-            cycles.append(Cycle(len(cycles) + 1, tuple(pending)))
-            pending = []
-        pending.append(branch)
-    cycles.append(Cycle(len(cycles) + 1, tuple(pending)))
-    return tuple(cycles)
+    return [*turns, extreme]
 
 
 @dataclass(frozen=True, repr=False)
@@ -211,7 +171,7 @@ class IsobaricRecord(Drawn):
     path: Path
     name: str
     stress: float
-    strain_unit: Literal["1", "relative"]
+    strain_unit: str
     cycles: tuple[Cycle, ...]
     findings: tuple[Finding, ...] = ()
     account: Account | None = None
@@ -270,43 +230,37 @@ def read_isobaric(
 def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
     """The test in a table; raises as `read_isobaric`."""
     path, table, load = sheet.path, sheet.table, _load_beside(sheet)
-    findings: list[Finding] = []
-
-    def remark(severity: Severity, subject: str, text: str, **numbers: float) -> None:
-        findings.append(Finding(severity, subject, f"{path}: {text}", numbers))
-
     if len(table.lines) < FEWEST_ROWS:
         raise InputError(f"{path}: {len(table.lines)} rows of numbers, expected {FEWEST_ROWS}")
     if not sheet.titles:
         sheet = _named(sheet, strain_unit, load is not None)
     columns = sheet.columns("isobaric", ["stress"] if load is not None else [])
-    pulled = columns["strain"]
-    if np.ptp(pulled[0].values) == 0.0:
-        raise InputError(f"{path}: {pulled[0].name} is {pulled[0].values[0]:g} throughout")
-    if pulled[1] == "strain" and not pulled[0].unit:
-        # As mm/mm it is 0.12 to 12 %, or as % it is: no transformation gives more or less.
-        span = float(np.ptp(pulled[0].values))
+    pulled, role = columns["strain"]
+    span = float(np.ptp(pulled.values))
+    if span == 0.0:
+        raise InputError(f"{path}: {pulled.name} is {pulled.values[0]:g} throughout")
+    transforms = 0.01 * LARGEST_SPAN < span < 100.0 * LARGEST_SPAN
+    if role == "strain" and not pulled.unit and transforms:
         unit = "%" if span > LARGEST_SPAN else "mm/mm"
-        if 0.01 * LARGEST_SPAN < span < 100.0 * LARGEST_SPAN:
-            text = f"no unit of strain is given; its span of {span:.4g} is taken as {unit}"
-            remark("warning", "strain unit", text, span=span)
-            columns["strain"] = pulled = replace(pulled[0], unit=unit), "strain"
-    temperature, strain = sheet.values(columns["temperature"]), sheet.values(pulled)
+        text = f"no unit of strain is given; its span of {span:.4g} is taken as {unit}"
+        sheet.remark("warning", "strain unit", text, span=span)
+        pulled = replace(pulled, unit=unit)
+    temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
     stress = np.full(len(strain), load)
     if "stress" in columns:
-        stress = sheet.values(columns["stress"])
+        stress = sheet.values(*columns["stress"])
     span, gauge = float(np.ptp(strain)), sheet.noted("gauge_length")
-    is_relative = pulled[1] == "length" and gauge is None
+    is_relative = role == "length" and gauge is None
     if is_relative:
-        text = f"{pulled[0].name} without a gauge length; strain is given relative to the largest "
+        text = f"{pulled.name} without a gauge length; strain is given relative to the largest "
         text += f"change, {span * 1e3:.4g} mm"
-        remark("warning", "strain", text, extension_range=span)
-    elif pulled[1] == "length" and gauge is not None:
+        sheet.remark("warning", "strain", text, extension_range=span)
+    elif role == "length" and gauge is not None:
         strain = strain / gauge
     elif span > LARGEST_SPAN:
-        text = f"strain spans {span:.3g} in the unit {pulled[0].unit!r}, more than the "
+        text = f"strain spans {span:.3g} in the unit {pulled.unit!r}, more than the "
         text += f"{LARGEST_SPAN:g} that NiTi recovers; is the unit percent?"
-        remark("warning", "strain unit", text, span=span)
+        sheet.remark("warning", "strain unit", text, span=span)
     wrong = np.flatnonzero((temperature <= 0.0) | (temperature > 1500.0))
     if len(wrong):
         found = f"line {table.lines[wrong[0]]}: temperature {temperature[wrong[0]]:.6g} K"
@@ -317,19 +271,14 @@ def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
     away = np.abs(stress - level) > max(CONSTANCY * abs(level), 1e6)
     inside = np.flatnonzero(~away)
     held = slice(int(inside[0]), int(inside[-1]) + 1)
-    if left_out := len(stress) - (held.stop - held.start):
-        remark(
-            "info",
-            "stress",
-            f"{left_out} rows of loading or unloading are left out",
-            rows=float(left_out),
-        )
+    if lost := len(stress) - (held.stop - held.start):
+        text = f"{lost} rows of loading or unloading are left out"
+        sheet.remark("info", "stress", text, rows=float(lost))
     share = float(np.mean(away[held]))
     if share > 0.02:
-        text = (
-            f"stress is more than {CONSTANCY:.0%} away from {level / 1e6:.4g} MPa in {share:.0%} "
-        )
-        remark("warning", "stress", f"{text}of the rows, so the test is not isobaric", share=share)
+        text = f"stress is more than {CONSTANCY:.0%} away from {level / 1e6:.4g} MPa in "
+        text += f"{share:.0%} of the rows, so the test is not isobaric"
+        sheet.remark("warning", "stress", text, share=share)
     temperature, strain, stress = temperature[held], strain[held], stress[held]
     if is_relative:
         strain = (strain - strain.min()) / np.ptp(strain)
@@ -337,21 +286,22 @@ def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
     if len(spikes):
         text = f"{len(spikes)} of {len(temperature)} temperatures jump away by up to "
         text += f"{np.abs(spikes).max():.1f} K and back; left out"
-        remark("info", "temperature", text, count=float(len(spikes)))
-    settled = without_noise(temperature[good], str(path), findings)
+        sheet.remark("info", "temperature", text, count=float(len(spikes)))
+    settled, noise, rows = without_noise(temperature[good])
+    if noise >= _NOISY:
+        text = f"temperature scatters by {noise:.2g} K from row to row; read through {rows} rows"
+        sheet.remark("info", "temperature", text, noise=noise, rows=float(rows))
     cycles, remarks = find_cycles(settled, strain[good], stress[good], str(path))
-    findings.extend(remarks)
     median = float(np.median(stress))
     if median > STRONGEST:
         text = f"stress {median / 1e6:.0f} MPa is more than any NiTi endures "
         text += f"({STRONGEST / 1e6:.0f} MPa): the area or the unit of force behind it is wrong"
-        remark("warning", "stress", text, stress=median)
+        sheet.remark("warning", "stress", text, stress=median)
     name = f"{path.parent.name}/{path.stem}"
     name += f"/{table.name}" if len(sheet.file.tables) > 1 else ""
-    account = sheet.account({c.name: role for c, role in columns.values()}, int(np.sum(good)))
-    return IsobaricRecord(
-        path, name, median, "relative" if is_relative else "1", cycles, tuple(findings), account
-    )
+    account, unit = sheet.account(columns, int(np.sum(good))), "relative" if is_relative else "1"
+    findings = (*sheet.findings, *remarks)
+    return IsobaricRecord(path, name, median, unit, cycles, findings, account)
 
 
 def _named(sheet: Sheet, strain_unit: str | None, is_loaded: bool) -> Sheet:
@@ -360,28 +310,24 @@ def _named(sheet: Sheet, strain_unit: str | None, is_loaded: bool) -> Sheet:
     if len(columns) != 3 - is_loaded:
         raise InputError(
             f"{path}: {len(columns)} columns without titles, expected 3: temperature, strain, "
-            "stress; of two the stress can be stated: stress=200 MPa, or a first line "
-            "'Stress: 200 MPa'"
+            "stress; of two state the stress: stress=200 MPa, or a first line 'Stress: 200 MPa'"
         )
     noted: dict[str, str] = {}  # lines such as "Strain = %"
-    for note in (*sorted(path.parent.glob("*.txt")), *sorted(path.parent.glob("*.md"))):
-        named = any(word in note.stem.lower() for word in _NOTES)
-        if note != path and named and note.stat().st_size < 100_000:
+    for note in sorted(n for n in path.parent.iterdir() if n.suffix in (".txt", ".md")):
+        is_one = note != path and any(word in note.stem.lower() for word in _NOTES)
+        if is_one and note.stat().st_size < 100_000:
             found = [match for line in read_lines(note) if (match := _UNIT_LINE.match(line))]
             noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
     coldest = float(np.nanquantile(columns[0].values, 0.05))
     if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
-        said = f"the temperature begins at {coldest:.4g}: in degC or K? write titles with units"
-        raise InputError(f"{path}: {said} above the columns")
-    units = {"temperature": "degC", "stress": "MPa", "strain": ""} | noted
+        said = f"the temperature begins at {coldest:.4g}: in degC or K?"
+        raise InputError(f"{path}: {said} write titles with units above the columns")
+    units = {"temperature": "degC", "strain": "", "stress": "MPa"} | noted
     units["strain"] = strain_unit or units["strain"]
-    for what, quantity in zip(_UNTITLED, ("temperature", "ratio", "stress"), strict=True):
+    for what, quantity in (("temperature", "temperature"), ("strain", "ratio"), ("stress",) * 2):
         known = parse_unit(units[what])
         if units[what] and (known is None or known.quantity != quantity):
-            said = f"unit of {what} is {units[what]!r}, expected one of {quantity}"
-            raise InputError(f"{path}: {said}")
-    titled = tuple(
-        replace(column, name=what, title=what, unit=units[what])
-        for column, what in zip(columns, _UNTITLED, strict=False)
-    )
-    return replace(sheet, table=replace(sheet.table, columns=titled))
+            said = f"unit of {what} is {units[what]!r}"
+            raise InputError(f"{path}: {said}, expected one of {quantity}")
+    names = [f"{what} [{unit}]" if unit else what for what, unit in units.items()]
+    return sheet.titled(names[: len(columns)])

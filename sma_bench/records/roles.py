@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.findings import Finding, Severity
 from sma_bench.records.structure import Column, Table
 from sma_bench.records.tables import Account, TableFile
 from sma_bench.records.units import (
@@ -19,6 +20,7 @@ from sma_bench.records.units import (
     number_with_unit,
     parse_unit,
     plain_title,
+    split_title,
     title_meanings,
 )
 
@@ -32,6 +34,7 @@ class Sheet:
     file: TableFile
     table: Table
     given: Mapping[str, float]
+    findings: list[Finding] = field(default_factory=list)
 
     @property
     def path(self) -> Path:
@@ -66,9 +69,25 @@ class Sheet:
         roles = WORDS["instruments"][kind].items()
         return all(what in beside or self.find(*names) for what, names in roles)
 
-    def values(self, found: tuple[Column, str]) -> FloatArray:
+    def remark(self, severity: Severity, subject: str, text: str, **numbers: float) -> None:
+        """Note a finding."""
+        self.findings.append(Finding(severity, subject, f"{self.path}: {text}", numbers))
+
+    def titled(self, names: Sequence[str]) -> "Sheet":
+        """The table under titles that its file states elsewhere, or not at all."""
+        columns = self.table.columns
+        if len(names) != len(columns):
+            said = f"{len(columns)} columns, expected {len(names)} numbers a row"
+            raise InputError(f"{self.path}: {said}")
+        titles = ((name, *split_title(name)) for name in names)
+        named = tuple(
+            replace(c, name=n, title=t, unit=u)
+            for c, (n, t, u) in zip(columns, titles, strict=True)
+        )
+        return replace(self, table=replace(self.table, columns=named))
+
+    def values(self, column: Column, role: str) -> FloatArray:
         """(n,) in SI units; raises InputError where a cell is missing, or the unit is not told."""
-        column, role = found
         self.require_complete(column)
         unit = parse_unit(column.unit)
         if unit is None:
@@ -105,13 +124,14 @@ class Sheet:
                 return value
         return None
 
-    def account(self, used: Mapping[str, str], rows: int) -> Account:
+    def account(self, columns: Mapping[str, tuple[Column, str]], rows: int) -> Account:
         """What became of the table's rows and columns."""
+        used = {column.name: role for column, role in columns.values()}
         rest = {c.name: "not needed" for c in self.table.columns if c.name not in used}
         outside = (*self.table.unused_lines, *self.file.outside)
         name = self.table.name if len(self.file.tables) > 1 else ""
         ignored = {**rest, **self.table.ignored}
-        return Account(self.table.rows, rows, dict(used), ignored, (), outside, name)
+        return Account(self.table.rows, rows, used, ignored, (), outside, name)
 
     def is_driven(self) -> bool:
         """Whether a title speaks of a duty, voltage or current: a bench's record."""

@@ -90,10 +90,9 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
         raise InputError(f"{path}: no titles above the numbers, expected Strain (%),Stress (MPa)")
     if len(table.lines) < FEWEST_ROWS:
         raise InputError(f"{path}: {len(table.lines)} rows, expected {FEWEST_ROWS} or more")
-    findings: list[Finding] = []
     columns = sheet.columns("tensile")
     pulled, loaded = columns["strain"], columns["stress"]
-    strain, stress = sheet.values(pulled), sheet.values(loaded)
+    strain, stress = sheet.values(*pulled), sheet.values(*loaded)
 
     # Extension counts from the first row, over the gauge length; force over the section.
     length, section = sheet.noted("gauge_length"), sheet.noted("area")
@@ -104,8 +103,8 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
     if is_extension:
         start = float(strain[0])
         if abs(start) > 0.01 * float(np.ptp(strain)):
-            text = f"{path}: {pulled[0].name} begins at {start * 1e3:.6g} mm, which is taken as 0"
-            findings.append(Finding("info", "extension", text, {"start": start}))
+            text = f"{pulled[0].name} begins at {start * 1e3:.6g} mm, which is taken as 0"
+            sheet.remark("info", "extension", text, start=start)
         strain = strain - start
         if length is not None:
             strain, is_extension = strain / length, False
@@ -125,19 +124,15 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
 
     temperature, measured = sheet.noted("temperature"), sheet.find("temperature")
     if "temperature" not in sheet.given and measured is not None:
-        kelvin = sheet.values(measured)
+        kelvin = sheet.values(*measured)
         columns["temperature"] = measured
         if np.ptp(kelvin) > STEADY:
-            text = f"{path}: temperature changes by {np.ptp(kelvin):.1f} K during the test, "
-            text += f"expected no more than {STEADY:g} K"
-            findings.append(Finding("warning", "temperature", text))
+            text = f"temperature changes by {np.ptp(kelvin):.1f} K during the test, expected no "
+            sheet.remark("warning", "temperature", f"{text}more than {STEADY:g} K")
         temperature = float(np.median(kelvin))
     noted = [m["phase"].lower() for c in table.above if (m := _PHASE.search(" ".join(c)))]
     phase = next((phase for phase in PHASES if phase in noted[:1]), None)
-    names = {"length": "extension"}
-    account = sheet.account(
-        {c.name: names.get(role, role) for c, role in columns.values()}, len(strain)
-    )
+    account, findings = sheet.account(columns, len(strain)), tuple(sheet.findings)
     return TensileRecord(
-        path, strain, stress, temperature, tuple(findings), phase, is_extension, is_force, account
+        path, strain, stress, temperature, findings, phase, is_extension, is_force, account
     )

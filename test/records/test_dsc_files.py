@@ -168,7 +168,7 @@ def test_file_cut_inside_a_row_is_read_up_to_there(write):
     assert len(run.segments[2].time) == 1
     cut_short, announced = (finding.text for finding in run.findings)
     assert "line 21" in cut_short and "cut short" in cut_short
-    assert announced == "4 points, the header announces 5; the file may be cut short"
+    assert announced.endswith("4 points, the header announces 5; the file may be cut short")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
