@@ -15,7 +15,6 @@ import yaml
 
 from sma_bench.cli import main
 from sma_bench.records import read_record
-from sma_bench.tasks.jobs import busy, told_share
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = {
@@ -31,11 +30,6 @@ def terminals():
     blocks = re.findall(r"^```(\w*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     block = next(b for kind, b in blocks if not kind and "./bench call" in b)
     return [shlex.split(line)[1:] for line in block.splitlines()]
-
-
-def test_a_share_survives_the_state_of_a_node():
-    assert told_share(busy(0.42, "pairs")) == (0.42, "pairs")
-    assert told_share("busy") is None and told_share("idle") is None
 
 
 @pytest.mark.slow

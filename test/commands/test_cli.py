@@ -11,7 +11,9 @@ import pytest
 
 from examination.bags import in_sqlite3
 from sma_bench.cli import LONGEST_LINE, main
-from sma_bench.records import Signal, read_record
+from sma_bench.identify import identify
+from sma_bench.parameters import Parameters
+from sma_bench.records import Signal, open_record, read_record
 from sma_bench.records.bag_writer import write_record
 
 WIRE_FILE = "/**:\n  ros__parameters:\n    wire:\n      resistance: {}\n"
@@ -97,6 +99,16 @@ def test_identify_shows_the_tangents_of_a_real_dsc_run_in_a_report(tmp_path, cap
     assert main(["identify", str(dsc), "--report", str(tmp_path / "report")]) == 0
     drawn = {path.stem for path in (tmp_path / "report").glob("*.png")}
     assert {f"figure_07_dsc_segment_{number}" for number in (2, 4, 6, 8)} <= drawn
+
+
+def test_a_number_is_said_to_be_from_the_experiment_whose_value_it_is(measured_data):
+    folder = measured_data / "sma_react" / "input" / "cal_sample_1"
+    records = [open_record(folder / f"{stress} MPa.txt") for stress in (7, 50, 150)]
+    result = identify(records, Parameters.defaults(), ["E6", "E9"])
+    name = "wire.austenite_start_temperature"
+    by_tangents, jointly = (e.estimates[name] for e in result.experiments)
+    assert by_tangents.value != jointly.value
+    assert result.estimates[name].value == jointly.value and result.origin(name) == "E9"
 
 
 def test_a_node_without_ros_says_what_is_missing(tmp_path):

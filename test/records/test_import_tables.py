@@ -21,9 +21,7 @@ from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records import arrays_in_files, describe, open_record, read_record
 from sma_bench.records.check import check_response
-from sma_bench.records.import_proposal import bench_of
 from sma_bench.records.tables import read_table_file
-from sma_bench.records.units import parse_unit, split_title
 
 h5py = pytest.importorskip("h5py")
 openpyxl = pytest.importorskip("openpyxl")
@@ -422,29 +420,12 @@ def test_a_broken_table_is_one_line_that_says_where_and_leaves_no_bag(
     assert not (tmp_path / "week").exists()
 
 
-def test_units_of_loggers_are_known_and_nothing_is_evaluated():
-    for text, quantity, one in (
-        ("degC", "temperature", 274.15),
-        ("°F", "temperature", 255.928),
-        ("V_rms", "voltage", 1.0),
-        ("%", "ratio", 0.01),
-        ("kgf", "force", 9.80665),
-        ("µm", "length", 1e-6),
-        ("N/mm²", "stress", 1e6),
-    ):
-        unit = parse_unit(text)
-        assert unit is not None and unit.quantity == quantity
-        assert unit.factor + unit.offset == pytest.approx(one, rel=1e-5)
-    for text in ("9**9**9", "slider", "__import__('os')", "", "x" * 99):
-        assert parse_unit(text) is None
-    assert split_title("slider_m") == ("slider", "m") and split_title("my_duty") == ("my_duty", "")
-
-
 def test_the_file_that_parameters_writes_is_a_rig_whose_zero_length_says_nothing(tmp_path):
     lab, bag = tmp_path / "lab.yaml", tmp_path / "bag"
     assert main(["parameters", "--out", str(lab)]) == 0
     titles = ["time [s]", "voltage [V]", "elongation [mm]"]
     source = text_file(tmp_path / "v.csv", titles, [TIME, DUTY, MOVED * 1e3])
     assert len(imported(source, lab, bag).signals) == 2
+    lab.write_text(RIG.replace("0.38", "-1"))
     with pytest.raises(InputError, match="wire.length is -1, expected a number, 0 or more"):
-        bench_of({"wire.length": -1}, "lab.yaml")
+        load(source, params=lab)

@@ -16,38 +16,30 @@ from sma_bench.synthetic.bench_records import protocol_record
 PAPER = Parameters.defaults()
 
 
-def has_data(picture):
-    drawn = [line.get_ydata() for ax in picture.figure.axes for line in ax.get_lines()]
-    return any(len(values) > 2 and np.ptp(np.asarray(values, float)) > 0.0 for values in drawn)
-
-
-def test_instrument_tests_are_drawn():
+def test_every_experiment_is_drawn():
     isobaric = specimens.isobaric_records(PAPER)
-    (alone,) = experiment_pictures(identify_isobaric(isobaric[:1], PAPER))
-    contraction, diagram = experiment_pictures(identify_isobaric(isobaric, PAPER))
-    tensile = identify_tensile(specimens.tensile_records(PAPER), PAPER)
-    clamped = identify_thermal_expansion(specimens.clamped_record(PAPER), PAPER)
-    (pulled,), (held,) = experiment_pictures(tensile), experiment_pictures(clamped)
-    (joint,) = experiment_pictures(fit_constitutive(isobaric[:3], PAPER, law="contract"))
-    shown = (alone, contraction, diagram, pulled, held, joint)
-    assert all(map(has_data, shown)) and "(9) to (11)" in joint.caption
-    assert [picture.name for picture in shown[:5]] == [
-        "figure_08_upfr", "figure_08_upfr", "stress_temperature", "figure_09_tensile",
-        "figure_10_thermal_expansion",
-    ]  # fmt: skip
+    rig = specimens.composite_rig(PAPER)
+    experiments = (
+        identify_isobaric(isobaric[:1], PAPER),
+        identify_isobaric(isobaric, PAPER),
+        identify_tensile(specimens.tensile_records(PAPER), PAPER),
+        identify_thermal_expansion(specimens.clamped_record(PAPER), PAPER),
+        fit_constitutive(isobaric[:3], PAPER, law="contract"),
+        identify_moving_bench([protocol_record("composite_step", rig, 3)], rig),
+    )
+    shown = [picture for experiment in experiments for picture in experiment_pictures(experiment)]
+    upfr = ["figure_08_upfr", "figure_08_upfr", "stress_temperature"]
+    names = [picture.name for picture in shown]
+    assert names[:5] == [*upfr, "figure_09_tensile", "figure_10_thermal_expansion"]
+    *_, joint, moving = shown
+    assert "(9) to (11)" in joint.caption and len(moving.figure.axes) == 4
+    assert "deflection" in moving.figure.axes[0].get_ylabel()
+    for picture in shown:
+        drawn = [line.get_ydata() for ax in picture.figure.axes for line in ax.get_lines()]
+        assert any(len(y) > 2 and np.ptp(np.asarray(y, float)) > 0.0 for y in drawn)
     # The diagram has lines through its points.
-    (ax,) = diagram.figure.axes
+    (ax,) = shown[2].figure.axes
     ends = [line.get_xydata() for line in ax.get_lines() if len(line.get_xdata()) == 2]
     assert len(ends) == 4
     for (cold, low), (hot, high) in ends:
         assert (high - low) / (hot - cold) == pytest.approx(7.0, abs=0.3)
-
-
-@pytest.mark.slow
-def test_fit_of_the_composite_is_drawn_against_its_signals():
-    rig = specimens.composite_rig(PAPER)
-    experiment = identify_moving_bench([protocol_record("composite_step", rig, 3)], rig)
-    (picture,) = experiment_pictures(experiment)
-    assert len(picture.figure.axes) == 4
-    assert "deflection" in picture.figure.axes[0].get_ylabel()
-    assert has_data(picture)
