@@ -25,10 +25,9 @@ from pathlib import Path
 
 from sma_bench.cli import main
 
-ROOT = Path(__file__).resolve().parents[2]
-SHOWN_TO_A_SHELL = ("", "bash", "console")
-NEEDS_ROS = ("ros2", "colcon", "source")
 PROGRAMS = ("sma-bench", "./bench")
+# What begins a command: drawings of a block without a language do not.
+COMMANDS = (*PROGRAMS, "cd", "git", "mkdir", "pip", "python")
 _BLOCK = re.compile(
     r"(?P<notes>(?:^<!-- [^\n]* -->\n+)*)^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.M | re.S
 )
@@ -51,31 +50,27 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Its command lines, those that go on in the next line joined, without comments."""
-        if self.kind not in SHOWN_TO_A_SHELL:
+        """Commands that end by themselves, without ROS 2; those that go on in the next line joined,
+        without comments."""
+        if self.kind not in ("", "bash", "console") or self.file or self.not_run:
             return []
-        lines = self.text.replace("\\\n", " ").splitlines()
-        lines = [line.removeprefix("$ ") for line in lines]
-        told = [shlex.join(shlex.split(line, comments=True)) and line for line in lines]
-        return [line.partition("  #")[0].strip() for line in told if line]
+        found = []
+        for line in self.text.replace("\\\n", " ").splitlines():
+            words = shlex.split(line := line.removeprefix("$ "), comments=True)
+            if words and words[0] in COMMANDS and words[1:2] != ["run"]:
+                found.append(line.partition("  #")[0].strip())
+        return found
+
+    @property
+    def runs(self) -> bool:
+        return not self.not_run and bool(self.kind == "python" or self.commands or self.file)
 
 
 def blocks_of(page: Path) -> Iterator[Block]:
     """All fenced blocks of a page."""
     for found in _BLOCK.finditer(page.read_text()):
-        told = dict(_NOTE.findall(found["notes"]))
-        yield Block(found["kind"], found["text"], *map(told.get, ("file", "shown", "not run")))
-
-
-def is_command(line: str) -> bool:
-    """Whether a line of a block without a language is one for a shell: drawings are not."""
-    return line.split()[0] in (*PROGRAMS, *NEEDS_ROS, "cd", "git", "mkdir", "pip", "python")
-
-
-def runs_in_a_test(line: str) -> bool:
-    """Whether a command ends by itself, without ROS 2."""
-    words = line.split()
-    return words[0] not in NEEDS_ROS and not (words[0] in PROGRAMS and words[1:2] == ["run"])
+        notes = dict(_NOTE.findall(found["notes"]))
+        yield Block(found["kind"], found["text"], *map(notes.get, ("file", "shown", "not run")))
 
 
 class PageRunner:
@@ -90,9 +85,8 @@ class PageRunner:
         program.parent.mkdir(parents=True)
         program.write_text(_BENCH.format(python=sys.executable))
         program.chmod(0o755)
-        self._shell = dict(os.environ, HOME=str(home))
-        self._shell["PATH"] = f"{program.parent}:{self._shell['PATH']}"
-        self._names: dict[str, object] = {"__name__": "__main__"}
+        path = f"{program.parent}:{os.environ['PATH']}"
+        self._home, self._shell = home, dict(os.environ, HOME=str(home), PATH=path)
 
     def play(self, page: Path) -> int:
         """Run a page; the number of commands that were run.
@@ -100,21 +94,19 @@ class PageRunner:
         Raises:
             AssertionError: one ended with another exit code than 0; it is named.
         """
+        names: dict[str, object] = {"__name__": "__main__"}
         count = 0
         for block in blocks_of(page):
-            if block.not_run:
-                continue
-            if block.shown:
+            if block.shown and not block.not_run:
                 assert Path(block.shown).read_text() == block.text, f"{page.name}: {block.shown}"
-            if block.file:
+            if block.file and not block.not_run:
                 Path(block.file).write_text(block.text)
-            elif block.kind == "python":
-                exec(compile(block.text, f"{page.name}: python", "exec"), self._names)
+            elif block.kind == "python" and not block.not_run:
+                exec(compile(block.text, f"{page.name}: python", "exec"), names)
                 count += 1
-            for command in [] if block.file else block.commands:
-                if is_command(command) and runs_in_a_test(command):
-                    self.run(command)
-                    count += 1
+            for command in block.commands:
+                self.run(command)
+                count += 1
         return count
 
     def run(self, command: str) -> None:
@@ -125,7 +117,7 @@ class PageRunner:
         elif words[0] in PROGRAMS and not _SHELL.search(command):
             assert main(words[1:]) == 0, command
         elif words[0] in PROGRAMS and (written := _WRITTEN.fullmatch(command)):
-            place = Path(written["file"].replace("~", self._shell["HOME"], 1))
+            place = Path(written["file"].replace("~", str(self._home), 1))
             mode = "a" if written["more"] else "w"
             with place.open(mode) as file, contextlib.redirect_stdout(file):
                 assert main(shlex.split(written["command"])[1:]) == 0, command

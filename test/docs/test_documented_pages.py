@@ -1,17 +1,20 @@
-"""Every command and every piece of Python in the README and in docs/ is run, page by page."""
+"""Every command and every piece of Python in the README and in docs/ is run, page by page; what the
+pages of claims name as their proof is there."""
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
-from page_runner import ROOT, PageRunner, blocks_of, is_command, runs_in_a_test
+from page_runner import PageRunner, blocks_of
 
 from sma_bench import compiled
 from sma_bench.cards import card
 from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.report.page import Picture
 
+ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Pages that another test plays, or whose text a command writes, which cannot carry comments.
 ELSEWHERE = {
@@ -26,22 +29,11 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def is_played(page: Path) -> bool:
-    """Whether a page holds anything to run."""
-    if name_of(page) in ELSEWHERE:
-        return False
-    return any(
-        not block.not_run
-        and (block.kind == "python" or any(map(runs, block.commands)) or block.file)
-        for block in blocks_of(page)
-    )
-
-
-def runs(command: str) -> bool:
-    return is_command(command) and runs_in_a_test(command)
-
-
-PLAYED = [page for page in PAGES if is_played(page)]
+PLAYED = [
+    page
+    for page in PAGES
+    if name_of(page) not in ELSEWHERE and any(block.runs for block in blocks_of(page))
+]
 
 
 @pytest.fixture(scope="module")
@@ -68,35 +60,54 @@ def test_page_can_be_played(page, tmp_path, monkeypatch, left_by):
         assert json.loads(Path("gap.json").read_text())["cause"] == ["ambient_drift"]
         assert "ambient_drift explains the gap" in page.read_text()
     if name_of(page) == "docs/tutorials/first_diagnosis.md":
+        # The page says what the reader sees.
         answer = json.loads(Path("gap.json").read_text())
-        check_first_diagnosis(answer)
-        told = card(diagnosis_from(answer, "gap.json"))
-        place = dict(told.rows)["where"].partition(",")[0]
-        for shown in (page, ROOT / "README.md"):
-            assert told.title in shown.read_text()
-            assert f"where   {place}," in shown.read_text()
+        assert answer["verdict"] == "effect" and answer["cause"] == ["side_heat_coupling"]
+        where = answer["where"]
+        at = where["signal"], where["phase"], where["stage"]
+        assert at == ("deflection", "drive", "thermal")
+        # The largest gap is that of the temperatures.
+        largest = max(where["chain"], key=lambda block: block["gap"])
+        assert largest["block"] == "V -> temperature"
+        assert answer["shrinkage"]["temperature"]["fraction"] > 0.5
+        shown = card(diagnosis_from(answer, "gap.json"))
+        place = dict(shown.rows)["where"].partition(",")[0]
+        for text in (page.read_text(), (ROOT / "README.md").read_text()):
+            assert shown.title in text and f"where   {place}," in text
 
 
-def check_first_diagnosis(answer):
-    """The page says what the reader sees."""
-    assert answer["verdict"] == "effect" and answer["cause"] == ["side_heat_coupling"]
-    where = answer["where"]
-    assert (where["signal"], where["phase"], where["stage"]) == ("deflection", "drive", "thermal")
-    # What convicts are the temperatures.
-    assert max(where["chain"], key=lambda block: block["gap"])["block"] == "V -> temperature"
-    assert answer["shrinkage"]["temperature"]["fraction"] > 0.5
-
-
-def test_what_is_not_run_is_little_and_says_why(record_property):
+def test_what_is_not_run_is_little_and_says_why():
     left_out = [(name_of(p), b.not_run) for p in PAGES for b in blocks_of(p) if b.not_run]
     left_out += ELSEWHERE.items()
-    record_property("not_run", left_out)
-    for where, reason in left_out:
-        print(f"{where}: {reason}")
     assert len(PLAYED) >= 15
     assert len(left_out) <= MOST_NOT_RUN
     assert all(len(reason) > 10 for _, reason in left_out)
     assert all((ROOT / page).is_file() for page in ELSEWHERE)
+
+
+@pytest.mark.parametrize("page", ["threats", "safety", "reliability", "how_to/ten_tasks"])
+def test_every_test_that_a_page_names_exists(page):
+    files = {str(path.relative_to(ROOT)): path for path in (ROOT / "test").rglob("*.py")}
+    tests = {
+        f"{file}::{name}"
+        for file, path in files.items()
+        for name in re.findall(r"^ *def (test_\w+)", path.read_text(), re.MULTILINE)
+    }
+    names = {test.partition("::")[2] for test in tests} | {path.name for path in files.values()}
+    named = re.findall(r"`((?:test/|test_)[^`\s]*)`", (ROOT / "docs" / f"{page}.md").read_text())
+    assert named
+    for name in named:
+        there = name in tests | names or name.startswith("test/") and (ROOT / name).exists()
+        assert there, f"docs/{page}.md names {name}"
+
+
+def test_pictures_are_small_and_each_is_shown_on_a_page():
+    pictures = sorted((ROOT / "docs" / "pictures").glob("*.png"))
+    text = "".join(page.read_text() for page in PAGES)
+    known = json.loads((ROOT / "docs" / "pictures" / "pictures.json").read_text())
+    assert pictures and sorted(known) == [picture.name for picture in pictures]
+    assert sum(picture.stat().st_size for picture in pictures) < 1_000_000
+    assert [p.name for p in pictures if f"pictures/{p.name}" not in text] == []
 
 
 PAGE = """
@@ -128,6 +139,14 @@ x = 1
 ./bench nothing
 ```
 """
+BAD_PAGES = [
+    "```\n./bench identfy x\n```",
+    "```\nsma-bench info nowhere | cat\n```",
+    "```\nsma-bench info nowhere > told\n```",
+    "```\ncd nowhere\n```",
+    "<!-- file: a -->\n```text\nx\n```\n<!-- shown: a -->\n```text\ny\n```",
+    "```python\n1 / 0\n```",
+]
 
 
 def test_a_page_is_run_in_order_and_only_what_can_be(tmp_path, monkeypatch):
@@ -138,17 +157,7 @@ def test_a_page_is_run_in_order_and_only_what_can_be(tmp_path, monkeypatch):
     assert (tmp_path / "made" / "drive.yaml").read_text() == "steps: []\n"
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "```\n./bench identfy x\n```",
-        "```\nsma-bench info nowhere | cat\n```",
-        "```\nsma-bench info nowhere > told\n```",
-        "```\ncd nowhere\n```",
-        "<!-- file: a -->\n```text\nx\n```\n<!-- shown: a -->\n```text\ny\n```",
-        "```python\n1 / 0\n```",
-    ],
-)
+@pytest.mark.parametrize("text", BAD_PAGES)
 def test_a_page_that_does_not_run_is_found(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "page.md").write_text(text + "\n")

@@ -33,11 +33,16 @@ def test_the_tables_are_those_that_the_maker_writes(tmp_path, monkeypatch, capsy
             assert float(new) == pytest.approx(float(old), abs=1.01 * last_digit), path.name
 
 
-def test_examples_are_small_and_each_has_what_a_lab_states():
+def test_examples_are_small_and_each_has_what_a_lab_states(capsys):
     assert len(FOLDERS) >= 4
     for folder in FOLDERS:
         assert "wire.resistance" in read_parameters(folder / "lab.yaml")
     assert sum(path.stat().st_size for path in (ROOT / "examples").rglob("*.*")) < 500_000
+    assert main(["example"]) == 0
+    assert "ten_tasks: lab.yaml, run.csv" in capsys.readouterr().out
+    # One that is not there is one line with the nearest.
+    assert main(["example", "ten_task"]) == 2
+    assert "ten_tasks" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [*(folder.name for folder in FOLDERS), "wire_rig"])
@@ -58,10 +63,3 @@ def test_an_example_is_a_folder_of_the_readers_own(name, tmp_path, monkeypatch, 
     assert main(["example", name, "--force"]) == 0
     assert main(["example", name, "--out", "elsewhere"]) == 0
     assert Path("elsewhere", "lab.yaml").read_text() == made["lab.yaml"]
-
-
-def test_an_example_that_is_not_there_is_one_line_with_the_nearest(capsys):
-    assert main(["example", "ten_task"]) == 2
-    assert "ten_tasks" in capsys.readouterr().err
-    assert main(["example"]) == 0
-    assert "ten_tasks: lab.yaml, run.csv" in capsys.readouterr().out

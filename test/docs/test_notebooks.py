@@ -21,15 +21,13 @@ def run(path: Path, show) -> dict:
     """Run the cells in one namespace as Jupyter does; `show` gets the value at a cell's end."""
     names: dict = {"__name__": "__main__"}
     for number, cell in enumerate(code_cells(path), start=1):
-        where = f"{path.name}, code cell {number}"
-        tree = ast.parse("".join(cell["source"]), where)
-        last = tree.body[-1]
-        shown = isinstance(last, ast.Expr) and not "".join(cell["source"]).rstrip().endswith(";")
-        if shown:
-            tree.body.pop()
-        exec(compile(tree, where, "exec"), names)
-        if shown:
-            show(eval(compile(ast.Expression(last.value), where, "eval"), names))
+        where, source = f"{path.name}, code cell {number}", "".join(cell["source"])
+        *first, last = ast.parse(source, where).body
+        if not isinstance(last, ast.Expr) or source.rstrip().endswith(";"):
+            exec(compile(source, where, "exec"), names)
+            continue
+        exec(compile(ast.Module(first, []), where, "exec"), names)
+        show(eval(compile(ast.Expression(last.value), where, "eval"), names))
     return names
 
 

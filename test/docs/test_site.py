@@ -16,13 +16,14 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 ROOT = Path(__file__).resolve().parents[2]
 CHECK = ROOT / "examination" / "check" / "docs.py"
 
-pytestmark = pytest.mark.slow
+NEEDED = ("mkdocs", "material", "mkdocstrings")
+MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(MISSING), reason="no tools for a site")]
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    for needed in ("mkdocs", "material", "mkdocstrings"):
-        pytest.importorskip(needed)
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run([sys.executable, CHECK, folder], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -38,32 +39,28 @@ def test_every_page_of_docs_is_on_the_site(site):
     pages = [p.relative_to(ROOT / "docs") for p in (ROOT / "docs").rglob("*.md")]
     assert len(pages) > 25
     for page in pages:
-        name = page.with_name("index.html") if page.name == "README.md" else page.with_suffix(
-            ".html"
-        )
-        assert (site / name).is_file(), page
+        name = "index" if page.name == "README.md" else page.stem
+        assert (site / page.with_name(f"{name}.html")).is_file(), page
     tabs = re.findall(r'<li class="md-tabs__item.*?</li>', (site / "index.html").read_text(), re.S)
     titles = [re.sub(r"<[^>]*>", "", tab).strip() for tab in tabs]
     assert "Explanation" in titles and "More" not in titles  # every page has its place
 
 
-def test_commands_are_what_their_help_prints(site):
+def test_commands_and_nodes_are_what_the_package_says_of_them(site):
     page = text_of(site / "reference" / "commands.html")
     for name in COMMANDS:
         assert f"Usage: sma-bench {name}" in page
     assert "--hold-out RECORD" in page
 
-
-def test_nodes_are_those_of_the_package_and_each_is_told(site):
     page = (site / "reference" / "nodes.html").read_text().replace("<wbr>", "")
     parts = re.split(r'<h2 id="(\w+)"[^\n]*\n', page)[1:]
-    told = dict(zip(parts[::2], parts[1::2], strict=True))
-    assert list(told) == list(NODE_TABLES)
+    nodes = dict(zip(parts[::2], parts[1::2], strict=True))
+    assert list(nodes) == list(NODE_TABLES)
     for node, table in NODE_TABLES.items():
-        first = re.search(r"<p>(.*?)</p>", told[node])
+        first = re.search(r"<p>(.*?)</p>", nodes[node])
         assert first and len(first[1]) > 30, f"nothing is said of {node}"
-        assert all(f"<code>{parameter.name}</code>" in told[node] for parameter in table)
-    assert "~/enable" in told["serial_bridge"] and "voltage_command" in told["experiment"]
+        assert all(f"<code>{parameter.name}</code>" in nodes[node] for parameter in table)
+    assert "~/enable" in nodes["serial_bridge"] and "voltage_command" in nodes["experiment"]
 
 
 def test_pages_are_as_they_are_meant(site):
@@ -83,17 +80,12 @@ def test_pages_are_as_they_are_meant(site):
     assert "sma_bench.diagnose" in text_of(notebook) and "wire.resistance" in text_of(notebook)
     assert "dataframe" not in notebook.read_text()
     assert not (site / "site").exists()
-
-
-def test_nothing_is_fetched_from_elsewhere(site):
+    # Nothing is fetched from elsewhere.
     fetched = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', re.I)
-    pages = sorted(site.rglob("*.html"))
-    assert [p.name for p in pages if fetched.search(p.read_text())] == []
+    assert [p.name for p in sorted(site.rglob("*.html")) if fetched.search(p.read_text())] == []
 
 
 def test_a_link_that_leads_nowhere_fails_the_build(tmp_path):
-    for needed in ("mkdocs", "material", "mkdocstrings"):
-        pytest.importorskip(needed)
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "index.md").write_text("[a](nowhere.md)\n")
     settings = (ROOT / "docs" / "site" / "mkdocs.yml").read_text()
