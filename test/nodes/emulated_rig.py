@@ -19,76 +19,30 @@ PATIENCE = 10.0
 CELSIUS_ZERO = 273.15
 # A picture small enough for a loaded machine, of a wire that shows.
 PICTURE = {"image_width": 120, "image_height": 80}
-WARM = (3.0,)
 
 
-class BridgedRig:
-    """One emulated bench, one serial_bridge, and the topics between them and the test.
+class Commander:
+    """While the test waits with `until`, commands and temperatures are published 20 times a
+    second: as the wire's readings, or at another `place` for a synthetic camera."""
 
-    While the test waits with `until`, commands and temperatures are published 20 times a second:
-    as the wire's readings, or with a `camera` as what a synthetic one sees for `ir_camera`.
-    """
-
-    def __init__(self, bench, hardware, camera=False, **parameters):
+    def __init__(self, bench, hardware, place="temperature"):
         self.bench = bench
         self.hardware = hardware
         self.states, self.power = bench.hear("serial_bridge/state", "wire/power")
-        self.diagnostics = bench.hear("/diagnostics")
-        self.node = bench.start("serial_bridge", port=hardware.path, **parameters)
-        self.seen = None
-        self._command = bench.talk("voltage_command", Float64MultiArray)
-        if camera:
-            self.camera = bench.start("synthetic_camera", **PICTURE, rate=20.0)
-            bench.start("ir_camera", **PICTURE, read_cold_wires=True)
-            # Known from now on, so that breaking it takes no time.
-            assert bench.set_parameter("synthetic_camera", "fault", "none").successful
-            self.seen = bench.hear("wire/temperature")
-        place = "true_temperature" if camera else "temperature"
-        self._camera = bench.talk(f"wire/{place}", Temperature)
+        self._command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
+        self._camera = bench.node.create_publisher(Temperature, f"wire/{place}", 100)
         self._due = 0.0
         self.voltage = (0.0,)
+        """V of each wire; None where nobody commands"""
         self.fever = 0.0
         """K that the camera is wrong by; None without a camera"""
         self.kelvin = None
         """what the camera sees instead of the wire"""
-        self.refusal = ""
-        """what a fault was answered"""
-        self.said = b""
-        """all bytes from the host"""
-        self._tap(hardware)
-
-    def _tap(self, hardware):
-        write = hardware.uno.write
-
-        def tapped(data):
-            self.said += data
-            write(data)
-
-        # Only what comes through the port; what a fault writes is not said by the host.
-        hardware.port.device = SimpleNamespace(
-            run=hardware.uno.run, read=hardware.uno.read, write=tapped
-        )
 
     @property
     def state(self):
         """Newest state, "" before the first."""
         return self.states[-1].data if self.states else ""
-
-    def value(self, key):
-        """Newest diagnostic value, "" before the first."""
-        for array in reversed(self.diagnostics):
-            for item in array.status[0].values:
-                if item.key == key:
-                    return item.value
-        return ""
-
-    def camera_says(self):
-        """Newest message of `ir_camera` about its pictures, "" before the first."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name == "/bench/ir_camera: camera":
-                    return status.message
-        return ""
 
     def until(self, condition, patience=30.0):
         """Wait for a condition as `bench.until`, commanding and looking at the wire meanwhile."""
@@ -99,6 +53,68 @@ class BridgedRig:
 
         return self.bench.until(step, patience)
 
+    def send(self, *values):
+        """One command, whatever is in it."""
+        self._command.publish(Float64MultiArray(data=[float(value) for value in values]))
+
+    def _keep_alive(self):
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + COMMAND_PERIOD
+        if self.voltage is not None:
+            self.send(*self.voltage)
+        if self.fever is not None:
+            message = Temperature()
+            message.header.stamp = self.bench.node.get_clock().now().to_msg()
+            kelvin = self.kelvin or float(self.hardware.plant.bench.temperature[0])
+            message.temperature = kelvin - CELSIUS_ZERO + self.fever
+            self._camera.publish(message)
+
+
+class BridgedRig(Commander):
+    """One emulated bench, one serial_bridge, and the topics between them and the test; with a
+    `camera` the temperatures are what a synthetic one sees, read by `ir_camera`."""
+
+    def __init__(self, bench, hardware, camera=False, **parameters):
+        super().__init__(bench, hardware, "true_temperature" if camera else "temperature")
+        self.diagnostics = bench.hear("/diagnostics")
+        self.node = bench.start("serial_bridge", port=hardware.path, **parameters)
+        self.seen = None
+        bench.until(self._command.get_subscription_count)
+        if camera:
+            bench.start("synthetic_camera", **PICTURE, rate=20.0)
+            bench.start("ir_camera", **PICTURE, read_cold_wires=True)
+            # Known from now on, so that breaking it takes no time.
+            assert bench.set_parameter("synthetic_camera", "fault", "none").successful
+            self.seen = bench.hear("wire/temperature")
+        bench.until(self._camera.get_subscription_count)
+        self.refusal = ""
+        """what a fault was answered"""
+        self.said = b""
+        """all bytes from the host"""
+        # Only what comes through the port; what a fault writes is not said by the host.
+        write = hardware.uno.write
+
+        def tapped(data):
+            self.said += data
+            write(data)
+
+        hardware.port.device = SimpleNamespace(
+            run=hardware.uno.run, read=hardware.uno.read, write=tapped
+        )
+
+    def value(self, key):
+        """Newest diagnostic value, "" before the first."""
+        values = (v for a in reversed(self.diagnostics) for v in a.status[0].values)
+        return next((v.value for v in values if v.key == key), "")
+
+    def camera_says(self):
+        """Newest message of `ir_camera` about its pictures, "" before the first."""
+        statuses = (s for a in reversed(self.diagnostics) for s in a.status)
+        said = (s.message for s in statuses if s.name == "/bench/ir_camera: camera")
+        return next(said, "")
+
     def for_a_while(self, seconds):
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > end)
@@ -106,14 +122,12 @@ class BridgedRig:
     def enable(self):
         """Wait until all readings are there, then enable."""
         self.until(lambda: self.state == "idle" and self.power and self.seen != [])
-        self.for_a_while(0.3)
-        answer = self.ask("enable")
         end = time.monotonic() + PATIENCE
         # The bridge meets the camera's node in its own time.
-        while "was never received" in answer.message and time.monotonic() < end:
+        while not (answer := self.ask("enable")).success:
+            assert "was never received" in answer.message, answer.message
+            assert time.monotonic() < end, answer.message
             self.for_a_while(0.2)
-            answer = self.ask("enable")
-        assert answer.success, answer.message
 
     def ask(self, service):
         """Answer of one of the bridge's services; commands go on meanwhile."""
@@ -152,24 +166,6 @@ class BridgedRig:
         self.until(lambda: self.hardware.uno.time - max(moment, pins.last_on) > 0.5, patience)
         return max(0.0, pins.last_on - moment)
 
-    def send(self, *values):
-        """One command, whatever is in it."""
-        self._command.publish(Float64MultiArray(data=[float(value) for value in values]))
-
-    def _keep_alive(self):
-        now = time.monotonic()
-        if now < self._due:
-            return
-        self._due = now + COMMAND_PERIOD
-        if self.voltage is not None:
-            self.send(*self.voltage)
-        if self.fever is not None:
-            message = Temperature()
-            message.header.stamp = self.bench.node.get_clock().now().to_msg()
-            kelvin = self.kelvin or float(self.hardware.plant.bench.temperature[0])
-            message.temperature = kelvin - CELSIUS_ZERO + self.fever
-            self._camera.publish(message)
-
 
 @contextmanager
 def bridged_rig(bench, uno, parameters=None, camera=False, **settings):
@@ -182,6 +178,5 @@ def bridged_rig(bench, uno, parameters=None, camera=False, **settings):
             yield rig
         finally:
             rig.node.process.send_signal(signal.SIGCONT)
-            if rig.node.process.poll() is None:
-                rig.node.process.kill()
-                rig.node.process.wait()
+            rig.node.process.kill()
+            rig.node.process.wait()

@@ -12,8 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
-from sensor_msgs.msg import Temperature
-from std_msgs.msg import Float64MultiArray
+from emulated_rig import Commander
 from uno.emulated_bench import emulated_bench
 
 from sma_bench.cli import main
@@ -21,10 +20,8 @@ from sma_bench.parameters import Parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "first_power_on.md"
-PERIOD = 0.05
 PATIENCE = 60.0
 ANSWER = 5.0
-CELSIUS_ZERO = 273.15
 # What the bench has and the page finds out: divider, gain (V/A) and offset (V) of the sensor.
 DIVIDER, GAIN, OFFSET = 4.08, 0.096, 0.012
 _STEP = re.compile(r"^<!-- (by hand|when asked): (.*?) -->$|^```\n(.*?)^```", re.M | re.S)
@@ -40,50 +37,43 @@ def steps():
             yield "command", command.strip(), answer.strip()
 
 
-class PowerOn:
-    """The reader: commands in the page's words, hands at the emulated bench."""
+class Reader(Commander):
+    """Commands in the page's words, hands at the emulated bench."""
 
     def __init__(self, bench, hardware, folder):
-        self.bench, self.hardware, self.folder = bench, hardware, folder
-        self.electrics = hardware.uno.electrics
+        super().__init__(bench, hardware)
+        self.voltage = self.fever = None  # no publisher and no camera yet
+        self.folder, self.asked = folder, ""
         self.port = folder / "uno"
         self.port.symlink_to(hardware.path)
-        self.states, self.power = bench.hear("serial_bridge/state", "wire/power")
-        # Their reader is still to come.
-        self._command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
-        self._camera = bench.node.create_publisher(Temperature, "wire/temperature", 100)
-        self.node, self.volts, self.asked, self.camera, self._due = None, [], "", False, 0.0
-
-    # --- hands ------------------------------------------------------------------------------------
 
     def by_hand(self, action):
         name, *values = action.split()
+        electrics = self.hardware.uno.electrics
         number = float(values[0]) if values and name not in ("end", "kill") else math.inf
-        if name in ("supply", "limit"):
-            field = {"supply": "supply", "limit": "supply_limit"}[name]
-            self.hardware.do(lambda: setattr(self.electrics, field, number))
-        elif name in ("resistance", "disconnected"):
-            self.hardware.do(lambda: self.electrics.resistance.__setitem__(0, number))
-        elif name == "injected":
-            self.hardware.do(lambda: self.electrics.offset.__setitem__(0, OFFSET + GAIN * number))
-        elif name in ("plug", "unplug"):
-            self.hardware.do(getattr(self.hardware.port, name))
+        hands = {
+            "supply": lambda: setattr(electrics, "supply", number),
+            "limit": lambda: setattr(electrics, "supply_limit", number),
+            "resistance": lambda: electrics.resistance.__setitem__(0, number),
+            "disconnected": lambda: electrics.resistance.__setitem__(0, number),
+            "injected": lambda: electrics.offset.__setitem__(0, OFFSET + GAIN * number),
+            "plug": self.hardware.port.plug, "unplug": self.hardware.port.unplug,
+            "camera": lambda: setattr(self, "fever", 0.0),
+        }
+        if name in hands:
+            self.hardware.do(hands[name])
             if name == "plug":
                 self.port.unlink()
                 self.port.symlink_to(self.hardware.path)
-        elif name == "camera":
-            self.camera = True
-        else:
-            assert name in ("end", "kill")
-            self.volts = self.volts if name == "kill" else []
-            self.node.end(signal.SIGKILL if name == "kill" else signal.SIGINT)
-            self.off()
+            return
+        numbers = {"kill": signal.SIGKILL, "end": signal.SIGINT}
+        self.voltage = self.voltage if name == "kill" else None
+        self.node.end(numbers[name])
+        self.off()
 
     def off(self):
         """No pulse any more, as the meter shows."""
-        self.until(lambda: self.hardware.pins.off_for > 0.3)
-
-    # --- commands ---------------------------------------------------------------------------------
+        self.until(lambda: self.hardware.pins.off_for > 0.3, PATIENCE)
 
     def run(self, command, expected):
         words = shlex.split(command.replace("/dev/serial/by-id/YOUR_UNO", str(self.port)))
@@ -100,21 +90,20 @@ class PowerOn:
         given = [str(places[word] / word) if word in places else word for word in words[1:]]
         self.states.clear()
         self.node = self.bench.start_with(words[0], given)
-        self.until(lambda: expected in self.node.output)
+        self.until(lambda: expected in self.node.output, PATIENCE)
 
     def _call(self, words, expected):
         """Asked again until it says so, as a reader would: links and readings take a moment."""
-        said = ""
 
         def right():
-            nonlocal said
             future, patience = self.bench.trigger_later(words[0]), time.monotonic() + ANSWER
             # A node that was killed may still seem to be there, and never answers.
-            self.until(lambda: future.done() or time.monotonic() > patience)
+            self.until(lambda: future.done() or time.monotonic() > patience, PATIENCE)
             said = future.result().message if future.done() else "nothing"
+            print(f"{words[0]} says {said!r}, expected {expected!r}")
             return expected in said
 
-        self.until(right, lambda: f"{words[0]} says {said!r}, expected {expected!r}")
+        self.until(right, PATIENCE)
 
     def _calibrate(self, words, expected):
         loads = iter(words[words.index("--known") + 1 : words.index("--out")])
@@ -124,11 +113,9 @@ class PowerOn:
             time.sleep(0.3)
             return "\n"
 
-        stdin, sys.stdin = sys.stdin, SimpleNamespace(readline=apply)
-        try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "stdin", SimpleNamespace(readline=apply))
             assert main(["calibrate", *words[:-1], str(self.folder / words[-1])]) == 0
-        finally:
-            sys.stdin = stdin
         sensor, key = expected.removeprefix("calibration.").split(".")
         assert key in self.calibrated()[sensor]
 
@@ -138,45 +125,21 @@ class PowerOn:
 
     def _publish(self, words, expected):
         assert words[:3] == ["-r", "20", "/bench/voltage_command"] and expected
-        self.volts = yaml.safe_load(words[-1])["data"]
+        self.voltage = yaml.safe_load(words[-1])["data"]
 
     def _echo(self, words, expected):
-        def said():
-            power = [(m.voltage, m.current) for m in self.power[-3:]]
-            return f"{power}, {[s.data for s in self.states]}, expected {expected}"
-
         if words[-1].endswith("state"):
-            self.until(lambda: self.states and self.states[-1].data.startswith(expected), said)
+            self.until(lambda: self.state.startswith(expected), PATIENCE)
             self.off()
             return
         wanted = [float(number) for number in re.findall(r"[\d.]+", expected)]
 
         def as_written():
             newest = [(m.voltage, m.current) for m in self.power[-40:]]
-            return len(newest) == 40 and [statistics.median(v) for v in zip(*newest, strict=True)
-                                          ] == pytest.approx(wanted, rel=0.04)  # fmt: skip
+            read = [statistics.median(values) for values in zip(*newest, strict=True)]
+            return len(newest) == 40 and read == pytest.approx(wanted, rel=0.04)
 
-        self.until(as_written, said)
-
-    def until(self, condition, why=str):
-        """Wait; the publisher and the camera go on meanwhile."""
-        end = time.monotonic() + PATIENCE
-
-        def step():
-            now = time.monotonic()
-            assert now < end, why()
-            if now >= self._due:
-                self._due = now + PERIOD
-                if self.volts:
-                    self._command.publish(Float64MultiArray(data=self.volts))
-                if self.camera:
-                    kelvin = float(self.hardware.plant.bench.temperature[0])
-                    message = Temperature(temperature=kelvin - CELSIUS_ZERO)
-                    message.header.stamp = self.bench.node.get_clock().now().to_msg()
-                    self._camera.publish(message)
-            return condition()
-
-        self.bench.until(step, 2.0 * PATIENCE)
+        self.until(as_written, PATIENCE)
 
 
 def test_every_command_of_the_page_has_its_answer():
@@ -188,9 +151,9 @@ def test_every_command_of_the_page_has_its_answer():
 @pytest.mark.acceptance
 def test_the_page_can_be_followed_to_its_end(bench, uno, tmp_path):
     with emulated_bench(Parameters.defaults(), uno) as hardware:
-        reader = PowerOn(bench, hardware, tmp_path)
-        hardware.do(lambda: setattr(reader.electrics, "divider", DIVIDER))
-        hardware.do(lambda: reader.electrics.volts_per_ampere.__setitem__(0, GAIN))
+        reader, electrics = Reader(bench, hardware, tmp_path), hardware.uno.electrics
+        hardware.do(lambda: setattr(electrics, "divider", DIVIDER))
+        hardware.do(lambda: electrics.volts_per_ampere.__setitem__(0, GAIN))
         reader.by_hand("injected 0")
         for kind, text, answer in steps():
             print(f"{kind}: {text}", flush=True)
