@@ -30,27 +30,18 @@ time.sleep(600)
 """
 _STARTS_AS_LAUNCH_DOES = """
 import subprocess, sys, time
-nodes = [subprocess.Popen(
+node = subprocess.Popen(
     [*sys.argv[2:], sys.executable, "-m", "sma_bench.nodes.start", "recorder", "--ros-args",
      "-p", "output:=" + sys.argv[1]],
     stdout=sys.stderr,  # what it says first may come before its number
-)]
-print(nodes[0].pid, flush=True)
+)
+print(node.pid, flush=True)
 time.sleep(600)
 """
 _SAYS_WHEN_IT_IS_READY = """
 import signal, sys
 before = signal.signal
-
-
-def saying(*given):
-    try:
-        return before(*given)
-    finally:
-        print("ready", flush=True)
-
-
-signal.signal = saying
+signal.signal = lambda *given: (before(*given), print("ready", flush=True))[0]
 from sma_bench.nodes.start import start
 sys.exit(start(sys.argv[1], []))
 """
@@ -70,35 +61,40 @@ time.sleep(600)
 """
 
 
+def within(condition):
+    end = time.monotonic() + _PATIENCE
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    return condition()
+
+
 def started(program, *words):
     """A Python program that starts a process, and the number of that one."""
     parent = subprocess.Popen(
         [sys.executable, "-c", program, *map(str, words)], stdout=subprocess.PIPE, text=True,
         start_new_session=True,
-    )
+    )  # fmt: skip
     line = parent.stdout.readline()
     assert line, f"status {parent.wait()}"
     return parent, int(line)
 
 
-def is_there(pid):
+def is_gone(pid):
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except OSError:
-        return False
+        return True
 
 
 def ends_with(parent, pid):
-    assert is_there(pid)
+    assert not is_gone(pid)
     parent.kill()
     parent.wait()
-    end = time.monotonic() + _PATIENCE
-    while is_there(pid) and time.monotonic() < end:
-        time.sleep(0.05)
-    left = is_there(pid)
-    if left:
-        os.kill(pid, signal.SIGKILL)
-    return not left
+    try:
+        return within(lambda: is_gone(pid))
+    finally:
+        if not is_gone(pid):
+            os.kill(pid, signal.SIGKILL)
 
 
 def test_a_node_ends_with_its_parent_and_leaves_a_whole_bag(tmp_path):
@@ -112,24 +108,17 @@ def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself(tmp_path,
     pytest.importorskip("rclpy")
     bag = tmp_path / "bag"
     parent, pid = started(_STARTS_AS_LAUNCH_DOES, bag, *(["setsid"] if alone else []))
-    within(lambda: bag.exists())
+    assert within(bag.exists)
     if not alone:
         assert ends_with(parent, pid)
         return
     parent.kill()
     parent.wait()
     time.sleep(1.0)
-    assert is_there(pid)
+    assert not is_gone(pid)
     os.kill(pid, signal.SIGHUP)  # as the end of a terminal would
-    within(lambda: not is_there(pid))
+    assert within(lambda: is_gone(pid))
     assert (bag / "metadata.yaml").is_file()
-
-
-def within(condition):
-    end = time.monotonic() + _PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize(
@@ -139,18 +128,15 @@ def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, 
     pytest.importorskip("rclpy")
     log = tmp_path / "log"
     with log.open("wb") as stream:
-        node = subprocess.Popen(
-            [sys.executable, "-c", _SAYS_WHEN_IT_IS_READY, "experiment"],
-            stdout=subprocess.PIPE, stderr=stream,
-        )
+        command = [sys.executable, "-c", _SAYS_WHEN_IT_IS_READY, "experiment"]
+        node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stream)
     assert node.stdout.readline()
     time.sleep(after)
     while node.poll() is None:
         node.send_signal(number)
         time.sleep(0.01)
     node.communicate()
-    assert node.returncode == 0, log.read_text()
-    assert "Traceback" not in log.read_text()
+    assert node.returncode == 0 and "Traceback" not in log.read_text(), log.read_text()
 
 
 def test_the_job_of_a_node_ends_with_it(measured_data):
@@ -163,9 +149,8 @@ def test_the_job_of_a_node_ends_with_it(measured_data):
 def test_an_environment_passed_on_by_a_program_in_between(inherited, lives):
     """As if started by another process: a shell around the command, or a parent that is gone."""
     environment = tied_to_this_process() | {"SMA_BENCH_STARTED_BY": str(os.getppid())}
-    process = subprocess.Popen(
-        [sys.executable, "-c", _TIED.format(inherited)], env=environment, stdout=subprocess.PIPE
-    )
+    command = [sys.executable, "-c", _TIED.format(inherited)]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
     try:
         if lives:
             assert process.stdout.readline() == b"here\n"
