@@ -25,9 +25,8 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 
 
 @pytest.mark.parametrize("text", [
-    "[" * 100_000, '{"a":' * 100_000, "[" * 900 + "]" * 900, "[" * 65 + "]" * 65,
-    "9" * 401, "9" * 5000, "1e999", "-1e999", "NaN", "-Infinity", str(2**63), "[1, 9e400]",
-    r'"\ud800"', r'{"\udfff": 1}', "", "{", "\0", "'a'", " " * (1 << 20) + "1",
+    "[" * 100_000, '{"a":' * 100_000, "[" * 65 + "]" * 65, "9" * 5000, "1e999", "-1e999", "NaN",
+    "-Infinity", str(2**63), r'"\ud800"', r'{"\udfff": 1}', "", "{", "\0", " " * (1 << 20) + "1",
 ])  # fmt: skip
 def test_json_that_nothing_can_use_is_one_line(text):
     with pytest.raises(InputError) as refused:
@@ -41,37 +40,34 @@ def test_json_of_a_usual_kind_is_read():
     text = (
         '{"messages": 3, "share": 0.5, "none": null, "text": "\u00b0\\ud83d\\ude00", "deep": [[1]]}'
     )
-    assert read_json(text, "state") == content
-    assert read_json_object(text.encode(), "state") == content
+    assert read_json(text, "state") == content == read_json_object(text.encode(), "state")
     with pytest.raises(InputError, match="state: a list, expected a JSON object"):
         read_json_object("[1]", "state")
 
 
 @pytest.mark.parametrize("text", [
-    "a: " + "9" * 401, "a: 0x" + "f" * 5000, f"a: {2**63}", "a: 1" + ":59" * 40, "[" * 3000,
-    "- " * 200 + "1", "? " * 200 + "1", 'a: "\\uD800"', "a: &a 1\nb: *a", "{<<: {a: 1}}",
-    "a: !!binary x", "a: 2020-13-45", "a: 0o9", "a: 0b", "a: 1:2:x", "!!set 1", "a: \x07",
-    "a: !!python/object/apply:os.system [id]", "? [a]\n: 1", "a: !!int x", "a: !!float x",
-    "!!timestamp x", "!!bool x", "!!omap {a}", "a: 0x", "-0b", "a: +", "x" * (1 << 20) + "x",
+    "a: 0x" + "f" * 5000, f"a: {2**63}", "a: 1" + ":59" * 40, "[" * 3000, "- " * 200 + "1",
+    "? " * 200 + "1", 'a: "\\uD800"', "a: &a 1\nb: *a", "{<<: {a: 1}}", "a: !!binary x",
+    "a: 2020-13-45", "a: 0o9", "a: 0b", "a: 1:2:x", "!!set 1", "a: \x07", "? [a]\n: 1",
+    "a: !!python/object/apply:os.system [id]", "a: !!int x", "a: !!float x", "!!timestamp x",
+    "!!bool x", "!!omap {a}", "-0b", "a: +", "x" * (1 << 20) + "x",
 ])  # fmt: skip
 def test_yaml_that_nothing_can_use_is_one_line(text):
     try:
         assert load_yaml(text) is not None  # some of it is a text to YAML
     except InputError as refused:
         assert "\n" not in str(refused) and len(str(refused)) < 200  # noqa: PT017
-    with pytest.raises(InputError, match="not taken"):
-        load_yaml("a: &a 1\nb: *a")
-    with pytest.raises(InputError, match="64 bits|digits"):
-        load_yaml("a: " + "9" * 401)
-    with pytest.raises(InputError, match="nested deeper than 64"):
-        load_yaml("[" * 3000)
 
 
-def test_merge_keys_are_not_taken_even_where_aliases_are():
+@pytest.mark.parametrize(("text", "aliases", "said"), [
+    ("a: &a 1\nb: *a", False, "not taken"), ("a: " + "9" * 401, False, "64 bits|digits"),
+    ("[" * 3000, False, "nested deeper than 64"), (MERGED, True, "merge keys"),
+])  # fmt: skip
+def test_yaml_is_refused_with_its_reason_in_a_moment(text, aliases, said):
     assert load_yaml("a: &a [1]\nb: *a", aliases=True) == {"a": [1], "b": [1]}
     started = time.thread_time()
-    with pytest.raises(InputError, match="merge keys"):
-        load_yaml(MERGED, aliases=True)
+    with pytest.raises(InputError, match=said):
+        load_yaml(text, aliases=aliases)
     assert time.thread_time() - started < 1.0
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import sqlite3
 
 import numpy as np
@@ -50,14 +51,6 @@ def db3(tmp_path):
     return storage_of(small_bag(tmp_path / "bag", "sqlite3"))
 
 
-def altered(db3, *statements):
-    with contextlib.closing(sqlite3.connect(db3)) as database:
-        for statement in statements:
-            database.execute(statement)
-        database.commit()
-    return said_of(db3)
-
-
 def test_no_file_is_deleted_by_the_journal_beside_a_bag_nor_read_through_a_link(db3, tmp_path):
     victim = tmp_path / "thesis.tex"
     victim.write_text("years of work")
@@ -74,23 +67,27 @@ ENTERED_VIEW = (
     "PRAGMA writable_schema = ON",
     f"UPDATE sqlite_master SET sql = '{TRICKS[0]}' WHERE name = 'messages'",
 )
+ODD_STAMPS = "UPDATE messages SET timestamp = {} WHERE rowid % 7 = 3"
 
 
-@pytest.mark.parametrize(
-    "statements", [*(("DROP TABLE messages", trick) for trick in TRICKS[:3]), ENTERED_VIEW]
-)
-def test_messages_that_a_program_makes_are_refused(db3, statements):
-    said, _ = altered(db3, *statements)
-    assert said.startswith("refused: ")
-    assert any(text in said for text in ("messages is no", "messages has columns", "malformed"))
-
-
-@pytest.mark.parametrize("stamp", ["'now'", "1e308"])
-def test_stamps_that_are_no_integers_are_left_out(db3, stamp):
+@pytest.mark.parametrize(("statements", "said", "readings"), [
+    (("DROP TABLE messages", TRICKS[0]), "refused: .*messages is no", 0),
+    (("DROP TABLE messages", TRICKS[1]), "refused: .*messages has columns", 0),
+    (("DROP TABLE messages", TRICKS[2]), "refused: .*messages is no", 0),
+    (ENTERED_VIEW, "refused: .*(messages is no|malformed)", 0),
+    ((ODD_STAMPS.format("'now'"),), "", 17), ((ODD_STAMPS.format("1e308"),), "", 17),
+])  # fmt: skip
+def test_messages_that_a_program_makes_are_refused_and_stamps_are_integers(
+    db3, statements, said, readings
+):
     import sma_bench.compiled  # noqa: F401, with it rows are joined
 
-    update = f"UPDATE messages SET timestamp = {stamp} WHERE rowid % 7 = 3"
-    assert altered(db3, update)[1] == 17
+    with contextlib.closing(sqlite3.connect(db3)) as database:
+        for statement in statements:
+            database.execute(statement)
+        database.commit()
+    found, count = said_of(db3)
+    assert re.match(said, found) and count == readings
 
 
 def chunks_in_chunks(content: bytes) -> bytes:

@@ -53,8 +53,7 @@ def test_names_do_nothing_to_a_terminal_a_yaml_file_or_a_report(tmp_path, capsys
         text = (out / "index.html").read_text(encoding="utf-8")
         assert "\x1b" not in text and "\x07" not in text
 
-
-def test_a_parameter_file_is_readable_whatever_its_comment(tmp_path):
+    # A parameter file can be read whatever its comment.
     names = "bag\x1b\x07\x00 \udcff \u2028 \x85 \ufffe\r"
     write_parameters(tmp_path / "p.yaml", Parameters({"wire.mass": 1e-4}), f"from {names}")
     assert read_parameters(tmp_path / "p.yaml")["wire.mass"] == 1e-4
