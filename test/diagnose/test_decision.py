@@ -1,114 +1,152 @@
-"""From signs and gains to probabilities, without a fit."""
+"""From signs and gains to probabilities, without a fit; and what an experiment would settle, by
+the same rule."""
 
 from types import SimpleNamespace
 
 import pytest
 
-from sma_bench.diagnose.decision import Weights, signs_of_unexplained
+from sma_bench.diagnose.decision import SCALE, Weights, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
+from sma_bench.diagnose.next_experiment import Matter, taken_up
+from sma_bench.diagnose.prospect import Telling, prospect
 
 SMOOTH = "a smooth response of free form is left"
 BELIEF = "parameters are needed that nobody believes in"
+SCATTER = "deflection scatters more in motion than at rest"
 
 
-def searched(
-    gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0), gap=5.0
-):
-    """What a search found: gain of the best, and each sign before (recalibrated) and after."""
-    return SimpleNamespace(
-        off=(), recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
-        best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
-        flexible=SimpleNamespace(gain=flexible), beyond=SimpleNamespace(gain=beyond, gap=gap),
-        left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
-        left_by_best=Left(9.0, "deflection", sizes[1], 3.0, 0.0),
+def signs(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0), gap=5.0):
+    """Of what a search found: gain of the best, each sign before (recalibrated) and after."""
+    return signs_of_unexplained(
+        SimpleNamespace(
+            off=(),
+            recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
+            best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
+            flexible=SimpleNamespace(gain=flexible),
+            beyond=SimpleNamespace(gain=beyond, gap=gap),
+            left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
+            left_by_best=Left(9.0, "deflection", sizes[1], 12.0, 11.0),
+        )
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "little", "much"),
-    [
-        (SMOOTH, {"flexible": 400.0, "beyond": 40.0}, {"flexible": 400.0, "beyond": 300.0}),
-        (BELIEF, {"surprise": (900.0, 70.0)}, {"surprise": (90.0, 70.0)}),
-        ("deflection scatters more in motion than at rest", {"sizes": (5.0, 0.5)},
-         {"sizes": (5.0, 4.0)}),
-    ],
-)
-def test_a_sign_counts_by_the_share_of_it_that_an_effect_leaves(name, little, much):
-    assert signs_of_unexplained(searched(30.0, **little))[name] < -2.0
-    assert signs_of_unexplained(searched(30.0, **much))[name] > 0.0
+def test_a_sign_counts_by_the_share_of_it_that_an_effect_leaves():
+    assert signs(30.0, flexible=400.0, beyond=40.0)[SMOOTH] < -2.0
+    assert signs(30.0, flexible=400.0, beyond=300.0)[SMOOTH] > 2.0
+    assert signs(4000.0, flexible=400.0, beyond=300.0)[SMOOTH] < -2.0
+    assert signs(30.0, surprise=(900.0, 70.0))[BELIEF] < -2.0
+    assert signs(30.0, surprise=(90.0, 70.0))[BELIEF] > 0.0
+    assert signs(30.0, sizes=(5.0, 0.5))[SCATTER] < -2.0
+    assert signs(30.0, sizes=(5.0, 4.0))[SCATTER] > 0.0
+    # Smaller than the noise it says little, however sure it is.
+    assert signs(1.0, beyond=36.0, gap=0.4)[SMOOTH] < 0.0
+    assert signs(1.0, beyond=36.0, gap=1.2)[SMOOTH] == pytest.approx(3.0, abs=0.1)
+    # Never weighed against what was explained.
+    assert signs(5000.0)["a single event stands out"] == pytest.approx(8.0)
+    assert signs(5000.0)["a sensor would have to drift as none does"] == pytest.approx(6.0)
 
 
-def test_a_smooth_response_counts_beside_all_that_was_explained_of_free_form_or_not():
-    left = {"flexible": 400.0, "beyond": 300.0}
-    assert signs_of_unexplained(searched(30.0, **left))[SMOOTH] > 2.0
-    assert signs_of_unexplained(searched(4000.0, **left))[SMOOTH] < -2.0
+def probabilities(gains, signs=-5.0, remains=0.0, **options):
+    none, three = dict.fromkeys(gains, 0.0), dict.fromkeys(gains, 3.0)
+    return Weights(gains, three, none, 5.0, signs, -5.0, remains, **options).probabilities()
 
 
 def test_an_effect_that_leaves_what_was_to_be_explained_is_not_the_cause_whatever_it_gains():
-    def unexplained(signs, remains):
-        gains = {"slack": 160.0}
-        found = Weights(gains, {"slack": 3.0}, {"slack": 0.0}, 5.0, signs, -5.0, remains)
-        return found.probabilities()["unexplained"]
-
-    assert unexplained(3.0, remains=3.0) > 0.9
+    assert probabilities({"slack": 160.0}, 3.0, 3.0)["unexplained"] > 0.9
     # An event beside an effect that took the rest away may be a second cause.
-    assert 0.3 < unexplained(6.0, remains=-4.0) < 0.5
+    assert 0.3 < probabilities({"slack": 160.0}, 6.0, -4.0)["unexplained"] < 0.5
 
 
-def test_a_smooth_response_smaller_than_the_noise_says_little_however_sure_it_is():
-    told = [signs_of_unexplained(searched(1.0, beyond=36.0, gap=gap))[SMOOTH] for gap in (0.4, 1.2)]
-    assert told[0] < 0.0 and told[1] == pytest.approx(3.0, abs=0.1)
-
-
-def test_a_single_event_and_an_impossible_drift_are_never_weighed_against_what_was_explained():
-    search = searched(5000.0)
-    search.left_by_best = Left(0.0, "", 0.0, 12.0, 11.0)
-    found = signs_of_unexplained(search)
-    assert found["a single event stands out"] == pytest.approx(8.0)
-    assert found["a sensor would have to drift as none does"] == pytest.approx(6.0)
-
-
-def test_of_two_pairs_that_gain_much_the_better_one_is_named():
+def test_the_better_of_two_is_named_and_one_that_is_nearly_as_good_stays_a_rival():
+    singles = {"slack": 600.0, "latent_heat": 9.0, "residual_strain": 5.0}
     pairs = {"latent_heat+slack": 2000.0, "residual_strain+slack": 1900.0}
-    found = weighed(slack=600.0, latent_heat=9.0, residual_strain=5.0, **pairs)
-    assert found["latent_heat+slack"] > 0.9
-
-
-def weighed(**gains):
-    return Weights(
-        gains, dict.fromkeys(gains, 3.0), dict.fromkeys(gains, 0.0), 5.0, -5.0, -5.0
-    ).probabilities()
-
-
-def test_an_equation_that_explains_nearly_as_much_stays_a_rival_however_much_that_is():
-    close = weighed(stress_dependent_transition=400.0, opposing_wires=380.0)
+    assert probabilities(singles | pairs)["latent_heat+slack"] > 0.9
+    close = probabilities({"stress_dependent_transition": 400.0, "opposing_wires": 380.0})
     assert close["stress_dependent_transition"] < 0.8 < sum(close[n] for n in list(close)[:2])
-    far = weighed(stress_dependent_transition=400.0, opposing_wires=300.0)
+    far = probabilities({"stress_dependent_transition": 400.0, "opposing_wires": 300.0})
     assert far["stress_dependent_transition"] > 0.98
 
 
-def test_what_takes_up_the_same_misfit_in_every_record_must_gain_more_with_each():
-    def named(records, gain):
-        gains = {"latent_heat": gain}
-        found = Weights(
-            gains, {"latent_heat": 2.0}, {"latent_heat": 0.0}, 5.0, -5.0, -5.0, records=records
-        )
-        return found.probabilities()["latent_heat"]
+def test_what_gains_must_do_so_with_each_record_and_everywhere():
+    def latent_heat(gain, **options):
+        return probabilities({"latent_heat": gain}, **options)["latent_heat"]
 
-    assert named(1, 9.0) == named(2, 9.0) > 0.6 > named(4, 9.0)
-    assert named(4, 18.0) > 0.9
-
-
-def test_what_gains_here_and_there_counts_as_often_as_it_is_told_and_rivals_stay_as_they_were():
-    def found(unsteady, **gains):
-        none = dict.fromkeys(gains, 0.0)
-        weights = Weights(gains, none, none, 5.0, -5.0, -5.0, unsteady=unsteady)
-        return weights.probabilities()
-
-    assert found({}, latent_heat=18.0)["latent_heat"] > 0.9
-    assert found({"latent_heat": 5.0}, latent_heat=18.0)["latent_heat"] < 0.5
+    assert latent_heat(9.0, records=1) == latent_heat(9.0, records=2) > 0.6
+    assert latent_heat(9.0, records=4) < 0.6 < 0.9 < latent_heat(18.0, records=4)
+    assert latent_heat(18.0) > 0.9 and latent_heat(18.0, unsteady={"latent_heat": 5.0}) < 0.5
     # Beside much that is explained, an inexact equation's scatter says nothing against it.
     both = {"latent_heat": 300.0, "slack": 200.0}
-    steady, scattered = found({}, **both), found({"latent_heat": 9.0}, **both)
+    steady, scattered = probabilities(both), probabilities(both, unsteady={"latent_heat": 9.0})
     assert scattered["latent_heat"] == pytest.approx(steady["latent_heat"], abs=0.01)
-    assert found({"slack": 5.0}, latent_heat=18.0, slack=9.0)["latent_heat"] > 0.8
+
+
+# --- What an experiment would settle.
+
+
+def after(tellings, signs=-5.0, surprise=-5.0, **gains):
+    """Prospect of an experiment on effects that gain so much, each plain to see."""
+    none, three = dict.fromkeys(gains, 0.0), dict.fromkeys(gains, 3.0)
+    weights = Weights(gains, three, none, 5.0, signs, surprise)
+    return prospect(weights, weights.probabilities(), tellings)
+
+
+def apart(distance, *names):
+    telling = Telling(0.5 * distance**2, distance)
+    return {(a, b): telling for a in names for b in names if a != b}
+
+
+BOTH = ("slack", "residual_strain")
+ALL = (*BOTH, "recalibration")
+
+
+def test_a_tie_of_two_is_settled_where_they_differ_and_a_rival_does_not_stay_in_the_way():
+    tie = {"slack": 14.0, "residual_strain": 13.5}
+    told = after(apart(8.0, *ALL), **tie)
+    assert told.named > 0.95 and told.given > 0.9
+    told = after(apart(8.0, *ALL) | apart(0.5, *BOTH), **tie)
+    before = after(apart(0.0, *ALL), **tie)
+    assert told.named < 0.1 and told.given == pytest.approx(before.given, abs=0.1)
+    rival = {"slack": 14.0, "residual_strain": 3.0, "transition_drift": 14.0}
+    assert after(apart(1e3, *ALL), **rival).named < 0.1
+    assert after(apart(1e3, *ALL, "transition_drift"), **rival).named > 0.9
+
+
+def test_no_distance_settles_what_nothing_explains_and_what_was_measured_surprises_no_more():
+    gains = {"slack": 14.0, "residual_strain": 2.0}
+    assert after(apart(1e3, *ALL), signs=1.0, **gains).named == 0.0
+    assert after(apart(1e3, *ALL), **gains).named > 0.9
+    little = {"slack": 0.0, "residual_strain": -9.0}
+    told = after(apart(8.0, *ALL), surprise=0.4, **little)
+    assert told.named < after(apart(8.0, *ALL), **little).named
+
+
+def test_evidence_counts_as_little_as_the_decision_lets_it():
+    # 5 deviations are 12 nats: plenty beside SCALE, little where the model misfits by thousands.
+    assert SCALE < 10.0
+    assert after(apart(5.0, *ALL), slack=20.0, residual_strain=20.0).named > 0.9
+    assert after(apart(5.0, *ALL), slack=9000.0, residual_strain=9000.0).named < 0.1
+    # An effect that is not there takes up some of what the model misses.
+    exact = apart(3.0, "slack", "recalibration")
+    real = taken_up(exact)
+    assert real["slack", "recalibration"] == exact["slack", "recalibration"]
+    assert 0.0 < real["recalibration", "slack"].evidence < exact["recalibration", "slack"].evidence
+    assert after(real, slack=4.0).named < after(exact, slack=4.0).named
+
+
+def test_another_record_tells_of_a_wandering_zero_as_much_as_one_of_the_records_has():
+    def wandering(gains, minutes):
+        matter = Matter.__new__(Matter)
+        matter.minutes, matter.records = 5.0, 2
+        matter.weights = SimpleNamespace(gains=gains)
+        return matter.wandering(apart(100.0, "recalibration", *gains), minutes)
+
+    gains = {"deflection_drift": 16.0, "slack": 9.0, "deflection_drift+slack": 33.0}
+    found = wandering(gains, 10.0)
+    assert found["recalibration", "deflection_drift"].evidence == pytest.approx(8.0)
+    assert found["deflection_drift+slack", "slack"].evidence == pytest.approx(12.0)
+    assert ("slack", "recalibration") not in found  # what a model predicts is simulated
+    # One half as long tells half of it, and what it tells counts though it is hardly seen.
+    little = wandering({"deflection_drift": 4.0}, 1.25)
+    assert little["recalibration", "deflection_drift"] == pytest.approx(Telling(1.0, 2.0))
+    short = wandering({"deflection_drift": -1.0}, 10.0)
+    assert short["recalibration", "deflection_drift"] == Telling(0.0, 0.0)
