@@ -52,9 +52,3 @@ def test_a_mechanical_cause_stays_whatever_drives_the_model(tmp_path):
     assert gaps[V_TO_DEFLECTION] > 2.0
     assert gaps[T_TO_DEFLECTION] == pytest.approx(gaps[V_TO_DEFLECTION], rel=0.5)
     assert "acts after the temperature" in reading_of(links)
-
-
-def test_without_temperatures_only_the_free_run_is_left(tmp_path):
-    links = break_chain(recalibrated(tmp_path, quantities=("deflection",)))
-    assert [link.block for link in links] == [V_TO_DEFLECTION]
-    assert reading_of(links) == ""

@@ -47,29 +47,15 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
     assert (answer.verdict, answer.cause) == ("effect", ("side_heat_coupling",))
     assert answer.where.stage == "thermal"
     assert set(answer.shrinkage) == {"current", "temperature", "deflection"}
-
-
-def test_probabilities_sum_to_one_and_are_sorted(planted_diagnosis):
-    probabilities = [c.probability for c in planted_diagnosis.decision.candidates]
+    decision = planted_diagnosis.decision
+    probabilities = [c.probability for c in decision.candidates]
     assert math.fsum(probabilities) == pytest.approx(1.0, abs=1e-9)
     assert probabilities == sorted(probabilities, reverse=True)
-    assert len({c.name for c in planted_diagnosis.decision.candidates}) == len(probabilities)
-
-
-def test_the_credible_set_is_the_smallest_that_holds_nine_tenths(planted_diagnosis):
-    decision = planted_diagnosis.decision
+    assert len({c.name for c in decision.candidates}) == len(probabilities)
+    # The credible set is the smallest that holds nine tenths.
     held = [c.probability for c in decision.credible]
     assert sum(held) >= 0.9 > sum(held[:-1])
     assert decision.credible == decision.candidates[: len(held)]
-
-
-def test_the_same_record_gives_the_same_bytes(tmp_path):
-    record = planted_record(tmp_path / "bag", quantities=("deflection",))
-    with few_effects(("residual_strain", "side_heat_coupling")):
-        first, second = (
-            json_text(diagnose([record], believed()).to_json()) for _ in range(2)
-        )
-    assert first == second
 
 
 def test_the_improved_parameters_bring_the_simulation_to_the_bench(planted_diagnosis):
@@ -94,22 +80,12 @@ def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_diagnosis):
     found = wire_diagnosis.improved["effect.supply_drop.resistance"]
     assert found == pytest.approx(0.3, abs=0.05)
     assert {c.signal for c in wire_diagnosis.where.table} == {"wire.current", "wire.temperature"}
-
-
-def test_a_single_record_holds_out_its_own_end(wire_diagnosis):
+    # The single record holds out its own end.
     border = 0.6 * drive()[0][-1]
-    (unseen,) = wire_diagnosis.held_out
+    (unseen,), (seen,) = wire_diagnosis.held_out, wire_diagnosis.fitted
     assert min(s.time[0] for s in unseen.signals) >= border - 0.2
-    (seen,) = wire_diagnosis.fitted
     assert max(s.time[-1] for s in seen.signals) < border + 0.2
     assert set(wire_diagnosis.shrinkage) == {"current", "temperature"}
-
-
-def test_a_sensor_that_is_missing_is_named_with_what_it_would_add(tmp_path):
-    record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
-    with few_effects(("residual_strain",)):
-        result = diagnose([record], believed())
-    assert result.not_compared == ("current", "temperature")
 
 
 def test_records_of_different_sensors_are_diagnosed_together(tmp_path):
@@ -118,9 +94,12 @@ def test_records_of_different_sensors_are_diagnosed_together(tmp_path):
         tmp_path / "more", quantities=("current", "deflection"), bench=believed(), turned=True
     )
     with few_effects(("residual_strain",)):
-        result = diagnose([tip], believed(), [more])
+        result, again = (diagnose([tip], believed(), [more]) for _ in range(2))
+        alone = diagnose([tip], believed())
     assert set(result.shrinkage) == {"current", "deflection"}
     assert result.decision.verdict != "effect"
+    assert json_text(result.to_json()) == json_text(again.to_json())
+    assert alone.not_compared == ("current", "temperature")
 
 
 def test_a_hold_out_that_is_fitted_too_is_refused(tmp_path):
@@ -151,7 +130,7 @@ def test_a_record_whose_runs_are_swapped_is_told(wire_rig, tmp_path):
     assert any("stored runs or channels swapped" in f.text for f in result.findings)
 
 
-def test_a_record_whose_readings_end_early_leaves_none_to_try_the_model_on(tmp_path):
+def test_no_record_and_one_whose_readings_end_early_are_refused(tmp_path):
     made = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
     tip = made["deflection"]
     first = slice(len(tip.time) // 3)
@@ -159,8 +138,5 @@ def test_a_record_whose_readings_end_early_leaves_none_to_try_the_model_on(tmp_p
     short = replace(made, signals={**made.signals, "deflection": early})
     with few_effects(("residual_strain",)), pytest.raises(InputError, match="too few readings"):
         diagnose([short], believed())
-
-
-def test_no_record_is_refused():
     with pytest.raises(InputError, match="no record"):
         diagnose([], believed())

@@ -48,10 +48,7 @@ def test_a_clock_of_another_time_is_moved_back_by_when_messages_came(off):
     assert found[0].numbers["offset"] == pytest.approx(-off, abs=0.01)
     assert sound["wire.temperature"].time == pytest.approx(record["wire.temperature"].time)
     assert not mended(record)[1]
-
-
-def test_a_picture_that_takes_its_time_keeps_its_right_stamp():
-    record = record_of(staircase())
+    # A picture that takes its time keeps its right stamp.
     own = record["wire.temperature"]
     late = {"wire.temperature": replace(own, received=own.time + 0.4)}
     sound, found = mended(replace(record, signals=record.signals | late))

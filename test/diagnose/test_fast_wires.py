@@ -1,6 +1,5 @@
 """The paper's own wires: a fifth of a second slow, so that a few milliseconds of a jump count."""
 
-import numpy as np
 import pytest
 from planted import few_effects
 
@@ -47,16 +46,3 @@ def test_what_a_jump_does_is_the_candidates_own_affair(rig, tmp_path):
     assert found.search.best.surprise < 16.0
     left = found.search.left_by_best
     assert left.ratio < 4.0 and left.outlier < 6.0
-
-
-def test_short_steps_do_not_change_what_the_paper_has(rig):
-    time, voltage = load_protocol("composite_step", rig).sample(0.02)
-    plain = simulate_finely(rig, time, voltage)
-    assert np.array_equal(plain.time, time)
-    # With a latent heat the steps matter, and shorter ones yet hardly do.
-    bench = rig.replace({"effect.latent_heat.heat": HEAT})
-    fine = simulate_finely(bench, time, voltage)
-    finer_time = np.arange((len(time) - 1) * 40 + 1) * 0.0005
-    finer = simulate_finely(bench, finer_time, np.repeat(voltage, 40, axis=0)[: len(finer_time)])
-    assert np.array_equal(fine.time, time) and fine.temperature.shape == voltage.shape
-    assert fine.temperature == pytest.approx(finer.temperature[::40], abs=0.5)

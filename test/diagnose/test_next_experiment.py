@@ -7,7 +7,6 @@ import pytest
 from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
-from sma_bench.diagnose import result as diagnosis_result
 from sma_bench.diagnose.decision import weigh
 from sma_bench.diagnose.drives import TESTS
 from sma_bench.errors import InputError
@@ -56,16 +55,6 @@ def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
     assert tied.to_json()["next_experiment"] is None
 
 
-def test_what_settles_nothing_is_not_proposed(short_record, monkeypatch):
-    # As if only far more than the best drive tells were worth the minutes.
-    for module in (next_experiment, diagnosis_result):
-        monkeypatch.setattr(module, "WORTH", 0.3)
-    tied = diagnosed([short_record])
-    assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
-    (remark,) = [f.text for f in tied.findings if f.subject == "next experiment"]
-    assert "nothing that the bench can do" in remark and "ambient_drift" in remark
-
-
 def test_a_test_separates_no_cause_that_its_readings_hold(short_record):
     """What isobaric tests read is believed of C_A then, whichever of the two moved it. The wire's
     ends are before any leads."""
@@ -83,23 +72,6 @@ def test_a_test_separates_no_cause_that_its_readings_hold(short_record):
     everything = {"recalibration", shifted, "supply_drop"}
     assert separated["E6"] == everything - {shifted}
     assert separated["E1"] == separated["E3"] == separated["DSC"] == everything
-
-
-def test_a_test_that_was_done_is_not_proposed_again(short_record):
-    lab = believed()
-    with few_effects(("supply_drop",)):
-        found = diagnose([short_record], lab)
-
-    def tests(parameters):
-        matter = next_experiment.Matter(
-            found.decision, found.search, weigh(found.search), found.observations, parameters
-        )
-        matter.fits["supply_drop"] = found.search.singles["supply_drop"]
-        return {name for name in TESTS if next_experiment._test(name, matter) is not None}
-
-    assert {"E1", "E2", "E3", "DSC"} <= tests(lab)
-    done = lab.replace(uncertainty=TESTS["E3"].stds(lab))
-    assert tests(done) & {"E1", "E2", "E3"} == set() and "DSC" in tests(done)
 
 
 def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):

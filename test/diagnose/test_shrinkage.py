@@ -1,22 +1,16 @@
 """What is claimed of held-out data is what the improved file keeps on other drives."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from planted import believed, planted_record, true_bench
 
-from sma_bench.diagnose.shrinkage import sensors_noise, shrinkage, unknown_share
+from sma_bench.diagnose.shrinkage import shrinkage, unknown_share
 from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import observe, shared_bin
 
 NOISE = Noise(white=1e-5, drift=3e-4, time=5.0, period=0.5, usual=5e-5)
-
-
-def fitted(**drift):
-    noise = {name: replace(NOISE, drift=value) for name, value in drift.items()}
-    return SimpleNamespace(problem=SimpleNamespace(noise=noise))
 
 
 @pytest.fixture(scope="module")
@@ -30,12 +24,6 @@ def views(tmp_path_factory):
     ]
     shortest = shared_bin(records, believed())
     return [observe(record, believed(), shortest, ("deflection",)) for record in records]
-
-
-def test_what_a_model_misses_slowly_is_no_noise_where_another_candidate_needs_none():
-    model, other = fitted(deflection=3e-4), fitted(deflection=2e-5)
-    assert sensors_noise(model, [model, other])["deflection"].drift == 2e-5
-    assert sensors_noise(model, [model])["deflection"].drift == NOISE.usual
 
 
 def test_a_true_model_takes_all_of_the_gap_away_and_its_interval_is_narrow(views):
@@ -67,13 +55,3 @@ def test_a_drive_that_no_record_has_shown_is_said_to_be_one(views):
     moment = one.between(one.signals[0].time[-2], np.inf)
     assert unknown_share([one], [moment], believed()) == 0.0
     assert unknown_share([late], [one], believed()) > unknown_share([one], [turned], believed())
-
-
-def test_records_of_one_wire_and_of_the_whole_bench_are_tried_on_each_other(views):
-    both, turned = views
-    alone = replace(both, channels=both.channels[:1], sides=both.sides[:1],
-                    voltage=both.voltage[:, :1])  # fmt: skip
-    assert unknown_share([both, alone], [both], believed()) == 0.0
-    new = unknown_share([alone], [turned], believed())
-    assert new > 0.05
-    assert unknown_share([alone], [turned, alone], believed()) == pytest.approx(0.5 * new)

@@ -1,5 +1,5 @@
 """The stage of a gap: of its effect, of parameters that moved beyond belief, or of an effect that
-would put the same signals off."""
+would put the same signals off; and what is missing where nothing explains it."""
 
 from types import SimpleNamespace
 
@@ -8,19 +8,22 @@ import pytest
 
 from sma_bench.diagnose.decision import FLEXIBLE, Candidate, Decision
 from sma_bench.diagnose.sizes import Cell
-from sma_bench.diagnose.stages import stage_of_recalibration, stages_of
+from sma_bench.diagnose.stages import missing_term, stage_of_recalibration, stages_of
+from sma_bench.estimation.noise_model import estimate_noise
+from sma_bench.parameters.table import TRANSITIONS
 
 RESISTANCE, LOSS, CAPACITY = (
-    "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
+    "wire.resistance",
+    "wire.heat_transfer_coefficient",
+    "wire.specific_heat",
 )
-STARTS = (
-    "wire.austenite_start_temperature", "wire.austenite_finish_temperature",
-    "wire.martensite_start_temperature", "wire.martensite_finish_temperature",
-    "wire.stress_influence_austenite", "wire.stress_influence_martensite",
-)
+INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
+STARTS = (*TRANSITIONS.values(), *INFLUENCES)
 STROKE = "composite.deflection_per_strain"
 NAMES = (RESISTANCE, LOSS, CAPACITY, *STARTS, STROKE)
 ALL = ("front_1.current", "front_1.temperature", "deflection")
+# All that an experimenter would look for, in another order than that of the chain.
+RANKED = ("latent_heat", "transition_drift", "temperature_lag", "supply_drop", "deflection_drift")
 
 
 def candidate(name, probability, effects=()):
@@ -28,31 +31,25 @@ def candidate(name, probability, effects=()):
     return Candidate(name, probability, fit, 1.0, 0.0)
 
 
-# All that an experimenter would look for, in another order than that of the chain.
-RANKED = (
-    "latent_heat", "transition_drift", "temperature_lag", "supply_drop", "deflection_drift",
-)
+def decision(verdict, *candidates):
+    return Decision(verdict, (), candidates)
+
+
+UNEXPLAINED = decision("unexplained", candidate("unexplained", 0.9))
 
 
 def searched(moved=(), shows=(), flexible=0.0, ranked=RANKED, event=""):
     x = np.array([dict(moved).get(name, 0.0) for name in NAMES])
-    recalibrated = SimpleNamespace(
-        unknowns=SimpleNamespace(bench_names=NAMES),
-        x=np.array([*x, 5.0]),  # 5: a shape, of no stage
-    )
     return SimpleNamespace(
-        recalibrated=recalibrated, left=SimpleNamespace(shows=tuple(shows)),
+        recalibrated=SimpleNamespace(
+            unknowns=SimpleNamespace(bench_names=NAMES), x=np.array([*x, 5.0])
+        ),  # 5: a shape, of no stage
+        left=SimpleNamespace(shows=tuple(shows)),
         left_by_best=SimpleNamespace(outlier=20.0 if event else 0.0, event=event),
-        flexible=SimpleNamespace(gain=flexible), ranked=list(ranked),
+        flexible=SimpleNamespace(gain=flexible),
+        ranked=list(ranked),
         gain=lambda name: -20.0 * list(ranked).index(name),
     )
-
-
-def stage_of(said, found, missing):
-    return next(iter(stages_of(said, found, missing)), "")
-
-
-SLACK = candidate("slack", 0.02, ("slack",))
 
 
 def cells(**shares):
@@ -63,83 +60,94 @@ def cells(**shares):
     ]
 
 
-def decision(verdict, *candidates):
-    return Decision(verdict, (), candidates)
+def stage_of(said, found, missing):
+    return next(iter(stages_of(said, found, missing)), "")
 
 
-@pytest.mark.parametrize("moved, stage", [
-    ({RESISTANCE: 3.0, LOSS: 1.0, STROKE: 1.0}, "electrical"),
-    ({RESISTANCE: 0.5, LOSS: -3.0, CAPACITY: 2.0, STROKE: 2.0}, "thermal"),
-    ({RESISTANCE: 1.5, STARTS[0]: 4.0, STARTS[3]: -2.5}, "transformation"),
-    ({STROKE: -3.0, STARTS[1]: 1.5}, "mechanical"),
-    # Six numbers moved by their deviations are no surprise, one by three of its own is.
-    ({RESISTANCE: 3.0, **dict.fromkeys(STARTS, 1.3)}, "electrical"),
-    # As far as believed, whatever their sum: that tells of no stage.
-    (dict.fromkeys(STARTS, 1.2), ""),
-    ({RESISTANCE: 2.0}, ""),
-])
+@pytest.mark.parametrize(
+    ("moved", "stage"),
+    [
+        ({RESISTANCE: 3.0, LOSS: 1.0, STROKE: 1.0}, "electrical"),
+        ({RESISTANCE: 0.5, LOSS: -3.0, CAPACITY: 2.0, STROKE: 2.0}, "thermal"),
+        ({RESISTANCE: 1.5, STARTS[0]: 4.0, STARTS[3]: -2.5}, "transformation"),
+        ({STROKE: -3.0, STARTS[1]: 1.5}, "mechanical"),
+        # Six numbers moved by their deviations are no surprise, one by three of its own is.
+        ({RESISTANCE: 3.0, **dict.fromkeys(STARTS, 1.3)}, "electrical"),
+        # As far as believed, whatever their sum: that tells of no stage.
+        (dict.fromkeys(STARTS, 1.2), ""),
+    ],
+)
 def test_recalibration_has_the_stage_whose_parameters_moved_beyond_belief(moved, stage):
     assert stage_of_recalibration(searched(moved)) == stage
-    said = decision("recalibration", candidate("recalibration", 0.9), SLACK)
+    slack = candidate("slack", 0.02, ("slack",))
+    said = decision("recalibration", candidate("recalibration", 0.9), slack)
     assert stage_of(said, searched(moved), []) == (stage or "mechanical")
 
 
 def test_every_stage_has_the_probability_of_its_explanations():
+    shares = {"slack": 0.5, "latent_heat": 0.2, "recalibration": 0.2, "side_asymmetry": 0.1}
     said = decision(
-        "effect",
-        candidate("slack", 0.5, ("slack",)),
-        candidate("latent_heat", 0.2, ("latent_heat",)),
-        candidate("recalibration", 0.2),
-        candidate("side_asymmetry", 0.1, ("side_asymmetry",)),
+        "effect", *(candidate(n, p, (n,) * (n != "recalibration")) for n, p in shares.items())
     )
     found = stages_of(said, searched({RESISTANCE: 0.1}), [])
     assert found == pytest.approx({"mechanical": 0.6, "thermal": 0.2})  # 0.2 tell of none
     assert list(found) == ["mechanical", "thermal"]
     electrical = stages_of(said, searched({RESISTANCE: 9.0}), [])
     assert electrical == pytest.approx({"mechanical": 0.6, "thermal": 0.2, "electrical": 0.2})
-
-
-@pytest.mark.parametrize("shows, stage", [
-    (("deflection",), "transformation"),  # behind temperatures that are right
-    (("front_1.temperature", "deflection"), "thermal"),
-    (("front_1.temperature",), "sensor"),  # the deflection does not follow
-    (ALL, "electrical"),
-    (("front_1.current",), "electrical"),  # no effect does this: the first that is off
-    ((), "thermal"),  # of the nearest effect
-])
-def test_what_is_unexplained_has_the_stage_of_an_effect_that_puts_the_same_signals_off(
-    shows, stage
-):
-    said = decision("unexplained", candidate("unexplained", 0.9))
-    assert stage_of(said, searched(shows=shows), cells()) == stage
-
-
-@pytest.mark.parametrize("event, stage", [
-    ("deflection", "mechanical"),  # something slipped
-    ("front_1.temperature", "sensor"),  # which no wire does
-    ("front_1.current", "electrical"),
-])
-def test_a_single_event_has_the_stage_of_what_can_jump(event, stage):
-    said = decision("unexplained", candidate("unexplained", 0.9))
-    found = searched(event=event, ranked=("ambient_drift", "deflection_drift"))
-    assert stage_of(said, found, cells()) == stage
-
-
-def test_a_sure_smooth_response_tells_which_signals_are_off():
-    said = decision("unexplained", candidate("unexplained", 0.9))
-    response = cells(temperature=0.9, deflection=0.1)
-    assert stage_of(said, searched(flexible=FLEXIBLE + 1.0), response) == "sensor"
-    assert stage_of(said, searched(flexible=FLEXIBLE - 1.0), response) == "thermal"  # the nearest
-
-
-def test_parameters_that_nobody_believes_in_tell_where_the_unexplained_is():
-    said = decision("unexplained", candidate("unexplained", 0.9))
-    moved = {STARTS[0]: 6.0, STARTS[3]: -6.0}
-    found = searched(moved, shows=("front_1.temperature",))
-    assert stage_of(said, found, cells()) == "transformation"
-    believable = searched({STARTS[0]: 1.0, STARTS[3]: -1.0}, shows=("front_1.temperature",))
-    assert stage_of(said, believable, cells()) == "sensor"
-
-
-def test_without_a_gap_there_is_no_stage():
     assert stage_of(decision("no_gap", candidate("no_gap", 1.0)), searched(), []) == ""
+
+
+OTHER_WAY = ("ambient_drift", "deflection_drift")
+
+
+@pytest.mark.parametrize(
+    ("found", "shares", "stage"),
+    [
+        # Behind temperatures that are right; a deflection that does not follow; all; none.
+        ({"shows": ("deflection",)}, {}, "transformation"),
+        ({"shows": ("front_1.temperature", "deflection")}, {}, "thermal"),
+        ({"shows": ("front_1.temperature",)}, {}, "sensor"),
+        ({"shows": ALL}, {}, "electrical"),
+        ({"shows": ("front_1.current",)}, {}, "electrical"),  # no effect does this
+        ({}, {}, "thermal"),  # of the nearest effect
+        # A single event is of what can jump: a beam slips, no wire's temperature does.
+        ({"event": "deflection", "ranked": OTHER_WAY}, {}, "mechanical"),
+        ({"event": "front_1.temperature", "ranked": OTHER_WAY}, {}, "sensor"),
+        # A sure smooth response tells which signals are off.
+        ({"flexible": FLEXIBLE + 1.0}, {"temperature": 0.9, "deflection": 0.1}, "sensor"),
+        ({"flexible": FLEXIBLE - 1.0}, {"temperature": 0.9, "deflection": 0.1}, "thermal"),
+        # And so do parameters that nobody believes in.
+        ({"moved": {STARTS[0]: 6.0}, "shows": ("front_1.temperature",)}, {}, "transformation"),
+        ({"moved": {STARTS[0]: 1.0}, "shows": ("front_1.temperature",)}, {}, "sensor"),
+    ],
+)
+def test_what_is_unexplained_has_the_stage_of_what_would_put_the_same_off(found, shares, stage):
+    assert stage_of(UNEXPLAINED, searched(**found), cells(**shares)) == stage
+
+
+def test_a_sure_response_is_what_is_missing_and_else_what_is_slow():
+    """Not where a worthless response happens to be."""
+    bins = 600
+    steps = np.where(np.arange(bins) // 150 % 2, 1.0, 0.0)  # of a camera's shutter, K
+    left = 0.05 * np.random.default_rng(1).standard_normal((2, bins))
+    left[1] += steps
+    noise = {name: estimate_noise([own], 0.05, 0.2) for name, own in zip(ALL, left, strict=False)}
+    blocks = [
+        SimpleNamespace(signal=SimpleNamespace(name=name), rows=slice(k * bins, (k + 1) * bins))
+        for k, name in enumerate(noise)
+    ]
+    recalibrated = SimpleNamespace(
+        problem=SimpleNamespace(blocks=blocks, noise=noise), left=left.ravel()
+    )
+
+    def powers(gain):
+        response = np.concatenate([np.full(bins, 1e-4), np.zeros(bins)])  # in the current
+        found = SimpleNamespace(
+            recalibrated=recalibrated, flexible=SimpleNamespace(gain=gain, response=response)
+        )
+        return np.mean(missing_term(found).reshape(2, bins) ** 2, axis=1)
+
+    current, temperature = powers(FLEXIBLE)
+    assert temperature == pytest.approx(np.mean(steps**2), rel=0.1)
+    assert current < 0.1 * temperature
+    assert powers(FLEXIBLE + 1.0) == pytest.approx([1e-8, 0.0])

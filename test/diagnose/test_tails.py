@@ -9,7 +9,6 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from sma_bench.diagnose import diagnose
-from sma_bench.diagnose.facts import smoother_kinetics
 from sma_bench.diagnose.tails import MEASURED, RARE, WIDE, gain_of_tails
 from sma_bench.parameters import Parameters
 
@@ -35,15 +34,17 @@ def by_integration(value, error, wide=WIDE):
     return np.log((1.0 - RARE) + RARE * evidence(wide) / evidence(1.0))
 
 
-def test_what_tails_add_is_what_integration_says():
+def test_what_tails_add_is_what_integration_says_for_each_parameter_that_is_off():
     for value, error in ((5.0, 0.3), (6.0, 1.0), (-4.5, 0.5)):
         gain, off = gain_of_tails(fitted((value, error)))
         assert off == ("a",) and gain == pytest.approx(by_integration(value, error), rel=1e-3)
-
-
-def test_what_lies_beyond_all_belief_overflows_nothing():
+    gain, off = gain_of_tails(fitted((1.5, 0.3), (-5.0, 0.3), (4.0, 0.3)))
+    assert off == ("b", "c")
+    assert gain == pytest.approx(by_integration(-5.0, 0.3) + by_integration(4.0, 0.3), rel=1e-3)
+    # None that is as believed, of which no record tells, or that lies beyond all belief.
     with np.errstate(over="raise"):
-        assert gain_of_tails(fitted((1000.0, 0.3))) == (0.0, ())
+        for readings in (((1.5, 0.3), (-2.0, 0.3)), ((3.0, 5.0),), ((1000.0, 0.3),)):
+            assert gain_of_tails(fitted(*readings)) == (0.0, ())
 
 
 def test_what_a_test_of_the_paper_has_measured_is_less_far_off():
@@ -53,17 +54,6 @@ def test_what_a_test_of_the_paper_has_measured_is_less_far_off():
         gain, off = gain_of_tails(fitted((8.0, 0.3), names=("wire.resistance",), base=lab))
         assert off == ("wire.resistance",)
         assert gain == pytest.approx(by_integration(8.0, 0.3, wide), rel=1e-3)
-
-
-def test_each_parameter_that_is_off_is_found_and_none_that_is_as_believed():
-    gain, off = gain_of_tails(fitted((1.5, 0.3), (-5.0, 0.3), (4.0, 0.3)))
-    assert off == ("b", "c")
-    assert gain == pytest.approx(by_integration(-5.0, 0.3) + by_integration(4.0, 0.3), rel=1e-3)
-    assert gain_of_tails(fitted((1.5, 0.3), (-2.0, 0.3))) == (0.0, ())
-
-
-def test_a_parameter_that_no_record_tells_of_is_never_off():
-    assert gain_of_tails(fitted((3.0, 5.0)))[1] == ()
 
 
 def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewise(tmp_path):
@@ -79,14 +69,3 @@ def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewi
     assert result.decision.verdict == "recalibration" and name in result.search.off
     assert name in {moved.name for moved in result.moved}
     assert result.improved[name] == pytest.approx(bench[name], abs=2.0 * lab.std(name))
-
-
-def test_kinetics_that_are_surely_smoother_than_the_cosines_are_said_to_be_no_effect():
-    names = ("wire.transition_spread", "wire.transition_tail")
-
-    def smoother(values, stds):
-        unknowns = SimpleNamespace(names=names, values=lambda x: np.array(values))
-        return smoother_kinetics(SimpleNamespace(unknowns=unknowns, x=None, std=np.array(stds)))
-
-    assert list(smoother((0.47, 0.01), (0.02, 0.02))) == ["wire.transition_spread"]
-    assert smoother((0.47, 0.01), (0.3, 0.02)) == {}

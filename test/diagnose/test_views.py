@@ -7,8 +7,7 @@ import pytest
 from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_record, true_bench
 
 from sma_bench.errors import InputError
-from sma_bench.estimation import nuisances
-from sma_bench.estimation.observation import Observation, observe
+from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.physics import simulate
@@ -31,14 +30,13 @@ def volts():
     ]
 
 
-def test_every_signal_is_there_with_its_wire_and_side(view):
+def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_phase(view):
     wires = {f"{channel}.{q}" for channel in CHANNELS for q in ("current", "temperature")}
     assert {s.name for s in view.signals} == wires | {"deflection"}
     back = next(s for s in view.signals if s.name == "back_1.temperature")
     assert view.sides[back.wire] == "back"
-
-
-def test_bins_are_means_of_samples_with_their_mean_time_and_noise(view):
+    at = np.array([0.5, 4.0, 6.5, 10.0, 19.0])
+    assert view.phase_of(at).tolist() == ["initial", "drive", "rest", "drive", "rest"]
     temperature = next(s for s in view.signals if s.name == "front_1.temperature")
     assert temperature.period == pytest.approx(0.2)
     assert np.median(temperature.count) == 10
@@ -48,24 +46,11 @@ def test_bins_are_means_of_samples_with_their_mean_time_and_noise(view):
     assert np.all(np.diff(temperature.time) > 0.0)
 
 
-def test_time_before_during_and_after_driving_has_its_phase(view):
-    at = np.array([0.5, 4.0, 6.5, 10.0, 19.0])
-    assert view.phase_of(at).tolist() == ["initial", "drive", "rest", "drive", "rest"]
-
-
 def test_readings_of_the_truth_are_within_the_noise(view):
     readings = view.readings(view.simulate(true_bench()))
     for signal, reading in zip(view.signals, readings, strict=True):
         misfit = np.sqrt(np.mean((signal.value - reading) ** 2)) / signal.noise
         assert 0.7 < misfit < 1.4, signal.name
-
-
-def test_readings_are_the_bins_of_the_courses_with_their_stamps_late(view):
-    late = view.moved(np.zeros(len(view.drive.early)), {"temperature": 0.07, "deflection": -0.03})
-    run = late.simulate(true_bench())
-    for signal, reading in zip(late.signals, late.readings(run), strict=True):
-        np.testing.assert_allclose(reading, signal.average @ late.course(signal, run), rtol=1e-12)
-    assert not np.allclose(late.readings(run)[1], view.readings(run)[1], rtol=1e-6)
 
 
 def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
@@ -88,20 +73,6 @@ def test_differences_on_coarse_cells_are_those_of_the_records_own(view):
     assert np.max(off[moved] / size[moved]) < 0.08
     tells = {k: 0.5 * np.linalg.slogdet(r.T @ r + np.eye(len(x)))[1] for k, r in rows.items()}
     assert tells["coarse"] == pytest.approx(tells["own"], abs=0.1)  # nats
-
-
-def test_leads_and_the_wires_resistance_take_the_same_heat_away(view):
-    """Both are differences of V^2 R/(R + R_s)^2: where they cancel nothing may be left that a fit
-    would take for information."""
-    unknowns = unknowns_of_records(believed(), view.quantities).with_effects(["supply_drop"])
-    problem, x = Problem.of([view]), unknowns.start()
-    predicted = problem.predict(unknowns.parameters(x))
-    which = [unknowns.names.index("wire.resistance"), len(x) - 1]
-    columns = problem.derivatives(unknowns, x, predicted, which) / unknowns.slopes(x)[which]
-    for block in problem.blocks:
-        if block.signal.quantity != "current":
-            own, leads = columns[block.rows].T
-            assert np.linalg.norm(leads - 2.0 * own) < 1e-3 * np.linalg.norm(leads)
 
 
 def test_what_cannot_be_compared_is_named():
@@ -146,34 +117,6 @@ def test_a_held_level_between_two_steps_of_the_converter_is_not_known(jumping):
         other = np.abs(view.voltage - (4.0 - level)) < 0.02
         assert not change[other | (view.voltage < 0.02)].any()
     assert observe(record_of(*jumping), believed()).drive.level_errors() == []
-
-
-@pytest.mark.parametrize("wait, runs", [(60.0, 1 + 2), (1.0, 1 + 1 + 6)], ids=["far", "near"])
-def test_jumps_moved_together_show_what_each_shows_alone(monkeypatch, wait, runs):
-    """Those far apart in one simulation; those not forgotten by the next one alone after all."""
-    time = np.arange(0.0, 200.0, 0.02)
-    on = [(time > start) & (time < start + 5.0) for start in (5.0, 80.0, 155.0)]
-    signals = [
-        Signal(f"{name}.voltage", "V", time, 2.0 * np.any(on, axis=0) * (name == CHANNELS[0]))
-        for name in CHANNELS
-    ]
-    view = observe(record_of(*signals, Signal("deflection", "m", time, 0.0 * time)), believed())
-    simulated = []
-    follow = Observation.simulate
-    monkeypatch.setattr(
-        Observation, "simulate", lambda *args: simulated.append(args) or follow(*args)
-    )
-    monkeypatch.setattr(nuisances, "_FEWER", 0.0)
-    alone = nuisances.nuisances_about(view, believed())
-    assert len(simulated) == 1 + 6
-    simulated.clear()
-    monkeypatch.setattr(nuisances, "_FEWER", 1.0)
-    monkeypatch.setattr(nuisances, "_FORGOTTEN", wait)
-    together = nuisances.nuisances_about(view, believed())
-    assert len(simulated) == runs
-    assert together.items == alone.items
-    assert np.ptp(alone.columns[:, -6:], axis=0).min() > 1e-6
-    assert together.columns == pytest.approx(alone.columns, abs=1e-12)
 
 
 @pytest.fixture(scope="module")
