@@ -1,29 +1,23 @@
 """What a recorder writes, without ROS and without a disk."""
 
-import json
-
 import pytest
 
-from sma_bench.errors import InputError
-from sma_bench.live.recording import Recording, recorded_type, recorder_failure, recorder_state
+from sma_bench.live.recording import Recording, recorded_type, recorder_state
 
 READING, STATE = "/bench/wire/temperature", "/bench/experiment/state"
 
 
 class Bag:
-    """A bag in memory; a disk that is full takes nothing more."""
-
-    full = closed = False
+    """A bag in memory."""
 
     def __init__(self, path):
-        self.path, self.written, self.topics = path, [], []
+        self.path = path
+        self.written, self.topics, self.closed = [], [], False
 
     def add_topic(self, topic, kind):
         self.topics.append(topic)
 
     def write(self, *message):
-        if self.full:
-            raise InputError(f"{self.path}: the disk is full")
         self.written.append(message)
 
     def flush(self):
@@ -33,16 +27,15 @@ class Bag:
         self.closed = True
 
 
-def recording(output="bag", **options):
-    """A recording, its bags to come and its failures."""
-    bags, failures = [], []
+def recording(output="bag", skip_idle=False, margin=0.0):
+    """A recording, and its bags to come."""
+    bags = []
 
     def open_bag(path):
         bags.append(Bag(path))
         return bags[-1]
 
-    idle = options.get("skip_idle", False), options.get("margin", 0.0)
-    return Recording(output, *idle, failures.append, open_bag), bags, failures
+    return Recording(output, skip_idle, margin, pytest.fail, open_bag), bags
 
 
 def write(made, topic, second, text="x"):
@@ -56,7 +49,7 @@ def test_messages_of_one_tick_keep_their_order_and_each_bag_begins_with_all_topi
         ("/bench/experiment/progress", ""), ("/other/wire/power", ""),
     ):
         assert recorded_type(topic, "/bench/") == kind
-    made, bags, _ = recording(str(tmp_path / "bag"))
+    made, bags = recording(str(tmp_path / "bag"))
     assert made.next_output() == str(tmp_path / "bag")
     made.begin("bag")
     made.add(READING, "t")
@@ -78,7 +71,7 @@ def test_messages_of_one_tick_keep_their_order_and_each_bag_begins_with_all_topi
 
 @pytest.mark.parametrize(("margin", "expected"), [(0.0, [2.0, 3.0]), (1.0, [1.0, 2.0, 3.0, 4.0])])
 def test_idle_time_is_left_out_where_asked_but_for_a_margin(margin, expected):
-    made, bags, _ = recording(skip_idle=True, margin=margin)
+    made, bags = recording(skip_idle=True, margin=margin)
     made.begin("bag")
     for topic in (READING, STATE):
         made.add(topic, "t")
@@ -90,19 +83,3 @@ def test_idle_time_is_left_out_where_asked_but_for_a_margin(margin, expected):
             write(made, READING, moment)
     found = [stamp / 1e9 for topic, stamp, _ in bags[0].written if topic == READING]
     assert found == expected
-
-
-def test_a_full_disk_is_said_once_and_counted_as_not_written():
-    made, bags, failures = recording()
-    made.begin("bag")
-    made.add(READING, "t")
-    write(made, READING, 1.0)
-    bags[0].full = True
-    write(made, READING, 2.0)
-    write(made, READING, 3.0)
-    assert made.messages == {READING: 1} and len(bags[0].written) == 1
-    assert str(made.failure) == "bag: the disk is full" and failures
-    assert not made.finish()
-    assert recorder_failure(made.state("failed")) == "bag: the disk is full"
-    assert recorder_failure(json.dumps({"state": "failed", "failure": ""})) == "failed"
-    assert recorder_failure("not what a recorder says") == ""

@@ -122,6 +122,7 @@ class BridgedRig(Commander):
     def enable(self):
         """Wait until all readings are there, then enable."""
         self.until(lambda: self.state == "idle" and self.power and self.seen != [])
+        self.for_a_while(0.3)  # of readings, which the self-test looks at
         end = time.monotonic() + PATIENCE
         # The bridge meets the camera's node in its own time.
         while not (answer := self.ask("enable")).success:

@@ -5,18 +5,15 @@ import json
 import signal
 
 import pytest
-from planted import FEW, believed, few_effects, planted_record
+from planted import believed
 
 from sma_bench.commands.investigate import _bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
-from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.progress import silent
 from sma_bench.protocols import load_protocol
 from sma_bench.records import read_record
 from sma_bench.ros.processes import NodeProcesses
-from sma_bench.tasks.investigation import Investigation, NextRun
-from sma_bench.tasks.jobs import investigate, investigation_folder
+from sma_bench.tasks.investigation import NextRun
 
 SPACE = "/investigated"
 # Messages take most of the processor's time.
@@ -92,23 +89,3 @@ def test_the_node_waits_for_confirmation_goes_on_after_kill_9_and_stops_at_0_v(b
     bench.until(lambda: told[-1].data.startswith("stopped"))
     stopped("stopped on request")
     assert node.end() == 0 and "Traceback" not in node.output
-
-
-def test_the_work_of_the_node_needs_no_ros(tmp_path):
-    pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
-    planted_record(tmp_path / "bag", {"effect.supply_drop.resistance": 0.3})
-    settings = {p.name: p.default for p in NODE_TABLES["investigation"]} | {
-        "record": ("bag",), "record_root": str(tmp_path), "output_root": str(tmp_path),
-    }
-    with pytest.raises(InputError, match="folder.*outside output_root"):
-        investigation_folder(settings | {"folder": "/etc"})
-    with pytest.raises(InputError, match="folder: is empty"):
-        investigation_folder(settings | {"folder": ""})
-    with few_effects((*FEW, "supply_drop")):
-        found = json.loads(investigate(settings, believed(), silent))
-        (chapter,) = found["chapters"]
-        assert found["outcome"].startswith(found["state"]) and chapter["records"] == 1
-        assert (found["next"] is None) == (found["state"] != "open")
-        again = json.loads(investigate(settings, believed(), silent))
-        assert len(again["chapters"]) == 1  # nothing is done again
-    assert Investigation(tmp_path / "investigation", 30.0).chapters[0].verdict == chapter["verdict"]

@@ -12,7 +12,6 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pytest
-import yaml
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.arguments import check_arguments
@@ -247,18 +246,6 @@ def test_the_beam_is_described_when_asked(built, monkeypatch, tmp_path):
     assert described.package == "robot_state_publisher" and described.namespace == "bench"
     assert "<robot" in own(actions, "robot_state_publisher")["robot_description"]
     assert described.on_exit is None
-
-
-@pytest.mark.parametrize("rig", ["wire_rig", "composite_rig"])
-def test_a_rig_file_carries_table_i_and_is_of_doubles_to_ros(rig):
-    parameters = read_parameters(ROOT / "config" / f"{rig}.yaml")
-    defaults = Parameters.defaults()
-    different = {name for name in defaults if parameters[name] != defaults[name]}
-    assert different <= {"bench.channels", "bench.channel_sides"}
-    assert {"wire.resistance", "wire.specific_heat"} <= parameters.given
-    body = yaml.safe_load((ROOT / "config" / f"{rig}.yaml").read_text())["/**"]["ros__parameters"]
-    for group in body.values():
-        assert all(isinstance(value, (float, list)) for value in group.values())
 
 
 def played(**given):
