@@ -16,46 +16,29 @@ from sma_bench.border import MEGABYTE, Budget, OverBudget, printable
 from sma_bench.errors import InputError
 from sma_bench.records.sheets import missing_package, why
 from sma_bench.records.structure import LONGEST_NAME, MOST_COLUMNS, Column, Table
-from sma_bench.records.units import parse_unit, split_title
+from sma_bench.records.units import WORDS, parse_unit, split_title
 
+_Found = tuple[list[Table], list[str]]
 _MOST_LEAVES = 10_000
 _DEEPEST = 16
-_TEXT_KEYS = {
-    "unit": "unit",
-    "units": "unit",
-    "label": "title",
-    "name": "title",
-    "long_name": "title",
-    "title": "title",
-}
-_LIST_KEYS = frozenset(
-    {"names", "name", "titles", "labels", "columns", "headers", "header", "channels", "variables"}
-)
-_SCALES = {
-    "scale_factor": "scale",
-    "scale": "scale",
-    "gain": "scale",
-    "add_offset": "offset",
-    "offset": "offset",
-    "_fillvalue": "fill",
-    "fillvalue": "fill",
-    "missing_value": "fill",
-    "fill_value": "fill",
-}
-
-# --- MATLAB and HDF5: named arrays in a tree ------------------------------------------------------
+_MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
 
 
 @dataclass(frozen=True)
 class _Leaf:
-    """An array or a text somewhere in a file, with what its attributes say."""
+    """An array, a text or a list of texts somewhere in a file, with what its attributes say."""
 
     path: tuple[str, ...]
     value: Any
     said: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def folder(self) -> tuple[str, ...]:
+        """Where it lies."""
+        return self.path[:-1]
 
-def read_matlab(content: bytes, budget: Budget) -> tuple[list[Table], list[str]]:
+
+def read_matlab(content: bytes, budget: Budget) -> _Found:
     from scipy.io import loadmat
 
     try:
@@ -143,28 +126,22 @@ def _check_matrix(content: bytes, order: str, depth: int, budget: Budget) -> Non
 def _matlab_leaves(path: tuple[str, ...], value: Any) -> Iterator[_Leaf]:
     if len(path) > _DEEPEST:
         raise OverBudget(f"nested deeper than {_DEEPEST} levels")
+    items = value.ravel()[:MOST_COLUMNS] if isinstance(value, np.ndarray) else np.zeros(0)
+    are_texts = items.dtype == object and len(items) and all(isinstance(i, str) for i in items)
     if hasattr(value, "_fieldnames"):
         for name in value._fieldnames:
             yield from _matlab_leaves((*path, name), getattr(value, name))
-    elif (
-        isinstance(value, np.ndarray)
-        and value.dtype == object
-        and value.size
-        and all(isinstance(item, str) for item in value.ravel()[:MOST_COLUMNS])
-    ):
-        yield _Leaf(path, [str(item) for item in value.ravel()[:MOST_COLUMNS]])
-    elif isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size > 1:
-        yield _Leaf(path, [str(item).strip() for item in value.ravel()[:MOST_COLUMNS]])
-    elif isinstance(value, np.ndarray) and value.dtype == object:
-        for k, item in enumerate(value.ravel()[:MOST_COLUMNS]):
+    elif are_texts or (items.dtype.kind == "U" and len(items) > 1):
+        yield _Leaf(path, [str(item).strip() for item in items])
+    elif items.dtype == object:
+        for k, item in enumerate(items):
             yield from _matlab_leaves((*path, str(k + 1)), item)
-    elif type(value).__name__ in ("MatlabOpaque", "MatlabFunction"):
-        yield _Leaf(path, None)  # timeseries and table objects: MATLAB alone knows what is in them
-    else:
-        yield _Leaf(path, value)
+    else:  # of timeseries and table objects MATLAB alone knows what is in them
+        is_closed = type(value).__name__ in ("MatlabOpaque", "MatlabFunction")
+        yield _Leaf(path, None if is_closed else value)
 
 
-def read_hdf5(content: bytes, budget: Budget) -> tuple[list[Table], list[str]]:
+def read_hdf5(content: bytes, budget: Budget) -> _Found:
     try:
         import h5py
     except ImportError:
@@ -183,11 +160,7 @@ def read_hdf5(content: bytes, budget: Budget) -> tuple[list[Table], list[str]]:
         value = item[()] if item.shape is not None else None
         if item.attrs.get("MATLAB_class") == b"char":
             value = "".join(chr(letter) for letter in np.asarray(value).ravel()[:LONGEST_NAME])
-        said = {
-            key: item.attrs[key]
-            for key in item.attrs
-            if key.lower() in _TEXT_KEYS or key.lower() in _SCALES
-        }
+        said = {_MEANS[k.lower()]: v for k, v in item.attrs.items() if k.lower() in _MEANS}
         if item.dtype.names and value is not None:  # a compound table: a column each
             value = np.atleast_1d(value).ravel()
             leaves.extend(_Leaf((*path, n), value[n]) for n in item.dtype.names)
@@ -212,86 +185,72 @@ def _text(value: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def _from_leaves(leaves: list[_Leaf], mark: str, budget: Budget) -> tuple[list[Table], list[str]]:
+def _from_leaves(leaves: list[_Leaf], mark: str, budget: Budget) -> _Found:
     """Tables of all arrays of numbers, those of one length together; texts called unit, label or
     name speak for the arrays beside them, lists of texts for the columns of one."""
     said: dict[tuple[str, ...], dict[str, str]] = {}
-    lists: dict[tuple[str, ...], list[_Leaf]] = {}
     for leaf in leaves:
-        key = _TEXT_KEYS.get(leaf.path[-1].lower())
-        if key and isinstance(leaf.value, (str, bytes)):
-            said.setdefault(leaf.path[:-1], {})[key] = _text(leaf.value)
-        elif isinstance(leaf.value, list):
-            lists.setdefault(leaf.path[:-1], []).append(leaf)
+        key = _MEANS.get(leaf.path[-1].lower())
+        if key in ("unit", "title") and isinstance(leaf.value, (str, bytes)):
+            said.setdefault(leaf.folder, {})[key] = _text(leaf.value)
+    lists = [leaf for leaf in leaves if isinstance(leaf.value, list)]
+    valued = [leaf.folder for leaf in leaves if leaf.path[-1] == "values"]
+    simulink = {folder[:n] for folder in valued for n in range(len(folder) + 1)}
     columns: dict[int, list[Column]] = {}
     outside: list[str] = []
     for leaf in leaves:
-        array = _rows_of(leaf.value)
-        label = mark.join(leaf.path)
+        array, label = _rows_of(leaf.value), mark.join(leaf.path)
         if array is None:
-            if not isinstance(leaf.value, (str, bytes, list)) and np.size(leaf.value) != 1:
-                outside.append(f"{printable(label)} (no array of numbers)")
-            elif leaf.value is None:
+            if leaf.value is None:
                 outside.append(f"{printable(label)} (an object that MATLAB alone can read)")
+            elif not isinstance(leaf.value, (str, bytes, list)) and np.size(leaf.value) != 1:
+                outside.append(f"{printable(label)} (no array of numbers)")
             continue
-        own = {
-            _TEXT_KEYS[k.lower()]: _text(v) for k, v in leaf.said.items() if k.lower() in _TEXT_KEYS
-        }
         is_time = leaf.path[-1].lower() in ("time", "t", "tout")
-        beside = {} if is_time else said.get(leaf.path[:-1], {})
-        named = {**beside, **own}
-        if is_time and any(
-            p[: len(leaf.path) - 1] == leaf.path[:-1] and p[-1:] == ("values",)
-            for p in (other.path for other in leaves)
-        ):
+        own = {key: _text(v) for key, v in leaf.said.items() if key in ("unit", "title")}
+        named = ({} if is_time else said.get(leaf.folder, {})) | own
+        if is_time and leaf.folder in simulink:
             named.setdefault("unit", "s")  # of a Simulink structure with time
         title, unit = split_title(named.get("title") or leaf.path[-1])
         many = array.shape[1]
-        titles = [title + (f" {k + 1}" if many > 1 else "") for k in range(many)]
-        units = [named.get("unit", unit)] * many
-        names = [label + (f" {k + 1}" if many > 1 else "") for k in range(many)]
-        for other in lists.get(leaf.path[:-1], []):
+        ends = [f" {k + 1}" for k in range(many)] if many > 1 else [""]
+        found = [(label + end, title + end, named.get("unit", unit)) for end in ends]
+        for other in lists if many > 1 else ():
             texts = other.value
-            if many == 1 or len(texts) != many:
+            if other.folder != leaf.folder or len(texts) != many:
                 continue
-            if other.path[-1].lower() in _LIST_KEYS or not all(map(parse_unit, texts)):
-                split = [split_title(text) for text in texts]
-                names = [f"{label}{mark}{text}" for text in texts]
-                titles = [title for title, _ in split]
-                units = [unit or old for (_, unit), old in zip(split, units, strict=True)]
+            if other.path[-1].lower() in WORDS["lists"] or not all(map(parse_unit, texts)):
+                split = [(f"{label}{mark}{text}", *split_title(text)) for text in texts]
+                pairs = zip(split, found, strict=True)
+                found = [(name, title, unit or old[2]) for (name, title, unit), old in pairs]
             else:
-                units = list(texts)
+                found = [(*old[:2], unit) for old, unit in zip(found, texts, strict=True)]
         # Attributes that scale, and what stands for a missing value.
         numbers = {
-            _SCALES[k.lower()]: np.ravel(v)
-            for k, v in leaf.said.items()
-            if k.lower() in _SCALES and np.size(v) == 1 and np.asarray(v).dtype.kind in "fiu"
+            key: float(np.ravel(v)[0])
+            for key, v in leaf.said.items()
+            if np.size(v) == 1 and np.asarray(v).dtype.kind in "fiu"
         }
         array = np.array(array, dtype=np.float64)
-        if "fill" in numbers:
-            array[array == float(numbers["fill"][0])] = np.nan
-        array = array * float(numbers.get("scale", [1.0])[0])
-        array = array + float(numbers.get("offset", [0.0])[0])
+        array[array == numbers.get("fill", np.nan)] = np.nan
+        array = array * numbers.get("scale", 1.0) + numbers.get("offset", 0.0)
         budget.take(8 * array.size)
         columns.setdefault(len(array), []).extend(
-            Column(names[k], titles[k], units[k], array[:, k].copy(), mark.join(leaf.path[:-1]))
-            for k in range(many)
+            Column(*texts, values.copy(), mark.join(leaf.folder))
+            for texts, values in zip(found, array.T, strict=True)
         )
     if sum(map(len, columns.values())) > MOST_COLUMNS:
         raise InputError(f"more than {MOST_COLUMNS} columns, expected at most that")
-    return [
+    tables = [
         Table("", tuple(found), rows=n, lines=np.arange(1, n + 1)) for n, found in columns.items()
-    ], outside
+    ]
+    return tables, outside
 
 
 def _rows_of(value: Any) -> Any:
     """An array of numbers as (n, k) with n the longer side; None for anything else."""
-    array = np.asarray(value) if isinstance(value, (np.ndarray, list)) else None
-    if array is None or array.dtype.kind not in "fiub" or array.size < 2:
+    array = np.squeeze(np.asarray(value)) if isinstance(value, (np.ndarray, list)) else np.zeros(0)
+    if array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
         return None
-    array = np.squeeze(array)
-    if array.ndim == 1:
-        return array[:, None]
-    if array.ndim != 2:
-        return None
+    array = array.reshape(len(array), -1)
     return array if array.shape[0] >= array.shape[1] else array.T

@@ -75,68 +75,59 @@ class ImportMap:
 def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> str:
     """The map as commented YAML."""
 
-    def line(key: str, value: Any = None, subject: str = "") -> str:
+    def shown(value: Any, subject: str = "") -> str:
         text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-        remark = remarks.get(subject)
-        return f"{key}{'' if value is None else f' {text}'}" + (
-            f"  # {printable(remark)}" if remark else ""
-        )
+        return f"{text}  # {printable(remarks[subject])}" if subject in remarks else text
 
+    source = f"{printable(table.path.name)} ({table.format})"
     lines = [
-        f"# Map of {printable(table.path.name)} ({table.format}), for sma-bench import --map; "
-        "`ask` is to be filled in.",
+        f"# Map of {source}, for sma-bench import --map; `ask` is to be filled in.",
         "# SI value = sign * (scale * column in its unit + offset) - reference",
         "# reference: rest (0 before the first drive), none, or a number; form of a voltage: rms",
         "# (or direct), duty or mean of the switched supply; of a current: rms, mean or peak.",
         f"# A table without a clock has one called {ROWS!r}, whose unit is the period: 0.1 s.",
         "time:",
     ]
-    lines += [line(f"  {json.dumps(c, ensure_ascii=False)}:", u, c) for c, u in made.clocks.items()]
+    lines += [f"  {shown(name)}: {shown(unit, name)}" for name, unit in made.clocks.items()]
     for key in ("supply_voltage", "lever"):
         if (value := getattr(made, key)) is not None:
-            lines.append(line(f"{key}:", value, key))
-    lines.append(line("signals:", None, "signals"))
+            lines.append(f"{key}: {shown(value, key)}")
+    remark = printable(remarks.get("signals", ""))
+    lines.append(f"signals:  # {remark}" if remark else "signals:")
     columns = {column.name: column.values for column in table.columns}
     for entry in made.entries:
         values = columns[entry.column]
         span = f"{np.nanmin(values):.6g} to {np.nanmax(values):.6g}"
         more = f"; {printable(remarks[entry.column])}" if entry.column in remarks else ""
-        lines += [line("  - signal:", entry.signal), f"    # {span}{more}"]
-        shown = [f.name for f in fields(Entry)[1:]]
-        if entry.kind not in (*_FORMS, ASK):
-            shown.remove("form")
-        lines += [line(f"    {name}:", getattr(entry, name)) for name in shown]
+        lines += [f"  - signal: {shown(entry.signal)}", f"    # {span}{more}"]
+        for name, value in list(vars(entry).items())[1:]:
+            if name != "form" or entry.kind in (*_FORMS, ASK):
+                lines.append(f"    {name}: {shown(value)}")
     lines.append("ignored:" if made.ignored else "ignored: []")
-    lines += [line("  -", name, name) for name in made.ignored]
+    lines += [f"  - {shown(name, name)}" for name in made.ignored]
     return "\n".join(lines) + "\n"
 
 
 def read_map(path: str | Path) -> ImportMap:
-    """The map of a file, checked.
-
-    Raises:
-        InputError: unreadable, or with a key or value that a map does not have; what is still to
-            be filled in is named.
-    """
+    """The map of a file; raises InputError where it is unreadable, or has a key or value that a map
+    does not have. What is still to be filled in is named."""
     document = read_yaml(path)
     known = {"time", "supply_voltage", "lever", "signals", "ignored"}
     if not isinstance(document, dict) or set(document) - known:
         raise InputError(f"{path}: not a map: expected {', '.join(sorted(known))}")
     clocks, rows = document.get("time"), document.get("signals")
-    if not isinstance(clocks, dict) or not all(
-        isinstance(text, str) for pair in clocks.items() for text in pair
-    ):
+    pairs = list(clocks.items()) if isinstance(clocks, dict) else [(None, None)]
+    if not all(isinstance(text, str) for pair in pairs for text in pair):
         raise InputError(f"{path}: time: expected columns and their units")
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: signals: expected a list with one or more")
-    for column, unit in clocks.items():
+    for column, unit in pairs:
         if tick_of(column, unit) is None:
-            found = f"time: {column}: unit is {printable(unit)!r}"
             wanted = "a period such as 0.1 s" if column == ROWS else "a unit of time"
-            raise InputError(f"{path}: {found}, expected {wanted}")
-    numbers: dict[str, float | None] = {}
-    for key in ("supply_voltage", "lever"):
-        value = numbers[key] = document.get(key)
+            said = f"time: {column}: unit is {printable(unit)!r}"
+            raise InputError(f"{path}: {said}, expected {wanted}")
+    supply, lever = numbers = [document.get(key) for key in ("supply_voltage", "lever")]
+    for key, value in zip(("supply_voltage", "lever"), numbers, strict=True):
         if value is not None and not (_is_number(value) and value > 0):
             found = printable(str(value))[:40]
             raise InputError(f"{path}: {key} is {found!r}, expected a number > 0")
@@ -144,9 +135,9 @@ def read_map(path: str | Path) -> ImportMap:
     for entry in entries:
         if entry.clock not in clocks:
             raise InputError(f"{path}: {entry.signal}: clock {entry.clock!r} is not under time")
-        if entry.form != "rms" and entry.kind == "voltage" and numbers["supply_voltage"] is None:
+        if entry.form != "rms" and entry.kind == "voltage" and supply is None:
             raise InputError(f"{path}: supply_voltage is missing, {entry.signal} is a {entry.form}")
-    return ImportMap(clocks, entries, numbers["supply_voltage"], numbers["lever"])
+    return ImportMap(clocks, entries, supply and float(supply), lever and float(lever))
 
 
 def _is_number(value: Any) -> bool:
@@ -203,11 +194,8 @@ def convert(table: TableFile, made: ImportMap) -> tuple[list[Signal], list[str],
     """Signals in SI from a table by its map, a sentence on each, and the epoch time of 0 in ns.
 
     Clocks keep their offsets to each other; the first sample of all is at 0. Rows that share a
-    stamp are spread over it, all signals of the clock alike.
-
-    Raises:
-        InputError: a column that the file does not have, a clock that goes back or stands still, a
-            duty that is none, or no value at all.
+    stamp are spread over it, all signals of the clock alike. Raises InputError for a column that
+    the file does not have, a clock that goes back or stands still, a duty that is none, no values.
     """
     columns = {column.name: column for column in table.columns}
     for name in (*made.clocks, *(entry.column for entry in made.entries)):
@@ -288,10 +276,8 @@ def _samples(table: TableFile, made: ImportMap, entry: Entry) -> tuple[FloatArra
     if np.any(steps < 0):
         row = int(np.argmax(steps < 0)) + 1
         back = time[kept][row - 1 : row + 1]
-        raise InputError(
-            f"{where}: its time goes back from {back[0]:.9g} to {back[1]:.9g} s in row "
-            f"{row + 1} of the numbers, expected one run"
-        )
+        said = f"its time goes back from {back[0]:.9g} to {back[1]:.9g} s in row {row + 1}"
+        raise InputError(f"{where}: {said} of the numbers, expected one run")
     if np.all(steps > 0.0):
         time = time[kept]
     elif kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0):
@@ -319,11 +305,8 @@ def _samples(table: TableFile, made: ImportMap, entry: Entry) -> tuple[FloatArra
 
 def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
     """(n,) s that increase, of stamps (n,) coarser than the rows, and a remark: a line through all
-    where rows came evenly, else even steps within each stamp.
-
-    Raises:
-        InputError: all rows have one stamp.
-    """
+    where rows came evenly, else even steps within each stamp; raises InputError where all rows have
+    one stamp."""
     stamps, first, count = np.unique(time, return_index=True, return_counts=True)
     if len(stamps) < 2:
         raise InputError(f"{where}: all {len(time)} rows are at one time, expected a running clock")
@@ -369,12 +352,9 @@ def _sentence(entry: Entry, made: ImportMap) -> str:
     how = f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
     if entry.kind == "current" and entry.form != "rms":
         how += f", the {entry.form} of a switched current, as that of the same heat"
-    elif entry.form in ("duty", "mean"):
-        root = "sqrt(duty)" if entry.form == "duty" else "sqrt(mean"
-        end = "" if entry.form == "duty" else ")"
-        how += f" as {root} x {made.supply_voltage:g} V{end}, the direct voltage of the same heat"
-    if entry.sign == -1:
-        how += ", counted the other way"
-    if (entry.scale, entry.offset) != (1.0, 0.0):
-        how += f", x {entry.scale:g} + {entry.offset:g}"
-    return how
+    elif entry.form != "rms":
+        root = "sqrt(duty) x {:g} V" if entry.form == "duty" else "sqrt(mean x {:g} V)"
+        how += f" as {root.format(made.supply_voltage)}, the direct voltage of the same heat"
+    how += ", counted the other way" if entry.sign == -1 else ""
+    scaled = (entry.scale, entry.offset) != (1.0, 0.0)
+    return how + f", x {entry.scale:g} + {entry.offset:g}" * scaled
