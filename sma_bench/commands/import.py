@@ -65,19 +65,15 @@ def run(args: SimpleNamespace) -> int:
     bench = BenchHints()
     if args.params:
         bench = bench_of(read_parameter_names(args.params), args.params)
-    units = {}
-    for text in args.units:
-        column, equals, unit = text.rpartition("=")
-        if not equals:
-            raise InputError(f"--unit {text!r}, expected COLUMN=UNIT")
-        units[column] = unit
+    units = dict(text.rpartition("=")[::2] for text in args.units)
+    if "" in units:
+        raise InputError(f"--unit {units['']!r}, expected COLUMN=UNIT")
     # Each file, and each sheet that is a run of its own, with its bag and its map.
     out = Path(args.out)
     tables = [read_table_file(Path(file)) for file in args.files]
+    runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in runs_of(t)]
     if args.together:
         runs = [(args.files[0], "", together(tables))]
-    else:
-        runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in runs_of(t)]
     stems = [re.sub(r"[^\w.-]+", "_", f"{Path(file).stem} {sheet}".strip()).strip(".") or "run"
              for file, sheet, _ in runs]  # fmt: skip
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
@@ -94,12 +90,8 @@ def run(args: SimpleNamespace) -> int:
     # Everything is read before anything is written, but for a map that is to be filled in.
     read = []
     for (source, _, table), bag, path in zip(runs, bags, maps, strict=True):
-        used, text = given, None
-        remarks: dict[str, str] = {}
-        questions: list[str] = []
-        if used is None:
-            used, questions, remarks = propose(table, bench, units)
-            text = map_text(used, table, remarks)
+        used, questions, remarks = (given, [], {}) if given else propose(table, bench, units)
+        text = None if given else map_text(used, table, remarks)
         account = account_of(table, used, remarks, questions)
         if questions:
             _write_map(path, text, args.force)
@@ -140,11 +132,10 @@ def _write_map(path: Path, text: str | None, force: bool) -> None:
     """Write a proposed map, but not over one that somebody has edited."""
     from sma_bench.parameters.yaml_file import write_text_atomically
 
-    if text is None:
+    is_there = path.exists() and not force
+    if text is None or (is_there and path.is_file() and path.read_text(errors="replace") == text):
         return
-    if path.exists() and not force:
-        if path.is_file() and path.read_text(errors="replace") == text:
-            return
+    if is_there:
         raise InputError(f"{path}: exists already; --map {path} uses it, --force replaces it")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text_atomically(path, text)

@@ -116,18 +116,18 @@ def read_map(path: str | Path) -> ImportMap:
     if not isinstance(document, dict) or set(document) - known:
         raise InputError(f"{path}: not a map: expected {', '.join(sorted(known))}")
     clocks, rows = document.get("time"), document.get("signals")
-    pairs = list(clocks.items()) if isinstance(clocks, dict) else [(None, None)]
-    if not all(isinstance(text, str) for pair in pairs for text in pair):
+    texts = [*clocks, *clocks.values()] if isinstance(clocks, dict) else [None]
+    if not isinstance(clocks, dict) or not all(isinstance(text, str) for text in texts):
         raise InputError(f"{path}: time: expected columns and their units")
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: signals: expected a list with one or more")
-    for column, unit in pairs:
+    for column, unit in clocks.items():
         if tick_of(column, unit) is None:
             wanted = "a period such as 0.1 s" if column == ROWS else "a unit of time"
             said = f"time: {column}: unit is {printable(unit)!r}"
             raise InputError(f"{path}: {said}, expected {wanted}")
-    supply, lever = numbers = [document.get(key) for key in ("supply_voltage", "lever")]
-    for key, value in zip(("supply_voltage", "lever"), numbers, strict=True):
+    supply, lever = document.get("supply_voltage"), document.get("lever")
+    for key, value in (("supply_voltage", supply), ("lever", lever)):
         if value is not None and not (_is_number(value) and value > 0):
             found = printable(str(value))[:40]
             raise InputError(f"{path}: {key} is {found!r}, expected a number > 0")

@@ -145,7 +145,10 @@ class Sheet:
 
 
 def _is(column: Column, role: str) -> bool:
-    """Whether a column may be of a role; a set temperature is one if there is no other."""
+    """Whether a column may be of a role: its title says so, or of heat flow its unit alone; a set
+    temperature is one if there is no other."""
+    if role != "heat flow" and not title_meanings(column.title):
+        return False
     meant, unit = meanings(column.title, column.unit), parse_unit(column.unit)
     if role == "temperature" and meant in (("setpoint",), ("ambient",)):
         meant = ("temperature",) if "temp" in plain_title(column.title) else ()
