@@ -1,4 +1,5 @@
-"""An effect planted in a record is named, and its size found, whatever is measured."""
+"""An effect planted in a record is named, and its size found, whatever is measured; and where none
+is, none is declared, whatever colour the noise has."""
 
 import pytest
 from planted import ALL, FEW, believed, few_effects, planted_pair
@@ -83,3 +84,25 @@ def test_what_the_effect_leaves_is_noise(planted_diagnosis):
     white = problem.whiten(left)
     assert white.std() == pytest.approx(1.0, abs=0.1)
     assert planted_diagnosis.search.beyond.gain < 10.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["coloured", "drifting"])
+def test_parameters_that_are_off_are_not_taken_for_an_effect(kind, tmp_path):
+    seen, unseen = planted_pair(tmp_path, kind=kind, quantities=("temperature", "deflection"))
+    with few_effects():
+        result = diagnose(seen, believed(), unseen)
+    assert result.decision.verdict in ("recalibration", "no_gap")
+    assert result.decision.cause == ()
+    assert sum(c.probability for c in result.decision.candidates if c.effects) < 0.35
+
+
+def test_a_bench_that_is_as_believed_has_no_gap(tmp_path):
+    seen, unseen = planted_pair(tmp_path, quantities=("deflection",), bench=believed())
+    with few_effects():
+        result = diagnose(seen, believed(), unseen)
+    assert result.decision.verdict == "no_gap"
+    assert result.improved == result.parameters
+    deflection = result.shrinkage["deflection"]
+    assert deflection.rmse_after == deflection.rmse_before
+    assert deflection.rmse_before == pytest.approx(deflection.noise_floor, rel=0.1)

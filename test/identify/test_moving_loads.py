@@ -9,7 +9,6 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 
 import sma_bench
 from examination.check import loads
-from sma_bench.estimation import side_by_side
 from sma_bench.identify import identify, whole_model
 from sma_bench.identify.whole_model import (
     identify_moving_bench,
@@ -116,17 +115,6 @@ def test_a_duty_is_recorded_as_the_direct_voltage_of_the_same_heat():
     first, second = (identify_moving_bench([record], p).estimates for p in (switched, believed))
     for name, estimate in first.items():
         assert estimate.value == pytest.approx(second[name].value, rel=1e-6), name
-
-
-def test_a_fit_on_both_cores_is_that_on_one(both_cores, monkeypatch):
-    believed = Parameters.of_paper().replace({**BELIEVED, **RIGS["spring"]})
-    record = recorded(drawn(believed, seed=4), "triangle", 1)
-    found = []
-    for busy in (True, False):
-        monkeypatch.setattr(side_by_side._WORKER, "busy", busy, raising=False)
-        estimates = identify_moving_bench([record], believed).estimates
-        found.append({name: (e.value, e.std) for name, e in estimates.items()})
-    assert found[0] == found[1]
 
 
 def test_a_current_source_needs_no_voltmeter():

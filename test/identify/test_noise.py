@@ -10,8 +10,6 @@ from sma_bench.estimation.noise_model import (
     autocorrelation,
     estimate_noise,
     inflation,
-    quantisation_variance,
-    resolution,
 )
 from sma_bench.identify.estimate import combine
 
@@ -50,20 +48,6 @@ def test_inflation_of_a_first_order_process_is_that_of_theory(keep, expected, wi
     noise = Noise(0.0, 1.0, -1.0 / np.log(keep) if keep else 1e-3, 1.0)
     pieces = [drawn(noise, 300, seed) for seed in range(200)]
     assert inflation(autocorrelation(pieces)) == pytest.approx(expected, abs=within)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.2, 0.5])
-def test_hidden_converter_error_is_that_of_simulated_means(noise):
-    rng = np.random.default_rng(4)
-    truth = rng.uniform(0.0, 10.0, 400)
-    samples = np.round(truth[:, None] + rng.normal(0.0, noise, (400, 4000)))
-    error = samples.mean(axis=1) - truth
-    scatter = float(np.sqrt(np.mean(samples.var(axis=1))))
-    expected = quantisation_variance(np.hypot(noise, 1.0 / np.sqrt(12.0)), 1.0)
-    assert error.var() == pytest.approx(expected + scatter**2 / 4000, rel=0.25, abs=2e-5)
-    signal = rng.normal(0.0, 0.05, 5000)
-    assert resolution(np.round(signal / 0.026) * 0.026) == pytest.approx(0.026)
-    assert resolution(signal) == 0.0
 
 
 def test_disagreeing_records_widen_the_error():

@@ -54,33 +54,6 @@ def test_ramp_commanded_in_small_steps_is_still_one_ramp():
     assert [s.kind for s in found.items] == ["plateau", "ramp", "plateau"]
 
 
-def drive_in_steps_of(jump, commanded=True):
-    """True volts and the drive as read by two wires, a ramp commanded in jumps of so many steps."""
-    time = np.arange(0.0, 40.0, 0.02)
-    sent = np.arange(0.0, 40.0, 0.05)
-    volts = np.where((sent > 5.0) & (sent < 25.0), (20.0 * (sent - 5.0) * jump + 0.4) * STEP, 0.0)
-    true = volts[np.searchsorted(sent, time + 1e-9, side="right") - 1]
-    read = [(time, measured(np.random.default_rng(seed), time, true, 0.0005)) for seed in (1, 2)]
-    commands = (sent, np.column_stack([volts, volts])) if commanded else None
-    return true, applied_voltage(read, commands)
-
-
-def test_ramp_commanded_in_whole_steps_of_the_converter_may_be_off_all_along():
-    true, drive = drive_in_steps_of(1.0)
-    ramps = [one for one in drive.channels[0].lines if drive.channels[0].voltage[one[1] - 9] > STEP]
-    [(first, last, noise)] = ramps
-    off = float(np.mean(drive.channels[0].voltage[first:last] - true[first:last]))
-    assert abs(off) > 20.0 * noise / np.sqrt(last - first)
-    errors = drive.line_errors()
-    means = np.array([[float(error[k][first:last].mean()) for k in (0, 1)] for error in errors])
-    assert abs(off) < 2.0 * float(np.linalg.norm(means[:, 0]))
-    # The same converter reads both wires.
-    assert np.any(np.abs(means.prod(axis=1)) > (0.2 * STEP) ** 2)
-    # Jumps of another size meet all parts of a step, and of unknown ones nothing is said.
-    assert len(drive_in_steps_of(0.83)[1].line_errors()) == len(errors) - 1
-    assert len(drive_in_steps_of(1.0, commanded=False)[1].line_errors()) == len(errors) - 1
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     levels=st.lists(st.integers(0, 24), min_size=2, max_size=12),

@@ -141,18 +141,6 @@ def test_staircases_in_different_air_are_not_pooled_without_a_word(staircase, ra
     assert any(CP in w and "of which E2 says" in w for w in bent.warnings)
 
 
-def test_slow_ramps_without_a_jump_have_no_bias_from_the_noise_of_their_voltage(ramp, sensors):
-    known = KNOWN.replace({R: 2.75, H: 410.0}, {R: 0.001, H: 0.4})
-    off = []
-    for seed in range(4):
-        slow = ramp(top=5.0, rise=25.0, rest=10.0, repeat=2, seed=seed, sensors=sensors(50.0, 50.0))
-        found = identify([slow], known, ["E3"]).experiments[0]
-        cp = found.estimates[CP]
-        off.append(cp.value / 350.0 - 1.0)
-        assert abs(cp.value - 350.0) < 3.0 * cp.std
-    assert abs(np.mean(off)) < 0.04
-
-
 def test_a_spot_that_the_wire_fills_in_part_is_wondered_at(staircase, ramp):
     seen = {"temperature": lambda x: AMBIENT + 0.6 * (x - AMBIENT)}
     found = identify([read_by(seen, one) for one in records(staircase, ramp)], KNOWN)

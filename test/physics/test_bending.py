@@ -87,15 +87,6 @@ def test_coefficients_carry_force_to_curvature():
     assert front == back
 
 
-def test_given_coefficients_override_the_geometry():
-    given = Parameters.of_paper().replace(
-        {"composite.deflection_per_strain": 0.7, "composite.stress_per_deflection_back": 3e9}
-    )
-    alpha, front, back = bending.bending_coefficients(given)
-    assert (alpha, back) == (0.7, 3e9)
-    assert front == bending.bending_coefficients(Parameters.of_paper())[1]
-
-
 def test_the_active_layer_is_as_wide_as_its_wires_and_not_as_the_beam():
     """Four wires, two a side: alpha 1.714 m; the printed single width makes them a 30 mm sheet."""
     rig = Parameters.of_paper().replace({

@@ -320,23 +320,6 @@ def test_beyond_the_detwinning_stress_passive_wires_yield_and_stay_stretched(com
     assert stretch.max() > 1e-3
 
 
-def test_the_stretch_bends_at_rest_and_is_recovered_by_heating_the_passive_side(composite_rig):
-    time = np.arange(0.0, 24.0, 0.02)
-    voltage = np.zeros((time.size, 4))
-    voltage[time < 2.0, :2] = 6.3
-    voltage[(time >= 12.0) & (time < 16.0), 2:] = 7.0
-    run = simulate(opposing(composite_rig, 1.0, 60e6), time, voltage)
-    before, after = np.searchsorted(time, [11.9, 15.9])
-    felt = run.contraction[:before, 0]
-    _, stretch = forces_of_passive_wires(felt, 2 * E_M, 2 * 60e6, 2 * HARDENING)
-    elastic = 5.0 / 4.0 * 2 * E_M
-    expected = elastic * stretch[-1] / (5.0e9 + elastic + 2 * E_M)
-    assert run.bending[before, 0] == pytest.approx(expected, rel=1e-6)
-    assert run.deflection[before] > 1e-3
-    assert run.martensite_fraction[after, 2] == 0.0
-    assert run.bending[after, 0] == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize("step", [0.005, 0.1])
 def test_slack_is_a_dead_zone_of_exactly_its_strain(composite_rig, step):
     slack = 4e-3
