@@ -98,15 +98,14 @@ def true_bench(effects=None):
 def drive(turned=False, rate=RATE):
     """Full strokes of both sides and a partial one of the first; `turned` swaps the sides."""
     time = np.arange(0.0, DURATION, 1.0 / rate)
-    first = 2.6 * _trapezoid(time, 1.0, 5.0) + 2.1 * _trapezoid(time, 14.0, 17.0)
-    second = 2.5 * _trapezoid(time, 7.5, 11.5)
+
+    def stroke(start, stop):
+        """From 0 to 1 within 1.5 s, and back to 0 within 0.5 s."""
+        return np.clip(np.minimum((time - start) / 1.5, (stop - time) / 0.5), 0.0, 1.0)
+
+    first, second = 2.6 * stroke(1.0, 5.0) + 2.1 * stroke(14.0, 17.0), 2.5 * stroke(7.5, 11.5)
     pair = (second, first) if turned else (first, second)
     return time, np.column_stack(pair)
-
-
-def _trapezoid(t, start, stop):
-    """From 0 to 1 within 1.5 s, and back to 0 within 0.5 s."""
-    return np.clip(np.minimum((t - start) / 1.5, (stop - t) / 0.5), 0.0, 1.0)
 
 
 def sensor_noise(kind, count, std, random):
@@ -122,14 +121,7 @@ def sensor_noise(kind, count, std, random):
 
 
 def planted_record(
-    path,
-    effects=None,
-    *,
-    quantities=ALL,
-    kind="white",
-    seed=1,
-    turned=False,
-    bench=None,
+    path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False, bench=None,
     protocol=None,
 ):
     """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
@@ -144,20 +136,22 @@ def planted_record(
     found = simulate(parameters, fine, between[:, : len(channels)])
     time, voltage = driven(RATE)
     random = np.random.default_rng(seed)
-    signals = []
+    kelvin, xi = found.temperature[::FINER], found.martensite_fraction[::FINER]
+    amperes = current(parameters, voltage[:, : len(channels)], kelvin, xi)
+    exact = {}
     for k, channel in enumerate(channels):
-        courses = {
-            "current": _current(found, voltage[:, k], k),
-            "temperature": found.temperature_reading[::FINER, k],
-        }
-        signals.append(_signal(f"{channel}.voltage", time, voltage[:, k]))
-        for quantity in ("current", "temperature"):
-            if quantity in quantities:
-                noise = sensor_noise(kind, len(time), NOISE[quantity], random)
-                signals.append(_signal(f"{channel}.{quantity}", time, courses[quantity] + noise))
-    if "deflection" in quantities and len(channels) > 1:
-        noise = sensor_noise(kind, len(time), NOISE["deflection"], random)
-        signals.append(_signal("deflection", time, found.deflection_reading[::FINER] + noise))
+        exact[f"{channel}.voltage"] = voltage[:, k]
+        exact[f"{channel}.current"] = amperes[:, k]
+        exact[f"{channel}.temperature"] = found.temperature_reading[::FINER, k]
+    if len(channels) > 1:
+        exact["deflection"] = found.deflection_reading[::FINER]
+    signals = []
+    for name, values in exact.items():
+        quantity = name.rpartition(".")[2]
+        if quantity in quantities:
+            values = values + sensor_noise(kind, len(time), NOISE[quantity], random)
+        if quantity in (*quantities, "voltage"):
+            signals.append(Signal(name, UNITS[quantity], time, values))
     write_record(path, signals)
     return read_record(path)
 
@@ -172,16 +166,7 @@ def supply_drop_lab(folder):
     return folder
 
 
-def _current(found, voltage, wire):
-    return current(
-        found.parameters, voltage, found.temperature[::FINER, wire],
-        found.martensite_fraction[::FINER, wire],
-    )
-
-
-def planted_pair(
-    folder, effects = None, **options
-):
+def planted_pair(folder, effects=None, **options):
     """A record, and one with the sides' parts swapped to hold out."""
     seen = planted_record(folder / "seen", effects, **options)
     unseen = planted_record(folder / "unseen", effects, seed=2, turned=True, **options)
@@ -195,7 +180,3 @@ def few_effects(names=FEW):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "EFFECTS", chosen)
         yield
-
-
-def _signal(name, time, values):
-    return Signal(name, UNITS[name.rpartition(".")[2]], time, values)
