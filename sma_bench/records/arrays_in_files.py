@@ -241,9 +241,7 @@ def _from_leaves(leaves: list[_Leaf], mark: str, budget: Budget) -> _Found:
         )
     if sum(map(len, columns.values())) > MOST_COLUMNS:
         raise InputError(f"more than {MOST_COLUMNS} columns, expected at most that")
-    tables = [
-        Table("", tuple(found), rows=n, lines=np.arange(1, n + 1)) for n, found in columns.items()
-    ]
+    tables = [Table("", tuple(found), np.arange(1, n + 1), n) for n, found in columns.items()]
     return tables, outside
 
 

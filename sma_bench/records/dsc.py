@@ -39,50 +39,30 @@ _Block = tuple[int, re.Match[str]]  # row of its first, title
 
 @dataclass(frozen=True)
 class DscSegment:
-    """One step of a DSC run.
+    """One step of a DSC run; the sample's signal is heat_flow - baseline."""
 
-    Attributes:
-        number: as counted in the file, from 1.
-        kind: heating, cooling or isothermal.
-        rate: programmed, K/s, negative when cooling, 0 when isothermal.
-        time: (n,) s since the start of the run.
-        heat_flow: (n,) W, unsubtracted, with the file's sign.
-        baseline: (n,) W, zeros where the file has none; sample signal = heat_flow - baseline.
-        temperature: (n,) K of the sample.
-        program_temperature: (n,) K.
-    """
-
-    number: int
+    number: int  # as counted in the file, from 1
     kind: SegmentKind
-    rate: float
-    time: FloatArray
-    heat_flow: FloatArray
-    baseline: FloatArray
-    temperature: FloatArray
-    program_temperature: FloatArray
+    rate: float  # programmed, K/s, negative when cooling, 0 when isothermal
+    time: FloatArray  # (n,) s since the start of the run
+    heat_flow: FloatArray  # (n,) W, unsubtracted, with the file's sign
+    baseline: FloatArray  # (n,) W, zeros where the file has none
+    temperature: FloatArray  # (n,) K of the sample
+    program_temperature: FloatArray  # (n,) K
 
 
 @dataclass(frozen=True, repr=False)
 class DscRecord(Drawn):
-    """A differential scanning calorimetry run.
-
-    Attributes:
-        mass: of the sample, kg.
-        header: `key: value` lines before the data, as written.
-        segments: in order.
-        findings: remarks of the reader, a file cut short for instance.
-        exotherm: "up" or "down" where the file says it, else "".
-        account: what became of the file's rows and columns.
-    """
+    """A differential scanning calorimetry run."""
 
     path: Path
-    mass: float
-    header: dict[str, str]
-    segments: tuple[DscSegment, ...]
-    findings: tuple[Finding, ...] = ()
+    mass: float  # of the sample, kg
+    header: dict[str, str]  # `key: value` lines before the data, as written
+    segments: tuple[DscSegment, ...]  # in order
+    findings: tuple[Finding, ...] = ()  # remarks of the reader, a file cut short for instance
     instrument: str = "PerkinElmer Pyris DSC"
-    exotherm: str = ""
-    account: Account | None = None
+    exotherm: str = ""  # "up" or "down" where the file says it
+    account: Account | None = None  # what became of the file's rows and columns
 
     def __repr__(self) -> str:
         return f"<DscRecord {self.path}: {len(self.segments)} segments>"
@@ -107,25 +87,14 @@ class DscRecord(Drawn):
         """
         if self.exotherm:
             return self.exotherm == "down"
-        means = {
-            kind: [
-                float(np.mean(segment.heat_flow - segment.baseline))
-                for segment in self.segments
-                if segment.kind == kind
-            ]
-            for kind in ("heating", "cooling")
-        }
-        if not means["heating"] or not means["cooling"]:
-            return None
-        return bool(np.mean(means["heating"]) > np.mean(means["cooling"]))
+        means = [(s.kind, float(np.mean(s.heat_flow - s.baseline))) for s in self.segments]
+        heating, cooling = ([m for k, m in means if k == kind] for kind in ("heating", "cooling"))
+        return bool(np.mean(heating) > np.mean(cooling)) if heating and cooling else None
 
 
 def read_dsc(path: str | Path, stated: Mapping[str, float] | None = None) -> DscRecord:
-    """The DSC run in a file. `stated`: what it does not hold in SI units: `mass`.
-
-    Raises:
-        InputError: not such a file, no sample mass, or a line that is not what it should be.
-    """
+    """The DSC run in a file; `stated`: what it does not hold in SI units, `mass`. Raises InputError
+    where it is not such a file, without a mass, or a line is not what it should be."""
     file = read_table_file(path)
     sheets = [Sheet(file, table, stated or {}) for table in file.tables]
     return dsc_of(next(filter(is_dsc, sheets), sheets[0]))

@@ -35,25 +35,17 @@ _DRIVEN = 0.02  # of the largest voltage: below it nothing is driven
 @dataclass(frozen=True)
 class Entry:
     """How one signal comes from a column: sign * (scale * column in its unit + offset) - reference.
+    Any text but the names of signal and column may be "ask"."""
 
-    Attributes:
-        signal: of the contract; column: as the file has it; unit: of the column.
-        clock: the column of its time.
-        scale, offset: before and after the unit; the offset is in SI. sign: 1 or -1.
-        reference: "rest" (the median before the first drive is 0), "none", or a number in SI.
-        form: of a voltage: "rms" (or direct), "duty" or "mean" of a switched supply; of a current:
-            "rms" (or direct), "mean" or "peak" of what is switched.
-    """
-
-    signal: str
-    column: str
-    unit: str
-    clock: str
+    signal: str  # of the contract
+    column: str  # as the file has it
+    unit: str  # of the column
+    clock: str  # the column of its time
     scale: float = 1.0
-    offset: float = 0.0
-    sign: int | str = 1
-    reference: str | float = NONE
-    form: str = "rms"
+    offset: float = 0.0  # in SI
+    sign: int | str = 1  # or -1
+    reference: str | float = NONE  # "rest": 0 before the first drive; "none"; or a number in SI
+    form: str = "rms"  # or direct; of a switched supply "mean", volts "duty", amperes "peak"
 
     @property
     def kind(self) -> str:
@@ -174,9 +166,6 @@ def _read_entry(row: Any, where: str) -> Entry:
             name = printable(entry.signal)
             raise InputError(f"{where} ({name}): {key} is {found!r}, expected {expected}")
     return entry
-
-
-# --- Applying it ----------------------------------------------------------------------------------
 
 
 def tick_of(column: str, text: str) -> Unit | None:

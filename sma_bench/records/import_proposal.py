@@ -55,11 +55,8 @@ class BenchHints:
 
 
 def bench_of(named: Mapping[str, Any], where: str) -> BenchHints:
-    """The bench of a rig file's raw names (`read_parameter_names`).
-
-    Raises:
-        InputError: a value of another type than its own.
-    """
+    """The bench of a rig file's raw names (`read_parameter_names`); raises InputError for a value
+    of another type than its own."""
     channels = named.get("bench.channels", ["wire"])
     are_names = isinstance(channels, (list, tuple)) and channels
     if not are_names or not all(isinstance(c, str) and NAME.match(c) for c in channels):
@@ -80,15 +77,8 @@ def bench_of(named: Mapping[str, Any], where: str) -> BenchHints:
 def propose(
     table: TableFile, bench: BenchHints, units: Mapping[str, str] | None = None
 ) -> tuple[ImportMap, list[str], dict[str, str]]:
-    """A map of a table, what is unsure about it, and remarks by column.
-
-    Args:
-        table: as read; bench: what is known of the rig.
-        units: of columns by name, before what their titles say.
-
-    Raises:
-        InputError: a unit for a column that is not there.
-    """
+    """A map of a table, what is unsure about it, and remarks by column. `units` of columns by name
+    go before what titles say; raises InputError for a column that is not there."""
     units = units or {}
     held = [column.name for column in table.columns]
     if wrong := next((name for name in units if name not in held), None):
@@ -105,11 +95,8 @@ def propose(
 
 
 def record_of_table(path: str | Path, bench: BenchHints, units: Mapping[str, str]) -> Record:
-    """The record of a logger's table, without a map in between.
-
-    Raises:
-        InputError: as `read_table_file`, or where the table leaves a question.
-    """
+    """The record of a logger's table, without a map in between; raises InputError as
+    `read_table_file`, or where the table leaves a question."""
     table = read_table_file(path)
     made, questions, remarks = propose(table, bench, units)
     if questions:
@@ -218,14 +205,10 @@ class _Proposal:
         found = meanings(column.title, column.unit) or meanings(column.name, column.unit) or meant
         named = found[0] if found else None
         words = set(words_of(column.title))
-        if named and not meant and named != "time":
-            channel = any(c.lower() in column.name.lower() for c in self.bench.channels)
-            if (
-                not words & set(WORDS["wire"])
-                and not channel
-                and not QUANTITIES[named].get("unused")
-            ):
-                self.ask(column.name, f"its title says nothing known: is it a {named}?")
+        unused = _UNKNOWN if named is None else QUANTITIES[named].get("unused")
+        channel = any(c.lower() in column.name.lower() for c in self.bench.channels)
+        if not (meant or unused or channel or named == "time" or words & set(WORDS["wire"])):
+            self.ask(column.name, f"its title says nothing known: is it a {named}?")
         if named in ("voltage", "current") and words & set(WORDS["supplies"]):
             self.ask(column.name, "what the supply gives, or what the wire gets?")
         if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?0*([2-9]|1\d)", column.title):
@@ -234,11 +217,8 @@ class _Proposal:
             steps = np.diff(column.values)
             if _is_running(column) and np.ptp(steps) < 0.01 * abs(steps[0]):
                 self.ask(column.name, "a temperature or a time?")
-        if named is None or (unused := QUANTITIES[named].get("unused")):
-            self.remarks[column.name] = _UNKNOWN if named is None else unused
-            return None
-        if not np.isfinite(column.values).any():
-            self.remarks[column.name] = "empty"
+        if unused or not np.isfinite(column.values).any():
+            self.remarks[column.name] = unused or "empty"
             return None
         return named
 
@@ -282,13 +262,11 @@ class _Proposal:
         span = f"{values.min():.6g} to {values.max():.6g}"
         known = parse_unit(column.unit)
         if column.fields == 2:
-            question = "which unit: s where the clock shows mm:ss, min where hh:mm?"
-            return self.ask(column.name, question)
+            return self.ask(column.name, "which unit: s if it shows mm:ss, min if hh:mm?")
         if known is not None and known.quantity == "time":
             if float(np.ptp(values)) * known.factor < _LONGEST_TIME:
                 return column.unit
-            said = f"{span} in {column.unit!r} is beyond belief; which unit?"
-            return self.ask(column.name, said)
+            return self.ask(column.name, f"{span} in {column.unit!r} is beyond belief; which unit?")
         for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
             if not column.unit and 1e9 * scale < values.min() and values.max() < 4e9 * scale:
                 self.remarks[column.name] = f"no unit is given; {span} is {unit} since 1970"
@@ -306,16 +284,15 @@ class _Proposal:
         if meaning in ("ambient", "force"):
             signal = "force" if meaning == "force" else "ambient.temperature"
             return Entry(signal, name, unit, clock)
-        plain = re.sub(r"\W+", "_", name.lower())
-        alone = len(bench.channels) == 1
+        plain, alone = re.sub(r"\W+", "_", name.lower()), len(bench.channels) == 1
         channels = [c for c in bench.channels if alone or c.lower() in plain]
-        channel = channels[0] if len(channels) == 1 else None
-        if channel is None:
-            channel = self.ask(name, f"which channel: {', '.join(bench.channels)}?")
-        kind = {"duty": "voltage", "supply": "voltage"}.get(meaning, meaning)
-        entry = Entry(f"{channel}.{kind}", name, unit, clock)
-        if meaning not in ("voltage", "current"):
-            return replace(entry, form="duty" if meaning == "duty" else "rms")
+        if len(channels) != 1:
+            channels = [self.ask(name, f"which channel: {', '.join(bench.channels)}?")]
+        if meaning == "duty":
+            return Entry(f"{channels[0]}.voltage", name, unit, clock, form="duty")
+        entry = Entry(f"{channels[0]}.{meaning}", name, unit, clock)
+        if meaning == "temperature":
+            return entry
         # Whether volts or amperes are effective ones: of a switched supply a meter may show their
         # mean, and an oscilloscope the peak of a current.
         said = " ".join(words_of(f"{name} {column.title} {column.unit}"))
@@ -364,26 +341,24 @@ class _Proposal:
         if least <= si[0] and si[1] <= most:
             return column.unit
         hint = f", or in {guess}" if guess else ""
-        said = f"{span} in {column.unit!r} is beyond belief{hint}; which unit?"
-        return self.ask(column.name, said)
+        return self.ask(
+            column.name, f"{span} in {column.unit!r} is beyond belief{hint}; which unit?"
+        )
 
     def supply(self, entries: Sequence[Entry]) -> float | str | None:
         """Volts of a switched supply."""
         if not any(e.form == "duty" or (e.form == "mean" and e.kind == "voltage") for e in entries):
             return None
+        if self.bench.supply_voltage is not None:
+            return self.bench.supply_voltage
         for column in self.table.columns:
             unit = parse_unit(column.unit or "V")
             is_supply = self.remarks.get(column.name) == QUANTITIES["supply"]["unused"]
-            if (
-                self.bench.supply_voltage is None
-                and is_supply
-                and unit
-                and (unit.quantity == "voltage")
-            ):
+            if is_supply and unit and unit.quantity == "voltage":
                 self.remarks["supply_voltage"] = f"median of {column.name}"
                 return float(np.nanmedian(in_si(column.values, unit)))
         question = "volts of the switched supply? bench.supply_voltage says it"
-        return self.bench.supply_voltage or self.ask("supply_voltage", question)
+        return self.ask("supply_voltage", question)
 
     def lever(self, entries: Sequence[Entry]) -> float | str | None:
         """How an angle moves the wire."""
@@ -401,11 +376,9 @@ class _Proposal:
             own = signals[entry.signal]
             volts = signals.get(f"{entry.signal.rpartition('.')[0]}.voltage")
             if entry.kind == "current" and volts and np.sum(own.values) * np.sum(volts.values) < 0:
-                question = (
-                    "against the voltage, as a battery counts a discharge: sign -1, or is the wire "
-                    "fed back (1)?"
-                )
-                entry = replace(entry, sign=self.ask(entry.column, question))
+                how = "against the voltage, as a battery counts a discharge"
+                sign = self.ask(entry.column, f"{how}: sign -1, or is the wire fed back (1)?")
+                entry = replace(entry, sign=sign)
             if entry.signal == "force" and float(np.median(own.values)) < 0.0:
                 entry = replace(entry, sign=-1)
                 self.remarks[entry.column] = "mostly negative: counted as compression"
@@ -424,10 +397,8 @@ class _Proposal:
             if max(up, down) <= _CLEAR * min(up, down):
                 return replace(entry, sign=self.ask(entry.column, _WHICH_SIGN))
             way = f"moves {'up' if up > down else 'down'} when driven, and heat shortens a wire"
-            before = self.remarks.get(entry.column, "")
-            self.remarks[entry.column] = (
-                f"{before} {way}; zero: rest before the first drive".strip()
-            )
+            said = f"{self.remarks.get(entry.column, '')} {way}; zero: rest before the first drive"
+            self.remarks[entry.column] = said.strip()
             return replace(entry, sign=-1 if up > down else 1)
         force = signals["force"]
         pull = np.interp(moved.time, force.time, force.values)

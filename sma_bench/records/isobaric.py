@@ -103,15 +103,8 @@ def without_noise(temperature: FloatArray) -> tuple[FloatArray, float, int]:
 def find_cycles(
     temperature: FloatArray, strain: FloatArray, stress: FloatArray, where: str
 ) -> tuple[tuple[Cycle, ...], list[Finding]]:
-    """Split a test at the reversals of temperature.
-
-    Args:
-        temperature: (n,) K; strain: (n,); stress: (n,) Pa; in order of time.
-        where: leads the messages.
-
-    Raises:
-        InputError: temperature does not change enough for a branch.
-    """
+    """Split a test at the reversals of temperature (n,) K, with strain (n,) and stress (n,) Pa in
+    order of time; `where` leads the messages. Raises InputError where there is no branch."""
     span = float(np.ptp(temperature)) if len(temperature) else 0.0
     if span < SMALLEST_RANGE:
         said = f"{where}: temperature changes by {span:.3g} K"
@@ -157,24 +150,17 @@ def _turning_points(temperature: FloatArray, threshold: float) -> list[int]:
 class IsobaricRecord(Drawn):
     """One test at one stress.
 
-    Attributes:
-        path: the file.
-        name: of the test, unique among files of different folders: folder and stem, and its sheet.
-        stress: median stress over the cycles, Pa.
-        strain_unit: "1", or "relative" where the gauge length is unknown: the extension over its
-            own full range, so that strains can be compared within the test only.
-        cycles: heating and cooling branches in order.
-        findings: what the reader noticed or assumed.
-        account: what became of the file's rows and columns.
+    Strain has the unit "1", or is "relative" where the gauge length is unknown: the extension over
+    its own full range, so that strains can be compared within the test only.
     """
 
     path: Path
-    name: str
-    stress: float
+    name: str  # unique among files of different folders: folder and stem, and its sheet
+    stress: float  # median over the cycles, Pa
     strain_unit: str
-    cycles: tuple[Cycle, ...]
-    findings: tuple[Finding, ...] = ()
-    account: Account | None = None
+    cycles: tuple[Cycle, ...]  # heating and cooling branches in order
+    findings: tuple[Finding, ...] = ()  # what the reader noticed or assumed
+    account: Account | None = None  # what became of the file's rows and columns
 
     def __repr__(self) -> str:
         shown = f"{self.stress / 1e6:.4g} MPa, {len(self.cycles)} cycles"
@@ -212,13 +198,9 @@ def read_isobaric(
     (temperature in degC, strain, stress in MPa; or in the units of a note beside the file, such as
     "Data Source.txt").
 
-    Args:
-        path: the file.
-        strain_unit: "mm/mm" or "%"; None: from the note beside the file, else by its span.
-        gauge_length: of the extension, m; None: strain is the extension over its own range.
-
-    Raises:
-        InputError: no such file, not such a table, a malformed line (named), or no thermal cycle.
+    `strain_unit` is "mm/mm" or "%", None for that of the note or of the values' span;
+    `gauge_length` (m) that of the extension. Raises InputError where it is not such a table, for a
+    malformed line (named), and without a thermal cycle.
     """
     if gauge_length is not None and not 0.0 < gauge_length < np.inf:
         raise InputError(f"gauge length is {gauge_length} m, expected > 0")

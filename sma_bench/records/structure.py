@@ -37,56 +37,37 @@ _FORMS = "12.5, 1,069.3, 2026-03-10 10:00:00, 10.03.2026 10:00:00,5, 10:00:00 AM
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of a file.
+    """One column of a file."""
 
-    Attributes:
-        name: unique in the file: its title, or its path (`log/u`).
-        title: what it is called, without unit; unit: as written, "" where none is.
-        values: (n,), NaN where a cell is empty.
-        group: sheet or folder it lies in; table: which table of the file, whose rows it shares.
-        start: epoch s of 0 where the column holds dates, else None.
-        fields: of its clock times: 0 for numbers, 2 where hh:mm and mm:ss look alike.
-    """
-
-    name: str
-    title: str
-    unit: str
-    values: FloatArray
-    group: str = ""
-    start: float | None = None
-    fields: int = 0
-    table: int = 0
+    name: str  # unique in the file: its title, or its path (`log/u`)
+    title: str  # without unit
+    unit: str  # as written, "" where none is
+    values: FloatArray  # (n,), NaN where a cell is empty
+    group: str = ""  # sheet or folder it lies in
+    start: float | None = None  # epoch s of 0 where the column holds dates
+    fields: int = 0  # of its clock times: 0 for numbers, 2 where hh:mm and mm:ss look alike
+    table: int = 0  # of the file, whose rows it shares
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of numbers under one set of titles.
+    """Rows of numbers under one set of titles."""
 
-    Attributes:
-        name: of its sheet; columns: those of numbers or moments.
-        above: lines above the titles, cells of each; marks: (row, text) of lines between the rows.
-        lines: (n,) line of each row in the file, from 1.
-        rows: of numbers in the file, left out or not; left_out: what is, and why.
-        ignored: columns that hold no numbers, each with the reason; notes: what was decided.
-    """
-
-    name: str
-    columns: tuple[Column, ...]
-    above: tuple[tuple[str, ...], ...] = ()
-    marks: tuple[tuple[int, str], ...] = ()
-    lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    rows: int = 0
-    left_out: tuple[str, ...] = ()
-    ignored: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    name: str  # of its sheet
+    columns: tuple[Column, ...]  # of numbers or moments
+    lines: NDArray[np.int64]  # (n,) line of each row in the file, from 1
+    rows: int  # of numbers in the file, left out or not
+    ignored: dict[str, str] = field(default_factory=dict)  # columns of no numbers, each with why
+    above: tuple[tuple[str, ...], ...] = ()  # lines above the titles, cells of each
+    marks: tuple[tuple[int, str], ...] = ()  # (row, text) of lines between the rows
+    left_out: tuple[str, ...] = ()  # of the rows, and why
+    notes: tuple[str, ...] = ()  # what was decided
 
     @property
     def unused_lines(self) -> tuple[str, ...]:
         """What is left out, and the lines of text between the rows."""
-        if not self.marks:
-            return self.left_out
-        first = f"the first {self.marks[0][1][:40]!r}"
-        return (*self.left_out, f"{len(self.marks)} lines of text between the rows, {first}")
+        said = f"{len(self.marks)} lines of text between the rows, the first"
+        return (*self.left_out, *(f"{said} {text[:40]!r}" for _, text in self.marks[:1]))
 
 
 def tables_of(
@@ -94,13 +75,9 @@ def tables_of(
 ) -> tuple[list[Table], list[str]]:
     """Tables of a sheet or text, and the lines that are in none of them.
 
-    Args:
-        rows: of cells; separator: of a text, None for blanks, "" of a workbook's sheet.
-        name: of the sheet; lines: of the text.
-
-    Raises:
-        InputError: titles and cells that do not go together, a cell that is no number (its line is
-            named), or numbers whose marks may be decimal or thousand signs.
+    `separator` is None for blanks, "" of a workbook's sheet. Raises InputError for titles and cells
+    that do not go together, a cell that is no number (its line is named), and numbers whose marks
+    may be decimal or thousand signs.
     """
     blocks: list[_Block] = []
     between: list[Row] = []
@@ -273,9 +250,8 @@ class _Block:
         has_index = any(titles) and not titles[0] and self.begins_with_index()
         found.read(titles, units, has_index, budget)
         texts = tuple(tuple(str(c) for c in cells if c not in empty) for _, cells in above)
-        marks, rows, notes = tuple(self.marks), len(self.rows), tuple(found.notes)
-        made = tuple(found.made)
-        return Table(name, made, texts, marks, lines, rows, tuple(left_out), found.ignored, notes)
+        more = (texts, tuple(self.marks), tuple(left_out), tuple(found.notes))
+        return Table(name, tuple(found.made), lines, len(self.rows), found.ignored, *more)
 
 
 @dataclass

@@ -7,7 +7,7 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -100,9 +100,7 @@ class Account:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        lists = {"asked": list(self.asked), "left_out": list(self.left_out)}
-        counts = {"rows": self.rows, "rows_used": self.rows_used}
-        return {**counts, "used": self.used, "ignored": self.ignored, **lists}
+        return {key: value for key, value in asdict(self).items() if key != "sheet"}
 
 
 @lru_cache(maxsize=2)  # several readers look at one file in turn
@@ -113,12 +111,8 @@ def _read(kind: str, content: bytes) -> TableFile:
 
 
 def read_table_file(path: str | Path) -> TableFile:
-    """Read a table whatever its format, which its content decides.
-
-    Raises:
-        InputError: unreadable, too large to unfold, damaged, no table in it, or the package that
-            reads it is not installed (its name is said).
-    """
+    """Read a table whatever its format, which its content decides; raises InputError where it is
+    unreadable, too large to unfold, damaged, no table, or the package that reads it is absent."""
     path = Path(path)
     content = read_bytes(path, LARGEST_FILE)
     kind = format_of(content[:512])
@@ -171,11 +165,7 @@ def together(files: Sequence[TableFile]) -> TableFile:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file.
-
-    Raises:
-        InputError: the file is absent, unreadable, larger than any such file, or no text.
-    """
+    """Lines of a text file; raises InputError where it is absent, unreadable, or no text."""
     content = read_bytes(path, LARGEST_FILE)
     try:
         if format_of(content[:512]) != "text":
@@ -254,9 +244,8 @@ def _read_parquet(content: bytes, budget: Budget) -> _Found:
         raise
     except Exception as error:  # pyarrow's own errors, which only it can name
         raise InputError(f"not a readable Parquet file: {why(error)}") from None
-    rows = int(table.num_rows)
-    lines = np.arange(1, rows + 1)
-    return [Table("", tuple(columns), rows=rows, ignored=ignored, lines=lines)], []
+    lines = np.arange(1, table.num_rows + 1)
+    return [Table("", tuple(columns), lines, len(lines), ignored)], []
 
 
 _READERS = {

@@ -25,26 +25,17 @@ _PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(?P<phase>martensite|austenite)\b", re
 
 @dataclass(frozen=True, repr=False)
 class TensileRecord(Drawn):
-    """One tensile test.
-
-    Attributes:
-        path: the file.
-        strain: (n,) in order of time, m where `is_extension`; stress: (n,) Pa, N where `is_force`:
-            what the specimen measures stands in no file.
-        temperature: K; phase: of the specimen; None where the file does not say.
-        findings: what the reader noticed.
-        account: what became of the file's rows and columns.
-    """
+    """One tensile test; the specimen's length and section may stand in no file."""
 
     path: Path
-    strain: FloatArray
-    stress: FloatArray
-    temperature: float | None
-    findings: tuple[Finding, ...] = ()
-    phase: Phase | None = None
+    strain: FloatArray  # (n,) in order of time, m where `is_extension`
+    stress: FloatArray  # (n,) Pa, N where `is_force`
+    temperature: float | None  # K; None where the file does not say
+    findings: tuple[Finding, ...] = ()  # what the reader noticed
+    phase: Phase | None = None  # of the specimen
     is_extension: bool = False
     is_force: bool = False
-    account: Account | None = None
+    account: Account | None = None  # what became of the file's rows and columns
 
     def __repr__(self) -> str:
         return f"<TensileRecord {self.path}: {len(self.strain)} rows>"
@@ -62,17 +53,11 @@ def read_tensile(
     area: float | None = None,
     temperature: float | None = None,
 ) -> TensileRecord:
-    """Read a table whose titles name strain and stress, or extension and force, with their units.
+    """The test in a table whose titles name strain and stress, or extension and force, with units.
 
-    Args:
-        path: the file.
-        gauge_length: m, for a column of extension; None: from a line above the table, if any.
-        area: cross section in m2, for a column of force; None: likewise, or of its diameter.
-        temperature: of the test in K; None: from a column or a line above the table, if any.
-
-    Raises:
-        InputError: no such file, no titles with known units, a malformed line (named), or values
-            that no such test gives.
+    `gauge_length` (m) of an extension, `area` (m2) of a force and `temperature` (K) are taken from
+    lines above the table where they are None. Raises InputError where there are no such titles, for
+    a malformed line (named), or values that no such test gives.
     """
     numbers = {"gauge_length": gauge_length, "area": area, "temperature": temperature}
     given = {name: value for name, value in numbers.items() if value is not None}
