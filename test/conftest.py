@@ -1,5 +1,6 @@
 """What every test may ask for: shared data, a diagnosis, an Uno, a ROS domain of its own."""
 
+import contextlib
 import fcntl
 import gc
 import os
@@ -44,20 +45,16 @@ hypothesis.settings.load_profile("any machine")
 # real time by turns with those that compute, lest all workers wait at once.
 LONGEST = (
     "docs/test_documented_pages", "commands/test_demo", "nodes/test_bridge_faults",
-    "nodes/test_twin_node", "blind/test_cases", "nodes/test_investigated_bench",
-    "identify/test_moving_loads", "reliability/test_campaigns", "twin/test_twin",
-    "nodes/test_controllers", "identify/test_constitutive", "nodes/test_ir_camera",
-    "identify/test_composite", "batch/test_batch", "nodes/test_experiment",
-    "identify/test_campaign", "test_architecture", "nodes/test_recorder",
-    "nodes/test_serial_bridge", "packaging/test_bench_script", "perf/test_perf",
-    "nodes/test_simulator", "physics/test_stiff_solver", "report/test_pages_in_browser",
-    "identify/test_coverage_of_errors", "dashboard/test_live_state", "diagnose/test_tutorial",
-    "packaging/test_installing", "dashboard/test_page_in_browser", "report/test_collected_report",
-    "report/test_paper", "nodes/test_every_node", "identify/test_isobaric", "docs/test_site",
-    "reliability/test_lifeline", "identify/test_load_frame", "nodes/test_dashboard",
-    "nodes/test_launch_files", "firmware/test_emulated_uno", "records/test_damaged_bags",
-    "diagnose/test_next_experiment", "commands/test_investigate", "security/test_two_machines",
-    "control/test_deflection_control",
+    "blind/test_cases", "nodes/test_investigated_bench", "identify/test_moving_loads",
+    "reliability/test_campaigns", "twin/test_twin", "nodes/test_twin_node",
+    "identify/test_constitutive", "nodes/test_ir_camera", "identify/test_composite",
+    "batch/test_batch", "nodes/test_experiment", "identify/test_campaign", "test_architecture",
+    "nodes/test_simulator", "packaging/test_bench_script", "nodes/test_job_nodes", "perf/test_perf",
+    "nodes/test_dashboard", "physics/test_stiff_solver", "nodes/test_recorder",
+    "identify/test_coverage_of_errors", "dashboard/test_page_in_browser",
+    "diagnose/test_tutorial", "packaging/test_installing", "report/test_pages_in_browser",
+    "nodes/test_serial_bridge", "identify/test_isobaric", "nodes/test_controllers",
+    "docs/test_site", "reliability/test_lifeline", "identify/test_load_frame",
 )
 
 # Run again when they fail, and why; the summary names every rerun. All others have one try.
@@ -84,12 +81,10 @@ def pytest_addoption(parser):
 
 
 def pytest_collection_modifyitems(config, items):
-    if not config.getoption("--acceptance"):
-        reason = pytest.mark.skip(reason="minutes in real time: only with --acceptance")
-        for item in items:
-            if item.get_closest_marker("acceptance"):
-                item.add_marker(reason)
     for item in items:
+        if item.get_closest_marker("acceptance") and not config.getoption("--acceptance"):
+            reason = "minutes in real time: only with --acceptance"
+            item.add_marker(pytest.mark.skip(reason=reason))
         if item.nodeid.partition("[")[0] in RERUN:
             item.add_marker(pytest.mark.flaky(reruns=2))
     # Those in their order, lest one worker is left with them at the end; then whatever has long
@@ -244,12 +239,14 @@ def browser():
 @pytest.fixture
 def ros_domain(monkeypatch):
     """ROS_DOMAIN_ID that no other test has, in this run or another one on this machine."""
-    lock, domain = _lock_free_domain()
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    try:
-        yield domain
-    finally:
-        os.close(lock)
+    LOCKS.mkdir(exist_ok=True)
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        with (LOCKS / str(domain)).open("w") as lock, contextlib.suppress(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+            yield domain
+            return
+    pytest.fail(f"no free ROS domain: all of {LOCKS} are locked")
 
 
 @pytest.fixture
@@ -267,16 +264,3 @@ def nodes_forked(monkeypatch):
     names = ("STDOUT", "DEVNULL", "TimeoutExpired")
     stand_in = SimpleNamespace(Popen=started, **{name: getattr(subprocess, name) for name in names})
     monkeypatch.setattr(processes, "subprocess", stand_in)
-
-
-def _lock_free_domain():
-    LOCKS.mkdir(exist_ok=True)
-    for domain in random.sample(DOMAINS, len(DOMAINS)):
-        lock = os.open(LOCKS / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(lock)
-        else:
-            return lock, domain
-    raise RuntimeError(f"no free ROS domain: all of {LOCKS} are locked")

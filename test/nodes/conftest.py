@@ -35,19 +35,11 @@ KINDS = {
 
 
 class RunningNode:
-    """A node of the package in a process, its output in a file."""
+    """A process, its output in a file."""
 
-    def __init__(self, name, arguments, log, **options):
+    def __init__(self, process, log):
+        self.process = process
         self.log = log
-        log.touch()
-        if not options:
-            self.process = ForkedNode(name, arguments, log)
-            return
-        with log.open("wb") as stream:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "sma_bench.nodes.start", name, *arguments],
-                stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT, **options,
-            )  # fmt: skip
 
     def end(self, number=signal.SIGINT):
         """Send a signal and return the exit status."""
@@ -87,10 +79,29 @@ class TestBench:
 
     def start_with(self, name, arguments, **options):
         """Start a node as its command line has it."""
+        if options:
+            return self.run(name, ["-m", "sma_bench.nodes.start", name, *arguments], **options)
+        log = self._log(name)
+        return self._running(ForkedNode(name, arguments, log), log)
+
+    def run(self, name, command, **options):
+        """Start something else of Python's."""
+        log = self._log(name)
+        with log.open("wb") as stream:
+            process = subprocess.Popen(
+                [sys.executable, *command], stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT,
+                **options,
+            )  # fmt: skip
+        return self._running(process, log)
+
+    def _log(self, name):
         log = self._folder / f"{name}_{len(self._processes)}.log"
-        process = RunningNode(name, arguments, log, **options)
-        self._processes.append(process)
-        return process
+        log.touch()
+        return log
+
+    def _running(self, process, log):
+        self._processes.append(RunningNode(process, log))
+        return self._processes[-1]
 
     def until(self, condition, patience=PATIENCE):
         """Spin until the condition holds, and return it."""
@@ -117,31 +128,27 @@ class TestBench:
         return publisher
 
     def trigger(self, service):
-        return self._call(Trigger, service, Trigger.Request())
-
-    def know(self, service):
-        """Match a Trigger service now, so that a later call takes no time for it."""
-        self._client(Trigger, service)
+        return self._answer(self.trigger_later(service))
 
     def trigger_later(self, service):
         """The future of a call that takes its time."""
-        return self._client(Trigger, service).call_async(Trigger.Request())
+        return self.know(service).call_async(Trigger.Request())
 
     def set_parameter(self, node, name, value):
         """Result of setting one parameter: successful, reason."""
         message = RosParameter(name, value=value).to_parameter_msg()
-        request = SetParameters.Request(parameters=[message])
-        return self._call(SetParameters, f"{node}/set_parameters", request).results[0]
+        client = self.know(f"{node}/set_parameters", SetParameters)
+        future = client.call_async(SetParameters.Request(parameters=[message]))
+        return self._answer(future).results[0]
 
-    def _call(self, kind, service, request):
-        client = self._client(kind, service)
-        future = client.call_async(request)
+    def _answer(self, future):
         self.until(future.done)
         return future.result()
 
-    def _client(self, kind, service):
-        """A client that the server knows too. Of that a client sees nothing: an answer to a
-        client that the server has not matched yet is lost with a warning."""
+    def know(self, service, kind=Trigger):
+        """A client that the server knows too, so that a call takes no time for it. Of that a client
+        sees nothing: an answer to one that the server has not matched yet is lost with a warning.
+        """
         if service not in self._clients:
             client = self._clients[service] = self.node.create_client(kind, service)
             self.until(client.service_is_ready)

@@ -10,30 +10,26 @@ MOST = 2.9  # A; the supply gives no more than the bench allows
 
 class FakeBench:
     """Every 20 ms while the test spins: wires get what `driver` commands, be they as warm as the
-    test says, and of several the tip is at `position`; `ampere` is their current instead of the
-    volts'; of kinds in `silent` (power, temperature, joints) nothing comes, and `frozen` readings
-    keep their stamps."""
+    test says, and of several the tip is at rest; `ampere` is their current instead of the volts';
+    of kinds in `silent` (power, temperature, joints) nothing comes."""
 
     def __init__(self, bench, driver="experiment", channels=("wire",)):
-        self.celsius, self.position, self.ampere = 25.0, 0.0, None
-        self.silent, self.frozen = set(), False
+        self.celsius, self.ampere, self.silent = 25.0, None, set()
         self.bench = bench
         self.commands, self.states = bench.hear("voltage_command", f"{driver}/state")
         self._channels = len(channels)
-        self._stamp = bench.node.get_clock().now().to_msg()
-        talk = bench.node.create_publisher
-        self._publishers = [
-            *(("power", talk(BatteryState, f"{c}/power", 10), partial(self._power, k))
-              for k, c in enumerate(channels)),
-            *(("temperature", talk(Temperature, f"{c}/temperature", 10),
-               lambda: Temperature(temperature=float(self.celsius))) for c in channels),
-        ]  # fmt: skip
+        self._publishers = []
+        for k, channel in enumerate(channels):
+            self._tell("power", BatteryState, f"{channel}/power", partial(self._power, k))
+            self._tell("temperature", Temperature, f"{channel}/temperature", self._temperature)
         if len(channels) > 1:
-            self._publishers.append((
-                "joints", talk(JointState, "joint_states", 10),
-                lambda: JointState(name=["tip"], position=[float(self.position)]),
-            ))  # fmt: skip
+            tip = JointState(name=["tip"], position=[0.0])
+            self._tell("joints", JointState, "joint_states", lambda: tip)
         bench.node.create_timer(0.02, self._publish)
+
+    def _tell(self, kind, message, topic, make):
+        publisher = self.bench.node.create_publisher(message, topic, 10)
+        self._publishers.append((kind, publisher, make))
 
     @property
     def state(self):
@@ -60,11 +56,12 @@ class FakeBench:
         ampere = min(volt / RESISTANCE, MOST) if self.ampere is None else self.ampere
         return BatteryState(voltage=volt, current=ampere)
 
+    def _temperature(self):
+        return Temperature(temperature=float(self.celsius))
+
     def _publish(self):
-        if not self.frozen:
-            self._stamp = self.bench.node.get_clock().now().to_msg()
         for kind, publisher, make in self._publishers:
             if kind not in self.silent:
                 message = make()
-                message.header.stamp = self._stamp
+                message.header.stamp = self.bench.node.get_clock().now().to_msg()
                 publisher.publish(message)

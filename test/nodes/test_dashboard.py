@@ -3,13 +3,9 @@
 import asyncio
 import http.client
 import json
-import signal
-import subprocess
-import sys
-from contextlib import contextmanager
+import statistics
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
 import tornado.websocket
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -17,33 +13,30 @@ from emulated_rig import bridged_rig
 from std_msgs.msg import String
 from test_hostile_topics import HOSTILE
 
-from sma_bench.records import Signal
+from sma_bench.parameters import Parameters
 from sma_bench.records.bag_writer import write_record
 from sma_bench.ros.node import LATCHED
+from sma_bench.synthetic.bench_records import protocol_record
 
 # s; the host shares the machine with the emulator, and with others.
 LIMIT, LOADED = 0.1, 0.5
-PRESSES, TRIES = 3, 12
+PRESSES, TRIES = 3, 6
 
 
 class Dashboard:
     """`sma-bench dashboard` as a process, seen by a client of the test's own."""
 
-    def __init__(self, folder, *arguments):
-        self.log = folder / f"dashboard_{len(list(folder.iterdir()))}.log"
-        command = [sys.executable, "-m", "sma_bench.cli", "dashboard", "--port", "0", *arguments]
-        with self.log.open("wb") as stream:
-            self.process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT)
+    def __init__(self, bench, port="0"):
+        command = ["-m", "sma_bench.cli", "dashboard", "--port", port]
+        self.program = bench.run("dashboard", command)
+        self.url = ""
+        bench.until(self._printed, 90.0)
 
-    @property
-    def output(self):
-        return self.log.read_text()
-
-    @property
-    def url(self):
-        """The printed address, "" before it is."""
-        last = self.output.strip().rpartition("\n")[2]
-        return last if last.startswith("http") else ""
+    def _printed(self):
+        """Its address, or that it cannot begin."""
+        last = self.program.output.strip().rpartition("\n")[2]
+        self.url = last if last.startswith("http") else ""
+        return self.url or self.program.process.poll() is not None
 
     def update(self):
         """The first update of a new page: everything that is known."""
@@ -68,24 +61,15 @@ class Dashboard:
         connection.request("POST", parts.path + what, body)
         return connection
 
+    def work(self, kind, records):
+        """What the page is told when it asks for it."""
+        return read(self.press("work", json.dumps({"kind": kind, "records": records})))["said"]
+
 
 def read(connection):
     with connection.getresponse() as response:
         assert response.status == 200
         return json.loads(response.read())
-
-
-@contextmanager
-def dashboard(bench, folder, *arguments):
-    """A dashboard that has printed its address."""
-    made = Dashboard(folder, *arguments)
-    try:
-        bench.until(lambda: made.url or made.process.poll() is not None, 90.0)
-        yield made
-    finally:
-        if made.process.poll() is None:
-            made.process.kill()
-        made.process.wait()
 
 
 SIGNALS = {
@@ -98,12 +82,8 @@ SIGNALS = {
 def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_texts(
     bench, tmp_path
 ):
-    clock = np.arange(0.0, 100.0, 0.05)
-    volts = np.floor(clock / 10.0) / 4.0
-    columns = {"voltage": ("V", volts), "current": ("A", volts / 2.8)}
-    write_record(tmp_path / "monday", [
-        Signal(f"wire.{name}", unit, clock, values) for name, (unit, values) in columns.items()
-    ])  # fmt: skip
+    monday = protocol_record("quick_staircase", Parameters.of_paper())
+    write_record(tmp_path / "monday", list(monday.signals.values()))
     bench.start("simulator", bench__maximum_temperature=400.0)
     bench.start("experiment", protocol="staircase")
     bench.start("identification", record_root=str(tmp_path), output_root=str(tmp_path))
@@ -112,63 +92,58 @@ def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_t
         for topic in ("recorder/state", "experiment/progress", "other/state", "diagnosis/result")
     ]
     diagnostics = bench.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-    with dashboard(bench, tmp_path) as shown:
-        bench.until(lambda: "idle" in shown.panels().get("states", {}).get("experiment", ""))
-        of = ["experiment", "identification", "simulator"]
-        bench.until(lambda: shown.panels().get("limits", {}).get("of") == of)
-        bench.until(lambda: "simulator: bench" in shown.panels().get("diagnostics", {}))
+    shown = Dashboard(bench)
+    bench.until(lambda: "idle" in shown.panels().get("states", {}).get("experiment", ""))
+    of = ["experiment", "identification", "simulator"]
+    bench.until(lambda: shown.panels().get("limits", {}).get("of") == of)
+    bench.until(lambda: "simulator: bench" in shown.panels().get("diagnostics", {}))
 
-        bench.until(lambda: all(t.get_subscription_count() for t in [*talkers, diagnostics]))
-        bench.until(lambda: talkers[0].get_subscription_count() >= 2)
-        for text in [*HOSTILE, "the last word"]:
-            for talker in talkers:
-                talker.publish(String(data=text))
-        many = [DiagnosticStatus(name=f"/bench/{k}", message="\x1b" * 1000) for k in range(1000)]
-        diagnostics.publish(DiagnosticArray(status=many))
-        bench.until(lambda: shown.panels()["states"].get("other") == "the last word")
-        bench.until(lambda: len(shown.panels()["diagnostics"]) > 100)
-        assert "progress" not in shown.panels()
+    bench.until(lambda: all(t.get_subscription_count() for t in [*talkers, diagnostics]))
+    bench.until(lambda: talkers[0].get_subscription_count() >= 2)
+    for text in [*HOSTILE, "the last word"]:
+        for talker in talkers:
+            talker.publish(String(data=text))
+    many = [DiagnosticStatus(name=f"/bench/{k}", message="\x1b" * 1000) for k in range(1000)]
+    diagnostics.publish(DiagnosticArray(status=many))
+    bench.until(lambda: shown.panels()["states"].get("other") == "the last word")
+    bench.until(lambda: len(shown.panels()["diagnostics"]) > 100)
+    assert "progress" not in shown.panels()
 
-        bench.until(lambda: bench.trigger("experiment/start").success)
-        bench.until(lambda: "progress" in shown.panels())
-        found = shown.update()
-        assert {(s["quantity"], s["place"], s["kind"]) for s in found["signals"]} >= SIGNALS
-        celsius = next(s["latest"] for s in found["signals"] if s["quantity"] == "temperature")
-        assert celsius == pytest.approx(23.0, abs=5.0)
-        panels = found["panels"]
-        assert panels["limits"]["values"]["temperature"] == pytest.approx(126.85)
-        assert panels["progress"]["protocol"] == "staircase"
-        assert panels["progress"]["elapsed"] < panels["progress"]["duration"] == 1530.0
-        assert panels["states"]["experiment"] == "running: staircase"
-        assert "problem" in panels["diagnosis"] and panels["works"] == ["identify"]
-        assert panels["stops"] == ["experiment"] and panels["channels"] == ["wire"]
-        answer = read(shown.press())
-        assert answer["stopped"] and answer["voltages"]["wire"] == pytest.approx(0.0, abs=0.05)
-        assert answer["answers"][0]["message"] == "aborted: stopped on request"
-        bench.until(lambda: shown.panels()["states"]["experiment"].startswith("aborted"))
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: "progress" in shown.panels())
+    found = shown.update()
+    assert {(s["quantity"], s["place"], s["kind"]) for s in found["signals"]} >= SIGNALS
+    celsius = next(s["latest"] for s in found["signals"] if s["quantity"] == "temperature")
+    assert celsius == pytest.approx(23.0, abs=5.0)
+    panels = found["panels"]
+    assert panels["limits"]["values"]["temperature"] == pytest.approx(126.85)
+    assert panels["progress"]["protocol"] == "staircase"
+    assert panels["progress"]["elapsed"] < panels["progress"]["duration"] == 1530.0
+    assert panels["states"]["experiment"] == "running: staircase"
+    assert "problem" in panels["diagnosis"] and panels["works"] == ["identify"]
+    assert panels["stops"] == ["experiment"] and panels["channels"] == ["wire"]
+    answer = read(shown.press())
+    assert answer["stopped"] and answer["voltages"]["wire"] == pytest.approx(0.0, abs=0.05)
+    assert answer["answers"][0]["message"] == "aborted: stopped on request"
+    bench.until(lambda: shown.panels()["states"]["experiment"].startswith("aborted"))
 
-        asked = json.dumps({"kind": "identify", "records": "monday"})
-        assert read(shown.press("work", asked)) == {"begun": True, "said": "begun"}
-        bench.until(lambda: "identification" in shown.panels())
-        names = [name for name, _ in shown.panels()["identification"]["rows"]]
-        assert "wire.resistance" in names
-        bench.until(lambda: shown.panels()["work"] == {"text": "identify: done", "good": True})
-        read(shown.press("work", asked.replace("monday", "nowhere")))
-        bench.until(lambda: not shown.panels()["work"]["good"])
-        assert "nowhere" in shown.panels()["work"]["text"]
-        other = asked.replace("identify", "diagnose")
-        assert read(shown.press("work", other))["said"] == "no node here does diagnose"
+    assert shown.work("identify", "monday") == "begun"
+    bench.until(lambda: "identification" in shown.panels())
+    assert "wire.resistance" in [name for name, _ in shown.panels()["identification"]["rows"]]
+    bench.until(lambda: shown.panels()["work"] == {"text": "identify: done", "good": True})
+    shown.work("identify", "nowhere")
+    bench.until(lambda: not shown.panels()["work"]["good"])
+    assert "nowhere" in shown.panels()["work"]["text"]
+    assert shown.work("diagnose", "monday") == "no node here does diagnose"
 
-        port = str(urlsplit(shown.url).port)
-        with dashboard(bench, tmp_path, "--port", port) as second:
-            assert second.process.wait(30.0) == 2
-            assert second.output.splitlines() == [
-                f"sma-bench: dashboard: cannot listen on 127.0.0.1 port {port}: "
-                "Address already in use; --port 0 takes any that is free"
-            ]
-        shown.process.send_signal(signal.SIGINT)
-        assert shown.process.wait(30.0) == 0
-        assert "Traceback" not in shown.output
+    port = str(urlsplit(shown.url).port)
+    second = Dashboard(bench, port).program
+    assert second.process.wait(30.0) == 2
+    assert second.output.splitlines() == [
+        f"sma-bench: dashboard: cannot listen on 127.0.0.1 port {port}: "
+        "Address already in use; --port 0 takes any that is free"
+    ]
+    assert shown.program.end() == 0 and "Traceback" not in shown.program.output
 
 
 def driven(rig):
@@ -183,11 +158,11 @@ def driven(rig):
 
 @pytest.mark.acceptance
 def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
-    bench, uno, tmp_path, record_property
+    bench, uno, record_property
 ):
-    with bridged_rig(bench, uno) as rig, dashboard(bench, tmp_path) as shown:
+    with bridged_rig(bench, uno) as rig:
+        shown, measured = Dashboard(bench), []
         rig.until(lambda: "serial_bridge" in shown.panels()["stops"])
-        measured = []
         for _ in range(TRIES):
             if not driven(rig):
                 continue
@@ -200,10 +175,8 @@ def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
             told = {one["node"]: one["message"] for one in answer["answers"]}
             if told["serial_bridge"] == rig.state == "stopped: stopped on request":
                 measured.append(off)
-            if len(measured) == PRESSES:
-                break
-        assert len(measured) == PRESSES, "the device stopped by itself each time: a busy machine"
-        record_property("measured", measured)
+    assert len(measured) >= PRESSES, "the device stopped by itself each time: a busy machine"
+    record_property("measured", measured)
     assert min(measured) > 0.0  # it was driven when the stop was pressed
-    assert sorted(measured)[PRESSES // 2] < LIMIT, measured
+    assert statistics.median(measured) < LIMIT, measured
     assert max(measured) < LIMIT + LOADED, measured
