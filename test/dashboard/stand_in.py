@@ -17,11 +17,10 @@ class StandIn:
     def __init__(self):
         self.state = LiveState()
         self.volts = dict.fromkeys(WIRES, 3.0)
+        self.celsius = 80.0
         self.obeys = True
         self.answers = {"serial_bridge": (True, "stopped")}
-        self.zeros = 0
-        self.stops = 0
-        self.celsius = 80.0
+        self.zeros = self.stops = 0
         self.work = []
 
     def send_stop(self):
@@ -74,23 +73,20 @@ class StandIn:
 @contextmanager
 def served(bench, host="127.0.0.1", title="/bench"):
     """The address of a page of the bench; the server runs in a thread."""
-    ready, loops, ends, urls = threading.Event(), [], [], []
+    ready = Future()
 
     async def serve():
         end = asyncio.Event()
         server = DashboardServer(bench, title, host, 0)
-        loops.append(asyncio.get_running_loop())
-        ends.append(end)
-        urls.append(server.url)
-        ready.set()
+        ready.set_result((server.url, asyncio.get_running_loop(), end))
         await end.wait()
         await server.close()
 
     thread = threading.Thread(target=lambda: asyncio.run(serve()))
     thread.start()
-    assert ready.wait(30.0)
+    url, loop, end = ready.result(30.0)
     try:
-        yield urls[0]
+        yield url
     finally:
-        loops[0].call_soon_threadsafe(ends[0].set)
+        loop.call_soon_threadsafe(end.set)
         thread.join()

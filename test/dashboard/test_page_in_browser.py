@@ -173,22 +173,6 @@ def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, ben
             shown.until(f"document.getElementById('meters').innerText.includes('{140 + k}.0 °C')")
 
 
-def test_channels_keep_their_order_and_colour_whatever_comes_and_is_asked_anew(browser, bench):
-    """And the second wire of a pair, which reads the same, can be seen beside the first."""
-    bench.volts = dict.fromkeys(("front_2", "front_1", "back_1"), 3.0)
-    bench.state.show("channels", ["front_1", "front_2", "back_1"])
-    legend = "[...document.querySelectorAll('.legend')[0].children].map((e) => e.innerText.trim()"
-    colours = legend + ".split(/\\s/)[0] + ' ' + e.querySelector('.swatch').className)"
-    wanted = ["front_1 swatch k0 first", "front_2 swatch k1 second", "back_1 swatch k2"]
-    with bench.readings(), served(bench) as url, opened(browser, url) as shown:
-        shown.until(SETTLED)
-        assert shown.page.evaluate(colours) == wanted
-        bench.state.show("channels", ["back_1", "a_1", "front_2", "front_1"])
-        bench.volts["a_1"] = 1.0
-        shown.until("document.querySelectorAll('.legend')[0].children.length === 4")
-        assert shown.page.evaluate(colours) == [*wanted, "a_1 swatch k3"]
-
-
 def test_a_silent_bench_is_not_shown_as_live_and_a_lost_one_is_red_and_leaves_no_number(
     browser, bench
 ):

@@ -5,7 +5,7 @@ import json
 import socket
 import subprocess
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -37,14 +37,11 @@ def ask(url, method="GET", name="", token=None, body=None, **headers):
     parts = urlsplit(url)
     connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=30.0)
     path = parts.path if token is None else f"/{token}/"
-    named = {key.replace("_", "-"): value for key, value in headers.items()}
-    connection.request(method, path + name, body, named)
-    response = connection.getresponse()
-    found = response.status, dict(response.getheaders())
-    # An open stream has no end to read to.
-    text = "" if response.status == 101 else response.read().decode()
-    connection.close()
-    return *found, text
+    connection.request(method, path + name, body, headers)
+    with closing(connection), connection.getresponse() as response:
+        # An open stream has no end to read to.
+        text = "" if response.status == 101 else response.read().decode()
+        return response.status, dict(response.getheaders()), text
 
 
 def test_the_printed_address_shows_the_page_with_its_texts_escaped(url):
@@ -97,7 +94,7 @@ def test_its_own_page_may_listen_stop_by_a_post_and_have_records_worked_on(bench
     assert ask(url, "GET", "live", Origin=origin, **UPGRADE)[0] == 101
     assert ask(url, Host="localhost:9000")[0] == 200  # a forwarded port is this computer too
     assert ask(url, "GET", "stop")[0] == 405
-    assert ask(url, "POST", "stop", Content_Length=str(1 << 20))[0] in (400, 413)
+    assert ask(url, "POST", "stop", **{"Content-Length": str(1 << 20)})[0] in (400, 413)
     assert bench.stops == 0
     bench.volts = {}
     status, headers, text = ask(url, "POST", "stop", Origin=origin)
@@ -134,22 +131,19 @@ with served(bench) as url:
 
 def test_a_crowd_without_the_token_does_not_keep_the_stop_out():
     """Connections that say nothing, and ones that ask for nothing they may have."""
-    server = subprocess.Popen(
-        [sys.executable, "-c", SERVE], cwd=Path(__file__).parent, stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
+    with ExitStack() as crowd:
+        server = crowd.enter_context(subprocess.Popen(
+            [sys.executable, "-c", SERVE], cwd=Path(__file__).parent, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, text=True,
+        ))  # fmt: skip
+        crowd.callback(server.kill)
         url = server.stdout.readline().strip()
-        parts = urlsplit(url)
-        with ExitStack() as crowd:
-            for k in range(253):
-                stranger = crowd.enter_context(
-                    socket.create_connection((parts.hostname, parts.port), timeout=30.0))
-                if k % 2:
-                    stranger.sendall(b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-            for _ in range(3):
-                status, _, text = ask(url, "POST", "stop")
-                assert status == 200 and json.loads(text)["stopped"] is False
+        address = urlsplit(url).hostname, urlsplit(url).port
+        for k in range(253):
+            stranger = crowd.enter_context(socket.create_connection(address, timeout=30.0))
+            if k % 2:
+                stranger.sendall(b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        for _ in range(3):
+            status, _, text = ask(url, "POST", "stop")
+            assert status == 200 and json.loads(text)["stopped"] is False
         assert server.communicate("", timeout=30.0)[0].strip() == "3"
-    finally:
-        server.kill()

@@ -14,19 +14,10 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
+from sma_bench.nodes import bench_plan
 from sma_bench.nodes.arguments import check_arguments
-from sma_bench.nodes.bench_plan import (
-    ANTAGONIST,
-    COMPOSITE,
-    PIECES,
-    SPRING,
-    WEIGHT,
-    WIRE,
-    beam_urdf,
-    plan_bench,
-    plan_replay,
-)
-from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.nodes.bench_plan import COMPOSITE, PIECES, WIRE, plan_bench, plan_replay
+from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.protocols import load_protocol
@@ -36,8 +27,8 @@ from sma_bench.ros.processes import PROFILE, RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 RIGS = {
-    "wire_bench": WIRE, "composite_bench": COMPOSITE, "weight_bench": WEIGHT,
-    "spring_bench": SPRING, "antagonist_bench": ANTAGONIST,
+    f"{name}_bench": getattr(bench_plan, name.upper())
+    for name in ("wire", "composite", "weight", "spring", "antagonist")
 }
 REST = ["experiment", "recorder", "identification"]
 LAUNCH = {
@@ -109,23 +100,24 @@ def test_every_launch_file_simulates_its_rig_with_a_protocol_that_fits_it(built)
         assert load_protocol(rig.protocol, parameters).channels == parameters["bench.channels"]
 
 
+SIMULATED = ["simulator", "experiment", "recorder"]
+NODES = {  # of arguments
+    "record:=false": ["simulator", "experiment", "identification"],
+    "camera:=true": ["simulator", "synthetic_camera", "ir_camera", *REST],
+    "nodes:=identification,diagnosis": [*SIMULATED, "identification", "diagnosis"],
+    "nodes:=none": SIMULATED,
+    "twin:=true": [*SIMULATED, "twin", "identification"],
+    "nodes:=investigation": ["simulator", "experiment", "investigation"],
+    "mode:=hardware": ["serial_bridge", "ir_camera", *REST],
+    "mode:=hardware camera:=false": ["serial_bridge", *REST],
+}
+
+
 @pytest.mark.parametrize("rig", [WIRE, COMPOSITE], ids=["wire", "composite"])
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ({"record": "false"}, ["simulator", "experiment", "identification"]),
-        ({"camera": "true"}, ["simulator", "synthetic_camera", "ir_camera", *REST]),
-        ({"nodes": "identification,diagnosis"}, ["simulator", *REST, "diagnosis"]),
-        ({"nodes": "none"}, ["simulator", "experiment", "recorder"]),
-        ({"twin": "true"}, ["simulator", "experiment", "recorder", "twin", "identification"]),
-        ({"nodes": "investigation"}, ["simulator", "experiment", "investigation"]),
-        ({"mode": "hardware"}, ["serial_bridge", "ir_camera", *REST]),
-        ({"mode": "hardware", "camera": "false"}, ["serial_bridge", *REST]),
-    ],
-)
-def test_a_bench_is_what_its_arguments_say_and_every_node_knows_its_parameters(
-    rig, arguments, expected
-):
+@pytest.mark.parametrize("words", NODES)
+def test_a_bench_is_what_its_arguments_say_and_every_node_knows_its_parameters(rig, words):
+    expected = NODES[words]
+    arguments = dict(word.split(":=") for word in words.split())
     nodes = plan_bench(rig, arguments)
     assert [planned.executable for planned in nodes] == expected
     for planned in nodes:
@@ -194,28 +186,29 @@ def bag(tmp_path):
     return path
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"speed": "fast"}, "speed is 'fast'"),
-        ({"speed": "10", "mode": "hardware"}, "expected 1.0"),
-        ({"mode": "hardware", "autostart": "true"}, "enabled by hand"),
-        ({"mode": "real"}, "mode is 'real'"),
-        ({"mode": "emulated"}, "./bench check hardware"),
-        ({"record": "yes"}, "record is 'yes'"),
-        ({"nodes": "twin"}, "nodes: 'twin'"),
-        ({"camera": "true", "params": "none.yaml"}, "none.yaml"),
-        ({"protocol": "stairs"}, "protocol stairs: not one of"),
-        ({"protocl": "ramp"}, "unknown argument protocl, did you mean protocol?"),
-        ({"managed": "true"}, "they start active"),
-        ({"bag": ""}, "expected a record"),
-        ({"bag": "nothing"}, "nothing"),
-        ({"bag": "bag", "rate": "-1"}, "rate is '-1'"),
-        ({"bag": "bag", "nodes": "experiment"}, "'experiment', expected identification, diagnosis"),
-        ({"bag": "bag"}, "list of topics"),
-    ],
-)
-def test_what_cannot_be_started_or_played_is_one_line(changed, said, bag, monkeypatch):
+REFUSED = {
+    "speed:=fast": "speed is 'fast'",
+    "speed:=10 mode:=hardware": "expected 1.0",
+    "mode:=hardware autostart:=true": "enabled by hand",
+    "mode:=real": "mode is 'real'",
+    "mode:=emulated": "./bench check hardware",
+    "record:=yes": "record is 'yes'",
+    "nodes:=twin": "nodes: 'twin'",
+    "camera:=true params:=none.yaml": "none.yaml",
+    "protocol:=stairs": "protocol stairs: not one of",
+    "protocl:=ramp": "unknown argument protocl, did you mean protocol?",
+    "managed:=true": "they start active",
+    "bag:=": "expected a record",
+    "bag:=nothing": "nothing",
+    "bag:=bag rate:=-1": "rate is '-1'",
+    "bag:=bag nodes:=experiment": "'experiment', expected identification, diagnosis",
+    "bag:=bag": "list of topics",
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_cannot_be_started_or_played_is_one_line(words, bag, monkeypatch):
+    changed, said = dict(word.split(":=") for word in words.split()), REFUSED[words]
     monkeypatch.chdir(bag.parent)
     if said == "list of topics":
         (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
@@ -232,20 +225,6 @@ def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_fi
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "sma_bench", "wire_bench.launch.py"])
     with pytest.raises(InputError, match="unknown argument lamp"):
         built("wire_bench", lamp="on")
-
-
-def test_the_beam_is_described_when_asked(built, monkeypatch, tmp_path):
-    installed = tmp_path / "share/ament_index/resource_index/packages/robot_state_publisher"
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    with pytest.raises(InputError, match="apt install ros-jazzy-robot-state-publisher"):
-        built("composite_bench", description="true")
-    installed.parent.mkdir(parents=True)
-    installed.touch()
-    actions = built("composite_bench", description="true")
-    described = node(actions, "robot_state_publisher")
-    assert described.package == "robot_state_publisher" and described.namespace == "bench"
-    assert "<robot" in own(actions, "robot_state_publisher")["robot_description"]
-    assert described.on_exit is None
 
 
 def played(**given):
@@ -282,38 +261,43 @@ def test_a_record_is_played_below_the_namespace_and_its_commands_never_reach_a_b
     assert player.given.cmd[:3] == ["ros2", "bag", "play"]
 
 
-def test_the_beam_is_a_tree_with_every_frame_of_the_messages_and_ends_where_the_tip_is():
-    rig = Parameters({
-        "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-        "bench.channel_sides": ("front", "front", "back", "back"),
-    })  # fmt: skip
-    beam = Xml.fromstring(beam_urdf(rig))
+def test_the_beam_is_described_when_asked_with_the_frames_of_the_messages_and_ends_at_the_tip(
+    built, monkeypatch, tmp_path
+):
+    installed = tmp_path / "share/ament_index/resource_index/packages/robot_state_publisher"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    with pytest.raises(InputError, match="apt install ros-jazzy-robot-state-publisher"):
+        built("composite_bench", description="true")
+    installed.parent.mkdir(parents=True)
+    installed.touch()
+    actions = built("composite_bench", description="true")
+    described = node(actions, "robot_state_publisher")
+    assert described.package == "robot_state_publisher" and described.on_exit is None
+    beam = Xml.fromstring(own(actions, "robot_state_publisher")["robot_description"])
     joints = {found.get("name"): found for found in beam.findall("joint")}
+    rig = read_parameters(ROOT / "config" / COMPOSITE.file)
     length = rig["composite.length"]
 
-    def numbers(place, attribute):
-        return [float(word) for word in place.get(attribute).split()]
+    def numbers(joint, element, attribute):
+        return [float(word) for word in joints[joint].find(element).get(attribute).split()]
 
     links = [link.get("name") for link in beam.findall("link")]
-    parents = {joint.find("parent").get("link") for joint in joints.values()}
     children = [joint.find("child").get("link") for joint in joints.values()]
-    assert parents <= set(links) and sorted([*children, "clamp"]) == sorted(set(links))
+    assert {joint.find("parent").get("link") for joint in joints.values()} <= set(links)
+    assert sorted([*children, "clamp"]) == sorted(set(links))
     assert {"front_range", "back_range", *rig["bench.channels"]} <= set(links)
-    front = joints["front_range_mount"].find("origin")
-    assert numbers(front, "xyz")[0] > 0.0
-    assert numbers(front, "rpy")[2] == pytest.approx(math.pi)  # it looks back along -x
-    tip = joints["tip"]
-    assert tip.get("type") == "prismatic"
-    assert numbers(tip.find("axis"), "xyz") == [1.0, 0.0, 0.0]
-    assert numbers(tip.find("origin"), "xyz") == [0.0, 0.0, length]
+    assert numbers("front_range_mount", "origin", "xyz")[0] > 0.0
+    assert numbers("front_range_mount", "origin", "rpy")[2] == pytest.approx(math.pi)  # looks back
+    assert joints["tip"].get("type") == "prismatic"
+    assert numbers("tip", "axis", "xyz") == [1.0, 0.0, 0.0]
+    assert numbers("tip", "origin", "xyz") == [0.0, 0.0, length]
     for deflection in (-0.01, 0.0, 1e-4, 0.02):
         x = z = angle = 0.0
         for k in range(1, PIECES + 1):
-            bend = joints[f"bend_{k}"]
-            assert numbers(bend.find("axis"), "xyz") == [0.0, 1.0, 0.0]
-            along = numbers(bend.find("origin"), "xyz")[2]
+            assert numbers(f"bend_{k}", "axis", "xyz") == [0.0, 1.0, 0.0]
+            along = numbers(f"bend_{k}", "origin", "xyz")[2]
             x, z = x + along * math.sin(angle), z + along * math.cos(angle)
-            mimic = bend.find("mimic")
+            mimic = joints[f"bend_{k}"].find("mimic")
             assert mimic.get("joint") == "tip" and float(mimic.get("offset")) == 0.0
             angle += float(mimic.get("multiplier")) * deflection
         x, z = x + length / PIECES * math.sin(angle), z + length / PIECES * math.cos(angle)
