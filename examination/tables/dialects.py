@@ -117,6 +117,8 @@ _UNITS: dict[str, tuple[tuple[str, float, float, int], ...]] = {
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
 _NUMBERED_TIMES = ("s", "ms", "min", "days", "s, no unit", "ms, no unit", "min, no unit", "epoch")
+_SELF_TELLING = ("date and time", "date and whole s", "AM/PM", "mm:ss", "hh:mm:ss", "date-time",
+                 "whole seconds", "ISO with zone", "epoch", "elapsed and date-time")  # fmt: skip
 _COARSE = ("whole seconds", "whole s", "date and whole s")
 _CONVENTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "driven is positive": lambda amperes: amperes,
@@ -222,10 +224,14 @@ def tells(truth: Truth, habits: dict[str, str]) -> bool:
     )
     has_mass = habits["notes"] in ("key: value", "# lines") or habits["scale"] == "other"  # W/g
     vague_clock = habits["time"].endswith("no unit") or habits["time"] == "none"
+    # No bench has volts, amperes and temperatures of such size in another unit.
+    values_tell = truth.kind == "clamped" and habits["time"] in _SELF_TELLING and (
+        habits["scale"] in ("usual", "other", "um alone")
+    )
     return not (
         (signs == ("comma", "comma") and not quoted)
         or (vague_clock and (truth.is_bench or truth.kind == "dsc"))
-        or habits["units"] == "none"
+        or (habits["units"] == "none" and not values_tell)
         # A bench at rest has the temperature of a room, in one unit only; a test any.
         or (habits["units"] == "not of T" and truth.kind in ("dsc", "isobaric"))
         or habits["header"] == "none"

@@ -61,7 +61,8 @@ class Sheet:
         found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
         if absent := next((w for w, c in found.items() if c is None and w not in beside), None):
             said = f"no column of {absent} with a known unit among {self.titles or 'no titles'}"
-            raise InputError(f"{self.path}: {said}; of a {kind} test")
+            title = f"{absent.capitalize()} ({QUANTITIES[absent]['example']})"
+            raise InputError(f"{self.path}: {said}, expected one as in {title!r}")
         return {what: column for what, column in found.items() if column}
 
     def has(self, kind: str, beside: Sequence[str] = ()) -> bool:
