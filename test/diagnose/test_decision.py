@@ -7,7 +7,7 @@ import pytest
 
 from sma_bench.diagnose.decision import SCALE, Weights, signs_of_unexplained
 from sma_bench.diagnose.left_over import Left
-from sma_bench.diagnose.next_experiment import Matter, taken_up
+from sma_bench.diagnose.next_experiment import taken_up
 from sma_bench.diagnose.prospect import Telling, prospect
 
 SMOOTH = "a smooth response of free form is left"
@@ -131,22 +131,3 @@ def test_evidence_counts_as_little_as_the_decision_lets_it():
     assert real["slack", "recalibration"] == exact["slack", "recalibration"]
     assert 0.0 < real["recalibration", "slack"].evidence < exact["recalibration", "slack"].evidence
     assert after(real, slack=4.0).named < after(exact, slack=4.0).named
-
-
-def test_another_record_tells_of_a_wandering_zero_as_much_as_one_of_the_records_has():
-    def wandering(gains, minutes):
-        matter = Matter.__new__(Matter)
-        matter.minutes, matter.records = 5.0, 2
-        matter.weights = SimpleNamespace(gains=gains)
-        return matter.wandering(apart(100.0, "recalibration", *gains), minutes)
-
-    gains = {"deflection_drift": 16.0, "slack": 9.0, "deflection_drift+slack": 33.0}
-    found = wandering(gains, 10.0)
-    assert found["recalibration", "deflection_drift"].evidence == pytest.approx(8.0)
-    assert found["deflection_drift+slack", "slack"].evidence == pytest.approx(12.0)
-    assert ("slack", "recalibration") not in found  # what a model predicts is simulated
-    # One half as long tells half of it, and what it tells counts though it is hardly seen.
-    little = wandering({"deflection_drift": 4.0}, 1.25)
-    assert little["recalibration", "deflection_drift"] == pytest.approx(Telling(1.0, 2.0))
-    short = wandering({"deflection_drift": -1.0}, 10.0)
-    assert short["recalibration", "deflection_drift"] == Telling(0.0, 0.0)

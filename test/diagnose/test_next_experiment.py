@@ -8,7 +8,6 @@ from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
 from sma_bench.diagnose.decision import weigh
-from sma_bench.diagnose.drives import TESTS
 from sma_bench.errors import InputError
 from sma_bench.protocols import parse_protocol
 
@@ -53,25 +52,6 @@ def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
     (remark,) = [f for f in tied.findings if f.subject == "next experiment"]
     assert remark.severity == "warning" and "expected at most 10 V" in remark.text
     assert tied.to_json()["next_experiment"] is None
-
-
-def test_a_test_separates_no_cause_that_its_readings_hold(short_record):
-    """What isobaric tests read is believed of C_A then, whichever of the two moved it. The wire's
-    ends are before any leads."""
-    shifted = "stress_dependent_transition"
-    with few_effects((shifted, "supply_drop")):
-        found = diagnose([short_record], believed())
-    matter = next_experiment.Matter(
-        found.decision, found.search, weigh(found.search), found.observations, believed()
-    )
-    matter.fits |= {name: found.search.singles[name] for name in (shifted, "supply_drop")}
-    separated = {
-        name: set(test.separates) for name in TESTS
-        if (test := next_experiment._test(name, matter)) is not None
-    }
-    everything = {"recalibration", shifted, "supply_drop"}
-    assert separated["E6"] == everything - {shifted}
-    assert separated["E1"] == separated["E3"] == separated["DSC"] == everything
 
 
 def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):

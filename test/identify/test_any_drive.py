@@ -27,10 +27,6 @@ def random_binary(time, rng):
     return 0.9 * np.repeat(rng.integers(0, 2, len(time) // 50 + 1), 50)[: len(time)]
 
 
-def controlled(time, rng):
-    return np.clip(0.5 + 0.3 * np.sin(time / 4.0) + 0.1 * np.sin(time / 1.3), 0.0, 1.0)
-
-
 def at_rest(time, rng):
     return np.zeros(len(time))
 
@@ -55,7 +51,7 @@ def record_of(drive, quantities=("voltage", "current", "temperature"), seed=1):
     return sma_bench.load(signals)
 
 
-@pytest.mark.parametrize("drive", [on_wait_off, random_binary, controlled])
+@pytest.mark.parametrize("drive", [on_wait_off, random_binary])
 def test_any_drive_that_excites_gives_resistance_loss_and_heat(drive):
     found = sma_bench.identify(record_of(drive), LAB)
     assert "E0" in [e.name for e in found.experiments]

@@ -1,11 +1,9 @@
 """No number is wrong without a word: a few attacks of `./bench check attacks`, which has all."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from examination import attack_lab
 from examination.attack_lab.cases import ATTACKS
 from examination.check import attacks
 
@@ -47,12 +45,4 @@ def test_a_warning_is_on_the_number_that_it_is_about() -> None:
 def test_a_clean_bag_raises_no_warning() -> None:
     result = attacks.judge(attacks.clean_bag(np.random.default_rng(1), 1))
     assert result["warnings"] == [] and silent(result) == []
-
-
-def test_the_generator_shares_no_code_with_the_physics() -> None:
-    for file in Path(attack_lab.__file__).parent.glob("*.py"):
-        text = file.read_text()
-        imported = [line for line in text.splitlines() if line.startswith(("import", "from"))]
-        assert not any("sma_bench.physics" in line for line in imported)
-        assert not any("synthetic" in line or "identify" in line for line in imported)
     assert len(ATTACKS) >= 40

@@ -10,11 +10,11 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 
 from examination.check.rigs import FINE, draw_record, draw_rig, try_rig
 from examination.simulated_lab.drawn_bench import draw_bench
-from examination.simulated_lab.experiments import LOADS, clamped, isobaric
+from examination.simulated_lab.experiments import clamped, isobaric
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import find_holds
 from sma_bench.identify import identify
-from sma_bench.identify.load_frame import identify_load_frame, isobaric_tests
+from sma_bench.identify.load_frame import identify_load_frame
 from sma_bench.parameters.table import TRANSITIONS
 from sma_bench.records import Record, Signal
 
@@ -43,20 +43,6 @@ def test_clamped_staircase_alone_tells_the_thermal_expansion_factor(lab):
     assert estimate.std < 0.02 * abs(true)
     untold = next(f for f in found.findings if f.subject == "priors").text
     assert "wire.maximum_recoverable_strain" in untold
-
-
-def test_each_held_load_becomes_an_isobaric_test(lab):
-    bench, records = lab
-    tests = isobaric_tests(records["isobaric"], bench.truth)
-    assert [t.stress for t in tests] == pytest.approx(LOADS, rel=0.01)
-    for test in tests:
-        cycle = test.cycles[0]
-        assert {b.direction for b in cycle.branches} == {"heating", "cooling"}
-        # What is recovered against a load is less elastic strain in the stiffer austenite, too.
-        softer = 1.0 / bench.truth["wire.martensite_modulus"]
-        softer -= 1.0 / bench.truth["wire.austenite_modulus"]
-        expected = bench.truth["wire.maximum_recoverable_strain"] + test.stress * softer
-        assert np.ptp(cycle.branches[0].strain) == pytest.approx(expected, rel=0.05)
 
 
 def test_a_load_is_followed_where_it_was_measured_and_nowhere_else():

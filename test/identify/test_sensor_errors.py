@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sma_bench.identify import identify
-from sma_bench.identify.whole_model import fit_whole_model, observe_all
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import EXACT_SENSORS
 from sma_bench.records import Signal
@@ -80,22 +79,6 @@ def test_a_calibration_puts_the_readings_right(staircase, ramp):
     found = identify([read_by(wrong, one) for one in records(staircase, ramp)], known).estimates
     for name, truth in TRUTH.items():
         assert abs(found[name].value - truth) < 3.0 * found[name].std < 0.03 * truth, name
-
-
-def test_the_whole_model_has_the_errors_of_scales_that_scaled_records_give(ramp):
-    known = Parameters.of_paper().replace(uncertainty=EXACT_SENSORS)
-    stated = known.replace(uncertainty={AMPERES: 0.01, VOLTS: 0.01})
-
-    def numbers(record, parameters):
-        result = fit_whole_model(observe_all([record], parameters), parameters)
-        return {n.name: n for n in result.numbers}
-
-    here = numbers(ramp(seed=1), stated)
-    for gain, quantity in ((AMPERES, "current"), (VOLTS, "voltage")):
-        off = numbers(read_by({quantity: lambda x: x * 0.99}, ramp(seed=1)), known)
-        for name in TRUTH:
-            apart, share = here[name].value - off[name].value, here[name].shares[gain]
-            assert apart == pytest.approx(share, rel=0.1, abs=0.1 * here[name].std)
 
 
 # --- What the record can show, it says.

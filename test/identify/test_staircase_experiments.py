@@ -66,18 +66,6 @@ def test_coefficient_that_rises_with_temperature_is_noticed(staircase, wire):
     assert about(found, R, ["straight"]) == []
 
 
-def test_plateau_that_never_settles_is_reported(staircase, wire):
-    found = result(staircase(wire(mass=8e-3)))
-    (warning,) = about(found, H, ["plateaus had not settled"])
-    assert abs(found.estimates[H].value - 410.0) < 2.0 * found.estimates[H].std
-
-
-def test_short_plateaus_shrink_the_windows_and_say_so(staircase):
-    found = result(staircase(dwell=6.0))
-    assert any("shrink in proportion" in f.text for e in found.experiments for f in e.findings)
-    assert abs(found.estimates[R].value - 2.75) < 2.5 * found.estimates[R].std
-
-
 def test_two_staircases_join_into_a_smaller_error_but_not_below_the_sensors_scale(staircase):
     known = PARAMETERS.replace(uncertainty={"sensor.voltage.gain": 1e-3})
     one = identify([staircase(seed=1)], known, ["E1"]).estimates[R]
@@ -88,10 +76,21 @@ def test_two_staircases_join_into_a_smaller_error_but_not_below_the_sensors_scal
     assert 2.75e-3 < both.std < one.std
 
 
-def test_ambient_that_contradicts_the_stated_one_is_noticed(staircase):
+def test_what_a_staircase_lacks_is_said(staircase, wire):
+    unsettled = result(staircase(wire(mass=8e-3)))
+    assert about(unsettled, H, ["plateaus had not settled"])
+    short = result(staircase(dwell=6.0))
+    assert any("shrink in proportion" in f.text for e in short.experiments for f in e.findings)
+    for found, name, truth in ((unsettled, H, 410.0), (short, R, 2.75)):
+        assert abs(found.estimates[name].value - truth) < 2.5 * found.estimates[name].std
     given = PARAMETERS.replace({T0: 300.0}, {T0: 0.3})
-    found = identify([staircase()], given, ["E2"])
-    assert about(found, T0, ["stated ambient 300.00 K"])
+    elsewhere = identify([staircase()], given, ["E2"])
+    assert about(elsewhere, T0, ["stated ambient 300.00 K"])
+    for name, value, experiment in (("temperature", 297.0, "E2"), ("current", 0.1, "E1")):
+        record = staircase()
+        record[f"wire.{name}"].values[:] = value
+        with pytest.raises(InputError, match="expected it to follow the voltage"):
+            result(record, experiments=[experiment])
 
 
 def test_markers_keep_two_protocols_of_one_bag_apart(staircase):
@@ -128,13 +127,3 @@ def test_leads_and_parallel_wires_are_taken_off_what_is_identified(staircase, ra
     assert unaware.value == pytest.approx(2.75 / count + leads, rel=2e-3)
     with pytest.raises(InputError, match="expected more than bench.lead_resistance, 5 ohm"):
         identify(shown, PARAMETERS.replace({"bench.lead_resistance": 5.0}), ["E1"])
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "experiment"), [("temperature", 297.0, "E2"), ("current", 0.1, "E1")]
-)
-def test_a_signal_that_ignores_the_voltage_is_an_error(staircase, name, value, experiment):
-    record = staircase()
-    record[f"wire.{name}"].values[:] = value
-    with pytest.raises(InputError, match="expected it to follow the voltage"):
-        result(record, experiments=[experiment])

@@ -11,12 +11,11 @@ from effect_references import SECONDARY, SWITCHES, all_on, pulses, refined, typi
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.documentation import effects_page
 from sma_bench.parameters.parameter import declared_effects
 from sma_bench.physics import Bench, simulate
-from sma_bench.physics.effects import EFFECTS, active_effects, effect_values
+from sma_bench.physics.effects import EFFECTS, active_effects
 
 pytest.importorskip("numba", reason="many simulations: slow without numba")
 
@@ -172,19 +171,6 @@ def test_without_numba_every_effect_gives_the_same_and_that_is_said_once(tmp_pat
     compiled = [run.temperature, run.martensite_fraction, run.stress / 1e9, run.bending]
     compiled = np.hstack([*compiled, run.temperature_reading])
     assert np.load(file) == pytest.approx(compiled, rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("latend_heat", "unknown effect latend_heat, did you mean latent_heat?"),
-        ("latent_heat.size", "effect latent_heat: no number 'size', expected heat"),
-    ],
-)
-def test_an_effect_that_is_not_there_is_named(name, said):
-    with pytest.raises(InputError) as error:
-        effect_values(name, 1.0)
-    assert said in str(error.value)
 
 
 def test_the_committed_page_of_effects_is_the_one_they_generate(pytestconfig):
