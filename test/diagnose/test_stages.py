@@ -1,5 +1,5 @@
 """The stage of a gap: of its effect, of parameters that moved beyond belief, or of an effect that
-would put the same signals off; and what is missing where nothing explains it."""
+would put the same signals off."""
 
 from types import SimpleNamespace
 
@@ -8,8 +8,7 @@ import pytest
 
 from sma_bench.diagnose.decision import FLEXIBLE, Candidate, Decision
 from sma_bench.diagnose.sizes import Cell
-from sma_bench.diagnose.stages import missing_term, stage_of_recalibration, stages_of
-from sma_bench.estimation.noise_model import estimate_noise
+from sma_bench.diagnose.stages import stage_of_recalibration, stages_of
 from sma_bench.parameters.table import TRANSITIONS
 
 RESISTANCE, LOSS, CAPACITY = (
@@ -123,31 +122,3 @@ OTHER_WAY = ("ambient_drift", "deflection_drift")
 )
 def test_what_is_unexplained_has_the_stage_of_what_would_put_the_same_off(found, shares, stage):
     assert stage_of(UNEXPLAINED, searched(**found), cells(**shares)) == stage
-
-
-def test_a_sure_response_is_what_is_missing_and_else_what_is_slow():
-    """Not where a worthless response happens to be."""
-    bins = 600
-    steps = np.where(np.arange(bins) // 150 % 2, 1.0, 0.0)  # of a camera's shutter, K
-    left = 0.05 * np.random.default_rng(1).standard_normal((2, bins))
-    left[1] += steps
-    noise = {name: estimate_noise([own], 0.05, 0.2) for name, own in zip(ALL, left, strict=False)}
-    blocks = [
-        SimpleNamespace(signal=SimpleNamespace(name=name), rows=slice(k * bins, (k + 1) * bins))
-        for k, name in enumerate(noise)
-    ]
-    recalibrated = SimpleNamespace(
-        problem=SimpleNamespace(blocks=blocks, noise=noise), left=left.ravel()
-    )
-
-    def powers(gain):
-        response = np.concatenate([np.full(bins, 1e-4), np.zeros(bins)])  # in the current
-        found = SimpleNamespace(
-            recalibrated=recalibrated, flexible=SimpleNamespace(gain=gain, response=response)
-        )
-        return np.mean(missing_term(found).reshape(2, bins) ** 2, axis=1)
-
-    current, temperature = powers(FLEXIBLE)
-    assert temperature == pytest.approx(np.mean(steps**2), rel=0.1)
-    assert current < 0.1 * temperature
-    assert powers(FLEXIBLE + 1.0) == pytest.approx([1e-8, 0.0])

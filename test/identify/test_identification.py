@@ -82,16 +82,6 @@ def test_record_made_elsewhere_gives_its_truth_within_two_stated_errors(shared_d
     assert found.warnings == ()
 
 
-def test_cold_beginnings_of_a_composite_triangle_give_its_specific_heat(shared_data):
-    folder = shared_data / "foreign" / "composite"
-    truth = json.loads((folder / "truth.json").read_text())
-    known = read_parameters(folder / "nominal.yaml")
-    found = identify([open_record(folder / "triangle")], known, ["E3"])
-    cp = found.estimates[CP]
-    assert abs(cp.value - truth[CP]) < 2.0 * cp.std
-    assert any("above A_s" in w for w in found.warnings)
-
-
 BARE = Record(Path("empty"), 0, {})
 REFUSED = {
     "constant": ([steady_record(3.0)], "1 plateau at 1 voltage, 0 ramps"),

@@ -10,6 +10,7 @@ from loops import isobaric
 from sma_bench.errors import InputError
 from sma_bench.identify.instruments.isobaric import identify_isobaric
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.table import TRANSITIONS
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord, read_isobaric
 from sma_bench.synthetic.paper_specimens import isobaric_test, wire_rig
 
@@ -72,12 +73,7 @@ def test_twenty_four_transition_temperatures_of_the_simulated_wire_lie_within_th
         {"A_s": 345.0, "A_f": 352.0, "M_s": 335.0, "M_f": 318.0},
         {"A_s": 330.0, "A_f": 365.0, "M_s": 332.0, "M_f": 312.0},
     ]
-    names = {
-        "A_s": "wire.austenite_start_temperature",
-        "A_f": "wire.austenite_finish_temperature",
-        "M_s": "wire.martensite_start_temperature",
-        "M_f": "wire.martensite_finish_temperature",
-    }
+    names = TRANSITIONS
     off, tangents_off = [], []
     for k, wire in enumerate(wires):
         truth = wire_rig(Parameters.of_paper()).replace({names[n]: v for n, v in wire.items()})

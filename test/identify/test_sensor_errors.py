@@ -124,14 +124,6 @@ def test_staircases_in_different_air_are_not_pooled_without_a_word(staircase, ra
     assert any(CP in w and "of which E2 says" in w for w in bent.warnings)
 
 
-def test_a_spot_that_the_wire_fills_in_part_is_wondered_at(staircase, ramp):
-    seen = {"temperature": lambda x: AMBIENT + 0.6 * (x - AMBIENT)}
-    found = identify([read_by(seen, one) for one in records(staircase, ramp)], KNOWN)
-    for name in (H, CP):
-        assert any(name in w and "spot_share" in w for w in found.warnings)
-    assert abs(found.estimates[R].value - 2.75) < 3.0 * found.estimates[R].std
-
-
 def test_what_the_cameras_messages_state_takes_the_data_sheets_place(staircase, ramp):
     read = []
     for record in records(staircase, ramp):

@@ -39,15 +39,6 @@ def test_wire_in_still_air_with_a_time_constant_of_seconds_works_alike(ramp, wir
     assert abs(cp.value - 350.0) < 2.0 * cp.std < 8.0
 
 
-def test_error_includes_those_of_resistance_and_coefficient(ramp):
-    # Without a cooling curve c_p leans on h: an uncertain h must show.
-    _, sure = found_cp(ramp())
-    unsure = KNOWN.replace(uncertainty={R: 0.03, H: 8.0})
-    _, cp = found_cp(ramp(), parameters=unsure)
-    assert cp.std > sure.std
-    assert abs(cp.value - 350.0) < 2.0 * cp.std
-
-
 def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit(ramp):
     found, cp = found_cp(ramp(seed=5))
     paper = found.experiments[0].details["differentiator"]

@@ -19,14 +19,7 @@ def wire_rig() -> Parameters:
 @pytest.fixture(scope="session")
 def composite_rig() -> Parameters:
     """Two wires a side that bend a composite by a few centimetres."""
-    return Parameters.of_paper().replace(
-        {
-            "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-            "bench.channel_sides": ("front", "front", "back", "back"),
-            "composite.deflection_per_strain": 1.0,
-            "composite.stress_per_deflection_front": 5.0e9,
-            "composite.stress_per_deflection_back": 4.0e9,
-            "wire.stress_influence_austenite": 7.3e6,
-            "wire.stress_influence_martensite": 8.0e6,
-        }
-    )
+    from effect_references import COMPOSITE
+
+    influences = {"austenite": 7.3e6, "martensite": 8.0e6}
+    return COMPOSITE.replace({f"wire.stress_influence_{p}": c for p, c in influences.items()})

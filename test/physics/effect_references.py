@@ -1,16 +1,31 @@
-"""Equations of the effects written by plain means, and the drives that the tests share.
+"""Equations of the effects written by plain means, and the rigs and drives that tests share.
 
 Independent of sma_bench.physics on purpose: the numbers come from the parameters alone, rates are
 integrated by scipy, histories (largest austenite, plastic stretch) are followed sample by sample.
 """
 
+from collections.abc import Sequence
 from math import exp
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from sma_bench.parameters import TABLE, Parameters
+from sma_bench.parameters.table import TRANSITIONS
 
+FOUR = {
+    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+    "bench.channel_sides": ("front", "front", "back", "back"),
+}
+COMPOSITE = Parameters.of_paper().replace(
+    {
+        **FOUR,
+        "composite.deflection_per_strain": 1.0,
+        "composite.stress_per_deflection_front": 5.0e9,
+        "composite.stress_per_deflection_back": 4.0e9,
+    }
+)
+INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
 SWITCHES = [p for p in TABLE if p.name.startswith("effect.") and p.default == 0.0]
 SECONDARY = {
     "effect.matrix_thermal_mass.inner_share": 0.3,
@@ -18,6 +33,19 @@ SECONDARY = {
     "effect.viscoelastic_matrix.time_constant": 4.0,
     "effect.opposing_wires.detwinning_stress": 60e6,
 }
+
+
+def on_sides(parameters: Parameters, sides: Sequence[str]) -> Parameters:
+    """The rig with a wire on each of these sides."""
+    channels = tuple(f"w{i}" for i in range(len(sides)))
+    return parameters.replace({"bench.channels": channels, "bench.channel_sides": tuple(sides)})
+
+
+def alloy(ranges: Sequence[float], influences: Sequence[float]) -> dict[str, float]:
+    """Start and width of austenite's range, finish and width of martensite's, K; C_A, C_M, Pa/K."""
+    a_s, a_width, m_f, m_width = ranges
+    numbers = (a_s, a_s + a_width, m_f + m_width, m_f, *influences)
+    return dict(zip((*TRANSITIONS.values(), *INFLUENCES), numbers, strict=True))
 
 
 def typical(parameters: Parameters, name: str) -> Parameters:

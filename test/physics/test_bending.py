@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from effect_references import FOUR
 from scipy.integrate import trapezoid
 
 from sma_bench.parameters import Parameters
@@ -77,27 +78,13 @@ def test_deflection_is_the_curvature_integrated_twice():
     assert printed == pytest.approx(2.0 * bending.deflection(0.01, sheet), rel=1e-12)
 
 
-def test_coefficients_carry_force_to_curvature():
-    alpha, front, back = bending.bending_coefficients(Parameters.of_paper())
-    beam = Beam.of(Parameters.of_paper())
-    deflection, force = 0.01, 0.01 * front * beam.wire_section
-    kappa = bending.moment(force, beam) / bending.bending_stiffness(beam)
-    assert 0.5 * beam.length**2 * kappa == pytest.approx(deflection)
-    assert bending.deflection(deflection / alpha, beam) == pytest.approx(deflection)
-    assert front == back
-
-
 def test_the_active_layer_is_as_wide_as_its_wires_and_not_as_the_beam():
     """Four wires, two a side: alpha 1.714 m; the printed single width makes them a 30 mm sheet."""
-    rig = Parameters.of_paper().replace({
-        "bench.channels": ("a", "b", "c", "d"),
-        "bench.channel_sides": ("front", "front", "back", "back"),
-    })
+    rig = Parameters.of_paper().replace(FOUR)
     assert bending.wire_layer_width(rig) == pytest.approx(2 * np.pi * 0.3e-3 / 4)
     assert bending.bending_coefficients(rig)[0] == pytest.approx(1.714, abs=5e-4)
-    assert bending.deflection_per_strain(bending.as_printed(Beam.of(rig))) == pytest.approx(
-        1.0557, abs=1e-4
-    )
+    printed = bending.deflection_per_strain(bending.as_printed(Beam.of(rig)))
+    assert printed == pytest.approx(1.0557, abs=1e-4)
     sheet = rig.replace({"composite.wire_layer_width": 0.03})
     assert bending.bending_coefficients(sheet)[0] == pytest.approx(1.0557, abs=1e-4)
     pairs = rig.replace({"wire.count": 2})

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from effect_references import FOUR
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
@@ -15,11 +16,7 @@ from sma_bench.physics.linearised import SMOOTHER, coefficient_table, linearise
 from sma_bench.physics.operating_point import OperatingPoint, maximum_deflection
 
 WIRE = Parameters.of_paper()
-CHANNELS = {
-    "bench.channels": ["front_1", "front_2", "back_1", "back_2"],
-    "bench.channel_sides": ["front", "front", "back", "back"],
-}
-COMPOSITE = WIRE.replace(CHANNELS)
+COMPOSITE = WIRE.replace(FOUR)
 GIVEN = ("composite.deflection_per", "composite.stress_per", *SMOOTHER)
 DRAWN = ("wire.", "env", "comp")
 UNCERTAIN = [

@@ -65,18 +65,6 @@ def test_a_weight_is_held_and_the_wire_follows_the_closed_form():
     assert longer.elongation == pytest.approx(2.0 * found.elongation)
 
 
-def test_a_wire_that_does_not_transform_and_a_spring_are_two_springs():
-    rig = RIGS["spring"].replace(
-        {"wire.austenite_start_temperature": 700.0, "wire.austenite_finish_temperature": 720.0}
-    )
-    found = run(rig)
-    rise = found.temperature[:, 0] - 296.15
-    pulls = SECTION * rig["wire.thermal_expansion_factor"] * rise
-    shorter = pulls / (COLD + 1500.0)  # from where martensite bears 6 N
-    assert found.elongation[:, 0] == pytest.approx(-shorter, abs=1e-13)
-    assert found.force[:, 0] == pytest.approx(6.0 + 1500.0 * shorter, rel=1e-9)
-
-
 @pytest.mark.parametrize(("stiffness", "held"), [(1200.0, 5.0), (0.0, 9.0)])
 def test_a_stiff_solver_that_knows_only_the_contract_agrees_on_a_wire_with_a_load(stiffness, held):
     load = {"stiffness": stiffness, "preload": held} if stiffness else {"force": held}

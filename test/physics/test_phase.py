@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from effect_references import alloy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,23 +12,11 @@ from sma_bench.physics import material
 DEFAULTS = Parameters.of_paper()
 
 # Start, width and influence of either range: overlapping, nested and swapped ranges among them.
+RANGES = (st.floats(315, 345), st.floats(2, 40), st.floats(305, 345), st.floats(2, 40))
 alloys = st.builds(
-    lambda a_s, a_width, m_f, m_width, c_a, c_m: DEFAULTS.replace(
-        {
-            "wire.austenite_start_temperature": a_s,
-            "wire.austenite_finish_temperature": a_s + a_width,
-            "wire.martensite_finish_temperature": m_f,
-            "wire.martensite_start_temperature": m_f + m_width,
-            "wire.stress_influence_austenite": c_a,
-            "wire.stress_influence_martensite": c_m,
-        }
-    ),
-    st.floats(315, 345),
-    st.floats(2, 40),
-    st.floats(305, 345),
-    st.floats(2, 40),
-    st.floats(4e6, 15e6),
-    st.floats(4e6, 15e6),
+    lambda ranges, influences: DEFAULTS.replace(alloy(ranges, influences)),
+    st.tuples(*RANGES),
+    st.tuples(st.floats(4e6, 15e6), st.floats(4e6, 15e6)),
 )
 stresses = st.floats(-200e6, 500e6)
 
@@ -114,20 +103,6 @@ def test_with_moving_stress_no_branch_jumps(alloy, path):
         left, right = abs(point(middle) - point(low)), abs(point(high) - point(middle))
         low, high = (low, middle) if left > right else (middle, high)
     assert abs(point(high) - point(low)) < 1e-4
-
-
-def test_stress_that_pulls_a_warming_wire_below_its_martensite_range_turns_it_all():
-    alloy = DEFAULTS.replace(
-        {"wire.martensite_start_temperature": 330.0, "wire.martensite_finish_temperature": 320.0}
-    )
-    wire = Wire(alloy)
-    wire.go(400.0, 0.0)
-    wire.go(331.0, 0.0)
-    branch = wire.go(331.5, 100e6, 400)  # M_f at 334.3 K, f = 1 all the while
-    assert branch[0] == 0.0
-    assert branch[-1] == 1.0
-    assert np.all(np.diff(branch) >= 0.0)
-    assert np.max(np.diff(branch)) < 0.05
 
 
 def test_stress_is_the_constitutive_law_from_rest():

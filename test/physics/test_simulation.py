@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from effect_references import COMPOSITE, alloy, on_sides
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters
 from sma_bench.physics import (
     Bench,
     Boundary,
@@ -17,35 +17,17 @@ from sma_bench.physics import (
     simulate,
 )
 
-COMPOSITE = Parameters.of_paper().replace(
-    {
-        "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-        "bench.channel_sides": ("front", "front", "back", "back"),
-        "composite.deflection_per_strain": 1.0,
-        "composite.stress_per_deflection_front": 5.0e9,
-        "composite.stress_per_deflection_back": 4.0e9,
-    }
-)
-
 # Every order of the ranges, differing influences, stiff and soft composites.
+RANGES = (st.floats(320, 345), st.floats(3, 40), st.floats(305, 335), st.floats(3, 40))
 rigs = st.builds(
-    lambda a_s, a_width, m_f, m_width, c_a, c_m, beta, theta: {
-        "wire.austenite_start_temperature": a_s,
-        "wire.austenite_finish_temperature": a_s + a_width,
-        "wire.martensite_finish_temperature": m_f,
-        "wire.martensite_start_temperature": m_f + m_width,
-        "wire.stress_influence_austenite": c_a,
-        "wire.stress_influence_martensite": c_m,
+    lambda ranges, influences, beta, theta: {
+        **alloy(ranges, influences),
         "composite.stress_per_deflection_front": beta,
         "composite.stress_per_deflection_back": 0.6 * beta,
         "wire.thermal_expansion_factor": theta,
     },
-    st.floats(320, 345),
-    st.floats(3, 40),
-    st.floats(305, 335),
-    st.floats(3, 40),
-    st.floats(4e6, 15e6),
-    st.floats(4e6, 15e6),
+    st.tuples(*RANGES),
+    st.tuples(st.floats(4e6, 15e6), st.floats(4e6, 15e6)),
     st.floats(5e8, 2e11),
     st.floats(-0.5e6, 0.3e6),
 )
@@ -133,20 +115,10 @@ def test_front_wires_bend_to_the_front_and_return_to_zero():
 
 
 @pytest.mark.parametrize(
-    "sides",
-    [
-        ("back",),
-        ("back", "front", "back"),
-        ("front", "back") * 6,
-    ],
+    "sides", [("back",), ("back", "front", "back"), ("front", "back") * 6], ids=len
 )
 def test_any_number_of_wires_in_any_order_of_sides(sides):
-    rig = COMPOSITE.replace(
-        {
-            "bench.channels": tuple(f"w{i}" for i in range(len(sides))),
-            "bench.channel_sides": sides,
-        }
-    )
+    rig = on_sides(COMPOSITE, sides)
     time, voltage = random_voltage(3, 300, len(sides), 0.05)
     run = simulate(rig, time, voltage, boundary=Boundary.bending(rig))
     assert run.temperature.shape == (300, len(sides))
@@ -154,12 +126,7 @@ def test_any_number_of_wires_in_any_order_of_sides(sides):
     expected = np.zeros(300)
     for side in set(sides):
         members = [i for i, name in enumerate(sides) if name == side]
-        alone = rig.replace(
-            {
-                "bench.channels": tuple(f"w{i}" for i in members),
-                "bench.channel_sides": (side,) * len(members),
-            }
-        )
+        alone = on_sides(COMPOSITE, (side,) * len(members))
         part = simulate(alone, time, voltage[:, members], boundary=Boundary.bending(alone))
         assert np.array_equal(part.stress, run.stress[:, members])
         expected += part.deflection
