@@ -10,12 +10,11 @@ import re
 import signal
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from emulated_rig import BridgedRig, bridged_rig
+from emulated_rig import bridged_rig
 from uno.emulated_uno import Relay, Switch
 
 from sma_bench.hardware.serial_messages import line
@@ -34,27 +33,6 @@ def rows(title):
     section = page.read_text().partition(f"## {title}")[2].partition("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("| ")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One hazard on a bench that drives `volts`.
-
-    `make` brings it about and returns the moment in s of the Uno's clock. `cause` is a part of the
-    reason that `told` (the bridge's state, unless it is given) reports, or several with `|`
-    between, where both device and bridge see it and either may be first to be reported. `quick`
-    ones belong to the short run of the tests; those of the `camera` have a synthetic one and the
-    node `ir_camera`.
-    """
-
-    cause: str
-    make: Callable[[BridgedRig], float]
-    told: Callable[[BridgedRig], str] = lambda rig: rig.state
-    volts: float = 3.0
-    quick: bool = False
-    camera: bool = False
-    settings: dict[str, object] = field(default_factory=dict)
-    """parameters of the bridge; one without temperatures in its `feedback` gets none"""
 
 
 # --- How they are made ---------------------------------------------------------------------------
@@ -201,6 +179,14 @@ def stop(rig):
 # --- What tells their causes ---------------------------------------------------------------------
 
 
+def state(rig):
+    return rig.state
+
+
+def refusal(rig):
+    return rig.refusal
+
+
 def after_restart(rig):
     """What a new bridge knows, whose opening of the port has reset the device."""
     rig.diagnostics.clear()
@@ -215,14 +201,10 @@ def after_waking(rig):
     return rig.state
 
 
-def with_camera(rig):
+def seen_by(rig):
     """What the bridge says, and what the camera's node does."""
     rig.until(lambda: rig.camera_says() not in ("", "running"))
     return f"{rig.state} (ir_camera: {rig.camera_says()})"
-
-
-def refusal(rig):
-    return rig.refusal
 
 
 def value(key):
@@ -234,61 +216,65 @@ def value(key):
     return told
 
 
+def fault(cause, make, told=state, volts=3.0, quick=False, camera=False, **settings):
+    """One hazard on a bench that drives `volts`, whose bridge has these `settings`.
+
+    `make` brings it about and returns the moment in s of the Uno's clock. `cause` is a part of the
+    reason that is `told`, or several with `|` between, where both device and bridge see it and
+    either may be first to be reported. `quick` ones belong to the short run of the tests; those of
+    the `camera` have a synthetic one and the node `ir_camera`.
+    """
+    return SimpleNamespace(**locals())
+
+
 STRONG = {"bench__maximum_current": 4.0}
 FAULTS = {
-    "host_killed": Fault("after: command timeout", send(signal.SIGKILL), after_restart, quick=True),
-    "host_hung": Fault("command timeout", send(signal.SIGSTOP), after_waking, quick=True),
-    "host_ended": Fault("after: stop byte", send(signal.SIGTERM), after_restart),
-    "cable_pulled": Fault("not connected", do(lambda rig: rig.hardware.port.unplug())),
-    "commander_silent": Fault(
-        "command_timeouts: 1", seen(voltage=None), value("command_timeouts")
-    ),
-    "nonsense_commanded": Fault("voltage_command has -1 V", nonsense, value("last_rejection")),
-    "stop_requested": Fault("stopped on request", stop),
-    "line_noise": Fault("command timeout", do(noise), quick=True),
-    "commands_replayed": Fault("idle", replay),
-    "two_hosts": Fault("another host speaks to the device", do(second_host), quick=True),
-    "firmware_hung": Fault("the device restarted", hang(interrupts=True), quick=True),
-    "firmware_dead": Fault("the device restarted", hang(interrupts=False)),
-    "short_circuit": Fault(
+    "host_killed": fault("after: command timeout", send(signal.SIGKILL), after_restart, quick=True),
+    "host_hung": fault("command timeout", send(signal.SIGSTOP), after_waking, quick=True),
+    "host_ended": fault("after: stop byte", send(signal.SIGTERM), after_restart),
+    "cable_pulled": fault("not connected", do(lambda rig: rig.hardware.port.unplug())),
+    "commander_silent": fault("command_timeouts: 1", seen(voltage=None), value("command_timeouts")),
+    "nonsense_commanded": fault("voltage_command has -1 V", nonsense, value("last_rejection")),
+    "stop_requested": fault("stopped on request", stop),
+    "line_noise": fault("command timeout", do(noise), quick=True),
+    "commands_replayed": fault("idle", replay),
+    "two_hosts": fault("another host speaks to the device", do(second_host), quick=True),
+    "firmware_hung": fault("the device restarted", hang(interrupts=True), quick=True),
+    "firmware_dead": fault("the device restarted", hang(interrupts=False)),
+    "short_circuit": fault(
         "found by the device|over-current: wire", electrics(resistance=0.3), volts=6.0, quick=True
     ),
-    "clipped_short": Fault(
+    "clipped_short": fault(
         "more current than the outputs explain", electrics(resistance=0.05), volts=1.0
     ),
-    "switch_shorted": Fault(
+    "switch_shorted": fault(
         "more current than the outputs explain",
         electrics(1, resistance=2.7, switch_is=Switch.STUCK_ON), quick=True,
     ),
-    "switch_stuck": Fault("relay: FAILED", enable_with(Switch.STUCK_ON), refusal),
-    "switch_inverted": Fault("relay: FAILED", enable_with(Switch.INVERTED), refusal),
-    "relay_welded": Fault(
-        "still flowing: pull the plug", stuck_behind_a_welded_relay, refusal
+    "switch_stuck": fault("relay: FAILED", enable_with(Switch.STUCK_ON), refusal),
+    "switch_inverted": fault("relay: FAILED", enable_with(Switch.INVERTED), refusal),
+    "relay_welded": fault("still flowing: pull the plug", stuck_behind_a_welded_relay, refusal),
+    "outputs_frozen": fault("output interrupt lost", poke(TIMSK0), quick=True),
+    "clock_frozen": fault("the device restarted", poke(TIMSK1)),
+    "heat_limit": fault("more heat than allowed", too_much_heat, volts=6.0, **STRONG),
+    "over_current": fault("over-current: wire", electrics(resistance=2.0), volts=6.5),
+    "wire_broken": fault("disagreement: wire carries", electrics(resistance=math.inf)),
+    "over_temperature": fault("over-temperature: wire", seen(fever=200.0), quick=True),
+    "heat_unseen": fault(
+        "over-temperature by the model: wire", seen(voltage=(8.0,)), feedback=["power"], **STRONG
     ),
-    "outputs_frozen": Fault("output interrupt lost", poke(TIMSK0), quick=True),
-    "clock_frozen": Fault("the device restarted", poke(TIMSK1)),
-    "heat_limit": Fault(
-        "more heat than allowed", too_much_heat, volts=6.0, settings=STRONG
-    ),
-    "over_current": Fault("over-current: wire", electrics(resistance=2.0), volts=6.5),
-    "wire_broken": Fault("disagreement: wire carries", electrics(resistance=math.inf)),
-    "over_temperature": Fault("over-temperature: wire", seen(fever=200.0), quick=True),
-    "heat_unseen": Fault(
-        "over-temperature by the model: wire", seen(voltage=(8.0,)),
-        settings={"feedback": ["power"], **STRONG},
-    ),
-    "temperature_lost": Fault(
+    "temperature_lost": fault(
         "stale feedback: nothing new from wire/temperature", seen(fever=None)
     ),
-    "camera_lost": Fault(
-        "limit 1 s (ir_camera: no frame for", camera("silent"), with_camera, camera=True
+    "camera_lost": fault(
+        "limit 1 s (ir_camera: no frame for", camera("silent"), seen_by, camera=True
     ),
-    "camera_frozen": Fault(
-        "limit 1 s (ir_camera: frozen", camera("frozen"), with_camera, camera=True
+    "camera_frozen": fault(
+        "limit 1 s (ir_camera: frozen", camera("frozen"), seen_by, camera=True
     ),
-    "camera_astray": Fault("disagreement: wire measured at", seen(kelvin=296.0), volts=6.0),
-    "disk_full": Fault("recording failed:", full_disk),
-    "supply_lost": Fault("supply out of range|duty above its limit", electrics(supply=3.0)),
+    "camera_astray": fault("disagreement: wire measured at", seen(kelvin=296.0), volts=6.0),
+    "disk_full": fault("recording failed:", full_disk),
+    "supply_lost": fault("supply out of range|duty above its limit", electrics(supply=3.0)),
 }  # fmt: skip
 
 
@@ -305,18 +291,18 @@ FAULTS = {
 def test_outputs_go_to_zero_in_time_and_the_cause_is_told(
     bench, uno, hazard, detection, limit, name, record_property
 ):
-    fault = FAULTS[name]
-    causes = fault.cause.split("|")
-    with bridged_rig(bench, uno, camera=fault.camera, **fault.settings) as rig:
-        if "temperature" not in fault.settings.get("feedback", ["temperature"]):
+    made = FAULTS[name]
+    causes = made.cause.split("|")
+    with bridged_rig(bench, uno, camera=made.camera, **made.settings) as rig:
+        if "feedback" in made.settings:  # without temperatures
             rig.fever = None
         rig.enable()
-        rig.drive(fault.volts)
-        moment = fault.make(rig)
-        if fault.told is Fault.told:  # outputs may pause before, where a machine is busy
+        rig.drive(made.volts)
+        moment = made.make(rig)
+        if made.told is state:  # outputs may pause before, where a machine is busy
             rig.until(lambda: any(cause in rig.state for cause in causes))
         measured = rig.off_after(moment)
-        told = fault.told(rig)
+        told = made.told(rig)
     found = {"hazard": hazard, "limit": limit, "measured": measured, "told": told}
     for key, number in found.items():
         record_property(key, number)

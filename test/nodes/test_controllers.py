@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from fake_bench import FakeBench
+from sensor_msgs.msg import Range
 from std_msgs.msg import Float64, Float64MultiArray
 
 from sma_bench.installation import share_directory
@@ -30,9 +31,10 @@ def stamps(messages):
 
 
 def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
-    tip, volts, states = bench.hear(
-        "joint_states", "voltage_command", "deflection_controller/state"
-    )
+    tip, volts, states, front, back = bench.hear(
+        "joint_states", "voltage_command", "deflection_controller/state", "front/range",
+        "back/range",
+    )  # fmt: skip
     # The controller knows the wires less well than it thinks.
     off = {"wire__heat_transfer_coefficient": 411.0, "wire__austenite_start_temperature": 332.9}
     bench.start("simulator", COMPOSITE_RIG, **FAST, **off)
@@ -59,6 +61,9 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
     assert np.sqrt(np.mean((metres - wanted)[part] ** 2)) < 1e-3
     assert metres.max() == pytest.approx(0.03, abs=1e-3)
     assert metres.min() == pytest.approx(-0.03, abs=1e-3)
+    assert tip[0].name == ["tip"] and front[0].radiation_type == Range.INFRARED
+    for near in (front, back):  # towards the one, then the other
+        assert min(m.range for m in near) == pytest.approx(near[0].range - 0.03, abs=5e-3)
     sent = np.array([m.data for m in volts])
     assert not np.any((sent[:, 0] > 0.0) & (sent[:, 2] > 0.0))
     np.testing.assert_array_equal(sent[:, 0], sent[:, 1])
