@@ -15,10 +15,10 @@ from sma_bench.records import read_record
 BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def recording(bench, folder, *topics, **options):
+def recording(bench, folder, *topics):
     """A running recorder that has subscribed to the topics."""
     states = bench.hear("recorder/state")
-    node = bench.start("recorder", output=folder, **options)
+    node = bench.start("recorder", output=folder)
 
     def counts():
         messages = json.loads(states[-1].data)["messages"] if states else {}
@@ -66,13 +66,9 @@ def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, 
 
 def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_path):
     publisher = bench.node.create_publisher(Float64MultiArray, "voltage_command", 1000)
-
-    def small_disk():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
-
     states, diagnostics = bench.hear("recorder/state", "/diagnostics")
-    small = {"preexec_fn": small_disk}
-    node = bench.start("recorder", options=small, output=tmp_path / "bag")
+    node = bench.start("recorder", output=tmp_path / "bag")
+    resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, (60_000, 60_000))
     bench.until(lambda: publisher.get_subscription_count() and diagnostics)  # it is heard
     published = 0
     while node.process.poll() is None:
