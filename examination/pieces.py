@@ -2,14 +2,17 @@
 
 import argparse
 import json
+import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from sma_bench.parameters.yaml_file import write_text_atomically
 
@@ -93,3 +96,16 @@ def in_pieces(
 
 def _labelled(run: Callable[[Any], Any], job: Any) -> tuple[Any, Any]:
     return job, run(job)
+
+
+def print_coverage(found: Mapping[str, Sequence[float]], limit: float) -> float:
+    """A row a number, then of all: deviations from the truth in stated errors, the share of them
+    within `limit`; that share of all."""
+    every = [z for own in found.values() for z in own]
+    print(f"{'number':44s}{'n':>6s}{'inside':>8s}{'bias':>7s}{'rms z':>7s}")
+    for name, own in [*found.items(), ("all", every)]:
+        if len(own):
+            z = np.array(own)
+            share, rms = float(np.mean(np.abs(z) < limit)), math.sqrt(np.mean(z**2))
+            print(f"{name:44s}{z.size:6d}{share:8.1%}{np.median(z):+7.2f}{rms:7.2f}")
+    return share if every else math.nan

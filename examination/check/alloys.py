@@ -13,7 +13,6 @@ Exits with 1 where the 90 % intervals hold less than 85 or more than 95 % of all
 those far from the paper's.
 """
 
-import math
 import sys
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -25,7 +24,7 @@ import numpy as np
 
 from examination.attack_lab import instruments
 from examination.attack_lab.instruments import ZERO, Alloy
-from examination.pieces import IN_PIECES, in_pieces, options_of
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_coverage
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
@@ -50,13 +49,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     found = [row for rows in in_pieces(_examine, jobs, options) for row in rows]
     print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
     for method in METHODS:
-        rows = [f for f in found if f["method"] == method]
-        for name in sorted({f["name"] for f in rows}):
-            _print_row(method, name, [f for f in rows if f["name"] == name])
-        _print_row(method, "all", rows)
-    whole = _print_row("all", "", found)
-    far = _print_row("far", "", [f for f in found if f["far"] > FAR])
+        print(f"\n{method}")
+        print_coverage(_deviations(f for f in found if f["method"] == method), Z90)
+    print("\nfar from the paper's")
+    far = print_coverage(_deviations(f for f in found if f["far"] > FAR), Z90)
+    whole = coverage(found)
+    print(f"\nall: {whole:.1%} inside, far {far:.1%}, wanted {BAND[0]:.0%} to {BAND[1]:.0%}")
     return 0 if all(BAND[0] <= share <= BAND[1] for share in (whole, far)) else 1
+
+
+def _deviations(rows: Iterable[dict[str, Any]]) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        found.setdefault(row["name"], []).append(row["z"])
+    return found
 
 
 def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
@@ -81,7 +87,7 @@ def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
             for name, e in result.estimates.items():
                 if name in truth and name not in given:
                     off, far = e.value - truth[name], abs(truth[name] - paper[name])
-                    row = {"method": method, "name": name, "z": off / e.std, "std": e.std}
+                    row = {"method": method, "name": name, "z": off / e.std}
                     rows.append(row | {"far": far / paper.std(name)})
     return rows
 
@@ -170,18 +176,6 @@ def _section(random: np.random.Generator) -> float:
 def coverage(found: Iterable[dict[str, Any]]) -> float:
     """Share of 90 % intervals that hold the truth."""
     return float(np.mean([abs(f["z"]) < Z90 for f in found]))
-
-
-def _print_row(method: str, name: str, found: Sequence[dict[str, Any]]) -> float:
-    if not found:
-        return 0.9
-    z, share = np.array([f["z"] for f in found]), coverage(found)
-    rms, std = math.sqrt(float(np.mean(z**2))), np.median([f["std"] for f in found])
-    print(
-        f"{method:4s} {name:36s} {len(z):5d}  {share:6.1%}  bias {np.median(z):+5.2f}  "
-        f"rms z {rms:5.2f}  std {std:.3g}"
-    )
-    return share
 
 
 if __name__ == "__main__":

@@ -19,11 +19,10 @@ SECTIONS = {
     "simulation": "stiff solvers at equal error",
     "reading": "bags: rosbags, mcap-ros2-support",
     "commands": "help, identification, diagnosis; cold and warm",
-    "diagnosis": "its derivatives, development cases, records of minutes to hours",
+    "diagnosis": "development cases, records of minutes to hours",
     "identification": "E10 over minutes to an hour, memory",
     "nodes": "rates, jitter, latency, share of a core; the camera",
     "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
-    "growth": "with length, wires, effects, parameter sets",
     "batch": "identified, diagnosed; processes, a dask cluster; a thousand",
 }
 

@@ -1,9 +1,6 @@
-"""The simulation beside stiff solvers at equal error; many parameter sets on all cores."""
+"""The simulation beside stiff solvers at equal error."""
 
-import os
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -29,7 +26,6 @@ REFERENCE = 1e-12
 LADDER = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # A solver need not be better than this where the simulation is: a millionth of the range.
 ENOUGH = 1e-6
-SETS = 32
 RIVALS: dict[str, Callable[[float], Solver]] = {"scipy LSODA": lsoda, "scikit-sundae CVODE": cvode}
 
 
@@ -53,11 +49,10 @@ def drive(n: int, wires: int) -> tuple[Array, Array]:
 
 
 def measure(tiny: bool = False) -> Iterator[Figure]:
-    """Ratios to the solvers; many parameter sets on all cores."""
+    """Ratios to the solvers."""
     for case, parameters in benches().items():
         if not tiny or case in ("one wire", "four wires, effects on"):
             yield from _beside_solvers(case, parameters, 161 if tiny else 10_001, tiny)
-    yield from _many_sets(1000 if tiny else 40_000)
 
 
 def _beside_solvers(case: str, parameters: Parameters, n: int, tiny: bool) -> Iterator[Figure]:
@@ -95,22 +90,3 @@ def _error(states: Array, truth: Array) -> float:
     """Largest difference of T and xi, as a share of the range that each runs through."""
     halves = zip(np.hsplit(states, 2), np.hsplit(truth, 2), strict=True)
     return float(max(np.abs(found - true).max() / np.ptp(true) for found, true in halves))
-
-
-def _many_sets(n: int) -> Iterator[Figure]:
-    """Many parameter sets on one thread and on all cores."""
-    cores = len(os.sched_getaffinity(0))
-    four = benches()["four wires"]
-    time_, voltage = drive(n, 4)
-    sets = [four.replace({"wire.resistance": 2.5 + 0.01 * k}) for k in range(SETS)]
-
-    def through(pool: ThreadPoolExecutor) -> object:
-        return list(pool.map(lambda p: simulate(p, time_, voltage), sets))
-
-    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(cores) as every:
-        calls = {"one": lambda: through(one), "every": lambda: through(every)}
-        seconds = interleaved(calls, 5, budget=15.0, clock=time.perf_counter)
-    gain = ratio(seconds["one"], seconds["every"])
-    yield Figure(
-        f"{SETS} parameter sets, four wires", f"gain of {cores} threads over one", gain, "x"
-    )

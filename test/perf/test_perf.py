@@ -39,33 +39,27 @@ def test_simulation_is_held_against_solvers(tmp_path, capsys):
         for rival in ("scipy LSODA", "scikit-sundae CVODE"):
             assert found[case][f"{rival}: times slower"] > 1.0
             assert found[case][f"{rival}: its error"] < 1e-2
-    assert any("parameter sets" in case for case in found)
     document = json.loads(file.read_text())
     assert list(document["sections"]) == ["simulation"]
     assert document["machine"]["cores"] >= 1 and document["machine"]["versions"]["numpy"]
 
 
 @pytest.mark.slow
-def test_every_other_section_is_complete(tmp_path):
+def test_other_sections_are_complete(tmp_path):
     file = tmp_path / "perf.json"
-    sections = ("reading", "growth", "commands", "batch", "diagnosis", "identification")
+    sections = ("reading", "commands", "batch", "diagnosis")
     assert main([*sections, "--tiny", "--json", str(file)]) == 0
     document = json.loads(file.read_text())
     assert not any(section["missing"] for section in document["sections"].values())
     mcap, sqlite3 = measures(file, "reading").values()
     assert mcap["mcap-ros2-support: times slower"] > 0.0
     assert min(mcap["rosbags: times slower"], sqlite3["rosbags: times slower"]) > 0.0
-    growth = measures(file, "growth")
-    for what in ("samples", "wires", "parameter sets", "effects"):
-        assert f"simulation over {what}" in growth
-    assert len(growth) == 6
     commands = measures(file, "commands")
     assert set(commands) == {"--help", "identify --help", "identify a minute's bag"}
     assert all(found["warm: processor"] > 0.0 for found in commands.values())
-    (of_e10,) = measures(file, "identification").values()
-    assert of_e10["identification: processor"] > 0.0 and of_e10["largest memory"] > 0.0
-    for section in ("batch", "diagnosis"):
-        assert sum(map(len, measures(file, section).values())) == 1
+    (found,) = measures(file, "diagnosis").values()
+    assert found["diagnosis: processor"] > 0.0 and found["largest memory"] > 0.0
+    assert sum(map(len, measures(file, "batch").values())) == 1
 
 
 @pytest.mark.slow
@@ -79,11 +73,7 @@ def test_nodes_and_the_twin_are_measured(tmp_path, ros_domain):
     found = measures(file, "nodes")["simulator at 100 Hz"]
     assert found["power readings a second"] > 0.0
     assert found["command to reading, median"] > 0.0
-    twin = measures(file, "twin")
-    assert all(
-        twin[f"{rig} at 500 Hz"]["twin without ROS"] > 0.0 for rig in ("one wire", "four wires")
-    )
-    assert twin["one wire at 500 Hz"]["twin node"] > 0.0
+    assert measures(file, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
 
 
 def test_an_unknown_section_is_one_line_and_one_that_fails_ends_no_other(monkeypatch, capsys):
@@ -97,9 +87,9 @@ def test_an_unknown_section_is_one_line_and_one_that_fails_ends_no_other(monkeyp
         yield Figure("a case", "a measure", 1.0)
         raise OSError("disk full")
 
-    monkeypatch.setattr("examination.perf.growth.measure", failing)
+    monkeypatch.setattr("examination.perf.reading.measure", failing)
     monkeypatch.setattr("examination.perf.batch.measure", lambda tiny: [Figure("b", "next", 2.0)])
-    assert main(["growth", "batch"]) == 0
+    assert main(["reading", "batch"]) == 0
     said = capsys.readouterr().out
     assert "a measure" in said and "not measured: OSError: disk full" in said and "next" in said
 
