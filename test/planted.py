@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sma_bench.diagnose import search
@@ -19,8 +18,6 @@ from sma_bench.physics.material import current
 from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 
-Array = NDArray[np.float64]
-
 CHANNELS = ("front_1", "back_1")
 ONE_WIRE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
 RATE = 50.0  # Hz
@@ -30,10 +27,8 @@ NOISE = {"current": 0.01, "temperature": 0.15, "deflection": 1e-4}  # A, K, m
 UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
 ALL = ("current", "temperature", "deflection")
 # Those planted, and for each stage one that it is easily taken for.
-FEW = (
-    "supply_drop", "latent_heat", "side_heat_coupling", "transition_drift", "residual_strain",
-    "viscoelastic_matrix", "deflection_drift",
-)
+THERMAL = ("supply_drop", "latent_heat", "side_heat_coupling")
+FEW = (*THERMAL, "transition_drift", "residual_strain", "viscoelastic_matrix", "deflection_drift")
 _OFF = {  # of the truth from the belief, in standard deviations
     "wire.resistance": 0.8,
     "wire.heat_transfer_coefficient": -0.7,
@@ -121,7 +116,14 @@ def sensor_noise(kind, count, std, random):
 
 
 def planted_record(
-    path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False, bench=None,
+    path,
+    effects=None,
+    *,
+    quantities=ALL,
+    kind="white",
+    seed=1,
+    turned=False,
+    bench=None,
     protocol=None,
 ):
     """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""

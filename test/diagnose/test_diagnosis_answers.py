@@ -26,16 +26,15 @@ HIGH = {"kind": "ramp", "start": 2.0, "stop": 2.0, "duration": 5.0}
 
 @pytest.fixture(scope="module")
 def wire_rig():
-    return believed().replace(
-        {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
-    )
+    return believed().replace({"bench.channels": ("wire",), "bench.channel_sides": ("front",)})
 
 
 @pytest.fixture(scope="module")
 def wire_diagnosis(wire_rig, tmp_path_factory):
     truth = wire_rig.replace({"effect.supply_drop.resistance": 0.3, "wire.resistance": 2.71})
     record = planted_record(
-        tmp_path_factory.mktemp("wire") / "bag", quantities=("current", "temperature"),
+        tmp_path_factory.mktemp("wire") / "bag",
+        quantities=("current", "temperature"),
         bench=truth,
     )
     with few_effects():
@@ -63,9 +62,9 @@ def test_the_improved_parameters_bring_the_simulation_to_the_bench(planted_diagn
     deflection = next(s for s in view.signals if s.name == "deflection")
     missed = []
     for parameters in (planted_diagnosis.parameters, planted_diagnosis.improved):
-        reading = deflection.average @ simulate(
-            parameters, view.grid, view.voltage
-        ).deflection_reading
+        reading = (
+            deflection.average @ simulate(parameters, view.grid, view.voltage).deflection_reading
+        )
         missed.append(np.sqrt(np.mean((deflection.value - reading) ** 2)))
     assert missed[1] < 0.1 * missed[0]
     coupling = "effect.side_heat_coupling.conductance"
@@ -117,7 +116,9 @@ def test_a_hold_out_that_is_fitted_too_is_refused(tmp_path):
 def test_a_record_whose_runs_are_swapped_is_told(wire_rig, tmp_path):
     made = [
         planted_record(
-            tmp_path / f"bag_{k}", quantities=("current", "temperature"), bench=wire_rig,
+            tmp_path / f"bag_{k}",
+            quantities=("current", "temperature"),
+            bench=wire_rig,
             protocol=parse_protocol({"name": "rise", "steps": steps}, wire_rig),
         )
         for k, steps in enumerate(([LOW, HIGH, LOW], [HIGH, LOW, HIGH]))

@@ -11,11 +11,14 @@ def test_a_drawn_rig_is_identified_and_diagnosed():
     assert [found[work] for work in rigs.WORK] == [rigs.FINE] * 2, found
 
 
-@pytest.mark.parametrize(("error", "outcome"), [
-    (FitError("within a fit: load.stiffness is 0"), rigs.RAISED),
-    (InputError("bag: nothing to identify: load.stiffness is 0"), rigs.HIDDEN),
-    (InputError("bag: begins under voltage"), rigs.REFUSED),
-])
+@pytest.mark.parametrize(
+    ("error", "outcome"),
+    [
+        (FitError("within a fit: load.stiffness is 0"), rigs.RAISED),
+        (InputError("bag: nothing to identify: load.stiffness is 0"), rigs.HIDDEN),
+        (InputError("bag: begins under voltage"), rigs.REFUSED),
+    ],
+)
 def test_what_goes_wrong_is_told_apart(monkeypatch, capsys, error, outcome):
     def fails(*arguments):
         raise error

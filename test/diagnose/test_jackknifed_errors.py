@@ -26,22 +26,30 @@ def fitted_height(random, uneven):
     records = [SimpleNamespace(grid=time) for _ in range(2)]
     blocks = [
         SimpleNamespace(
-            observation=record, signal=SimpleNamespace(time=time),
+            observation=record,
+            signal=SimpleNamespace(time=time),
             rows=slice(600 * k, 600 * (k + 1)),
         )
         for k, record in enumerate(records)
     ]
     stub = SimpleNamespace(
-        observations=records, blocks=blocks, whiten=lambda rows: rows,
+        observations=records,
+        blocks=blocks,
+        whiten=lambda rows: rows,
         white_nuisances=np.zeros((len(true), 0)),
     )
     stub.stretches = lambda parts: Problem.stretches(stub, parts)
-    unknowns = SimpleNamespace(
-        slopes=lambda x: np.ones(len(x)), turn=lambda x: np.eye(len(x))
-    )
+    unknowns = SimpleNamespace(slopes=lambda x: np.ones(len(x)), turn=lambda x: np.eye(len(x)))
     return Fit(
-        stub, unknowns, x, np.zeros(0), np.array([[1.0 / information]]), 0.0,
-        HEIGHT * x[0], HEIGHT[:, None], measured - HEIGHT * x[0],
+        stub,
+        unknowns,
+        x,
+        np.zeros(0),
+        np.array([[1.0 / information]]),
+        0.0,
+        HEIGHT * x[0],
+        HEIGHT[:, None],
+        measured - HEIGHT * x[0],
     )
 
 

@@ -85,9 +85,9 @@ def test_what_was_planted_is_named_from_motion_and_voltage(load, effect, drive):
     (number, size), (name,) = next(iter(effect.items())), [n.split(".")[1] for n in effect]
     first = found.to_json()["candidates"][0]
     assert (first["name"], found.decision.verdict) == (name, "effect")
-    assert abs(first["parameters"][number]["value"] - size) < 4.0 * first["parameters"][number][
-        "std"
-    ]
+    assert (
+        abs(first["parameters"][number]["value"] - size) < 4.0 * first["parameters"][number]["std"]
+    )
     assert found.shrinkage["deflection"].fraction > 0.8
     assert {o.quantities for o in found.observations} == {("deflection",)}
     assert bool(found.to_json()["where"]["side"]) == (load == "antagonist")

@@ -40,9 +40,7 @@ def test_the_proposed_experiment_breaks_the_tie_when_it_is_run(short_record, tmp
     assert diagnosed([short_record, longer]).decision.cause == ("ambient_drift",)
 
 
-def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(
-    short_record, monkeypatch
-):
+def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(short_record, monkeypatch):
     def refused(*_):
         raise InputError("protocol separate: step 2: 12 V, expected at most 10 V")
 
@@ -60,16 +58,25 @@ def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_di
     smooth = found.search.flexible
     missing = replace(smooth, gain=9.0, weights=np.ones_like(smooth.weights))
     proposed = next_experiment.next_experiment(
-        puzzled, replace(found.search, flexible=missing), weigh(found.search),
-        found.observations, found.parameters,
+        puzzled,
+        replace(found.search, flexible=missing),
+        weigh(found.search),
+        found.observations,
+        found.parameters,
     )
     assert proposed.separates == () and "what no effect explains" in proposed.why
     assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0
     seen = replace(missing, response=1e3 * np.ones_like(smooth.response))
-    assert next_experiment.next_experiment(
-        puzzled, replace(found.search, flexible=seen), weigh(found.search),
-        found.observations, found.parameters,
-    ) is None  # the records show more of it than any drive would
+    assert (
+        next_experiment.next_experiment(
+            puzzled,
+            replace(found.search, flexible=seen),
+            weigh(found.search),
+            found.observations,
+            found.parameters,
+        )
+        is None
+    )  # the records show more of it than any drive would
 
 
 def test_a_cause_that_is_the_whole_credible_set_is_settled(planted_diagnosis, monkeypatch):
@@ -79,9 +86,7 @@ def test_a_cause_that_is_the_whole_credible_set_is_settled(planted_diagnosis, mo
     named, *others = found.decision.candidates
     for share, settled in ((0.95, True), (0.85, False)):
         rest = [replace(c, probability=(1.0 - share) / len(others)) for c in others]
-        decision = replace(
-            found.decision, candidates=(replace(named, probability=share), *rest)
-        )
+        decision = replace(found.decision, candidates=(replace(named, probability=share), *rest))
         proposed = next_experiment.next_experiment(
             decision, found.search, weigh(found.search), found.observations, found.parameters
         )

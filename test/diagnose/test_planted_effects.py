@@ -56,8 +56,9 @@ def test_the_whole_library_competes(tmp_path):
 
 
 def test_sides_that_heat_each_other_are_found_with_every_sensor(planted_diagnosis):
-    expect(planted_diagnosis, "side_heat_coupling",
-           {"effect.side_heat_coupling.conductance": 0.002})
+    expect(
+        planted_diagnosis, "side_heat_coupling", {"effect.side_heat_coupling.conductance": 0.002}
+    )
     assert set(FEW) <= {c.name for c in planted_diagnosis.decision.candidates}
 
 

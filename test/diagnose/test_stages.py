@@ -11,11 +11,8 @@ from sma_bench.diagnose.sizes import Cell
 from sma_bench.diagnose.stages import stage_of_recalibration, stages_of
 from sma_bench.parameters.table import TRANSITIONS
 
-RESISTANCE, LOSS, CAPACITY = (
-    "wire.resistance",
-    "wire.heat_transfer_coefficient",
-    "wire.specific_heat",
-)
+RESISTANCE, LOSS = "wire.resistance", "wire.heat_transfer_coefficient"
+CAPACITY = "wire.specific_heat"
 INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
 STARTS = (*TRANSITIONS.values(), *INFLUENCES)
 STROKE = "composite.deflection_per_strain"

@@ -80,8 +80,10 @@ def statements(draw):
 
 @settings(max_examples=80)
 @given(
-    load=st.sampled_from(LOAD_KINDS), stated=statements(),
-    reach=st.sampled_from([1.0, 5.0, np.inf]), seed=st.integers(0, 2**32 - 1),
+    load=st.sampled_from(LOAD_KINDS),
+    stated=statements(),
+    reach=st.sampled_from([1.0, 5.0, np.inf]),
+    seed=st.integers(0, 2**32 - 1),
 )
 def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated, reach, seed):
     try:
@@ -97,9 +99,7 @@ def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated
     a_s, a_f, m_s, m_f = (there[name] for name in TEMPERATURES)
     assert a_s < a_f and m_f < m_s
     drive = np.full((40, len(there["bench.channels"])), 2.0)
-    run = simulate(
-        there, np.arange(40) * 0.25, drive, initial=Kernel.of(there, None).rest
-    )
+    run = simulate(there, np.arange(40) * 0.25, drive, initial=Kernel.of(there, None).rest)
     assert np.all(np.isfinite([run.temperature, run.stress, run.martensite_fraction]))
     assert np.all(np.isfinite(unknowns.turn(x))) and np.all(np.isfinite(unknowns.slopes(x)))
 

@@ -1,6 +1,5 @@
 """A record as the diagnosis sees it: bins, phases, and what cannot be compared."""
 
-
 import numpy as np
 import pytest
 from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_record, true_bench
@@ -22,9 +21,7 @@ def record_of(*signals):
 
 def volts():
     time, voltage = drive()
-    return [
-        Signal(f"{name}.voltage", "V", time, voltage[:, k]) for k, name in enumerate(CHANNELS)
-    ]
+    return [Signal(f"{name}.voltage", "V", time, voltage[:, k]) for k, name in enumerate(CHANNELS)]
 
 
 def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_phase(view):

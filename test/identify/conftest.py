@@ -103,7 +103,13 @@ def record_of(wire, sensors, seed, voltage, duration, step, lag=0.0, cooling=Non
 
 
 def staircase_record(
-    wire=Wire(), sensors=Sensors(), seed=0, dwell=30.0, top=6.25, increment=0.25, markers=(),
+    wire=Wire(),
+    sensors=Sensors(),
+    seed=0,
+    dwell=30.0,
+    top=6.25,
+    increment=0.25,
+    markers=(),
     cooling_resistance=None,
 ):
     """Voltage up and down in steps."""
@@ -119,8 +125,15 @@ def staircase_record(
 
 
 def ramp_record(
-    wire=Wire(), sensors=Sensors(100.0, 80.0), seed=0, top=2.7, rise=7.0, rest=12.0, repeat=4,
-    lead=4.0, lag=0.0,
+    wire=Wire(),
+    sensors=Sensors(100.0, 80.0),
+    seed=0,
+    top=2.7,
+    rise=7.0,
+    rest=12.0,
+    repeat=4,
+    lead=4.0,
+    lag=0.0,
 ):
     """0 V, a ramp, 0 V, repeated."""
 

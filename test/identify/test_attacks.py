@@ -1,6 +1,5 @@
 """No number is wrong without a word: a few attacks of `./bench check attacks`, which has all."""
 
-
 import numpy as np
 import pytest
 
@@ -9,12 +8,15 @@ from examination.check import attacks
 
 # Each of another kind: in the errors, warned of, seen in the record, in the statements, refused.
 WIRES = tuple(
-    f"E1 to E3 {name}"
-    for name in ("camera gain +5 %", "lead of 0.1 ohm", "camera saturates")
+    f"E1 to E3 {name}" for name in ("camera gain +5 %", "lead of 0.1 ohm", "camera saturates")
 )
 TABLES = (
-    "E5 sample lags 8 s", "E5 signal saturates", "E7 soft grips", "E7 a slip in the rise",
-    "E8 spot half filled", "E8 wrong diameter: 6 % too large",
+    "E5 sample lags 8 s",
+    "E5 signal saturates",
+    "E7 soft grips",
+    "E7 a slip in the rise",
+    "E8 spot half filled",
+    "E8 wrong diameter: 6 % too large",
 )
 
 

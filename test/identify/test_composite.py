@@ -175,17 +175,6 @@ def test_errors_stay_true_under_coloured_noise():
     assert np.sqrt(np.mean(np.square(deviations))) < 1.5
 
 
-def test_a_prior_that_the_record_contradicts_is_reported():
-    known = bench().replace({"wire.resistance": 3.0}, {"wire.resistance": 0.01})
-    found = identify_moving_bench([record_of(bench())], known)
-    estimate = found.estimates["wire.resistance"]
-    assert estimate.value < 3.0 - 3.5 * 0.01
-    warning = next(f for f in found.findings if f.subject == "wire.resistance")
-    assert warning.severity == "warning"
-    assert warning.numbers["deviations"] < -3.5
-    assert estimate.std <= 0.01
-
-
 def test_an_effect_that_the_model_lacks_is_seen_in_the_residual():
     clean = identify_moving_bench([record_of(bench())], bench())
     assert not any("times the noise" in f.text for f in clean.findings)

@@ -30,8 +30,16 @@ FITTED = (
 def record(
     stress: float, truth: Parameters, seed: int = 1, growth: float = 0.0, zero: float = 0.01
 ) -> IsobaricRecord:
-    return isobaric(stress, truth, seed=seed, noise=5e-5, growth=growth, zero=zero,
-                    span=(293.15, 423.15), points=500)
+    return isobaric(
+        stress,
+        truth,
+        seed=seed,
+        noise=5e-5,
+        growth=growth,
+        zero=zero,
+        span=(293.15, 423.15),
+        points=500,
+    )
 
 
 def draw(seed: int) -> Parameters:
@@ -90,8 +98,10 @@ def test_one_stress_takes_the_influences_as_given() -> None:
     assert "wire.stress_influence_austenite" not in experiment.estimates
     a_s = experiment.estimates["wire.austenite_start_temperature"]
     assert a_s.value == pytest.approx(truth["wire.austenite_start_temperature"], abs=0.5)
-    shift_std = 150e6 / truth["wire.stress_influence_austenite"] ** 2 * truth.std(
-        "wire.stress_influence_austenite"
+    shift_std = (
+        150e6
+        / truth["wire.stress_influence_austenite"] ** 2
+        * truth.std("wire.stress_influence_austenite")
     )
     assert a_s.std >= shift_std
     assert any("taken as given" in f.text for f in experiment.findings)

@@ -28,9 +28,7 @@ def deviation(seed, wire, sensors, staircase, ramp):
     scale = rng.uniform(0.97, 1.03)
     gain = GAIN_STD * rng.standard_normal()
     steady = sensors(offset=rng.normal(0.0, 0.02), scale_error=gain)
-    moving = sensors(
-        100.0, 80.0, offset=0.01, delay=rng.uniform(-0.005, 0.005), scale_error=gain
-    )
+    moving = sensors(100.0, 80.0, offset=0.01, delay=rng.uniform(-0.005, 0.005), scale_error=gain)
     # Nor does a supply know when it will be read: in step with the readings c_p is 0.1 % low.
     lead = 4.0 + rng.uniform(0.0, 1.0 / moving.power_rate)
     records = [

@@ -24,7 +24,8 @@ def steady_record(voltage, n=2000):
     time = 0.05 * np.arange(n)
     values = {"voltage": voltage, "current": voltage / 2.7, "temperature": 297.0}
     return Record(
-        Path("steady"), 0,
+        Path("steady"),
+        0,
         {f"wire.{k}": Signal(f"wire.{k}", "", time, np.full(n, v)) for k, v in values.items()},
     )
 
@@ -33,8 +34,16 @@ def test_result_file_has_the_form_of_the_contract(staircase, ramp):
     document = identify([staircase(), ramp()], DEFAULTS).to_json()
     assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit", "card"}
     assert set(document["parameters"][R]) == {
-        "value", "std", "unit", "method", "n", "statistical", "systematic", "informed",
-        "warnings", "stated",
+        "value",
+        "std",
+        "unit",
+        "method",
+        "n",
+        "statistical",
+        "systematic",
+        "informed",
+        "warnings",
+        "stated",
     }
     assert document["parameters"][R]["unit"] == "ohm"
     assert json.loads(json.dumps(document, allow_nan=False)) == document

@@ -96,13 +96,3 @@ def test_a_drift_that_no_sensor_has_costs_probability_unless_its_zero_wanders():
     assert held.drift < free.drift
     whole = log_likelihood(held, residual) + held.log_prior
     assert whole < log_likelihood(free, residual)
-
-
-def test_the_drift_in_a_residual_is_its_mean_under_the_noise():
-    noise = Noise(0.4, 1.0, 8.0, PERIOD)
-    residual = drawn(noise, 200, 9)
-    white = noise.white**2 * np.eye(200)
-    slow = covariance(noise, 200) - white
-    exact = slow @ np.linalg.solve(slow + white, residual)
-    np.testing.assert_allclose(noise.drift_in(residual), exact, atol=1e-9)
-    assert not Noise(0.4, 0.0, 8.0, PERIOD).drift_in(residual).any()

@@ -46,14 +46,6 @@ def test_ramp_ends_and_the_jump_behind_it_are_found_to_a_few_samples(ramp):
     assert [e[0] for e in found.edges] == pytest.approx([11.0, 30.0, 49.0, 68.0], abs=0.05)
 
 
-def test_ramp_commanded_in_small_steps_is_still_one_ramp():
-    time = np.arange(0.0, 40.0, 0.01)
-    held = np.floor(time * 5.0) / 5.0
-    voltage = np.interp(held, [4.0, 11.0, 11.0001], [0.0, 2.7, 0.0])
-    found = find_segments(time, measured(np.random.default_rng(1), time, voltage))
-    assert [s.kind for s in found.items] == ["plateau", "ramp", "plateau"]
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     levels=st.lists(st.integers(0, 24), min_size=2, max_size=12),

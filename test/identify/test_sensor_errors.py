@@ -69,7 +69,8 @@ def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
 
 def test_a_calibration_puts_the_readings_right(staircase, ramp):
     wrong = {
-        "current": lambda x: (x - 0.02) / 1.05, "voltage": lambda x: x / 0.97,
+        "current": lambda x: (x - 0.02) / 1.05,
+        "voltage": lambda x: x / 0.97,
         "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT),
     }
     known = Parameters.of_paper().replace({

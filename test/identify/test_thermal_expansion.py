@@ -38,8 +38,12 @@ def staircase(levels: list[float], hold: float = 30.0, period: float = 0.05) -> 
 
 
 def record(
-    levels: list[float] | None = None, theta: float = THETA, preload: float = 60e6,
-    seed: int = 1, force_noise: float = 0.02, temperature_noise: float = 0.2,
+    levels: list[float] | None = None,
+    theta: float = THETA,
+    preload: float = 60e6,
+    seed: int = 1,
+    force_noise: float = 0.02,
+    temperature_noise: float = 0.2,
     transform_above: float = math.inf,
 ) -> Record:
     up = list(np.linspace(298.15, 325.15, 7))
@@ -52,7 +56,8 @@ def record(
     measured = temperature + temperature_noise * rng.standard_normal(len(time))
     force_time = time + 0.013
     return Record(
-        path=Path("clamped"), start_ns=0,
+        path=Path("clamped"),
+        start_ns=0,
         signals={
             "force": Signal("force", "N", force_time, force),
             "wire.temperature": Signal("wire.temperature", "K", time, measured),

@@ -39,9 +39,7 @@ BY_HAND = {
 
 
 def crossing(flank, base):
-    (slope, level), (rate, zero) = (
-        np.polyfit(*np.array(points).T, 1) for points in (flank, base)
-    )
+    (slope, level), (rate, zero) = (np.polyfit(*np.array(points).T, 1) for points in (flank, base))
     return (zero - level) / (slope - rate)
 
 
@@ -91,8 +89,14 @@ def scan(number, per_minute, start, finish, drift=0.0, height=300.0, lag=0.0):
     noise = np.random.default_rng(number).normal(0.0, 0.05, len(time))
     flow = sign * (200.0 + peak) + bent + noise
     return DscSegment(
-        number, "heating" if rate > 0 else "cooling", rate, time, flow * 1e-5,
-        np.zeros(len(time)), temperature, temperature,
+        number,
+        "heating" if rate > 0 else "cooling",
+        rate,
+        time,
+        flow * 1e-5,
+        np.zeros(len(time)),
+        temperature,
+        temperature,
     )
 
 

@@ -72,9 +72,9 @@ class Wires:
         own = (self.e_m - self.e_a) * strain - self.eps_l * modulus
         s_xi, s_t = np.diag(own), np.eye(w) * self.theta
         if self.stiffness is not None:
-            give = self.member.T @ np.diag(
-                1 / (self.member @ modulus + self.stiffness)
-            ) @ self.member
+            give = (
+                self.member.T @ np.diag(1 / (self.member @ modulus + self.stiffness)) @ self.member
+            )
             s_xi -= np.outer(modulus, own) * give
             s_t -= np.outer(modulus, np.full(w, self.theta)) * give
         # xi' = by_t T' + by_s (s_t T' + s_xi xi'),  T' = d_t + latent xi'
@@ -103,7 +103,11 @@ def solve(
         memory = _reversed(wires, y, heating, memory)
         solution = solve_ivp(
             lambda _, y, heating=heating, memory=memory: wires.rate(y, heating, memory),
-            (time[k], time[k + 1]), y, method=method, rtol=rtol, atol=rtol * 1e-2,
+            (time[k], time[k + 1]),
+            y,
+            method=method,
+            rtol=rtol,
+            atol=rtol * 1e-2,
         )
         if not solution.success:
             raise RuntimeError(solution.message)

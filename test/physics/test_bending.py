@@ -11,11 +11,9 @@ from sma_bench.parameters import Parameters
 from sma_bench.physics import bending
 from sma_bench.physics.bending import Beam
 
-BEAM = Beam(
-    length=0.12, width=0.03, thickness=6e-3, modulus=1.2e6,
-    layer_thickness=0.4e-3, layer_modulus=22.8e9, layer_width=0.4e-3, offset=3e-3,
-    wire_section=7e-8,
-)
+LAYER = {"layer_thickness": 0.4e-3, "layer_modulus": 22.8e9, "layer_width": 0.4e-3}
+SILICONE = {"length": 0.12, "width": 0.03, "thickness": 6e-3, "modulus": 1.2e6}
+BEAM = Beam(**SILICONE, **LAYER, offset=3e-3, wire_section=7e-8)
 
 
 def integrated_stiffness(beam: Beam) -> float:
@@ -24,9 +22,9 @@ def integrated_stiffness(beam: Beam) -> float:
 
     def integral(function):
         total = 0.0
-        layers = ((0.0, beam.thickness, beam.modulus, beam.width),
-                  (beam.thickness, beam.layer_thickness, beam.layer_modulus, beam.layer_width))
-        for base, height, modulus, width in layers:
+        matrix = (0.0, beam.thickness, beam.modulus, beam.width)
+        layer = (beam.thickness, beam.layer_thickness, beam.layer_modulus, beam.layer_width)
+        for base, height, modulus, width in (matrix, layer):
             y = base + 0.5 * height * (points + 1.0)
             total += modulus * width * 0.5 * height * np.sum(weights * function(y))
         return total
@@ -45,9 +43,9 @@ def test_stiffness_is_the_integral_over_both_layers(modulus, layer_thickness):
 def test_printed_stiffness_is_not_the_integral():
     printed = bending.bending_stiffness_as_printed(BEAM)
     # The width is missing at the leading term, 12 at E h: by hand from the printed line.
-    numerator = 0.03 * 1.2e6**2 * 6e-3**4 + 1.2e6 * 22.8e9 * 6e-3 * 0.4e-3 * (
-        4 * 6e-3**2 + 6 * 6e-3 * 0.4e-3 + 4 * 0.4e-3**2
-    ) + 0.4e-3**4 * 22.8e9**2
+    heights = 4 * 6e-3**2 + 6 * 6e-3 * 0.4e-3 + 4 * 0.4e-3**2
+    numerator = 0.03 * 1.2e6**2 * 6e-3**4 + 0.4e-3**4 * 22.8e9**2
+    numerator += 1.2e6 * 22.8e9 * 6e-3 * 0.4e-3 * heights
     assert printed == pytest.approx(numerator / (12 * 1.2e6 * 6e-3 + 22.8e9 * 0.4e-3))
     assert printed / integrated_stiffness(BEAM) > 100.0
 
@@ -55,15 +53,13 @@ def test_printed_stiffness_is_not_the_integral():
 def test_curvature_is_that_of_a_layer_which_shrinks_on_its_matrix():
     """Equilibrium of forces and moments of the two layers, solved without eq. (16)."""
     strain, b = 0.01, BEAM
-    stiff = np.array([b.modulus * b.thickness * b.width,
-                      b.layer_modulus * b.layer_thickness * b.layer_width])
+    own = (b.modulus * b.thickness * b.width, b.layer_modulus * b.layer_thickness * b.layer_width)
+    stiff = np.array(own)
     height = np.array([b.thickness, b.layer_thickness])
     centre = np.array([0.5 * b.thickness, b.thickness + 0.5 * b.layer_thickness])
     # Unknown: strain at y = 0 and curvature; the layer carries E (eps + kappa y - strain).
-    matrix = np.array([
-        [stiff.sum(), (stiff * centre).sum()],
-        [(stiff * centre).sum(), (stiff * (centre**2 + height**2 / 12.0)).sum()],
-    ])
+    first, second = (stiff * centre).sum(), (stiff * (centre**2 + height**2 / 12.0)).sum()
+    matrix = np.array([[stiff.sum(), first], [first, second]])
     load = np.array([stiff[1] * strain, stiff[1] * strain * centre[1]])
     _, kappa = np.linalg.solve(matrix, load)
     assert bending.curvature(strain, BEAM) == pytest.approx(kappa, rel=1e-9)

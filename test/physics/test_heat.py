@@ -54,9 +54,7 @@ def test_energy_balance_closes_in_every_step(wire_rig, composite_rig, latent_hea
     time = np.cumsum(rng.uniform(0.01, 0.4, 2000))
     for rig in (wire_rig, composite_rig):
         voltage = rng.uniform(0.0, 6.5, (2000, len(rig["bench.channels"])))
-        run = simulate(
-            rig.replace({"effect.latent_heat.heat": latent_heat}), time, voltage
-        )
+        run = simulate(rig.replace({"effect.latent_heat.heat": latent_heat}), time, voltage)
         balance = run.energy_balance()
         scale = np.abs(balance.stored).max()
         assert np.abs(balance.imbalance).max() < 1e-11 * scale
