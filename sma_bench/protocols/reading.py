@@ -258,7 +258,7 @@ def _segments(
     if not isinstance(step, dict):
         raise InputError(f"{where}: is {step!r}, expected a mapping with a kind")
     name = _text(step, "name", where) or str(step.get("kind"))
-    where = f"{where} ({name})"
+    where = f"{where} ({shown(name)})"
 
     # Its kind, and the numbers that such a step has.
     if not isinstance(step.get("kind"), str) or step["kind"] not in KINDS:

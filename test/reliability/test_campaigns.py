@@ -25,8 +25,15 @@ def test_parsers_take_anything(tmp_path):
     outcomes = edited_inputs(10, 1, tmp_path)
     assert len(outcomes) == len(parsers())
     assert failed(outcomes) == []
-    # Found by edited inputs: a single row of numbers.
-    assert try_input(parsers()[2], b"20.0\t4.0\t99.0\n", tmp_path) == ""
+    # What edited inputs found: a single row of numbers, a rate of two points, a name of two lines.
+    found = {parser.name: parser for parser in parsers()}
+    pyris, protocol = found["calorimeter, Pyris"], found["protocol"]
+    for parser, content in (
+        (found["isobaric test"], b"20.0\t4.0\t99.0\n"),
+        (pyris, pyris.good.replace(b"at 10.00", b"at 10.0.0")),
+        (protocol, protocol.good.replace(b"name: heat", b'name: "a\\nb", rise: x')),
+    ):
+        assert try_input(parser, content, tmp_path) == ""
 
 
 def test_well_formed_hostile_inputs_end_every_command_in_a_line_or_a_result(tmp_path):
