@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import json
 import os
 import random
 import resource
@@ -123,34 +122,22 @@ def _fill_with(command: str, disk: Path) -> str:
     beside.mkdir()
     write_parameters(beside / "params.yaml", Parameters.defaults())
     names = {"params": beside / "params.yaml", "beside": beside, "disk": disk}
-    errors = io.StringIO()
+    said = io.StringIO()
     arguments = [part.format(**names) for part in _COMMANDS[command]]
-    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         try:
             status = sma_bench(arguments)
-        except SystemExit as error:
-            status = int(error.code or 0)
         except Exception as error:  # that is what is looked for
             return f"{command}: {type(error).__name__}: {error}"
-    return _judge(command, status, errors.getvalue(), disk)
-
-
-def _judge(command: str, status: int, said: str, disk: Path) -> str:
-    if any(f"/{disk.name}/" in path for path in _open_files()):
-        return f"{command}: leaves a file open"
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            if f"/{disk.name}/" in os.readlink(link):
+                return f"{command}: leaves a file open"
     # What takes its time says how far it is.
-    lines = [line for line in said.splitlines() if "cannot" in line or "Error" in line]
+    lines = [line for line in said.getvalue().splitlines() if "cannot" in line or "Error" in line]
     if status != 2 or len(lines) != 1:
-        return f"{command}: status {status}, says {json.dumps(said[-200:])}"
+        return f"{command}: status {status}, says {said.getvalue()[-200:]!r}"
     if (disk / "good").read_text() != "good":
         return f"{command}: the good file is damaged"
     left = sorted(p.name for p in disk.iterdir() if p.name not in ("good", "ballast", "bag"))
     return f"{command}: leaves {', '.join(left)}" if left else ""
-
-
-def _open_files() -> list[str]:
-    found = []
-    for link in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError):
-            found.append(os.readlink(link))
-    return found

@@ -24,32 +24,9 @@ import numpy as np
 import yaml
 
 from examination.bags import in_sqlite3
+from examination.campaign import good_files, hostile_bags, mutations
 from examination.campaign.allowance import allowance
 from examination.campaign.drawn_bags import HABITS, serialised, true_streams
-from examination.campaign.good_files import (
-    DIAGNOSIS,
-    MAP,
-    METADATA,
-    PARAMETERS,
-    RESULT,
-    Parser,
-    parsers,
-)
-from examination.campaign.hostile_bags import (
-    TRICKS,
-    chunk,
-    journal_naming,
-    mcap_of,
-    message,
-    small_bag,
-)
-from examination.campaign.mutations import (
-    NUMBERS,
-    changed_series,
-    hostile_document,
-    hostile_table,
-    mutated,
-)
 from examination.campaign.outcome import Outcome
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
@@ -113,7 +90,7 @@ def _good_bag(rng: random.Random, path: Path) -> Path:
     """Twenty readings, or the drive."""
     storage = rng.choice(("mcap", "sqlite3"))
     if rng.random() < 0.8:
-        return small_bag(path, storage)
+        return hostile_bags.small_bag(path, storage)
     write_record(path, list(drive().signals.values()))
     if storage == "sqlite3":
         in_sqlite3(path)
@@ -126,7 +103,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
     for _ in range(rng.choice((0, 1, 1, 2, 3)) if signals else 0):
         k = rng.randrange(len(signals))
         if len(signals[k]) > 1:
-            time, values = changed_series(rng, signals[k].time, signals[k].values)
+            time, values = mutations.changed_series(rng, signals[k].time, signals[k].values)
             signals[k] = replace(signals[k], time=time, values=values)
     bag = folder / "bag"
     with np.errstate(over="ignore", invalid="ignore"):
@@ -139,7 +116,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
         in_sqlite3(bag)
     if rng.random() < 0.4:
         storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
-        storage.write_bytes(mutated(rng, storage.read_bytes(), most=2))
+        storage.write_bytes(mutations.mutated(rng, storage.read_bytes(), most=2))
     return Case(bag, ("--params", str(_RIG)) if rng.random() < 0.5 else ())
 
 
@@ -161,10 +138,10 @@ def _topics(
             if rng.random() < oddity:
                 received = rng.choice(_STAMPS)
             for values in s.fields.values() if rng.random() < oddity else ():
-                values[k] = rng.choice(NUMBERS)
+                values[k] = rng.choice(mutations.NUMBERS)
             with contextlib.suppress(OverflowError, struct.error, ValueError):
                 data = serialised(s, k, plain, min(at, 2**31 * 10**9 - 1))
-                data = mutated(rng, data, 1) if rng.random() < oddity else data
+                data = mutations.mutated(rng, data, 1) if rng.random() < oddity else data
                 found.append((number, received, data))
     return names, found
 
@@ -172,19 +149,21 @@ def _topics(
 def hostile_mcap(rng: random.Random, folder: Path) -> Case:
     """Messages in chunks that are nested, lie about their size, repeat, or unfold to a lot."""
     topics, rows = _topics(rng)
-    content = b"".join(message(*row) for row in rows)
+    content = b"".join(hostile_bags.message(*row) for row in rows)
     shape = rng.choice(("plain", "chunk", "chunk", "twice", "nested", "size", "bomb"))
     if shape == "nested":
         for _ in range(rng.choice((1, 30, 1200))):
-            content = chunk(content, compressed=False)
+            content = hostile_bags.chunk(content, compressed=False)
     elif shape == "bomb":
-        run = message(rng.randrange(1, 8), 1, rng.choice((b"", bytes(4), bytes(60))))
-        content += b"".join([chunk(run * 20_000)] * rng.choice((60, *[1] * 30)))
+        run = hostile_bags.message(rng.randrange(1, 8), 1, rng.choice((b"", bytes(4), bytes(60))))
+        content += b"".join([hostile_bags.chunk(run * 20_000)] * rng.choice((60, *[1] * 30)))
     elif shape != "plain":
         size = rng.choice((0, 1, 2**40, 2**64 - 1)) if shape == "size" else None
-        content = chunk(content, rng.random() < 0.7, size) * (2 if shape == "twice" else 1)
+        content = hostile_bags.chunk(content, rng.random() < 0.7, size) * (
+            2 if shape == "twice" else 1
+        )
     path = folder / "bag.mcap"
-    path.write_bytes(mcap_of(content, topics=topics))
+    path.write_bytes(hostile_bags.mcap_of(content, topics=topics))
     return Case(path)
 
 
@@ -206,10 +185,10 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
             "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
             [(number, time % 2**63, data) for number, time, data in rows],
         )
-        trick = rng.randrange(3 * len(TRICKS))
-        if trick < len(TRICKS):
+        trick = rng.randrange(3 * len(hostile_bags.TRICKS))
+        if trick < len(hostile_bags.TRICKS):
             database.execute("DROP TABLE messages")
-            database.execute(TRICKS[trick])
+            database.execute(hostile_bags.TRICKS[trick])
         for _ in range(rng.choice((0, 0, 2))):
             value = rng.choice(("x" * 100_000, -1, None, 1e308, b"", 2**63 - 1))
             column = rng.choice(("topic_id", "timestamp", "data"))
@@ -218,7 +197,7 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
         database.commit()
     beside = rng.choice(("", "", "journal", "wal"))
     if beside == "journal":
-        journal_naming(path, folder / VICTIM)
+        hostile_bags.journal_naming(path, folder / VICTIM)
     elif beside:
         Path(f"{path}-wal").write_bytes(rng.randbytes(rng.choice((32, 5000))))
     return Case(path)
@@ -231,37 +210,49 @@ def hostile_yaml(rng: random.Random, folder: Path) -> Case:
     """A good bag whose metadata are not, or with parameters that are not."""
     bag = _good_bag(rng, folder / "bag")
     if rng.random() < 0.3:
-        (bag / "metadata.yaml").write_bytes(hostile_document(rng, yaml.safe_load(METADATA)))
+        (bag / "metadata.yaml").write_bytes(
+            mutations.hostile_document(rng, yaml.safe_load(good_files.METADATA))
+        )
         return Case(bag)
-    (folder / "p.yaml").write_bytes(hostile_document(rng, yaml.safe_load(PARAMETERS)))
+    (folder / "p.yaml").write_bytes(
+        mutations.hostile_document(rng, yaml.safe_load(good_files.PARAMETERS))
+    )
     return Case(bag, ("--params", str(folder / "p.yaml")))
 
 
 def hostile_result(rng: random.Random, folder: Path) -> Case:
     """A result of identify or diagnose, altered."""
     path = folder / "result.json"
-    path.write_bytes(hostile_document(rng, rng.choice((RESULT, DIAGNOSIS)), is_json=True))
+    path.write_bytes(
+        mutations.hostile_document(
+            rng, rng.choice((good_files.RESULT, good_files.DIAGNOSIS)), is_json=True
+        )
+    )
     return Case(path)
 
 
 def hostile_instrument(rng: random.Random, folder: Path) -> Case:
     """A file of an instrument whose numbers, titles or units are altered."""
-    parser = rng.choice(parsers()[:4])
+    parser = rng.choice(good_files.parsers()[:4])
     path = folder / parser.file
-    path.write_bytes(mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3)))
+    path.write_bytes(
+        mutations.mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3))
+    )
     return Case(path)
 
 
 def hostile_import(rng: random.Random, folder: Path) -> Case:
     """A table of another logger, of two in five with a rig file or a map beside it."""
-    name, content = hostile_table(rng)
+    name, content = mutations.hostile_table(rng)
     (folder / name).write_bytes(content)
     beside = rng.choice(("", "", "", "--params", "--map"))
     if not beside:
         return Case(folder / name, tabled=())
-    document = MAP if beside == "--map" else yaml.safe_load(PARAMETERS)
+    document = good_files.MAP if beside == "--map" else yaml.safe_load(good_files.PARAMETERS)
     (folder / "beside.yaml").write_bytes(
-        hostile_document(rng, document) if rng.random() < 0.8 else yaml.safe_dump(document).encode()
+        mutations.hostile_document(rng, document)
+        if rng.random() < 0.8
+        else yaml.safe_dump(document).encode()
     )
     return Case(folder / name, tabled=(beside, str(folder / "beside.yaml")))
 
@@ -271,7 +262,7 @@ def hostile_place(rng: random.Random, folder: Path) -> Case:
     name = rng.choice((
         b"a\x1b[31mb", b"caf\xe9", b"a\nb", b"=1+1", b"<img src=x>", b"x" * 120, b"-rf", b"$m^{",
     ))  # fmt: skip
-    bag = small_bag(folder / os.fsdecode(name), rng.choice(("mcap", "sqlite3")))
+    bag = hostile_bags.small_bag(folder / os.fsdecode(name), rng.choice(("mcap", "sqlite3")))
     storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
     trick = rng.randrange(7)
     if trick == 0:
@@ -428,7 +419,7 @@ def _everything(folder: Path) -> dict[Path, tuple[int, bytes | str]]:
 # --- the parsers --------------------------------------------------------------------------------
 
 
-def try_input(parser: Parser, content: bytes, folder: Path) -> str:
+def try_input(parser: good_files.Parser, content: bytes, folder: Path) -> str:
     """What went wrong with one input, or ""."""
     path = folder / parser.file
     path.write_bytes(content)
@@ -448,9 +439,9 @@ def edited_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     logging.disable(logging.WARNING)
     folder.mkdir(parents=True, exist_ok=True)
     outcomes = []
-    for parser in parsers():
+    for parser in good_files.parsers():
         rng = random.Random(f"{seed} {parser.name}")
-        inputs = [parser.good, *(mutated(rng, parser.good) for _ in range(size))]
+        inputs = [parser.good, *(mutations.mutated(rng, parser.good) for _ in range(size))]
         tried = [(try_input(parser, content, folder), content) for content in inputs]
         wrong = [f"{text} at {content[:_SHOWN]!r}" for text, content in tried if text]
         outcomes.append(Outcome.of("parsers", f"edited: {parser.name}", size, wrong))

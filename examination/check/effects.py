@@ -1,6 +1,6 @@
 """How often do the intervals of an effect's numbers hold the truth?
 
-    ./bench check effects [--seed 1000] [--cases 60] [--json FILE]
+    ./bench check effects [--seed 1000] [--cases 60]
 
 The single effects of a development set of the withheld-effect check (seeds 1000 to 1999), each
 fitted to its two records as a diagnosis fits it, and its numbers with the errors that a diagnosis
@@ -10,11 +10,10 @@ records and one more, five minutes. Counted are effects that gain more over reca
 verdict asks for. Some ten seconds a case; synthetic.
 """
 
-import json
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: idle threads would only wait
@@ -141,10 +140,8 @@ def claims_of(case: Case) -> list[Claim]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    options = options_of(
-        "effects", __doc__, argv, seed=(1000, "1000 to 1999"), cases=(60, "size of the set"),
-        json=(Path, "keep what was counted in this file"),
-    )  # fmt: skip
+    options = options_of("effects", __doc__, argv, seed=(1000, "1000 to 1999"),
+                         cases=(60, "size of the set"))  # fmt: skip
     if options.seed not in SPLITS["development"]:
         print(f"seed {options.seed}, expected one of development, 1000 to 1999", file=sys.stderr)
         return 2
@@ -152,7 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for case in draw_cases(options.seed, options.cases):
         for c in claims_of(case) if case.card.kind == "single" else ():
             counts = c.gain > THRESHOLD
-            counted += [c] if counts else []
+            counted += [c] * counts
             print(
                 f"{c.case} {c.number.removeprefix('effect.'):55s} {c.value:11.4g}"
                 f" +- {c.std:8.2g} (noise alone {c.noise_std:8.2g})"
@@ -167,8 +164,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"{title}: {share.hits} of {share.n} intervals of 90 % hold the truth,"
             f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
         )
-    if options.json:
-        options.json.write_text(json.dumps([asdict(c) for c in counted], indent=1) + "\n")
     return 0 if WANTED[0] <= share.value <= WANTED[1] else 1
 
 

@@ -4,7 +4,7 @@ Only the silicon and the wire are emulated: volts go over a serial port to the f
 switches its pins; a camera takes pictures of the wire; recorder and identification do the rest.
 Three minutes; ends with 1 unless R, h and c_p are right within three stated errors.
 
-    ./bench check hardware [--out NEW_FOLDER] [--json hardware.json]
+    ./bench check hardware [--out NEW_FOLDER]
 """
 
 import json
@@ -41,17 +41,12 @@ CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 PATIENCE = 60.0
 
 
-def deviation(estimate: Mapping[str, Any], true: float) -> float:
-    """Estimate less truth, in stated standard errors."""
-    return float((estimate["value"] - true) / estimate["std"])
-
-
 def right(estimates: Mapping[str, Any], truth: Parameters) -> bool:
     """Whether R, h and c_p are all there, right within their stated errors, and these small."""
     return all(
-        name in estimates
-        and abs(deviation(estimates[name], truth[name])) <= SIGMAS
-        and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
+        (found := estimates.get(name)) is not None
+        and abs(found["value"] - truth[name]) <= SIGMAS * found["std"]
+        and found["statistical"] <= LARGEST_ERROR * found["value"]
         for name in TABLE_ONE
     )
 
@@ -63,7 +58,8 @@ def table(estimates: Mapping[str, Any], truth: Parameters) -> str:
     for name, symbol in TABLE_ONE.items():
         cells = ["not found", "", "", ""]
         if found := estimates.get(name):
-            off, z = found["value"] / truth[name] - 1.0, deviation(found, truth[name])
+            off = found["value"] / truth[name] - 1.0
+            z = (found["value"] - truth[name]) / found["std"]
             cells = [f"{found['value']:.5g}", f"{found['std']:.2g}", f"{off:+.2%}", f"{z:+.2f}"]
         rows.append(row.format(symbol, f"{truth[name]:.5g}", *cells))
     return "\n".join(rows)
@@ -135,10 +131,7 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when the numbers hold, 1 when not, 2 where there is no emulated Uno."""
-    options = options_of(
-        "hardware", __doc__, argv, json=(Path, "keep the result in this file"),
-        out=(Path, "new folder for bags and logs, instead of none"),
-    )  # fmt: skip
+    options = options_of("hardware", __doc__, argv, out=(Path, "new folder for bags and logs"))
     truth = Parameters(WEIGHED)
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -152,9 +145,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("note", warning)
     print(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
           f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")  # fmt: skip
-    if options.json:
-        text = json.dumps({"holds": holds, "estimates": estimates}, indent=2)
-        options.json.write_text(text + "\n")
     return 0 if holds else 1
 
 

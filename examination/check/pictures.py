@@ -3,12 +3,10 @@
     ./bench check pictures [--write]     which are older than what they show; takes them anew
 
 The record, its results and the bench on the dashboard are of the first tutorial; the diagnosis
-takes minutes. The notebook is run, and keeps what its cells show. What a picture shows is known by
-a hash of the code that draws it.
+takes minutes. The notebook is run and keeps what its cells show (`./bench notebook` installs what
+runs it). What a picture shows is known by a hash of the code that draws it.
 """
 
-import ast
-import base64
 import contextlib
 import hashlib
 import io
@@ -18,7 +16,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 
@@ -128,8 +125,7 @@ def small(picture: bytes) -> bytes:
 
 def main(arguments: Sequence[str]) -> int:
     """0 when no picture is older than what it shows."""
-    options = options_of("pictures", __doc__, arguments, write=(False, "take them anew"),
-                         results=(Path, "folder of the tutorial's files, kept"))  # fmt: skip
+    options = options_of("pictures", __doc__, arguments, write=(False, "take them anew"))
     hashes = {name: source_hash(patterns) for name, (*_, patterns) in PICTURES.items()}
     if not options.write:
         known = json.loads(KNOWN.read_text()) if KNOWN.is_file() else {}
@@ -145,15 +141,10 @@ def main(arguments: Sequence[str]) -> int:
 
     made = {}
     with tempfile.TemporaryDirectory() as own, sync_playwright() as driver:
-        folder = (options.results or Path(own)).resolve()
-        folder.mkdir(exist_ok=True, parents=True)
-        for command in _COMMANDS:  # of what is there nothing is made again
-            words = command.split()
-            result = folder / next(words[k + 1] for k, word in enumerate(words)
-                                   if word in ("--out", "--json", "--report"))  # fmt: skip
-            if not result.exists():
-                subprocess.run([sys.executable, "-m", "sma_bench.cli", *words], cwd=folder,
-                               check=True)  # fmt: skip
+        folder = Path(own)
+        for command in _COMMANDS:
+            words = [sys.executable, "-m", "sma_bench.cli", *command.split()]
+            subprocess.run(words, cwd=folder, check=True)
         window = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
         with contextlib.closing(window), served(live_bench(folder)) as dashboard:
             pages = {"dashboard": dashboard, "gap": (folder / "gap" / "index.html").as_uri()}
@@ -168,54 +159,11 @@ def main(arguments: Sequence[str]) -> int:
     FOLDER.mkdir(exist_ok=True)
     for name, content in made.items():
         (FOLDER / name).write_bytes(content)
-    total += _execute_notebook()
+    command = "jupyter nbconvert --to notebook --execute --inplace --log-level=ERROR"
+    subprocess.run([sys.executable, "-m", *command.split(), str(NOTEBOOK)], check=True)
     KNOWN.write_text(json.dumps(hashes, indent=1) + "\n")
-    print(f"{FOLDER}: {len(made)} pictures and those of the notebook, {total} bytes")
+    print(f"{FOLDER}: {len(made)} pictures, {total} bytes, and those of the notebook")
     return 0
-
-
-def _execute_notebook() -> int:
-    """Run the notebook's cells in one namespace as Jupyter does, and keep what each shows: its
-    text, its value, its figures; the bytes of its pictures."""
-    import matplotlib.pyplot as plt
-
-    document = json.loads(NOTEBOOK.read_text())
-    cells = [cell for cell in document["cells"] if cell["cell_type"] == "code"]
-    names: dict[str, Any] = {"__name__": "__main__"}
-    total = 0
-    for number, cell in enumerate(cells, 1):
-        outputs: list[dict[str, Any]] = []
-        cell["outputs"], cell["execution_count"] = outputs, number
-
-        # The value of an expression at the end is shown, unless a semicolon follows.
-        source, printed, value = "".join(cell["source"]), io.StringIO(), None
-        tree = ast.parse(source)
-        last = tree.body[-1]
-        shown = isinstance(last, ast.Expr) and not source.rstrip().endswith(";")
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
-            body = ast.Module(tree.body[: -1 if shown else None], [])
-            exec(compile(body, "cell", "exec"), names)  # noqa: S102 (the repository's own notebook)
-            if shown and isinstance(last, ast.Expr):
-                value = eval(compile(ast.Expression(last.value), "cell", "eval"), names)  # noqa: S307
-        if text := printed.getvalue():
-            outputs.append({"output_type": "stream", "name": "stdout",
-                            "text": text.splitlines(True)})  # fmt: skip
-        if value is not None:
-            data: dict[str, Any] = {"text/plain": repr(value).splitlines(True)}
-            if page := getattr(value, "_repr_html_", lambda: "")():
-                data["text/html"] = page.splitlines(True)
-            outputs.append({"output_type": "execute_result", "execution_count": number,
-                            "metadata": {}, "data": data})  # fmt: skip
-        for figure in map(plt.figure, plt.get_fignums()):
-            stream = io.BytesIO()
-            figure.savefig(stream, format="png", dpi=80, facecolor="white")
-            picture = small(stream.getvalue())
-            total += len(picture)
-            data = {"image/png": base64.b64encode(picture).decode(), "text/plain": ["<Figure>"]}
-            outputs.append({"output_type": "display_data", "metadata": {}, "data": data})
-        plt.close("all")
-    NOTEBOOK.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return total
 
 
 if __name__ == "__main__":

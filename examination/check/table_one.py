@@ -8,10 +8,9 @@ noise. The bench is no ideal one: the supply has 0.1 ohm, and USB gives one wire
 this bench's sensors are right, which the systematic part does not know): it should scatter by about
 one. A minute or two a wire.
 
-    ./bench check table_one [--wires 6] [--json table_one.json]
+    ./bench check table_one [--wires 6]
 """
 
-import json
 import math
 import sys
 import tempfile
@@ -133,9 +132,8 @@ class Bench:
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when every number is within its stated error, and these are not too small on the whole."""
     options = options_of(
-        "table_one", __doc__, argv, wires=(6, "drawn"), seed=(1, "of the first wire"),
-        json=(Path, "keep the result in this file"),
-    )  # fmt: skip
+        "table_one", __doc__, argv, wires=(6, "drawn"), seed=(1, "of the first wire")
+    )
     if missing := missing_tools():
         print(missing, file=sys.stderr)
         return 2
@@ -157,8 +155,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"largest |z| {np.abs(z).max():.2f} (limit {SIGMAS:g}), rms {rms:.2f} (limit "
         f"{LARGEST_RMS:g}): {'passed' if passed else 'FAILED'}"
     )
-    if options.json:
-        options.json.write_text(json.dumps({"wires": rows, "passed": passed}, indent=2))
     return 0 if passed else 1
 
 
@@ -181,13 +177,10 @@ def one_wire(emulator: Path, firmware: Path, seed: int, folder: Path) -> dict[st
         bags.append(read_record(folder / name))
     found = identify(bags, Parameters(WEIGHED)).to_json()["parameters"]
     return {
-        name: {
-            "truth": truth[name], "value": found[name]["value"], "std": found[name]["statistical"],
-            "off": found[name]["value"] / truth[name] - 1.0,
-            "z": (found[name]["value"] - truth[name]) / found[name]["statistical"],
-        }
+        name: {"value": (value := found[name]["value"]), "std": (std := found[name]["statistical"]),
+               "off": value / truth[name] - 1.0, "z": (value - truth[name]) / std}
         for name in TABLE_ONE
-    }
+    }  # fmt: skip
 
 
 def _settings(node: str) -> dict[str, Any]:
