@@ -19,17 +19,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from examination.campaign.allowance import allowance
 from sma_bench.errors import InputError
-from sma_bench.records import describe, read_record
-from sma_bench.records.contract import (
-    BATTERY_STATE,
-    CELSIUS_ZERO,
-    HEADERLESS,
-    JOINT_STATE,
-    MULTI_ARRAY,
-    RANGE,
-    STRING,
-    TEMPERATURE,
-)  # fmt: skip
+from sma_bench.records import contract, describe, read_record
 from sma_bench.records.messages import TYPES, message
 
 RIGHT, LOSS, REFUSED, WRONG, RAISED = "right", "loss said", "refused", "wrong", "raised"
@@ -179,23 +169,23 @@ def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Strea
             values[rng.random(len(values)) < 0.1] = np.nan if content == "NaN" else np.inf
         return values
 
-    power = stream("wire/power", BATTERY_STATE, 50.0)
+    power = stream("wire/power", contract.BATTERY_STATE, 50.0)
     power.fields = {"voltage": drawn(power, 0, 6, "f4"), "current": drawn(power, 0, 2, "f4")}
     power.signals = {f"wire.{name}": values for name, values in power.fields.items()}
-    warmth = stream("wire/temperature", TEMPERATURE, 20.0)
+    warmth = stream("wire/temperature", contract.TEMPERATURE, 20.0)
     warmth.fields = {"temperature": drawn(warmth, 20, 90)}
-    warmth.signals = {"wire.temperature": warmth.fields["temperature"] + CELSIUS_ZERO}
-    joints = stream("joint_states", JOINT_STATE, 25.0)
+    warmth.signals = {"wire.temperature": warmth.fields["temperature"] + contract.CELSIUS_ZERO}
+    joints = stream("joint_states", contract.JOINT_STATE, 25.0)
     joints.fields = {name: drawn(joints, -0.02, 0.02) for name in ("tip", "wire", "effort")}
     names = ("deflection", "elongation", "force")
     joints.signals = dict(zip(names, joints.fields.values(), strict=True))
-    distance = stream("front/range", RANGE, 20.0)
+    distance = stream("front/range", contract.RANGE, 20.0)
     distance.fields = {"range": drawn(distance, 0.05, 0.2, "f4")}
     distance.signals = {"front.range": distance.fields["range"]}
-    command = stream("voltage_command", MULTI_ARRAY, 50.0)
+    command = stream("voltage_command", contract.MULTI_ARRAY, 50.0)
     command.fields = {"data": rng.uniform(0, 6, len(command.stamp))}
     command.signals = {"voltage_command": command.fields["data"]}
-    marker = stream("experiment/marker", STRING, 0.5)
+    marker = stream("experiment/marker", contract.STRING, 0.5)
     marker.fields = {"data": np.arange(len(marker.stamp), dtype=float)}
     marker.signals = {"markers": marker.fields["data"]}
     others = [s for s in (warmth, joints, distance, command, marker) if rng.random() < 0.7]
@@ -208,7 +198,7 @@ def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
     apart = clock == "from 0, computer's beside" or "apart" in clock
     begin, middle = (int(q(bag.streams[0].received)) for q in (np.min, np.median))
     for number, s in enumerate(bag.streams):
-        s.is_stamped = s.type not in HEADERLESS and clock != "never stamped"
+        s.is_stamped = s.type not in contract.HEADERLESS and clock != "never stamped"
         s.is_stamped &= number > 0 or not clock.startswith("one ")
     # Without another clock that can be read, receipts are the times.
     apart &= any(s.is_stamped and _encoding(s.topic, bag.habits) == "cdr" for s in bag.streams)
@@ -232,7 +222,7 @@ def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
         elif stamps == "out of order" and n > 4:
             k = int(rng.integers(n - 3))
             s.stamp[k : k + 3] = s.stamp[k : k + 3][::-1].copy()
-        elif stamps == "one far away" and number == 0:
+        elif stamps == "one far away" and number == 0 and n > 1:
             s.stamp[-1] += 300 * _DAY
 
 
@@ -244,12 +234,12 @@ def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
     content, row = habits["content"], {name: float(v[k]) for name, v in s.fields.items()}
     frame = f"frame {k % 13 * 'x'}" if content == "frames differ" else "wire"
     fields: dict[str, Any] = {}
-    if s.type not in HEADERLESS:
+    if s.type not in contract.HEADERLESS:
         time = message("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
         if habits["clock"] == "impossible stamps" and k % 7 == 3:
             time.nanosec = 4_000_000_000
         fields["header"] = message("std_msgs/msg/Header", stamp=time, frame_id=frame)
-    if s.type == JOINT_STATE:
+    if s.type == contract.JOINT_STATE:
         tip, wire = ("tip", row["tip"], 0.0), ("wire", row["wire"], row["effort"])
         joints = [tip, wire]
         if content == "joints change places":
@@ -257,16 +247,16 @@ def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
         names, position, effort = zip(*joints, strict=True)
         fields |= {"name": list(names), "position": np.array(position), "effort": np.array(effort)}
         fields["velocity"] = np.zeros(len(names) * (k % 2))
-    elif s.type == MULTI_ARRAY:
+    elif s.type == contract.MULTI_ARRAY:
         fields["data"] = np.array([row["data"]])
-    elif s.type == STRING:
+    elif s.type == contract.STRING:
         fields["data"] = f"step {k}"
     else:
         fields |= row
-    if s.type == BATTERY_STATE and content == "cells":
+    if s.type == contract.BATTERY_STATE and content == "cells":
         fields["cell_voltage"] = np.full(k % 4, 3.7, "f4")
         fields["serial_number"] = "x" * (k % 5)
-    if s.type == RANGE:
+    if s.type == contract.RANGE:
         fields |= {"min_range": 0.01, "max_range": 4.0}
     order = content != "big-endian"
     return bytes(TYPES.serialize_cdr(message(s.type, **fields), s.type, little_endian=order))
@@ -399,26 +389,17 @@ def _write_db3(path: Path, rows: list[Row], habits: dict[str, str], number: int)
 def _damage(path: Path, how: str, rng: np.random.Generator) -> int:
     """Damage a storage file; the byte in front of which it is as it was."""
     raw = path.read_bytes()
-    at = int(rng.integers(len(raw) // 4, len(raw) - 1))
-    size = int(rng.integers(1, _PAGE))
+    at, size = int(rng.integers(len(raw) // 4, len(raw) - 1)), int(rng.integers(1, _PAGE))
     if how == "not closed" and path.suffix == ".mcap":  # no data end, summary and footer
         at = raw.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
-    if how in ("cut", "not closed"):
-        damaged = raw[:at]
-    elif how == "zeros":  # as a computer leaves that lost its power
-        at = at // _PAGE * _PAGE
-        damaged = raw[:at] + bytes(len(raw) - at)
-    elif how == "bit":
-        damaged = raw[:at] + bytes([raw[at] ^ 1 << int(rng.integers(8))]) + raw[at + 1 :]
-    elif how == "garbage":
-        if path.suffix == ".db3":
-            at, size = at // _PAGE * _PAGE, _PAGE
-        damaged = raw[:at] + rng.bytes(min(size, len(raw) - at)) + raw[at + size :]
-    elif how == "block gone":
-        damaged = raw[:at] + raw[at + size :]
-    else:
-        damaged = raw[: at + size] + raw[at:]
-    path.write_bytes(damaged)
+    elif how == "zeros" or (how == "garbage" and path.suffix == ".db3"):  # whole blocks of a disk
+        at, size = at // _PAGE * _PAGE, _PAGE
+    bit = bytes([raw[at] ^ 1 << int(rng.integers(8))])
+    path.write_bytes(raw[:at] + {
+        "not closed": b"", "cut": b"", "zeros": bytes(len(raw) - at), "bit": bit + raw[at + 1 :],
+        "garbage": rng.bytes(min(size, len(raw) - at)) + raw[at + size :],
+        "block gone": raw[at + size :], "block twice": raw[at : at + size] + raw[at:],
+    }[how])  # fmt: skip
     return at
 
 

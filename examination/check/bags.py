@@ -4,7 +4,7 @@ Bags of a bench are drawn at random (storage, split files, metadata, compression
 foreign topics, clocks, stamps; synthetic data), each read with `read_record`, and what comes of it
 is compared with what was written.
 
-    ./bench check bags --bags 500 --seed 3 --json result.json
+    ./bench check bags --bags 500 --seed 9 --json result.json
 
 A piece is `--bags 100 --first 200`: bag k is the same whatever it is drawn beside.
 """

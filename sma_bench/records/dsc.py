@@ -26,7 +26,8 @@ SegmentKind = Literal["heating", "cooling", "isothermal"]
 
 _BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
 _STEP = re.compile(
-    r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at (?P<rate>\d{1,9}+(?:\.\d*+)?+)\s*+\S?C/min)\s*$"
+    r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at "
+    r"(?P<rate>\d{1,9}+(?:\.\d*+)?+)\s*+\S?C/min)\s*$"
 )
 _SIG = re.compile(r"Sig(\d{1,9})\Z")
 _RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)

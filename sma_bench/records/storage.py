@@ -78,7 +78,7 @@ class RawTopics:
 
     def lost(self, subject: str, text: str, **numbers: float) -> None:
         """Note that something of the bag could not be read."""
-        self.findings.append(Finding("warning", subject, text, dict(numbers)))
+        self.findings.append(Finding("warning", printable(subject), printable(text), dict(numbers)))
 
 
 # --- mcap (https://mcap.dev/spec) ---------------------------------------------------------------

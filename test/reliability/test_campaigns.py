@@ -5,6 +5,7 @@ import random
 import numpy as np
 import pytest
 
+from examination.campaign import good_files
 from examination.campaign.allowance import TooLong, allowance
 from examination.campaign.full_disk import full_disk
 from examination.campaign.good_files import Parser, parsers
@@ -25,14 +26,16 @@ def test_parsers_take_anything(tmp_path):
     outcomes = edited_inputs(10, 1, tmp_path)
     assert len(outcomes) == len(parsers())
     assert failed(outcomes) == []
-    # What edited inputs found: a single row of numbers, a rate of two points, a name of two lines.
+    # What edited inputs found: a single row of numbers, a rate of two points, names of two lines.
     found = {parser.name: parser for parser in parsers()}
     pyris, protocol = found["calorimeter, Pyris"], found["protocol"]
     for parser, content in (
         (found["isobaric test"], b"20.0\t4.0\t99.0\n"),
         (pyris, pyris.good.replace(b"at 10.00", b"at 10.0.0")),
+        (found["metadata of a bag"], good_files.METADATA.replace("[bag", r'["a\nb').replace(
+            ".mcap]", '.mcap"]').encode()),
         (protocol, protocol.good.replace(b"name: heat", b'name: "a\\nb", rise: x')),
-    ):
+    ):  # fmt: skip
         assert try_input(parser, content, tmp_path) == ""
 
 
