@@ -18,13 +18,7 @@ import numpy as np
 from sma_bench.border import MEGABYTE, Budget, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError
 from sma_bench.records.arrays_in_files import read_hdf5, read_matlab
-from sma_bench.records.sheets import (
-    decoded_lines,
-    excel_sheets,
-    missing_package,
-    text_rows,
-    why,
-)
+from sma_bench.records.sheets import decoded_lines, excel_sheets, missing_package, text_rows, why
 from sma_bench.records.structure import LONGEST_NAME, MOST_COLUMNS, Column, Table, tables_of
 from sma_bench.records.units import split_title
 
