@@ -246,98 +246,93 @@ class _Block:
         budget.take(8 * width * len(body))
         titles, units = ([*texts, *[""] * width][:width] for texts in (titles, units))
         lines = np.array([line for line, _ in body], dtype=np.int64)
-        found = _Columns(name, lines, list(columns))
-        has_index = any(titles) and not titles[0] and self.begins_with_index()
-        found.read(titles, units, has_index, budget)
+        made, ignored, notes = _columns(columns, titles, units, name, lines, budget)
+        is_untitled = bool(made) and made[0].name == "column 1"
+        if is_untitled and any(titles) and self.begins_with_index():
+            made, ignored = made[1:], {"column 1": "row number", **ignored}
         texts = tuple(tuple(str(c) for c in cells if c not in empty) for _, cells in above)
-        more = (texts, tuple(self.marks), tuple(left_out), tuple(found.notes))
-        return Table(name, tuple(found.made), lines, len(self.rows), found.ignored, *more)
+        more = (texts, tuple(self.marks), tuple(left_out), tuple(notes))
+        return Table(name, tuple(made), lines, len(self.rows), ignored, *more)
 
 
-@dataclass
-class _Columns:
-    """Columns of cells becoming those of numbers and moments, and what else there is."""
+def _kind(cells: Sequence[Any]) -> str:
+    """What most of a column's cells are: "n" numbers, "d" moments, "t" texts, "" nothing."""
+    filled = [c for c in cells if c not in (None, "")]
+    kinds = Counter(map(cell_kind, filled[:: 1 + len(filled) // _SAMPLE]))
+    kinds = kinds if set(kinds) - {""} else Counter(map(cell_kind, filled))
+    kinds.pop("", None)
+    most = kinds.most_common(1)[0][0] if kinds else ""
+    is_number = kinds["n"] and max(kinds["d"], kinds["t"]) <= 0.5 * kinds.total()
+    return "n" if is_number else "t" if most == "n" else most
 
-    group: str
-    lines: NDArray[np.int64]
-    cells: list[Sequence[Any]]
-    made: list[Column] = field(default_factory=list)
-    ignored: dict[str, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    dates: dict[str, Sequence[Any]] = field(default_factory=dict)  # that wait for their clock
 
-    def read(
-        self, titles: Sequence[str], units: Sequence[str], has_index: bool, budget: Budget
-    ) -> None:
-        """Each column by what most of its cells are."""
-        plain = [plain_numbers(cells) for cells in self.cells]
-        # Decimal signs: each column's own, else that of the others.
-        shown = [
-            decimal_signs(cells) if values is None else set()
-            for cells, values in zip(self.cells, plain, strict=True)
-        ]
-        signs = shown
-        if any("," in sign for found in shown for sign in found):
-            signs = [found or decimal_signs(c) for found, c in zip(shown, self.cells, strict=True)]
-        everywhere = {sign for found in signs for sign in found if len(sign) == 1}
-        for k, cells in enumerate(self.cells):
-            budget.check()
-            label = titles[k] or f"column {k + 1}"
-            title, unit = (titles[k], units[k]) if units[k] else split_title(titles[k])
-            values = plain[k] if "," not in everywhere else None
-            if values is None or np.isnan(values).all():
-                filled = [c for c in cells if c not in (None, "")]
-                kinds = Counter(map(cell_kind, filled[:: 1 + len(filled) // _SAMPLE]))
-                kinds = kinds if set(kinds) - {""} else Counter(map(cell_kind, filled))
-                kinds.pop("", None)
-                if not kinds:
-                    self.ignored[label] = "empty"
-                    continue
-                if kinds["d"] > 0.5 * kinds.total():
-                    self.take_moments(label, title, cells, k + 1 == len(self.cells))
-                    continue
-                if not kinds["n"] or kinds["t"] > 0.5 * kinds.total():
-                    example = next(str(c) for c in cells if cell_kind(c) in ("t", "d"))
-                    self.ignored[label] = f"text such as {printable(example)[:40]!r}"
-                    continue
-                decimal = _decimal(label, signs[k], everywhere, cells)
-                values, unit, bad = numbers_of(cells, decimal, unit)
-                if bad >= 0:
-                    raise self.no_number(bad, label, cells)
-            if k == 0 and has_index:
-                self.ignored[label] = "row number"
+def _columns(
+    texts: Sequence[Sequence[Any]],
+    titles: Sequence[str],
+    units: Sequence[str],
+    group: str,
+    lines: NDArray[np.int64],
+    budget: Budget,
+) -> tuple[list[Column], dict[str, str], list[str]]:
+    """Columns of numbers and moments, what else there is and why, and remarks."""
+    made: list[Column] = []
+    ignored: dict[str, str] = {}
+    notes: list[str] = []
+    plain = [plain_numbers(cells) for cells in texts]
+    kinds = [
+        "n" if values is not None and not np.isnan(values).all() else _kind(cells)
+        for cells, values in zip(texts, plain, strict=True)
+    ]
+    # Decimal signs: each column's own, else that of the others.
+    signs = [
+        set() if p is not None else decimal_signs(c) for c, p in zip(texts, plain, strict=True)
+    ]
+    if any("," in sign for found in signs for sign in found):
+        signs = [found or decimal_signs(c) for found, c in zip(signs, texts, strict=True)]
+    everywhere = {sign for found in signs for sign in found if len(sign) == 1}
+    # Dates go with the next clock.
+    lead = [
+        next(filter(None, map(moment_of, c)), None) if kind == "d" else None
+        for c, kind in zip(texts, kinds, strict=True)
+    ]
+    dates = [k for k, moment in enumerate(lead) if moment and moment.seconds is None]
+    clocks = [k for k, moment in enumerate(lead) if moment and moment.days is None]
+    labels = [title or f"column {k}" for k, title in enumerate(titles, 1)]
+
+    def no_number(row: int, k: int) -> InputError:
+        said = f"line {lines[row]}: {labels[k]} is {printable(str(texts[k][row]))[:40]!r}"
+        return InputError(f"{said}, expected a number or a date of a form known here ({_FORMS})")
+
+    for k, (cells, label, moment) in enumerate(zip(texts, labels, lead, strict=True)):
+        budget.check()
+        title, unit = (titles[k], units[k]) if units[k] else split_title(titles[k])
+        if kinds[k] in ("", "t"):
+            example = next((str(c) for c in cells if cell_kind(c) in ("t", "d")), "")
+            ignored[label] = f"text such as {printable(example)[:40]!r}" if example else "empty"
+        elif k in dates and (clock := next((c for c in clocks if c > k), None)) is not None:
+            ignored[label] = f"its dates are in {labels[clock]}"
+        elif moment:
+            before = [texts[d] for d in dates if d < k and k in clocks]
+            found = moments_of(cells, *before[-1:])
+            if found is None:
+                bad = [cell_kind(c) != "" and not moment_of(c) for c in cells]
+                raise no_number(bad.index(True), k)
+            seconds, start, fields, remark = found
+            notes += [remark] if remark else []
+            if k in dates and np.ptp(seconds) == 0.0:
+                ignored[label] = "dates that go with no clock"
                 continue
-            self.made.append(Column(label, title, unit, values, self.group))
-        for label, cells in self.dates.items():
-            found = moments_of(cells) if self.ignored[label].startswith("dates that") else None
-            if found and np.ptp(found[0]) > 0.0:
-                del self.ignored[label]
-                self.made.append(Column(label, label, "s", found[0], self.group, found[1], 3))
-
-    def take_moments(self, label: str, title: str, cells: Sequence[Any], is_last: bool) -> None:
-        """A column of clock times or dates; those of dates wait for the next clock."""
-        lead = [m for c in cells[:_LOOK_AT] if (m := moment_of(c))]
-        if not is_last and all(m.seconds is None for m in lead):
-            self.dates[label] = cells
-            self.ignored[label] = "dates that go with no clock"
-            return
-        with_dates = self.dates and all(m.days is None for m in lead)
-        beside = list(self.dates)[-1] if with_dates else ""
-        found = moments_of(cells, self.dates.get(beside))
-        if found is None:
-            bad = (cell_kind(c) != "" and not moment_of(c) for c in cells)
-            raise self.no_number(list(bad).index(True), label, cells)
-        seconds, start, fields, remark = found
-        if beside:
-            self.ignored[beside] = f"its dates are in {label}"
-        self.notes += [remark] if remark else []
-        unit = "" if fields == 2 else "s"
-        self.made.append(Column(label, title, unit, seconds, self.group, start, fields))
-
-    def no_number(self, row: int, label: str, cells: Sequence[Any]) -> InputError:
-        shown = printable(str(cells[row]))[:40]
-        expected = f"a number or a date of a form known here ({_FORMS})"
-        return InputError(f"line {self.lines[row]}: {label} is {shown!r}, expected {expected}")
+            unit = "" if fields == 2 else "s"
+            made.append(Column(label, title, unit, seconds, group, start, fields))
+        else:
+            values = plain[k] if "," not in everywhere else None
+            if values is None:
+                decimal = _decimal(label, signs[k], everywhere, cells)
+                values, unit, wrong = numbers_of(cells, decimal, unit)
+                if wrong >= 0:
+                    raise no_number(wrong, k)
+            made.append(Column(label, title, unit, values, group))
+    return made, ignored, notes
 
 
 def _decimal(label: str, shown: set[str], everywhere: set[str], cells: Sequence[Any]) -> str:
