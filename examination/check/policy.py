@@ -109,31 +109,26 @@ def nodes_rules() -> Rules:
 
 def read_policy(path: Path = POLICY) -> Rules:
     """Names that the policy allows, by node; ValueError where it is not as sros2's schema says."""
+    rules: Rules = {}
 
-    def require(holds: bool, what: str) -> None:
-        if not holds:
-            raise ValueError(f"{POLICY.name}: expected {what}")
+    def inside(element: ElementTree.Element, tag: str) -> list[ElementTree.Element]:
+        if any(child.tag != tag for child in element) or not len(element):
+            raise ValueError(f"{POLICY.name}: expected {tag} in {element.tag}")
+        return list(element)
 
     policy = ElementTree.parse(path).getroot()
-    require(policy.tag == "policy" and policy.get("version") == "0.2.0", "policy 0.2.0")
-    (enclaves,) = policy
-    require(enclaves.tag == "enclaves", "enclaves")
-    rules: Rules = {}
-    for enclave in enclaves:
-        require(enclave.tag == "enclave" and str(enclave.get("path")).startswith("/"), "a path")
-        (profiles,) = enclave
-        require(profiles.tag == "profiles", "profiles")
-        for profile in profiles:
-            require(profile.tag == "profile" and bool(profile.get("ns")), "a profile with ns")
-            of = rules.setdefault(str(profile.get("node")), {kind: set() for kind in KINDS})
+    if policy.get("version") != "0.2.0":
+        raise ValueError(f"{POLICY.name}: version {policy.get('version')}, expected 0.2.0")
+    (enclaves,) = inside(policy, "enclaves")
+    for enclave in inside(enclaves, "enclave"):
+        (profiles,) = inside(enclave, "profiles")
+        for profile in inside(profiles, "profile"):
+            of = rules.setdefault(profile.attrib["node"], {kind: set() for kind in KINDS})
             for group in profile:
                 for kind, permission in group.attrib.items():
-                    wanted, item = KINDS[kind]
-                    require(group.tag == wanted, f"{kind} in {wanted}")
-                    require(permission == "ALLOW", "ALLOW")
-                    require(len(group) > 0, "a rule")
-                    require(all(entry.tag == item for entry in group), item)
-                    of[kind] |= {str(entry.text) for entry in group}
+                    if (group.tag, permission) != (KINDS[kind][0], "ALLOW"):
+                        raise ValueError(f"{POLICY.name}: {group.tag} {kind}={permission}")
+                    of[kind] |= {str(entry.text) for entry in inside(group, KINDS[kind][1])}
     return rules
 
 
