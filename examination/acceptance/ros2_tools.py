@@ -30,6 +30,7 @@ from typing import Any
 import psutil  # ros2cli needs it as well
 
 ROOT = Path(__file__).resolve().parents[2]
+CHECKOUT = ("--base-paths", str(ROOT), "--packages-select", "sma_bench")
 PATIENCE = 240.0  # s: what compiles does it once
 # What a node of the bench has after the end of its launch: to 0 V, and to be gone.
 LEFT = 1.0
@@ -78,22 +79,12 @@ class Program(psutil.Popen):
     def output(self) -> str:
         return self.log.read_text(errors="replace")
 
-    def until(self, condition: Callable[[], Any], otherwise: str) -> None:
-        try:
-            until(condition, otherwise)
-        except Failed as error:
-            raise Failed(" | ".join([str(error), *self.output.splitlines()[-3:]])) from None
-
     def says(self, text: str) -> None:
-        self.until(lambda: text in self.output, f"nothing like {text!r} from {self.log.name}")
-
-    def nodes(self) -> list[psutil.Process]:
-        """Nodes and whatever else it has started, and they have."""
-        return self.children(recursive=True)
+        until(lambda: text in self.output, f"nothing like {text!r} from {self.log.name}")
 
     def ends(self) -> int:
         """Exit status; nothing but lines."""
-        self.until(lambda: self.poll() is not None, f"{self.log.name} goes on")
+        until(lambda: self.poll() is not None, f"{self.log.name} goes on")
         need("Traceback" not in self.output, f"traceback: {self.output.strip()[-300:]}")
         return self.returncode
 
@@ -103,7 +94,7 @@ class Program(psutil.Popen):
 
     def ends_cleanly(self) -> str:
         """All nodes end, each with status 0."""
-        nodes, status = self.nodes(), self.ends()
+        nodes, status = self.children(recursive=True), self.ends()
         # asyncio loses the status of a node that has ended when launch sends it a signal just then.
         lost = re.findall(r"child process pid (\d+) exit status already read", self.output)
         died = re.findall(r"died \[pid (\d+), exit code (-?\d+), cmd '(\S+)", self.output)
@@ -113,7 +104,7 @@ class Program(psutil.Popen):
         return f"status {status}, {len(nodes)} processes ended cleanly, no traceback"
 
     def clear(self) -> None:
-        for process in [*(self.nodes() if self.is_running() else []), self]:
+        for process in [*(self.children(recursive=True) if self.is_running() else []), self]:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
         with suppress(ProcessLookupError):
@@ -152,20 +143,16 @@ class Stage:
     """A built workspace, a ROS domain and a folder; what a row starts is gone after it."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.source = folder, folder / "ws" / "src" / "sma_bench"
+        self.folder = folder
         self.environment = dict(os.environ)
         self._programs: list[Program] = []
         self._ears: Any = None
 
     def build(self) -> str:
-        """In a new workspace: what a commit of everything here would hold."""
-        self.source.mkdir(parents=True)
-        files = "git ls-files -z --cached --others --exclude-standard"
-        pack = "tar --create --null --ignore-failed-read --files-from=-"
-        copy = f"{files} | {pack} | tar --extract --directory={shlex.quote(str(self.source))}"
-        subprocess.run(["bash", "-c", copy], cwd=ROOT, stderr=subprocess.DEVNULL, check=True)
+        """In a new workspace."""
+        (self.folder / "ws").mkdir()
         started = time.monotonic()
-        text = self.run("colcon", "build", "--packages-select", "sma_bench")
+        text = self.run("colcon", "build", *CHECKOUT)
         need("1 package finished" in text, text[-300:])
         setup = self.folder / "ws" / "install" / "local_setup.bash"
         shown = self.run("bash", "-c", f". {shlex.quote(str(setup))} && env -0")
@@ -228,13 +215,15 @@ class Stage:
         warm.write_text(f"name: warm\nsteps:\n- {step}\n")
         commands = self.hear(f"/{namespace}/voltage_command", "std_msgs/msg/Float64MultiArray")
         bench = self.launch(namespace=namespace, protocol=warm, autostart="true")
-        bench.until(lambda: commands and commands[-1].data[0] > 1.0, "no volts commanded")
+        until(lambda: commands and commands[-1].data[0] > 1.0, "no volts commanded")
         return bench, commands
 
-    def clear(self) -> None:
-        for program in reversed(self._programs):
+    def clear(self) -> str:
+        """End all that was started; the last lines of each."""
+        programs, self._programs = self._programs, []
+        for program in reversed(programs):
             program.clear()
-        self._programs = []
+        return " | ".join(line for p in programs for line in p.output.splitlines()[-3:])
 
 
 # --- rows ---------------------------------------------------------------------------------------
@@ -243,7 +232,7 @@ class Stage:
 @row("4", "colcon test with pytest")
 def colcon_test(stage: Stage) -> str:
     chosen = ["test/parameters", "test/packaging/test_manifests.py", "-m", "not slow", "-q"]
-    stage.run("colcon", "test", "--packages-select", "sma_bench", "--pytest-args", *chosen)
+    stage.run("colcon", "test", *CHECKOUT, "--pytest-args", *chosen)
     said = stage.run("colcon", "test-result", "--all")
     found = re.search(r"Summary: (\d+) tests, 0 errors, 0 failures", said)
     if found is None or int(found[1]) <= 50:
@@ -256,13 +245,13 @@ def first_start(stage: Stage) -> str:
     power = stage.hear("/first/front_1/power", "sensor_msgs/msg/BatteryState")
     bench = stage.launch("composite_bench", namespace="first")
     bench.says("[simulator-1]: process started")
-    node = next(p for p in bench.nodes() if name_of(p) == "simulator")
+    node = next(p for p in bench.children(recursive=True) if name_of(p) == "simulator")
     used = []
     bench.says("[simulator-1] starting")
     for _ in range(2):  # its first word, its first reading
         # Seconds of the processor: those of the wall are the machine's.
         used.append(sum(node.cpu_times()[:2]))
-        bench.until(lambda: power, "no reading")
+        until(lambda: power, "no reading")
     need(used[0] <= 1.0, f"first word after {used[0]:.2f} s of CPU")
     need(used[1] <= 10.0, f"first reading after {used[1]:.2f} s of CPU")
     return f"the simulator's first word and reading after {used[0]:.2f} and {used[1]:.2f} s of CPU"
@@ -301,7 +290,7 @@ def lists(stage: Stage) -> str:
 def killed(number: int, namespace: str, stage: Stage) -> str:
     """How long the nodes of a launch that is gone went on, and to which volts."""
     bench, commands = stage.driven(namespace)
-    names = {node: name_of(node) for node in bench.nodes()}
+    names = {node: name_of(node) for node in bench.children(recursive=True)}
     bench.send_signal(number)
     ended: dict[psutil.Process, float] = {}
     since = time.monotonic()
@@ -348,7 +337,7 @@ def recorded_from_the_start(stage: Stage) -> str:
     states = stage.hear("/whole/experiment/state", "std_msgs/msg/String", latched=True)
     run = {"protocol": "quick_ramp", "autostart": "true", "speed": "20.0"}
     bench = stage.launch(namespace="whole", record="true", output=bag, **run)
-    bench.until(lambda: states and states[-1].data.startswith("done"), "not done")
+    until(lambda: states and states[-1].data.startswith("done"), "not done")
     bench.ctrl_c()
     bench.ends_cleanly()
     said = stage.run(sys.executable, "-c", IN_THE_RECORD, str(bag)).strip().splitlines()[-1]
@@ -394,7 +383,7 @@ def services(stage: Stage) -> str:
     heard = stage.hear("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
     bag, added = stage.folder / "served", {"twin": "true", "camera": "true", "record": "true"}
     added["nodes"] = "identification,diagnosis"
-    bench = stage.launch("composite_bench", namespace="served", output=bag, **added)
+    stage.launch("composite_bench", namespace="served", output=bag, **added)
     wanted = {"simulator", "experiment", "recorder", "twin", "ir_camera", "synthetic_camera"}
     wanted |= {"identification", "diagnosis"}
 
@@ -402,7 +391,7 @@ def services(stage: Stage) -> str:
         names = [status.name for message in list(heard) for status in message.status]
         return {n.split(":")[0].split("/")[-1] for n in names if n.startswith("/served/")}
 
-    bench.until(lambda: wanted <= seen(), "no diagnostics of some node")
+    until(lambda: wanted <= seen(), "no diagnostics of some node")
     until(lambda: (bag / "metadata.yaml").exists() or any(bag.glob("*.mcap")), "no bag")
     for service in ("split", "stop", "start"):
         success, said = stage.call(f"/served/recorder/{service}")
@@ -418,7 +407,7 @@ def services(stage: Stage) -> str:
 def qos(stage: Stage) -> str:
     override = "qos_overrides./qos/wire/power.publisher.reliability:=best_effort"
     given = ["--ros-args", "-r", "__ns:=/qos", "-p", override, "--params-file"]
-    rig = str(stage.source / "config" / "wire_rig.yaml")
+    rig = str(ROOT / "config" / "wire_rig.yaml")
     stage.start("ros2", "run", "sma_bench", "simulator", *given, rig).says("simulating")
     said = stage.run("ros2", "topic", "info", "-v", "/qos/wire/power")
     need("BEST_EFFORT" in said, said)
@@ -443,10 +432,9 @@ def main(words: list[str]) -> int:
         started = time.monotonic()
         try:
             verdict, outcome = "ok", act(stage)
-        except (Failed, subprocess.SubprocessError, StopIteration) as error:
-            verdict, outcome = "FAILED", str(error) or type(error).__name__
-        finally:
             stage.clear()
+        except (Failed, subprocess.SubprocessError, StopIteration) as error:
+            verdict, outcome = "FAILED", f"{str(error) or type(error).__name__}; {stage.clear()}"
         verdicts.append(verdict)
         outcome = f"{verdict}: {' '.join(outcome.split())}".replace("|", "/")
         print(f"| {item} | {what} | {outcome} | {time.monotonic() - started:.0f} |", flush=True)

@@ -22,6 +22,7 @@ from sma_bench.identify import identify
 LIMIT = 3.0
 FALSE_ALARMS = 0.02
 ROW = "{:9s} {:46s} {:>5s} {:>6s} {:>6s} {:>7s}  {}"
+KINDS = ("right", "warned", "silent")
 CLEAN = (clean_bag, clean_tables)
 
 
@@ -32,11 +33,14 @@ def judge(case: Case) -> dict[str, Any]:
         found = identify(case.records, case.parameters, case.experiments)
     except InputError as error:
         return {"refused": str(error), "numbers": {}, "warnings": []}
-    numbers = {
-        name: {"truth": truth, "value": float(e.value), "std": float(e.std),
-               "z": float((e.value - truth) / e.std), "warnings": list(e.warnings)}
-        for name, truth in case.truth.items() if (e := found.estimates.get(name))
-    }  # fmt: skip
+    numbers = {}
+    for name, truth in case.truth.items():
+        if e := found.estimates.get(name):
+            z, errors = (
+                float((e.value - truth) / e.std),
+                {"value": float(e.value), "std": float(e.std)},
+            )
+            numbers[name] = {"truth": truth, **errors, "z": z, "warnings": list(e.warnings)}
     return {"refused": "", "numbers": numbers, "warnings": list(found.warnings)}
 
 
@@ -61,42 +65,38 @@ def run_numbered(job: tuple[str, int, int]) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the table; 0 if nothing is silently wrong and clean records raise no alarm."""
-    options = options_of(
-        "attacks", __doc__, argv, only=("", "attacks with this in the name"),
-        seeds=(5, "of each attack"), clean=(50, "clean sets of each kind"), **IN_PIECES,
-    )  # fmt: skip
+    own = {"only": ("", "attacks with this in the name"), "seeds": (5, "of each attack")}
+    own["clean"] = (50, "clean sets of each kind")
+    options = options_of("attacks", __doc__, argv, **own, **IN_PIECES)
     words = [f"{a.experiment} {a.name}" for a in ATTACKS]
     chosen = [k for k, word in enumerate(words) if options.only.lower() in word.lower()]
     jobs = [("attack", k, options.seeds) for k in chosen]
     jobs += [("clean", kind, seed) for kind in range(len(CLEAN)) for seed in range(options.clean)]
     found = in_pieces(run_numbered, jobs, options)
-    print(f"{len(chosen)} attacks, {options.seeds} seeds each: every number right within "
-          f"{LIMIT:g} standard errors, warned of, or silently wrong\n")  # fmt: skip
-    kinds = ("right", "warned", "silent")
-    print(ROW.format("attack", "", *kinds, "refused", "largest silent, or |z| when right"))
+    wanted = f"within {LIMIT:g} standard errors, warned of, or silently wrong"
+    print(f"{len(chosen)} attacks, {options.seeds} seeds each: every number right {wanted}\n")
+    print(ROW.format("attack", "", *KINDS, "refused", "largest silent, or |z| when right"))
     silent, false = 0, 0
-    for number, results in zip(chosen, found[: len(chosen)], strict=True):
+    for attack, results in zip((ATTACKS[k] for k in chosen), found, strict=False):
         every = [(name, n["z"], verdict(n)) for r in results for name, n in r["numbers"].items()]
         count = Counter(said for *_, said in every)
         shown = [x for x in every if x[2] == ("silent" if count["silent"] else "right")]
         name, z, _ = max(shown, key=lambda x: abs(x[1]), default=("", 0.0, ""))
-        print(ROW.format(
-            ATTACKS[number].experiment, ATTACKS[number].name, *(str(count[k]) for k in kinds),
-            str(sum(bool(r["refused"]) for r in results)),
-            f"{name.rpartition('.')[2]} z {z:+.1f}" if name else "",
-        ))  # fmt: skip
+        worst = f"{name.rpartition('.')[2]} z {z:+.1f}" if name else ""
+        refused = str(sum(bool(r["refused"]) for r in results))
+        counts = (str(count[kind]) for kind in KINDS)
+        print(ROW.format(attack.experiment, attack.name, *counts, refused, worst))
         silent += count["silent"]
-    for (_, kind, seed), result in zip(jobs[len(chosen) :], found[len(chosen) :], strict=True):
-        wrong_here = [n for n, x in result["numbers"].items() if verdict(x) == "silent"]
-        silent += len(wrong_here)
-        false += bool(result["warnings"] or result["refused"])
-        if result["warnings"] or result["refused"] or wrong_here:
-            print(f"clean {CLEAN[kind].__name__} {seed}:", *result["warnings"], result["refused"],
-                  *(f"{n} z {result['numbers'][n]['z']:+.1f}" for n in wrong_here),
-                  sep="\n    ")  # fmt: skip
-    clean = len(jobs) - len(chosen)
-    print(f"\nsilently wrong: {silent}; false warnings on {false} of {clean} clean sets")
-    passed = silent == 0 and false <= FALSE_ALARMS * clean
+    clean = jobs[len(chosen) :]
+    for (_, kind, seed), result in zip(clean, found[len(chosen) :], strict=True):
+        wrong = {n: x["z"] for n, x in result["numbers"].items() if verdict(x) == "silent"}
+        alarms = [*result["warnings"], *filter(None, [result["refused"]])]
+        silent += len(wrong)
+        false += bool(alarms)
+        if alarms or wrong:
+            print(f"clean {CLEAN[kind].__name__} {seed}:", *alarms, wrong, sep="\n    ")
+    print(f"\nsilently wrong: {silent}; false warnings on {false} of {len(clean)} clean sets")
+    passed = silent == 0 and false <= FALSE_ALARMS * len(clean)
     print("PASSED" if passed else "FAILED")
     return 0 if passed else 1
 
