@@ -154,6 +154,10 @@ def split_title(title: str) -> tuple[str, str]:
         if parse_unit(match[1]):
             rest = f"{text[: match.start()]} {text[match.end() :]}"
             return " ".join(rest.replace("( )", "").split()).rstrip(" ,_/"), match[1].strip()
+    if both := re.search(r"[_ ](([^_ /]+)/[^_ /]+)\Z", text):  # Strain_mm/mm, Speed m/s
+        first = parse_unit(both[2])
+        if first is not None and first.quantity in ("length", "force", "power"):
+            return text[: both.start()].strip("_ "), both[1]
     for mark in (" / ", "/", ",", "_", " in ", " "):
         name, cut, unit = text.partition(mark) if mark == " / " else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
