@@ -16,6 +16,7 @@ from sma_bench.records.isobaric import Cycle, IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.record import (
     FloatArray,
+    IntArray,
     Record,
     Signal,
     first_order_lag,
@@ -32,7 +33,11 @@ _CLOCK_TOLERANCE, _DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
 _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 _IRREGULAR = 0.1  # of a period that steps differ from whole ones
 _FLAT_SAMPLES = 20
-_FEWEST_TICKS, _TICKS = 50, 0.01  # samples; share of receive times that repeat
+_AGAINST = 0.9  # of a current's readings that have not its voltage's sign
+# Standard deviations, and share of the usual range, that a single reading lies off both beside it;
+# most of them in a record, as more are a sensor's way.
+_OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
+_FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
 # Kind of signal, between what its lowest and its highest value lie in SI units, and what is the
@@ -98,6 +103,8 @@ def _values(record: Record) -> Iterator[Finding]:
         if missing := signal.values.size - len(finite):
             text = f"{missing} of {signal.values.size} values are NaN or Inf"
             yield Finding("warning", name, text, {"count": missing})
+        if not missing:  # a single reading is named below, and decides nothing
+            finite = np.delete(finite, outliers(signal))
         if not len(finite):
             continue
         low, high = float(finite.min()), float(finite.max())
@@ -107,6 +114,49 @@ def _values(record: Record) -> Iterator[Finding]:
                 text = f"{low:.4g} to {high:.4g} {signal.unit} is beyond belief: {hint}"
                 yield Finding(severity, name, text, {"low": low, "high": high})
                 break
+
+
+def _mishaps(record: Record) -> Iterator[Finding]:
+    """Currents of a reversed sensor, and single readings that no neighbour agrees with."""
+    for name, signal in record.signals.items():
+        if _kind(name) == "current" and (share := against_voltage(record, signal)):
+            text = f"runs against its voltage in {share:.0%} of its readings: sensor leads swapped?"
+            yield Finding("warning", name, text, {"share": share})
+        if len(off := outliers(signal)):
+            values = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
+            text = f"{len(off)} single readings far off those beside them: {values} {signal.unit}"
+            yield Finding("warning", name, text, {"outliers": float(len(off))})
+
+
+def against_voltage(record: Record, current: Signal) -> float:
+    """Share of a current's readings, of those worth the name, that have not its voltage's sign; 0
+    where that is not nearly all."""
+    name = current.name.removesuffix("current") + "voltage"
+    if not (has_samples(record, name) and has_samples(record, current.name)):
+        return 0.0
+    volts = np.interp(current.time, *samples(record, name))
+    size = np.abs(current.values)
+    heated = (size > 0.2 * np.nanmax(size)) & (np.abs(volts) > 0.2 * np.abs(volts).max())
+    if heated.sum() < 10:
+        return 0.0
+    share = float(np.mean(current.values[heated] * volts[heated] < 0.0))
+    return share if share > _AGAINST else 0.0
+
+
+def outliers(signal: Signal) -> IntArray:
+    """Where single readings of a sensor lie far off both beside them, which agree; none where there
+    are more of them than a mishap makes. A command, a voltage and its current may pulse."""
+    values, none = signal.values, np.zeros(0, dtype=np.int64)
+    pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
+    if values.ndim != 1 or len(values) < _FEWEST or pulses or not np.isfinite(values).all():
+        return none
+    beside = 0.5 * (values[:-2] + values[2:])
+    off, apart = np.abs(values[1:-1] - beside), np.abs(values[2:] - values[:-2])
+    scatter = float(np.median(off)) / 0.6745
+    low, high = np.quantile(values, [0.01, 0.99])
+    least = max(_OUTLYING * scatter, _OUT_OF_RANGE * float(high - low))
+    found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
+    return found if len(found) <= _MOST_OUTLIERS else none
 
 
 def _rate(record: Record) -> Iterator[Finding]:
@@ -172,7 +222,7 @@ def receive_delays(record: Record) -> dict[str, FloatArray]:
     }
     ticks = [
         float(np.mean(np.diff(record[name].time + delay) < 1e-9))
-        for name, delay in delays.items() if len(delay) >= _FEWEST_TICKS
+        for name, delay in delays.items() if len(delay) >= _FEWEST
     ]
     return {} if max(ticks, default=0.0) > _TICKS else delays
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sma_bench.findings import Finding
-from sma_bench.records.check import check_record, receive_delays
-from sma_bench.records.record import Record, Signal
+from sma_bench.records.check import against_voltage, check_record, outliers, receive_delays
+from sma_bench.records.record import FloatArray, IntArray, Record, Signal
 
 # s. A camera's picture takes up to a second on its way, with a right stamp: no reason to move it.
 _CLOCK_TOLERANCE, _DRIFT_TOLERANCE = 1.0, 0.05
@@ -21,11 +21,24 @@ _SUSPECT = {"value", "drift", "turns"}  # of the numbers of a finding
 def mended(record: Record) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time, over a second, off the drive's are moved onto it, by when the recorder got the
-    messages, and deviations far below a reading's own scatter, which no sensor can state, are left
-    out."""
+    messages, currents that run against their voltage are turned, and single readings far off those
+    beside them, and deviations far below a reading's own scatter, which no sensor can state, are
+    left out."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
+        if name.endswith(".current") and (share := against_voltage(record, signal)):
+            moved[name] = signal = replace(signal, values=-signal.values)
+            text = f"runs against its voltage in {share:.0%} of its readings: its sign is turned"
+            found.append(Finding("warning", name, text, {"share": share}))
+        if len(off := outliers(signal)):
+            values = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
+            moved[name] = signal = _without(signal, off)
+            text = (
+                f"{len(off)} single readings far off those beside them are left out: {values} "
+                f"{signal.unit}"
+            )
+            found.append(Finding("warning", name, text, {"outliers": float(len(off))}))
         if signal.std is None or len(signal) < _FEWEST:
             continue
         stated = float(np.median(signal.std))
@@ -40,14 +53,14 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
     delays = receive_delays(record)
     drive = next((n for n in delays if n.endswith(".voltage")), None)
     for name, delay in delays.items() if drive else ():
-        off = float(np.median(delay) - np.median(delays[str(drive)]))
+        late = float(np.median(delay) - np.median(delays[str(drive)]))
         tenth = max(1, len(delay) // 10)
         growth = abs(float(np.median(delay[-tenth:]) - np.median(delay[:tenth])))
-        if abs(off) > _CLOCK_TOLERANCE and growth < _DRIFT_TOLERANCE:
+        if abs(late) > _CLOCK_TOLERANCE and growth < _DRIFT_TOLERANCE:
             own = moved.get(name, record.signals[name])
-            moved[name] = replace(own, time=own.time + off)
-            text = f"its clock is {off:+.3f} s off that of {drive}: moved onto it by receive time"
-            found.append(Finding("warning", name, text, {"offset": off}))
+            moved[name] = replace(own, time=own.time + late)
+            text = f"its clock is {late:+.3f} s off that of {drive}: moved onto it by receive time"
+            found.append(Finding("warning", name, text, {"offset": late}))
     return replace(record, signals=record.signals | moved), found
 
 
@@ -67,6 +80,16 @@ def under_suspicion(record: Record) -> Iterator[Finding]:
                 "the PWM of a switched supply?"
             )
             yield Finding("warning", name, text, {"levels": 2.0})
+
+
+def _without(signal: Signal, rows: IntArray) -> Signal:
+    def left(array: FloatArray | None) -> FloatArray | None:
+        return None if array is None else np.delete(array, rows)
+
+    return replace(
+        signal, time=np.delete(signal.time, rows), values=np.delete(signal.values, rows),
+        received=left(signal.received), std=left(signal.std),
+    )
 
 
 def _two_valued(signal: Signal) -> int:

@@ -112,3 +112,28 @@ def test_a_variance_that_the_scatter_contradicts_is_left_out_and_said():
     assert found[0].subject == "wire.temperature"
     honest = replace(own, std=np.full(len(own), found[0].numbers["scatter"]))
     assert not mended(replace(record, signals=record.signals | {own.name: honest}))[1]
+
+
+def test_a_current_that_runs_against_its_voltage_is_turned_and_said():
+    record = record_of(staircase())
+    own = record["wire.current"]
+    turned = {"wire.current": replace(own, values=-own.values)}
+    sound, found = mended(replace(record, signals=record.signals | turned))
+    assert sound["wire.current"].values == pytest.approx(own.values)
+    assert [f.subject for f in found] == ["wire.current"]
+    found = sma_bench.diagnose(replace(record, signals=record.signals | turned), LAB)
+    assert found.cause == () and "wire.current" in found.record[0]
+
+
+@pytest.mark.parametrize("name, wrong", [("wire.temperature", 999.9), ("wire.temperature", 0.0)])
+def test_single_readings_far_off_are_left_out_and_named(name, wrong):
+    record = record_of(staircase())
+    own = record[name]
+    values = own.values.copy()
+    values[[200, 700]] = wrong
+    outlying = {name: replace(own, values=values)}
+    sound, found = mended(replace(record, signals=record.signals | outlying))
+    assert len(sound[name]) == len(own) - 2 and sound[name].values == pytest.approx(
+        np.delete(own.values, [200, 700])
+    )
+    assert [f.numbers["outliers"] for f in found] == [2.0]
