@@ -194,7 +194,7 @@ class _Proposal:
             self.ask("signals", f"no position or force recognised; the other columns: {rest}")
         if not kinds & {"voltage", "current"} and not {"elongation", "force"} <= kinds:
             self.ask("signals", f"no voltage, duty or current recognised; others: {rest}")
-        return made if self.questions else self.signed(made)
+        return self.signed(made)
 
     def meaning(self, column: Column) -> str | None:
         """What a column is, None where it makes no signal; where title and unit contradict, it is
@@ -369,30 +369,50 @@ class _Proposal:
         return self.bench.lever or self.ask("lever", question)
 
     def signed(self, made: ImportMap) -> ImportMap:
-        """Signs from what is known of a wire: heat shortens it, and it cannot push."""
-        signals = {signal.name: signal for signal in convert(self.table, made)[0]}
+        """Signs from what is known of a wire: heat shortens it, and it cannot push. They are the
+        same whatever is answered to the questions so far."""
+        si = {"voltage": "V", "current": "A", "temperature": "K", "force": "N"}
+        known = [
+            replace(e, unit=si.get(e.kind, "m") if e.unit == ASK else e.unit, form="rms")
+            for e in made.entries
+            if e.clock != ASK
+        ]
+        ticks = {c: u if u != ASK else "1 s" if c == ROWS else "s" for c, u in made.clocks.items()}
+        lever = 1.0 if made.lever == ASK else made.lever
+        trial = replace(made, clocks=ticks, entries=tuple(known), lever=lever)
+        signals: dict[str, Signal] = {}
+        try:
+            signals = {s.name: s for s in convert(self.table, trial)[0]} if known else {}
+        except InputError:
+            if not self.questions:
+                raise
         entries = []
         for entry in made.entries:
-            own = signals[entry.signal]
+            own = signals.get(entry.signal)
             volts = signals.get(f"{entry.signal.rpartition('.')[0]}.voltage")
-            if entry.kind == "current" and volts and np.sum(own.values) * np.sum(volts.values) < 0:
+            if entry.signal in POSITIONS:
+                entry = self.signed_position(entry, signals)
+            elif own is None:
+                pass
+            elif entry.kind == "current" and volts and own.values.sum() * volts.values.sum() < 0.0:
                 how = "against the voltage, as a battery counts a discharge"
                 sign = self.ask(entry.column, f"{how}: sign -1, or is the wire fed back (1)?")
                 entry = replace(entry, sign=sign)
-            if entry.signal == "force" and float(np.median(own.values)) < 0.0:
+            elif entry.signal == "force" and float(np.median(own.values)) < 0.0:
                 entry = replace(entry, sign=-1)
                 self.remarks[entry.column] = "mostly negative: counted as compression"
-            if entry.signal in POSITIONS:
-                entry = self.signed_position(entry, signals)
             entries.append(entry)
         return replace(made, entries=tuple(entries))
 
     def signed_position(self, entry: Entry, signals: Mapping[str, Signal]) -> Entry:
-        moved = signals[entry.signal]
         if entry.signal == "deflection":
             question = "sign: does it grow toward the front (1) or the back (-1)?"
             return replace(entry, sign=self.ask(entry.column, question))
-        if any(name.endswith((".voltage", ".current")) for name in signals):
+        moved, force = signals.get(entry.signal), signals.get("force")
+        is_driven = any(name.endswith((".voltage", ".current")) for name in signals)
+        if moved is None or (force is None and not is_driven):
+            return replace(entry, sign=self.ask(entry.column, _WHICH_SIGN))
+        if force is None or is_driven:
             up, down = (max(float(v.max()), 0.0) for v in (moved.values, -moved.values))
             if max(up, down) <= _CLEAR * min(up, down):
                 return replace(entry, sign=self.ask(entry.column, _WHICH_SIGN))
@@ -400,7 +420,6 @@ class _Proposal:
             said = f"{self.remarks.get(entry.column, '')} {way}; zero: rest before the first drive"
             self.remarks[entry.column] = said.strip()
             return replace(entry, sign=-1 if up > down else 1)
-        force = signals["force"]
         pull = np.interp(moved.time, force.time, force.values)
         pull = -pull if float(np.median(force.values)) < 0.0 else pull  # as its own sign is chosen
         with np.errstate(invalid="ignore"):

@@ -193,7 +193,7 @@ def test_what_is_unsure_is_asked_in_one_line_and_in_the_map(
             entry["scale"] = 1e3 / 77 if entry["signal"] == "elongation" else 1.0
         asked.write_text(yaml.safe_dump(document))
         record = imported(source, rig, bag, "--map", str(asked))
-        np.testing.assert_allclose(record["elongation"].values, MOVED, atol=1e-8)
+        np.testing.assert_allclose(record["elongation"].values, -MOVED, atol=1e-8)
 
 
 @pytest.mark.parametrize(
