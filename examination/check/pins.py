@@ -1,13 +1,13 @@
-"""The locks of all that is installed: whether they are whole, agree, and would install.
+"""The locks of all that is installed: whether they are whole, agree, and are safe.
 
 A requirement file says which version; its lock in `locks/` adds the hash of every file of that
 version that the package index has, for all Pythons and machines, and what that version requires.
 `./bench` installs locks without resolving (`pip install --no-deps --require-hashes`), so nothing
 that is published later changes anything. Without an option this says, offline, whether a lock is
-its requirement file with hashes, whether all that its packages require is in it (or in those below
-it), and whether two locks name different versions. `--write` asks the index anew (with uv, fetched
-for the purpose, and pip) and is due after every change of a requirement file. `--audit` asks for
-known vulnerabilities (with pip-audit) and, where it cannot ask, says so.
+its requirement file with hashes, and whether two locks name different versions. That they install,
+with all that their packages require, test/packaging shows with pip. `--write` asks the index anew
+(with uv, fetched for the purpose, and pip) and is due after every change of a requirement file.
+`--audit` asks for known vulnerabilities (with pip-audit) and, where it cannot ask, says so.
 
     ./bench check pins [--write] [--audit]
 """
@@ -22,9 +22,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from packaging.markers import Marker, default_environment
+from packaging.markers import Marker
 from packaging.requirements import Requirement
-from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name as canonical
 
 from examination.pieces import options_of
@@ -32,7 +31,7 @@ from examination.pieces import options_of
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / "locks"
 UV, PIP, PIP_AUDIT = "uv==0.13.9", "pip==26.3", "pip-audit==2.10.1"
-PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+OLDEST_PYTHON = "3.11"
 
 BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requirements-test.txt"
 ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
@@ -54,12 +53,11 @@ _REQUIRES = "    # requires "
 
 
 class Locked(NamedTuple):
-    """A line of a lock: what it pins, for which Pythons, and what that version requires."""
+    """A line of a lock: what it pins, on which Pythons, and what that version requires."""
 
     name: str
     version: str
     marker: Marker | None
-    python: SpecifierSet
     requires: tuple[Requirement, ...]
 
 
@@ -70,10 +68,8 @@ def read_lock(path: Path) -> dict[str, Locked]:
         if pin := _PIN.search(block):
             name, version, marker = canonical(pin[1]), pin[2], pin[3].strip(" ;")
             said = re.findall(rf"^{_REQUIRES}(.*)$", block, re.MULTILINE)
-            python = [line.removeprefix("Python ") for line in said if line.startswith("Python ")]
-            requires = (Requirement(line) for line in said if not line.startswith("Python "))
-            found[name] = Locked(name, version, Marker(marker) if marker else None,
-                                 SpecifierSet(python[0] if python else ""), tuple(requires))
+            requires = tuple(Requirement(line) for line in said if not line.startswith("Python "))
+            found[name] = Locked(name, version, Marker(marker) if marker else None, requires)
     return found
 
 
@@ -113,58 +109,6 @@ def conflicts(locks: dict[str, dict[str, Locked]]) -> list[str]:
     ]
 
 
-def not_installable(file: str, locks: dict[str, dict[str, Locked]]) -> list[str]:
-    """A line for everything for which a lock, on top of those below it, would not work."""
-    together = {
-        name: package for each in (*BELOW[file], file) for name, package in locks[each].items()
-    }
-    where = defaultdict(list)
-    for python in ("3.12",) if file in UBUNTU else PYTHONS:
-        environment = {
-            **default_environment(), "python_version": python, "python_full_version": f"{python}.9",
-            "sys_platform": "linux", "platform_system": "Linux", "platform_machine": "x86_64",
-            "os_name": "posix", "implementation_name": "cpython", "extra": "",
-            "platform_python_implementation": "CPython",
-        }  # fmt: skip
-        there = {
-            name: package for name, package in together.items()
-            if package.marker is None or package.marker.evaluate(environment)
-        }  # fmt: skip
-        for package, needed in required(there, environment):
-            if package.name not in locks[file]:
-                continue
-            found = there.get(canonical(needed.name))
-            if found is None:
-                where[f"{package.name} requires {needed}, which is not locked"].append(python)
-            elif not needed.specifier.contains(found.version, prereleases=True):
-                line = f"{package.name} requires {needed}, locked is {found.version}"
-                where[line].append(python)
-        for package in there.values():
-            if package.name in locks[file] and not package.python.contains(f"{python}.9"):
-                where[f"{package.name} requires Python {package.python}"].append(python)
-    return [f"{file}: {line} (Python {', '.join(at)})" for line, at in sorted(where.items())]
-
-
-def required(
-    there: dict[str, Locked], environment: dict[str, Any]
-) -> list[tuple[Locked, Requirement]]:
-    """What the packages require of each other here, those for the extras asked for too."""
-    extras: dict[str, set[str]] = defaultdict(lambda: {""})
-    while True:
-        found = [
-            (package, needed)
-            for package in there.values() for needed in package.requires
-            if needed.marker is None
-            or any(needed.marker.evaluate({**environment, "extra": extra})
-                   for extra in extras[package.name])
-        ]  # fmt: skip
-        asked = {(canonical(needed.name), extra) for _, needed in found for extra in needed.extras}
-        if all(extra in extras[name] for name, extra in asked):
-            return found
-        for name, extra in asked:
-            extras[name].add(extra)
-
-
 def requirement_files() -> list[Path]:
     return sorted(ROOT.glob("requirements*.txt"))
 
@@ -174,9 +118,7 @@ def problems() -> list[str]:
     files = requirement_files()
     found = [f"{file.name}: not in BELOW of {__file__}" for file in files if file.name not in BELOW]
     found += [line for file in files for line in disagreements(file, LOCKS / file.name)]
-    locks = {file: read_lock(LOCKS / file) for file in BELOW}
-    found += conflicts(locks)
-    return found + [line for file in BELOW for line in not_installable(file, locks)]
+    return found + conflicts({file: read_lock(LOCKS / file) for file in BELOW})
 
 
 def write_locks(folder: Path) -> int:
@@ -191,7 +133,7 @@ def write_locks(folder: Path) -> int:
             "--no-header --no-annotate --python-version {python} {path} -o {made}",
             "pip install --quiet --dry-run --ignore-installed --no-deps --report - -r {made}",
         ):
-            tool, *words = (word.format(python=PYTHONS[0], path=path, made=made)
+            tool, *words = (word.format(python=OLDEST_PYTHON, path=path, made=made)
                             for word in command.split())  # fmt: skip
             process = subprocess.run([str(tools / tool), *words], capture_output=True, text=True,
                                      check=False)  # fmt: skip
@@ -272,7 +214,7 @@ def _tools(folder: Path, *pins: str) -> Path:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when every lock would install (and, asked for it, nothing is known against it)."""
+    """0 when every lock is whole (and, asked for it, nothing is known against it)."""
     options = options_of("pins", __doc__, argv, write=(False, "ask the package index anew"),
                          audit=(False, "ask for known vulnerabilities"))  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
