@@ -19,7 +19,7 @@ _GAIN = 0.95  # of the cores
 _FREE_CORES = (16, 64)  # of a cluster
 
 
-def measure(tiny: bool = False) -> Iterator[Figure]:
+def batch(tiny: bool = False) -> Iterator[Figure]:
     """Identifications and diagnoses, on one worker and on one a core, here and on a cluster."""
     with TemporaryDirectory() as name:
         bag = staircase_bag(Path(name, "bag"), _DURATION)

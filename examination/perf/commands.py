@@ -22,7 +22,7 @@ from examination.perf.records import ROOT, diagnosis_case, staircase_bag
 COMPILING = 22.0  # s, what it took before the diagnosis was made faster
 
 
-def measure(tiny: bool = False) -> Iterator[Figure]:
+def commands(tiny: bool = False) -> Iterator[Figure]:
     """Help, identification of a short and of a 30-minute bag, diagnosis, a cold start."""
     with TemporaryDirectory() as name:
         folder = Path(name)

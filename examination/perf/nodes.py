@@ -1,29 +1,40 @@
-"""The simulated bench and the camera as nodes: rate held, jitter, latency, share of a core."""
+"""Simulated bench, camera and twin as nodes: rate held, jitter, latency, share of a core."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray
 
-from examination.perf.measuring import Figure
-from examination.perf.running import NAMESPACE, RIGS, running
+from examination.perf.measuring import Figure, processor_of
+from examination.perf.records import COMPOSITE
 from sma_bench.hardware import thermal_settings as thermal
 from sma_bench.hardware.thermal_image import FrameFormat
 from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
+from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
+RIGS = {"one wire": COMPOSITE.with_name("wire_rig.yaml"), "four wires": COMPOSITE}
+NAMESPACE = "/perf"
+_STARTING = 120.0  # s
 RATES = (100.0, 500.0, 1000.0)
 CAMERA_RATE = 80.0
 PICTURE = (382, 288)
 FRAMES = 300
 COMMAND_PERIOD = 0.05
+TWIN_RATE = 500.0  # Hz
 
 
-def measure(tiny: bool = False) -> Iterator[Figure]:
+def nodes(tiny: bool = False) -> Iterator[Figure]:
     """The simulator at each rate, then the camera in this process and as nodes."""
     for rate in RATES[:1] if tiny else RATES:
         yield from _simulator(rate, 1.0 if tiny else 6.0)
@@ -31,6 +42,64 @@ def measure(tiny: bool = False) -> Iterator[Figure]:
         for name in RIGS:
             yield from _pictures(name)
             yield from _camera_nodes(name)
+
+
+def twin(tiny: bool = False) -> Iterator[Figure]:
+    """The pace that the node keeps, and its share of a core."""
+    for name, rig in list(RIGS.items())[: 1 if tiny else None]:
+        yield from _twin_node(f"{name} at {TWIN_RATE:g} Hz", rig, 1.0 if tiny else 8.0)
+
+
+@dataclass(frozen=True)
+class Running:
+    """Nodes that run, and `node`, which hears them while `spin` does its work."""
+
+    node: Any
+    processes: NodeProcesses
+    pids: Mapping[str, int]
+
+    def spin(self, until: Callable[[], Any], meanwhile: Callable[[], Any] = int) -> None:
+        """Listen until the condition holds.
+
+        Raises:
+            RuntimeError: it does not within _STARTING s.
+            InputError: a node has ended.
+        """
+        end = time.monotonic() + _STARTING
+        while not until():
+            if time.monotonic() > end:
+                raise RuntimeError(f"nothing heard within {_STARTING:g} s")
+            meanwhile()
+            rclpy.spin_once(self.node, timeout_sec=0.01)
+            self.processes.check()
+
+    def shares(
+        self, seconds: float, meanwhile: Callable[[], Any] = int
+    ) -> tuple[float, dict[str, float]]:
+        """Listen for a while: seconds it took, and the share of a core of every node."""
+        before, begin = {k: processor_of(pid) for k, pid in self.pids.items()}, time.monotonic()
+        self.spin(lambda: time.monotonic() - begin > seconds, meanwhile)
+        elapsed = time.monotonic() - begin
+        had = {k: processor_of(pid) - before[k] for k, pid in self.pids.items()}
+        return elapsed, {k: used / elapsed for k, used in had.items()}
+
+
+@contextmanager
+def running(
+    nodes: Mapping[str, Mapping[str, Any]], rig: Path = RIGS["one wire"]
+) -> Iterator[Running]:
+    """Start nodes with these settings, away from every other bench."""
+    private_ros_environment()
+    rclpy.init(args=[])
+    node = rclpy.create_node("perf", namespace=NAMESPACE)
+    try:
+        with TemporaryDirectory() as folder, NodeProcesses(NAMESPACE, Path(folder)) as processes:
+            for name, settings in nodes.items():
+                processes.start(name, dict(settings), (rig,))
+            yield Running(node, processes, {name: processes.pid(name) for name in nodes})
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
@@ -131,3 +200,28 @@ def _camera_nodes(name: str, seconds: float = 8.0) -> Iterator[Figure]:
     yield Figure(case, "age of a reading where it arrives, median", age, "ms")
     for node in nodes:
         yield Figure(case, f"{node}: share of a core", shares[node])
+
+
+def _twin_node(case: str, rig: Path, seconds: float) -> Iterator[Figure]:
+    heard: list[tuple[float, dict[str, str]]] = []
+
+    def listen(message: Any) -> None:
+        for status in message.status:
+            if status.name == f"{NAMESPACE}/twin: gap":
+                heard.append((time.monotonic(), {v.key: v.value for v in status.values}))
+
+    nodes = {"twin": {}, "simulator": {"rate.power": TWIN_RATE, "rate.mechanics": TWIN_RATE}}
+    with running(nodes, rig) as bench:
+        bench.node.create_subscription(DiagnosticArray, "/diagnostics", listen, 10)
+        bench.spin(lambda: heard and float(heard[-1][1]["model_time"]))
+        heard.clear()
+        bench.spin(lambda: heard)
+        _, shares = bench.shares(seconds)
+        (first, start), (last, end) = heard[0], heard[-1]
+    names = ("model_time", "restarts", "readings_late")
+    model, restarts, late = (float(end[name]) - float(start[name]) for name in names)
+    yield Figure(case, "model time a second", model / (last - first), "s/s", least=0.98)
+    yield Figure(case, "twin began anew", restarts, "times", most=0.0)
+    yield Figure(case, "readings too late", late, "readings", most=0.0)
+    yield Figure(case, "twin node", shares["twin"], "cores", most=1.0)
+    yield Figure(case, "simulator node", shares["simulator"], "cores")

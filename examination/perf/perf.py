@@ -14,7 +14,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 from examination.perf.measuring import Figure, as_json, print_section  # noqa: E402
 
-# Modules of this folder; each has `measure(tiny)`, which yields figures.
+# Functions that yield figures, in a module of their name or in another one.
 SECTIONS = {
     "simulation": "stiff solvers at equal error",
     "reading": "bags: rosbags, mcap-ros2-support",
@@ -25,6 +25,7 @@ SECTIONS = {
     "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
     "batch": "identified, diagnosed; processes, a dask cluster; a thousand",
 }
+MODULES = {"diagnosis": "lengths", "identification": "lengths", "twin": "nodes"}
 
 
 def main(argv: list[str]) -> int:
@@ -43,7 +44,8 @@ def main(argv: list[str]) -> int:
     for name in arguments.sections or SECTIONS:
         begin, figures, missing = time.monotonic(), [], ""
         try:
-            for figure in import_module(f"examination.perf.{name}").measure(arguments.tiny):
+            module = import_module(f"examination.perf.{MODULES.get(name, name)}")
+            for figure in getattr(module, name)(arguments.tiny):
                 figures.append(figure)
         except (ImportError, RuntimeError, OSError) as error:  # the others go on
             missing = f"{type(error).__name__}: {error}"

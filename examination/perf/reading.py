@@ -30,7 +30,7 @@ def signals_of_a_bench(messages: int) -> list[Signal]:
     return [*readings, Signal("wire.temperature", "K", clock, 300 + noise), commands]
 
 
-def measure(tiny: bool = False) -> Iterator[Figure]:
+def reading(tiny: bool = False) -> Iterator[Figure]:
     """Ratios for both storages."""
     messages = 4000 if tiny else MESSAGES
     for storage in ("mcap", "sqlite3"):

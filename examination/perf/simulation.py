@@ -48,7 +48,7 @@ def drive(n: int, wires: int) -> tuple[Array, Array]:
     return np.arange(n) * STEP, np.repeat(sides, HOLD, axis=0)[:n]
 
 
-def measure(tiny: bool = False) -> Iterator[Figure]:
+def simulation(tiny: bool = False) -> Iterator[Figure]:
     """Ratios to the solvers."""
     for case, parameters in benches().items():
         if not tiny or case in ("one wire", "four wires, effects on"):
