@@ -18,7 +18,7 @@ from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 from sma_bench.records.contract import CELSIUS_ZERO
-from sma_bench.records.record import Signal, has_samples, samples
+from sma_bench.records.record import has_samples, samples
 
 SHORTEST_PLATEAU = 2.0
 _COLDEST, _HOTTEST = 5.0, 95.0  # %
@@ -114,7 +114,18 @@ def as_calibrated(record: Record, parameters: Parameters) -> Record:
 def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
     """What the camera's own messages state of its scale, where nobody has stated it otherwise:
     their error at the wire's coldest is its zero's, what comes on top is that of its scale."""
-    found = [_stated(s) for r in records for n, s in r.signals.items() if _is_stated(n, s)]
+    found = []
+    for record in records:
+        for name, signal in record.signals.items():
+            wire = name.endswith(".temperature") and not name.startswith("ambient.")
+            if wire and signal.std is not None and len(signal) > 0:
+                low, high = (np.percentile(signal.values, p) for p in (_COLDEST, _HOTTEST))
+                (cold, at_cold), (hot, at_hot) = (
+                    (float(np.median(signal.values[these])), float(np.median(signal.std[these])))
+                    for these in (signal.values <= low, signal.values >= high)
+                )
+                on_top = float(np.sqrt(max(at_hot**2 - at_cold**2, 0.0)))
+                found.append((at_cold, on_top / max(hot - cold, 1e-9)))
     if not found:
         return parameters
     zero, scale = np.max(found, axis=0).tolist()
@@ -123,22 +134,6 @@ def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
     return parameters.replace(
         uncertainty={name: std for name, std in stated.items() if name not in known}
     )
-
-
-def _is_stated(name: str, signal: Signal) -> bool:
-    wire = name.endswith(".temperature") and not name.startswith("ambient.")
-    return wire and signal.std is not None and len(signal) > 0
-
-
-def _stated(signal: Signal) -> tuple[float, float]:
-    """Of the zero, K, and of the scale, relative."""
-    assert signal.std is not None
-    low, high = (np.percentile(signal.values, p) for p in (_COLDEST, _HOTTEST))
-    (cold, at_cold), (hot, at_hot) = (
-        (float(np.median(signal.values[these])), float(np.median(signal.std[these])))
-        for these in (signal.values <= low, signal.values >= high)
-    )
-    return at_cold, float(np.sqrt(max(at_hot**2 - at_cold**2, 0.0)) / max(hot - cold, 1e-9))
 
 
 def missing_findings(record: Record, channel: str) -> tuple[Finding, ...]:
@@ -234,8 +229,12 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
             )
         windows_of_samples.append((time[i:j], values[i:j]))
     n = np.array([len(v) for _, v in windows_of_samples], dtype=np.float64)
-    fits = [_trend(t, v) for t, v in windows_of_samples]
-    residuals = [residual for _, _, residual in fits]
+    drift, residuals = [], []
+    for t, v in windows_of_samples:
+        centred = t - t.mean()
+        slope = float(centred @ v) / float(centred @ centred)
+        residuals.append(v - v.mean() - slope * centred)
+        drift.append(slope * float(t[-1] - t[0]))
     correlated = inflation(autocorrelation(residuals))
     variance = np.array([np.sum(r**2) / (len(r) - 2) for r in residuals])
     pooled = float(np.sum(variance * n) / np.sum(n))
@@ -249,7 +248,7 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
         noise=noise,
         hidden=float(np.sqrt(hidden)),
         step=step,
-        drift=np.array([drift for drift, _, _ in fits]),
+        drift=np.array(drift),
         # A straight line's rise over its window has variance 12 times that of the mean.
         drift_std=np.sqrt(12.0) * noise,
         n=n,
@@ -259,13 +258,6 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
 def same_level(voltage: Array, tolerance: float) -> Array:
     """(p, p) ones where two plateaus share a voltage and so the converter's error, else zeros."""
     return (np.abs(voltage[:, None] - voltage[None, :]) < tolerance).astype(np.float64)
-
-
-def _trend(time: Array, values: Array) -> tuple[float, float, Array]:
-    centred = time - time.mean()
-    slope = float(centred @ values) / float(centred @ centred)
-    residual = values - values.mean() - slope * centred
-    return slope * float(time[-1] - time[0]), slope, residual
 
 
 # --- Straight pieces of a curve, with as many pieces as the curve is worth.

@@ -174,7 +174,12 @@ def fit_whole_model(
     most_starts: int | None = None,
 ) -> Result:
     """The whole model fitted to prepared records, from several starts."""
-    unknowns = unknowns_of_observations(observations, parameters)
+    # Everything that the records can depend on.
+    quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
+    unknowns = unknowns_of_records(
+        parameters, quantities, load_frame=any(one.holds for one in observations),
+        own_load=any(not one.holds for one in observations), sides_apart=True, unmodelled=True,
+    )
     tries = starts(unknowns)[:most_starts]
     problem = Problem.of(observations, voltage_noise=True)
     fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
@@ -208,17 +213,6 @@ def _with_lag(
     found, lagged = recalibrate(Problem.of(
         fitted.problem.observations, fitted.problem.voltage_noise), parameters, unknowns, starts)
     return (found, lagged) if found.evidence > fitted.evidence + _BETTER else (fitted, tried)
-
-
-def unknowns_of_observations(
-    observations: Sequence[Observation], parameters: Parameters
-) -> Unknowns:
-    """Everything that the records can depend on."""
-    quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
-    return unknowns_of_records(
-        parameters, quantities, load_frame=any(one.holds for one in observations),
-        own_load=any(not one.holds for one in observations), sides_apart=True, unmodelled=True,
-    )
 
 
 def starts(unknowns: Unknowns) -> list[Array]:

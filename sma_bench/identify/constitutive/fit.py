@@ -136,11 +136,19 @@ def fit_law(
 
     def residuals(x: Array, stiffness: Elastic = given) -> Array:
         p = {**fixed, **dict(zip(names, x, strict=True))}
-        return np.concatenate([_misfit(law, p, loop, stiffness) / loop.recovered for loop in loops])
+        left = []
+        for loop in loops:
+            strain, columns = strain_of(law, p, loop, stiffness)
+            left.append(without_free_parts(loop.strain - strain, columns)[0] / loop.recovered)
+        return np.concatenate(left)
 
     from scipy.optimize import least_squares  # half a second to load
 
-    numbered = list(enumerate(_starts(unknowns), 1))
+    rng = np.random.default_rng(_SEED)
+    first = np.array([u.start for u in unknowns])
+    starts = [first] + [first + size * rng.standard_normal(len(first)) for _ in range(STARTS - 1)]
+    margin = 1e-6 * (high - low)
+    numbered = [(k, np.clip(x, low + margin, high - margin)) for k, x in enumerate(starts, 1)]
     solutions = [
         least_squares(residuals, start, bounds=(low, high), x_scale=size, max_nfev=300)
         for _, start in in_turn(numbered, report, lambda s: f"{law} law, start {s[0]} of {STARTS}")
@@ -155,7 +163,12 @@ def fit_law(
         up[i], down[i] = min(x[i] + step, high[i]), max(x[i] - step, low[i])
         columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
     jacobian = np.column_stack(columns)
-    fits = _loop_fits(law, {**fixed, **dict(zip(names, x, strict=True))}, loops, given)
+    fits = []
+    for loop in loops:
+        strain, free = strain_of(law, {**fixed, **dict(zip(names, x, strict=True))}, loop, given)
+        left, weights = without_free_parts(loop.strain - strain, free)
+        last = float(weights[1] * free[-1, 1]) if free.shape[1] > 1 else 0.0
+        fits.append(LoopFit(loop, loop.strain - left, left, last))
     # Sandwich: each loop with its own scatter, all with one autocorrelation.
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     pieces = []
@@ -165,10 +178,10 @@ def fit_law(
     correlated = inflation(autocorrelation(pieces))
     total = sum(len(fit.residual) for fit in fits)
     meat = np.zeros_like(bread)
-    first = 0
+    begin = 0
     for fit in fits:
-        rows = jacobian[first : first + len(fit.residual)]
-        first += len(fit.residual)
+        rows = jacobian[begin : begin + len(fit.residual)]
+        begin += len(fit.residual)
         variance = correlated * float(np.mean((fit.residual / fit.loop.recovered) ** 2))
         meat += variance * total / (total - len(names) - 2 * len(fits)) * (rows.T @ rows)
     covariance = np.asarray(bread @ meat @ bread)
@@ -193,35 +206,6 @@ def fit_law(
 def has_several_stresses(loops: Sequence[Loop]) -> bool:
     """Whether slopes against stress are identifiable."""
     return float(np.ptp([loop.stress for loop in loops])) >= _SMALLEST_STRESS_RANGE
-
-
-def _misfit(law: Law, p: Mapping[str, float], loop: Loop, given: Elastic) -> Array:
-    strain, columns = strain_of(law, p, loop, given)
-    return without_free_parts(loop.strain - strain, columns)[0]
-
-
-def _starts(unknowns: Sequence[LawNumber]) -> list[Array]:
-    rng = np.random.default_rng(_SEED)
-    first = np.array([u.start for u in unknowns])
-    size = np.array([u.size for u in unknowns])
-    low, high = np.array([u.low for u in unknowns]), np.array([u.high for u in unknowns])
-    margin = 1e-6 * (high - low)
-    starts = [first] + [first + size * rng.standard_normal(len(first)) for _ in range(STARTS - 1)]
-    return [np.clip(start, low + margin, high - margin) for start in starts]
-
-
-def _loop_fits(
-    law: Law, p: Mapping[str, float], loops: Sequence[Loop], given: Elastic
-) -> list[LoopFit]:
-    fits = []
-    for loop in loops:
-        strain, columns = strain_of(law, p, loop, given)
-        residual, weights = without_free_parts(loop.strain - strain, columns)
-        last = float(weights[1] * columns[-1, 1]) if columns.shape[1] > 1 else 0.0
-        fits.append(
-            LoopFit(loop=loop, model=loop.strain - residual, residual=residual, irrecoverable=last)
-        )
-    return fits
 
 
 # --- Remarks on the joint fit of the constitutive law.

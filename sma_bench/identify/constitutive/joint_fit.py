@@ -173,7 +173,12 @@ def _estimates(
         value = REFERENCE_STRESS / slope
         found[parameter] = Estimate(value, value * std / slope, "Pa/K", method, n)
     if not fit.loops[0].loop.is_relative:
-        found[_STRAIN] = _strain_estimate(fit, method, n)
+        s = stress / REFERENCE_STRESS
+        strain, where = fit.all().get("eps_L", 0.0), method
+        if "eps_L" not in fit.names:
+            strain = fit["H_min"] + fit["dH"] * (1.0 - math.exp(-fit["k"] * s))
+            where = f"{method}, at the largest stress {s * REFERENCE_STRESS / 1e6:.0f} MPa"
+        found[_STRAIN] = Estimate(strain, fit.error(_strain_weights(fit)), "1", where, n)
         found |= _expansion_estimate(fit, parameters, method, n, findings)
 
     # A parameter file holds no number that is out of its range.
@@ -186,16 +191,6 @@ def _estimates(
             text = f"{name} = {e.value:.4g} {e.unit} is out of its range, not given"
             findings.append(Finding("warning", name, text, {"value": e.value}))
     return with_scales(within, parameters)
-
-
-def _strain_estimate(fit: LawFit, method: str, n: int) -> Estimate:
-    error = fit.error(_strain_weights(fit))
-    if "eps_L" in fit.names:
-        return Estimate(fit["eps_L"], error, "1", method, n)
-    s = _largest_stress(fit)
-    value = fit["H_min"] + fit["dH"] * (1.0 - math.exp(-fit["k"] * s))
-    where = f"{method}, at the largest stress {s * REFERENCE_STRESS / 1e6:.0f} MPa"
-    return Estimate(value, error, "1", where, n)
 
 
 def _strain_weights(fit: LawFit) -> dict[str, float]:

@@ -30,11 +30,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
-from sma_bench.identify.instruments.tangents import strain_tangents
+from sma_bench.identify.instruments.tangents import Bins, strain_tangents
 from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord
 
@@ -46,22 +45,14 @@ _NARROWEST = 0.2  # K
 
 @dataclass(frozen=True)
 class Path:
-    """One branch in order of time: temperature (n,) K as measured, and strain.
-
-    `mean` averages anything (n,) over even intervals of temperature, so that dwells do not outweigh
-    the rest; `strain` (m,) and `level` (m,) K are such means. The law is averaged like the data:
-    the mean of a bend is not the bend of the mean.
-    """
+    """One branch in order of time: temperature (n,) K as measured, and means (m,) over bins of it:
+    `strain`, and `level` K."""
 
     rising: bool
     temperature: Array
-    index: NDArray[np.intp]
+    bins: Bins
     strain: Array
     level: Array
-
-    def mean(self, values: Array) -> Array:
-        """(m,) means of (n,) values."""
-        return np.asarray(np.bincount(self.index, values) / np.bincount(self.index))
 
 
 @dataclass(frozen=True)
@@ -140,21 +131,17 @@ def martensite_fractions(law: Law, p: Mapping[str, float], loop: Loop) -> list[A
     return found
 
 
-def transformation_strain(law: Law, p: Mapping[str, float], stress: float) -> float:
-    """eps_L, or H(sigma) of the extended law."""
-    if law == "contract" or "k" not in p:
-        return p["eps_L"]
-    growth = 1.0 - np.exp(-p["k"] * stress / REFERENCE_STRESS)
-    return float(p["H_min"] + p["dH"] * growth)
-
-
 def strain_of(law: Law, p: Mapping[str, float], loop: Loop, given: Elastic) -> tuple[Array, Array]:
     """Strain (n,) without its free parts, and those parts' columns (n, 1 or 2).
 
     The columns are the reference strain and, for the extended law, the material transformed so
     far, to which irrecoverable strain is proportional.
     """
-    grown = transformation_strain(law, p, loop.stress)
+    if law == "contract" or "k" not in p:
+        grown = p["eps_L"]
+    else:  # H(sigma)
+        growth = 1.0 - np.exp(-p["k"] * loop.stress / REFERENCE_STRESS)
+        grown = float(p["H_min"] + p["dH"] * growth)
     strains, columns = [], []
     transformed = 0.0
     for path, xi in zip(loop.paths, martensite_fractions(law, p, loop), strict=True):
@@ -169,10 +156,10 @@ def strain_of(law: Law, p: Mapping[str, float], loop: Loop, given: Elastic) -> t
             expansion = p["alpha_A"] + xi * (p["alpha_M"] - p["alpha_A"])
             fading = p.get("fading", 0.0) * 1e-3 * (path.temperature - p["T_ref"])
             strain = strain + expansion * 1e-6 * warmer - grown * xi * fading
-        strains.append(path.mean(strain))
+        strains.append(path.bins.mean(strain))
         progress = transformed + np.abs(xi - xi[0])
         transformed = float(progress[-1])
-        columns.append(np.column_stack([np.ones(len(path.level)), path.mean(progress)]))
+        columns.append(np.column_stack([np.ones(len(path.level)), path.bins.mean(progress)]))
     count = 1 if law == "contract" else 2
     return np.concatenate(strains), np.concatenate(columns)[:, :count]
 
@@ -207,14 +194,7 @@ def _recovered(cycle: Cycle, paths: Sequence[Path]) -> float:
 
 
 def _path(branch: Branch) -> Path:
-    """Intervals of temperature numbered in order of time."""
-    t = branch.temperature
-    rising = branch.direction == "heating"
-    width = float(np.ptp(t)) / BINS
-    index = np.floor((t - t.min() if rising else t.max() - t) / width).astype(int)
-    _, index = np.unique(index, return_inverse=True)
-    count = np.bincount(index)
-    return Path(
-        rising=rising, temperature=t, index=index, strain=np.bincount(index, branch.strain) / count,
-        level=np.bincount(index, t) / count,
-    )
+    """Bins numbered in order of time."""
+    t, rising = branch.temperature, branch.direction == "heating"
+    bins = Bins.of(t, BINS, rising)
+    return Path(rising, t, bins, bins.mean(branch.strain), bins.mean(t))

@@ -4,14 +4,13 @@ these temperatures against stress (Clausius and Clapeyron)."""
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.identify.estimate import Array, fit_linear
-from sma_bench.identify.instruments.tangents import Line, StrainTangents, gap_at
+from sma_bench.identify.instruments.tangents import Bins, Line, StrainTangents, gap_at
 from sma_bench.parameters import Parameters
 from sma_bench.records.isobaric import Branch
 
@@ -22,7 +21,6 @@ from sma_bench.records.isobaric import Branch
 # bow of eq. (7): compliance is no straight line in xi, which shifts the middle of the range in
 # proportion to stress and would pass for 1 % of C_A.
 
-_BINS = 200
 _NARROWEST = 0.2  # K
 # How far beyond the range points are used, in its widths: where the choice matters, the branch is
 # no cosine between straight lines, and its ends are not better known than that.
@@ -51,17 +49,12 @@ class BranchCosine:
 
 @dataclass(frozen=True)
 class _Binned:
-    """A branch over even intervals of temperature: `raw` (m,) K, `bin` (m,) of each, `t`,
-    `strain` (n,) their means. The law is averaged as the data are."""
+    """A branch: `raw` (m,) K, `bins` of it, `t`, `strain` (n,) their means."""
 
     raw: Array
-    bin: Any
+    bins: Bins
     t: Array
     strain: Array
-
-    def mean(self, values: Array) -> Array:
-        """(n,) means of (m,) values."""
-        return np.asarray(np.bincount(self.bin, values) / np.bincount(self.bin))
 
 
 @dataclass(frozen=True)
@@ -91,11 +84,8 @@ def fit_cosine(
         stress: Pa; 0 where strain has no unit.
     """
     t = branch.temperature
-    index = np.floor((t - t.min()) / (float(np.ptp(t)) / _BINS)).astype(int)
-    _, index = np.unique(index, return_inverse=True)
-    count = np.bincount(index)
-    means = (np.bincount(index, values) / count for values in (t, branch.strain))
-    data = _Binned(t, index, *means)
+    bins = Bins.of(t)
+    data = _Binned(t, bins, bins.mean(t), bins.mean(branch.strain))
     slopes = (
         tangents.cold.slope if tangents.cold_is_short else None,
         tangents.hot.slope if tangents.hot_is_short else None,
@@ -153,7 +143,8 @@ class _Curve:
                 free.append(share * (raw - self.at) / self.span)
             else:
                 known = known + share * (raw - self.at) * slope
-        return self.data.mean(known), np.column_stack([self.data.mean(f) for f in free])
+        mean = self.data.bins.mean
+        return mean(known), np.column_stack([mean(part) for part in free])
 
     def lines(self, weights: Array) -> tuple[Line, Line]:
         """The outer lines of the weights of the free parts."""
@@ -218,17 +209,13 @@ def _fit(
     ends = to_ends @ found.x
     middle = float(np.mean(ends))
     step = np.concatenate([np.zeros(2), curve.step_weights(middle)])
-    value = float(step[2:] @ weights) + _given_step(curve, middle)
+    # Slopes that are given put the rest between the lines.
+    given_cold, given_hot = (slope or 0.0 for slope in slopes)
+    value = float(step[2:] @ weights) + (given_cold - given_hot) * (middle - curve.at)
     return _Fit(
         ends, to_ends @ covariance[:2, :2] @ to_ends.T, cold, hot,
         (value, math.sqrt(step @ covariance @ step)), model, residual,
     )
-
-
-def _given_step(curve: _Curve, middle: float) -> float:
-    """What slopes that are given put between the lines."""
-    cold, hot = (slope or 0.0 for slope in curve.slopes)
-    return (cold - hot) * (middle - curve.at)
 
 
 def _sandwich(design: Array, residual: Array) -> Array:

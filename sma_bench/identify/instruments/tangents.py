@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import Array
@@ -304,7 +305,12 @@ def _cold_line(t: Array, strain: Array, straight: float) -> OuterLine:
             break
     line, covariance = fit_line(t[:longest], strain[:longest])
     share = float(np.ptp(t[:longest])) / float(np.ptp(t))
-    is_short = share < _SHORT_SHARE or abs(line.slope) > _STEEP_SHARE * _steepness(t, strain)
+    # The largest slope over a few points.
+    times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
+    centred = times - times.mean(axis=1, keepdims=True)
+    slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
+    is_steep = abs(line.slope) > _STEEP_SHARE * float(np.max(np.abs(slopes)))
+    is_short = share < _SHORT_SHARE or is_steep
     return OuterLine(line, covariance, float(t[longest - 1]), is_short)
 
 
@@ -322,14 +328,6 @@ def _through_end(side: OuterLine, t: Array, strain: Array, beside: OuterLine) ->
     line = Line(float(t[last].mean()), float(strain[last].mean()), beside.line.slope)
     own = float(strain[last].var()) / _SHORTEST_LINE
     return OuterLine(line, np.diag([own, beside.covariance[1, 1]]), float(t[last][-1]), True)
-
-
-def _steepness(t: Array, strain: Array) -> float:
-    """Largest slope over a few points."""
-    times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
-    centred = times - times.mean(axis=1, keepdims=True)
-    slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
-    return float(np.max(np.abs(slopes)))
 
 
 def fit_line(t: Array, strain: Array) -> tuple[Line, Array]:
@@ -352,12 +350,31 @@ def fit_line(t: Array, strain: Array) -> tuple[Line, Array]:
 
 # Of a cosine ramp the steepest tangent takes 2/pi of its width (eqs. 10, 11).
 COSINE_WIDTH = 0.5 * math.pi
-_BINS = 200
 _FEWEST_BINS = 30
 # The first choices are the ones reported, the others tell their error.
 _STRAIGHT_STRAIN = (0.015, 0.010, 0.025)
 _STEEP = (0.4, 0.3, 0.6)
 _SMALLEST_STEP = 12.0
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Even intervals of a branch's temperature: `index` (n,) of each reading's. Dwells do not
+    outweigh the rest, and a law is averaged as the data are: the mean of a bend is not the bend of
+    the mean."""
+
+    index: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, t: Array, most: int = 200, rising: bool = True) -> "Bins":
+        """At most `most` of t (n,) K, numbered from the cold end, or from the hot one."""
+        width = float(np.ptp(t)) / most
+        index = np.floor((t - t.min() if rising else t.max() - t) / width).astype(int)
+        return cls(np.unique(index, return_inverse=True)[1])
+
+    def mean(self, values: Array) -> Array:
+        """(m,) means of (n,) values."""
+        return np.asarray(np.bincount(self.index, values) / np.bincount(self.index))
 
 
 @dataclass(frozen=True)
@@ -477,12 +494,8 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
 
 def _binned(branch: Branch) -> tuple[Array, Array]:
     """Means over narrow intervals of temperature, rising."""
-    t, strain = branch.temperature, branch.strain
-    width = float(np.ptp(t)) / _BINS
-    index = np.floor((t - t.min()) / width).astype(int)
-    kinds, index = np.unique(index, return_inverse=True)
-    count = np.bincount(index, minlength=len(kinds))
-    return np.bincount(index, t) / count, np.bincount(index, strain) / count
+    bins = Bins.of(branch.temperature)
+    return bins.mean(branch.temperature), bins.mean(branch.strain)
 
 
 def gap_at(t: Array, where: float) -> float:

@@ -109,10 +109,14 @@ def identify_specific_heat(
     lean = [_lean(*one) for one in used]
     rigs = [_one_wire(parameters, drive.channel) for _, drive, _ in used]
     shortest = max(shared_bin([r], p, 0.0) for r, p in zip(lean, rigs, strict=True))
-    observations = [
-        _camera_as_it_is(observe(record, rig, shortest, ("temperature",)), record)
-        for record, rig in zip(lean, rigs, strict=True)
-    ]
+    observations = []
+    for record, rig in zip(lean, rigs, strict=True):
+        observation = observe(record, rig, shortest, ("temperature",))
+        (signal,) = observation.signals
+        # Stamps may be off by the longer sample period; every record has a room of its own.
+        delay = max(one.period for one in record.signals.values())
+        sensor = replace(signal.sensor, zero_std=_AMBIENT_STD, clock_std=delay)
+        observations.append(replace(observation, signals=(replace(signal, sensor=sensor),)))
     result, blind = _fitted(observations, windows, parameters, heat_loss)
     estimate, remarks = _estimate(result, blind, windows, parameters, heat_loss)
     models = []
@@ -130,12 +134,12 @@ def identify_specific_heat(
         heat_loss.coefficient.value * parameters["wire.surface_area"], parameters["wire.mass"],
     )
     n = sum(len(w.temperature) for w in windows)
-    delay = min(_off(result, DELAY), key=lambda off: off.std)  # of the record that tells it best
+    late = min(_off(result, DELAY), key=lambda off: off.std)  # of the record that tells it best
     lag = _number(result, LAG)
     details = {
         "differentiator": paper,
         "time_constant": _time_constant(result, parameters, n),
-        "delay": Estimate(delay.value, delay.std, "s", "stamps of temperature - voltage", n),
+        "delay": Estimate(late.value, late.std, "s", "stamps of temperature - voltage", n),
         "lag": Estimate(lag.value, lag.std, "s", "lag of the temperature", n,
                         informed=lag.informed),
     }  # fmt: skip
@@ -198,14 +202,6 @@ def _lean(record: Record, drive: ChannelDrive, windows: Sequence[Window]) -> Rec
         names["temperature"]: Signal(names["temperature"], "K", read, kelvin),
     }
     return Record(record.path, record.start_ns, signals)
-
-
-def _camera_as_it_is(observation: Observation, record: Record) -> Observation:
-    """Stamps may be off by the longer sample period; every record has a room of its own."""
-    (signal,) = observation.signals
-    delay = max(one.period for one in record.signals.values())
-    sensor = replace(signal.sensor, zero_std=_AMBIENT_STD, clock_std=delay)
-    return replace(observation, signals=(replace(signal, sensor=sensor),))
 
 
 def _fitted(
